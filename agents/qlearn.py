@@ -1,0 +1,284 @@
+"""Tabular Q-learning (Watkins 1989; Sutton & Barto 2018, section 6.5) as a Stable-Baselines3 algorithm.
+
+The table is a policy like any other: `learn`, `predict`, `save`, `load`, callbacks, loggers and `evaluate_policy` work
+as they do for DQN and PPO. One step of n environments makes n updates, in compiled code.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numba import njit
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
+from stable_baselines3.common.utils import LinearSchedule, safe_mean
+
+from tb2rl.errors import InputError
+from tb2rl.registry import Agent
+
+AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True)
+
+Self = TypeVar("Self", bound="QLearning")
+
+
+@njit(cache=True)
+def update_table(q, visits, states, actions, targets_of, terminated, rewards, learning_rate, gamma, plain_first):
+    """Textbook updates, one after the other in the order of the robots, so that robots which share a pair all count.
+
+    Args:
+        q: Action values, shape (states, actions); changed in place.
+        visits: Updates of each pair so far, same shape; changed in place.
+        states, actions: The pairs to update, shape (robots,).
+        targets_of: States after the step, shape (robots,).
+        terminated: Whether the future ends there, shape (robots,), bool.
+        rewards: Shape (robots,).
+        plain_first: Whether the first visit of a pair stores the plain reward, as the tutorial does.
+    """
+    for i in range(states.size):
+        s, a = states[i], actions[i]
+        future = 0.0 if terminated[i] else gamma * q[targets_of[i]].max()
+        if plain_first and visits[s, a] == 0:
+            q[s, a] = rewards[i]
+        else:
+            q[s, a] += learning_rate * (rewards[i] + future - q[s, a])
+        visits[s, a] += 1
+
+
+class QTable(BasePolicy):
+    """Action values of every discrete state; the greedy action is the first of the best ones.
+
+    Args:
+        observation_space: `MultiDiscrete` or `Discrete`.
+        action_space: `Discrete`.
+        lr_schedule: Unused; Stable-Baselines3 hands it to every policy.
+        initial_value: Of every pair; above the true values it drives exploration.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Discrete,
+        lr_schedule: Schedule | None = None,
+        initial_value: float = 0.0,
+    ) -> None:
+        super().__init__(observation_space, action_space)
+        if isinstance(observation_space, spaces.MultiDiscrete):
+            self.shape = tuple(int(n) for n in observation_space.nvec)
+        elif isinstance(observation_space, spaces.Discrete):
+            self.shape = (int(observation_space.n),)
+        else:
+            raise InputError("a Q-table needs observation=discrete: distance classes, not raw ranges")
+        states, actions = int(np.prod(self.shape)), int(action_space.n)
+        self.q = th.nn.Parameter(th.full((states, actions), initial_value, dtype=th.float64), requires_grad=False)
+        self.visits = th.nn.Parameter(th.zeros((states, actions), dtype=th.int64), requires_grad=False)
+
+    def states(self, observations: np.ndarray) -> np.ndarray:
+        """The row of the table of each observation, shape (robots,)."""
+        columns = np.asarray(observations).reshape(-1, len(self.shape)).T
+        return np.ravel_multi_index(tuple(columns), self.shape)
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[np.ndarray, Any]:
+        """The greedy actions (a table has no distribution to sample from); shortcut past torch for speed."""
+        observation = np.asarray(observation)
+        actions = self.q.detach().numpy()[self.states(observation)].argmax(axis=1)
+        return (actions if observation.ndim == len(self.observation_space.shape) + 1 else actions[0]), state
+
+    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
+        return th.as_tensor(self.q.detach().numpy()[self.states(observation.cpu().numpy())].argmax(axis=1))
+
+    def forward(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
+        return self._predict(observation, deterministic)
+
+
+class QLearning(BaseAlgorithm):
+    """Off-policy temporal-difference control with a table.
+
+    Args:
+        policy: "QTable".
+        env: Environments with discrete observations and actions, any number of them.
+        learning_rate: Step size alpha, a number or a schedule of the remaining progress.
+        gamma: Discount factor.
+        exploration: "epsilon_greedy": with probability epsilon a random action. "noisy_values" (the tutorial's): with
+            probability epsilon, uniform noise as wide as the largest |value| of the state is added to its values, and
+            the best noisy value wins.
+        exploration_initial_eps: Epsilon at the start.
+        exploration_final_eps: Epsilon at the end.
+        exploration_fraction: Share of the training over which epsilon falls linearly.
+        exploration_decay: Instead of falling linearly: epsilon is multiplied by this at the start of each episode while
+            it is above `exploration_final_eps`.
+        update: "textbook", or "tutorial": the first visit of a pair stores the plain reward, and episodes that ended
+            bootstrap like any other step.
+        stats_window_size, tensorboard_log, policy_kwargs, verbose, seed, device: As in every Stable-Baselines3 algorithm.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"QTable": QTable}
+    policy: QTable
+
+    def __init__(
+        self,
+        policy: str | type[QTable],
+        env: GymEnv | str | None,
+        learning_rate: float | Schedule = 0.1,
+        gamma: float = 0.95,
+        exploration: Literal["epsilon_greedy", "noisy_values"] = "epsilon_greedy",
+        exploration_initial_eps: float = 1.0,
+        exploration_final_eps: float = 0.02,
+        exploration_fraction: float = 0.6,
+        exploration_decay: float | None = None,
+        update: Literal["textbook", "tutorial"] = "textbook",
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: th.device | str = "cpu",
+        _init_setup_model: bool = True,
+    ) -> None:
+        super().__init__(
+            policy,
+            env,
+            learning_rate,
+            policy_kwargs=policy_kwargs,
+            stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log,
+            verbose=verbose,
+            device=device,
+            support_multi_env=True,
+            seed=seed,
+            supported_action_spaces=(spaces.Discrete,),
+        )
+        self.gamma = gamma
+        self.exploration = exploration
+        self.exploration_initial_eps = exploration_initial_eps
+        self.exploration_final_eps = exploration_final_eps
+        self.exploration_fraction = exploration_fraction
+        self.exploration_decay = exploration_decay
+        self.update = update
+        self.exploration_rate = exploration_initial_eps
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        self._rng = np.random.default_rng(self.seed)
+        self.exploration_schedule = LinearSchedule(
+            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
+        )
+        self.policy = self.policy_class(self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs)
+        self.policy = self.policy.to(self.device)
+
+    def learn(
+        self: Self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int = 100,
+        tb_log_name: str = "QLearning",
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> Self:
+        total_timesteps, callback = self._setup_learn(
+            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+        )
+        assert self.env is not None
+        if reset_num_timesteps:
+            self.exploration_rate = self.exploration_initial_eps
+            self._explore_less(self.env.num_envs)
+        callback.on_training_start(locals(), globals())
+        self.policy.set_training_mode(True)
+        states = self.policy.states(self._last_obs)
+        while self.num_timesteps < total_timesteps:
+            actions = self._choose(states)
+            observations, rewards, dones, infos = self.env.step(actions)
+            self.num_timesteps += self.env.num_envs
+            callback.update_locals(locals())
+            if not callback.on_step():
+                break
+            self._update_info_buffer(infos, dones)
+            self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
+
+            next_states = self.policy.states(observations)
+            reached, terminated = self._true_next(next_states, dones, infos)
+            self._learn_from(states, actions, rewards, reached, terminated)
+            states, self._last_obs = next_states, observations
+            if dones.any():
+                self._episode_num += int(dones.sum())
+                if log_interval is not None and self._episode_num % log_interval < dones.sum():
+                    self.dump_logs()
+            self._explore_less(int(dones.sum()))
+        callback.on_training_end()
+        return self
+
+    def dump_logs(self) -> None:
+        """Write the statistics since the last time to the logger."""
+        if self.ep_info_buffer:
+            self.logger.record("rollout/ep_rew_mean", safe_mean([info["r"] for info in self.ep_info_buffer]))
+            self.logger.record("rollout/ep_len_mean", safe_mean([info["l"] for info in self.ep_info_buffer]))
+        if self.ep_success_buffer:
+            self.logger.record("rollout/success_rate", safe_mean(self.ep_success_buffer))
+        self.logger.record("rollout/exploration_rate", self.exploration_rate)
+        self.logger.record("train/learning_rate", self.lr_schedule(self._current_progress_remaining))
+        self.logger.record("train/visited_share", float((self.policy.visits > 0).float().mean()))
+        self.logger.dump(step=self.num_timesteps)
+
+    def _true_next(self, states: np.ndarray, dones: np.ndarray, infos: list[dict]) -> tuple[np.ndarray, np.ndarray]:
+        """The states that the steps led to (an ended episode has already begun anew), and whether they are final."""
+        if not dones.any():
+            return states, dones
+        reached, terminated = states.copy(), dones.copy()
+        for i in np.flatnonzero(dones):
+            reached[i] = self.policy.states(infos[i]["terminal_observation"])[0]
+            terminated[i] = not infos[i].get("TimeLimit.truncated", False)
+        return reached, terminated
+
+    def _learn_from(
+        self, states: np.ndarray, actions: np.ndarray, rewards: np.ndarray, reached: np.ndarray, terminated: np.ndarray
+    ) -> None:
+        tutorial = self.update == "tutorial"
+        update_table(
+            self.policy.q.numpy(),
+            self.policy.visits.numpy(),
+            states,
+            actions,
+            reached,
+            np.zeros_like(terminated) if tutorial else terminated,
+            rewards,
+            self.lr_schedule(self._current_progress_remaining),
+            self.gamma,
+            tutorial,
+        )
+
+    def _choose(self, states: np.ndarray) -> np.ndarray:
+        """Actions that explore; the best of equal values at random."""
+        values = self.policy.q.numpy()[states]
+        explores = self._rng.random(len(states)) < self.exploration_rate
+        if self.exploration == "noisy_values":
+            width = np.abs(values).max(axis=1) * explores
+            values = values + width[:, None] * (self._rng.random(values.shape) - 0.5)
+        ties = values == values.max(axis=1, keepdims=True)
+        best = (ties * self._rng.random(values.shape)).argmax(axis=1)
+        if self.exploration == "noisy_values":
+            return best
+        return np.where(explores, self._rng.integers(values.shape[1], size=len(states)), best)
+
+    def _explore_less(self, started: int) -> None:
+        """Move epsilon on after a step in which `started` episodes began."""
+        if self.exploration_decay is None:
+            self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
+            return
+        for _ in range(started):
+            if self.exploration_rate > self.exploration_final_eps:
+                self.exploration_rate *= self.exploration_decay
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "exploration_schedule"]

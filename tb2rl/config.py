@@ -1,0 +1,246 @@
+"""What a training is: an agent, a task and how to train, resolved from presets and overrides.
+
+Later layers win: the defaults of the signatures, `configs/tasks/TASK.yaml`, `configs/agents/AGENT.yaml`, a preset that
+the user names, single settings (`agent.gamma=0.9`). Each layer is a tree of three mappings, `agent`, `task`, `train`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Annotated, Any, get_type_hints
+
+import yaml
+from annotated_types import Ge
+from stable_baselines3.common.utils import LinearSchedule
+
+from tb2rl.errors import InputError, unknown
+from tb2rl.registry import Agent, find_agent, find_task, import_object
+from tb2rl.settings import Count, Fraction, Positive, build, checked, find_file, read_yaml, room
+from tb2rl.tasks import Task
+
+DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
+_GIVEN_BY_TRAIN = {"self", "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model"}
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How long to train, on how many worlds, and what to note on the way."""
+
+    total_timesteps: Count = 500_000  # control steps, over all worlds
+    episodes: Count | None = None  # stop after so many, over all worlds, if that comes first
+    seed: Annotated[int, Ge(0)] = 0
+    n_envs: Count = 2  # worlds, in parallel processes
+    device: str = "cpu"
+    torch_threads: Count = 1  # small networks lose by more, and the worlds need the cores
+    reward_scale: Positive = 1.0  # what the agent sees of the reward; everything that is logged is unscaled
+    eval_freq: Annotated[int, Ge(0)] = 50_000  # control steps between evaluations; 0: none
+    eval_episodes: Count = 20
+    eval_steps: Count = 1000  # control steps at most in an episode of these
+    save_freq: Annotated[int, Ge(0)] = 50_000  # control steps between checkpoints; 0: only the last
+
+
+@dataclass(frozen=True)
+class Config:
+    """A resolved training.
+
+    Attributes:
+        agent: The agent's name in the registry.
+        agent_settings: Arguments of its algorithm, by name.
+        task: The task's name in the registry.
+        task_settings: The task itself.
+        observation: "discrete" or "raw".
+        train: The rest.
+    """
+
+    agent: str
+    agent_settings: Mapping[str, Any]
+    task: str
+    task_settings: Task
+    observation: str
+    train: TrainSettings = field(default_factory=TrainSettings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The tree of plain values that `config_from` reads back."""
+        task = {"name": self.task, "observation": self.observation, **dataclasses.asdict(self.task_settings)}
+        return _plain(
+            {
+                "agent": {"name": self.agent, **self.agent_settings},
+                "task": task,
+                "train": dataclasses.asdict(self.train),
+            }
+        )
+
+
+def resolve(
+    agent: str | None = None,
+    task: str | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Config:
+    """Put the layers together and check the result.
+
+    Args:
+        agent: The agent's name; None: the preset's, else `DEFAULT_AGENT`.
+        task: The task's name; None: the preset's, else `DEFAULT_TASK`.
+        preset: The name of a file in `configs`, or the path of one.
+        settings: Single settings by dotted key, such as {"agent.gamma": 0.9}.
+
+    Raises:
+        InputError: For any name, key or value that does not fit.
+    """
+    chosen = _sections(read_yaml(find_file(preset, room("configs"), "preset")), f"preset {preset}") if preset else {}
+    single = _nest(settings or {})
+    agent = _first_name(agent, single, chosen, "agent") or DEFAULT_AGENT
+    task = _first_name(task, single, chosen, "task") or DEFAULT_TASK
+    find_agent(agent), find_task(task)  # say that a name is unknown before anything else
+    layers = [_built_in("tasks", task), _built_in("agents", agent), chosen, single]
+    tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
+    for layer in layers:
+        _merge(tree, layer)
+    tree["agent"]["name"], tree["task"]["name"] = agent, task
+    return config_from(tree)
+
+
+def config_from(tree: Mapping[str, Any]) -> Config:
+    """The checked config of a tree as `Config.to_dict` gives it.
+
+    Raises:
+        InputError: For any name, key or value that does not fit.
+    """
+    sections = {name: dict(values) for name, values in _sections(tree, "config").items()}
+    agent_name, task_name = sections["agent"].pop("name"), sections["task"].pop("name")
+    agent = find_agent(agent_name)
+    observation = sections["task"].pop("observation", agent.observation)
+    if agent.only and observation != agent.observation:
+        raise InputError(f"agent {agent_name} works with task.observation={agent.observation} only, got {observation!r}")
+    return Config(
+        agent=agent_name,
+        agent_settings=check_arguments(agent, sections["agent"]),
+        task=task_name,
+        task_settings=build(find_task(task_name), sections["task"], "task"),
+        observation=observation,
+        train=build(TrainSettings, sections.get("train", {}), "train"),
+    )
+
+
+def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
+    """Settings as the command line has them: "agent.gamma=0.9" to {"agent.gamma": 0.9}, values read as YAML."""
+    settings = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise InputError(f"--set takes KEY=VALUE, for example task.maze=circuit, got {pair!r}")
+        try:
+            settings[key.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
+    return settings
+
+
+def check_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments of an agent's algorithm, held against its signature."""
+    if agent.algorithm is None:
+        return {}
+    constructor = import_object(agent.algorithm).__init__
+    known = inspect.signature(constructor).parameters.keys() - _GIVEN_BY_TRAIN
+    for key, value in arguments.items():
+        if key not in known:
+            raise unknown("key of agent", key, known)
+        if not _is_schedule(value):
+            checked(_parameter_type(constructor, key), value, f"agent.{key}")
+    return dict(arguments)
+
+
+def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Agent settings as the algorithm takes them: schedules and classes made from their YAML form.
+
+    A schedule is {start: 0.5, end: 0.05, fraction: 0.8}, linear over that share of the training; in `policy_kwargs` a
+    class is "module:Class".
+    """
+    made = {key: _schedule(value, key) if _is_schedule(value) else value for key, value in settings.items()}
+    if "policy_kwargs" in made:
+        made["policy_kwargs"] = {
+            key: import_object(value) if isinstance(value, str) and ":" in value else value
+            for key, value in made["policy_kwargs"].items()
+        }
+    return made
+
+
+@dataclass(frozen=True)
+class _Linear:
+    start: float
+    end: float
+    fraction: Fraction = 1.0
+
+
+def _parameter_type(function: Any, name: str) -> Any:
+    """The annotation of one parameter; Any where it cannot be known at run time."""
+    only = SimpleNamespace(__annotations__={name: function.__annotations__.get(name, Any)})
+    try:
+        return get_type_hints(only, function.__globals__)[name]
+    except NameError:  # a name imported for type checkers only
+        return Any
+
+
+def _is_schedule(value: Any) -> bool:
+    return isinstance(value, Mapping) and {"start", "end"} <= value.keys()
+
+
+def _schedule(value: Mapping[str, Any], key: str) -> LinearSchedule:
+    line = build(_Linear, value, f"agent.{key}")
+    return LinearSchedule(line.start, line.end, line.fraction)
+
+
+def _built_in(kind: str, name: str) -> dict[str, Any]:
+    file = room("configs") / kind / f"{name}.yaml"
+    return _sections(read_yaml(file), f"preset {file.name}") if file.is_file() else {}
+
+
+def _sections(tree: Any, where: str) -> dict[str, Any]:
+    if not isinstance(tree, Mapping):
+        raise InputError(f"{where}: expected the sections agent, task and train, got {tree!r}")
+    for name, values in tree.items():
+        if name not in ("agent", "task", "train"):
+            raise unknown(f"section of {where}", name, ("agent", "task", "train"))
+        if not isinstance(values, Mapping):
+            raise InputError(f"{where}: section {name} must be a mapping, got {values!r}")
+    return dict(tree)
+
+
+def _nest(settings: Mapping[str, Any]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for dotted, value in settings.items():
+        *path, key = dotted.split(".")
+        if not path:
+            raise InputError(f"setting {dotted!r} needs its section: agent.{dotted}, task.{dotted} or train.{dotted}")
+        branch = tree
+        for name in path:
+            branch = branch.setdefault(name, {})
+        branch[key] = value
+    return _sections(tree, "the settings")
+
+
+def _first_name(given: str | None, single: Mapping[str, Any], chosen: Mapping[str, Any], section: str) -> str | None:
+    for name in (given, single.get(section, {}).get("name"), chosen.get(section, {}).get("name")):
+        if name is not None:
+            return str(name)
+    return None
+
+
+def _merge(tree: dict[str, Any], layer: Mapping[str, Any]) -> None:
+    for key, value in layer.items():
+        if isinstance(value, Mapping) and isinstance(tree.get(key), Mapping) and not _is_schedule(value):
+            tree[key] = dict(tree[key])
+            _merge(tree[key], value)
+        else:
+            tree[key] = value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

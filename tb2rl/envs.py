@@ -1,0 +1,146 @@
+"""Tasks as Gymnasium environments: glue between a simulation, a task and an observation, and nothing else."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+
+from tb2rl.errors import InputError
+from tb2rl.maze import load_maze
+from tb2rl.observations import observe_as
+from tb2rl.registry import find_task
+from tb2rl.robot import BASE_RADIUS
+from tb2rl.settings import Pose, build, checked
+from tb2rl.simulation import Reading
+from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.tasks import Task
+
+
+class TurtleBot2Env(gym.Env[np.ndarray, int]):
+    """One TurtleBot2 in one maze.
+
+    | | |
+    |---|---|
+    | action | `Discrete`: a row of the task's `commands`, held for `control_period` |
+    | observation "discrete" | `MultiDiscrete`: the distance class of each beam, right to left, then the task's senses |
+    | observation "raw" | `Box`, float32: the range of each beam [m], right to left, then the task's senses |
+    | reward, termination | the task's; a crash terminates |
+    | truncation | after `episode_steps` control steps |
+
+    `info` of a step:
+
+    | key | meaning |
+    |---|---|
+    | `pose` | true x [m], y [m], yaw [rad], shape (3,) |
+    | `distance` | driven since the reset [m] |
+    | `min_range` | shortest reading [m] |
+    | `bumped` | whether the base touched a wall |
+    | `is_success` | goal reached; for a task without a goal: the time limit reached without a crash |
+    | `ended` | None, or why the episode is over: "crash", "goal", ..., "time limit" |
+
+    Args:
+        task: A task's name, "module:Class", or a `Task` itself.
+        observation: "discrete" or "raw".
+        render_mode: None, "rgb_array" (seen from above, no window) or "human" (PyBullet's window).
+        settings: Fields of the task by name, for example `maze="circuit"`.
+
+    Raises:
+        InputError: For an unknown task, maze, observation or setting, or a value that does not fit.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}
+
+    def __init__(
+        self,
+        task: str | Task = "maze",
+        observation: str = "discrete",
+        render_mode: str | None = None,
+        **settings: Any,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"unknown render_mode {render_mode!r}; known: None, 'rgb_array', 'human'")
+        given = task if isinstance(task, Task) else build(find_task(task), settings, "task")
+        self.maze = load_maze(given.maze)
+        self.task = given.placed(self.maze)
+        self.render_mode = render_mode
+        self._observe, self.laser = observe_as(observation, self.task)
+        self._commands = self.task.commands
+        self.observation_space = self._observe.space
+        self.action_space = gym.spaces.Discrete(len(self._commands))
+        self.maze.free_space(self.task.start_clearance if self.task.start == "random" else BASE_RADIUS)
+        self.simulation = BulletSimulation(self.maze, self.laser, window=render_mode == "human")
+        self._reading: Reading | None = None
+        self.path: list[np.ndarray] = []  # poses since the reset, for pictures
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; `options={"pose": (x, y, yaw)}` says where, else the task's `start` does.
+
+        Raises:
+            InputError: If that pose is inside a wall.
+        """
+        super().reset(seed=seed)
+        pose = self._start_pose(options or {})
+        self._reading = self.simulation.reset(pose, self.np_random)
+        self._steps, self._distance = 0, 0.0
+        self.path = [self._reading.pose[0]]
+        return self._observe(self._reading)[0], self._info(self._reading, success=False, ended=None)
+
+    def step(self, action: int) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
+        if self._reading is None:
+            raise InputError("step needs a reset first")
+        if not self.action_space.contains(action):
+            raise InputError(f"action {action!r} is none of the integers 0 to {len(self._commands) - 1}")
+        before, after = self._reading, self.simulation.step(self._commands[action : action + 1], self.task.control_period)
+        outcome = self.task.judge(before, np.array([action]), after)
+        self._reading = after
+        self._steps += 1
+        dx, dy, _ = (after.pose - before.pose)[0].tolist()
+        self._distance += (dx * dx + dy * dy) ** 0.5
+        if self.render_mode is not None:
+            self.path.append(after.pose[0])
+        ended = next((reason for reason, where in outcome.endings.items() if where[0]), None)
+        terminated, truncated = ended is not None, self._steps >= self.task.episode_steps
+        if truncated and not terminated:
+            ended = "time limit"
+        success = bool(outcome.success[0]) if outcome.success is not None else ended == "time limit"
+        info = self._info(after, success, ended)
+        return self._observe(after)[0], float(outcome.reward[0]), terminated, truncated, info
+
+    def render(self) -> np.ndarray | None:
+        """The picture of the moment, seen from above, shape (height, width, 3), uint8; None for the window."""
+        if self.render_mode != "rgb_array" or self._reading is None:
+            return None
+        from tb2rl.render import draw_scene  # drawing is not needed to train
+
+        return draw_scene(self.maze, self.task, self.laser, self._reading, self.path)
+
+    def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
+        """Colours and depth [m] that the camera on the robot's front sees, see `BulletSimulation.camera`."""
+        return self.simulation.camera(width, height)
+
+    def close(self) -> None:
+        self.simulation.close()
+
+    def _start_pose(self, options: dict[str, Any]) -> np.ndarray:
+        if "pose" in options:
+            pose = checked(Pose, options["pose"], "options.pose")
+            if self.maze.clearance(*pose[:2]) < BASE_RADIUS:
+                raise InputError(f"the start ({pose[0]:g}, {pose[1]:g}) is inside a wall of maze {self.maze.name}")
+            return np.array([pose])
+        if self.task.start == "fixed":
+            return np.array([self.maze.start])
+        return self.maze.random_poses(self.np_random, 1, self.task.start_clearance)
+
+    def _info(self, reading: Reading, success: bool, ended: str | None) -> dict[str, Any]:
+        return {
+            "pose": reading.pose[0],
+            "distance": self._distance,
+            "min_range": float(reading.ranges.min()),
+            "bumped": bool(reading.bumped[0]),
+            "is_success": success,
+            "ended": ended,
+        }

@@ -1,0 +1,41 @@
+"""What a user can get wrong, and how a command says so: one line and exit status 2."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import sys
+from collections.abc import Callable, Iterable
+from typing import NoReturn
+
+
+class InputError(ValueError):
+    """Foreign input that does not fit: the message is one line and names what is allowed."""
+
+
+def unknown(kind: str, name: object, known: Iterable[str]) -> InputError:
+    """The error for a name that does not exist: suggests the nearest one and lists all."""
+    known = sorted(known)
+    near = difflib.get_close_matches(str(name), known, n=1)
+    suggestion = f" did you mean {near[0]!r}?" if near else ""
+    return InputError(f"unknown {kind} {name!r};{suggestion} known: {', '.join(known)}")
+
+
+def command(main: Callable[[list[str] | None], None]) -> Callable[[list[str] | None], None]:
+    """Let a command's `main` report an `InputError` as one line on stderr and exit with status 2."""
+
+    @functools.wraps(main)
+    def guarded(arguments: list[str] | None = None) -> None:
+        try:
+            main(arguments)
+        except InputError as error:
+            _stop(f"error: {error}")
+        except BrokenPipeError:  # the reader of our output went away, for example `| head`
+            sys.stderr.close()
+
+    return guarded
+
+
+def _stop(line: str) -> NoReturn:
+    print(" ".join(line.split()), file=sys.stderr)
+    raise SystemExit(2)

@@ -1,0 +1,84 @@
+"""Exact laser ranges against the boxes and posts of a maze, compiled.
+
+Slab test against oriented boxes (Kay & Kajiya 1986) and the quadratic for circles; the inner loop over beams has no
+branches, so that the compiler turns it into vector instructions. Both simulations read this laser: they see the same walls.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_PARALLEL = 1e-12  # direction components below this count as parallel to a side; avoids 0 / 0
+
+
+@njit(cache=True, fastmath={"nsz", "nnan", "arcp", "contract", "reassoc"}, error_model="numpy")
+def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, ranges):
+    """Write the distance to the nearest obstacle along each beam of one robot into `ranges` (inf: nothing).
+
+    Args:
+        x, y, yaw: Pose of the laser [m, m, rad].
+        cos_beams, sin_beams: Beam directions in the laser's frame, shape (beams,).
+        boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
+        posts: Rows of x, y, radius [m], shape (posts, 3).
+        ranges: Result [m], shape (beams,).
+    """
+    cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
+    beams = cos_beams.size
+    for i in range(beams):
+        ranges[i] = np.inf
+    for k in range(boxes.shape[0]):
+        half_length, half_width, cos_box, sin_box = boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5]
+        east, north = x - boxes[k, 0], y - boxes[k, 1]
+        ox, oy = cos_box * east + sin_box * north, cos_box * north - sin_box * east
+        # The beam's direction in the box frame is its direction in the laser frame turned by yaw - box yaw.
+        c = cos_yaw * cos_box + sin_yaw * sin_box
+        s = sin_yaw * cos_box - cos_yaw * sin_box
+        for i in range(beams):
+            dx = c * cos_beams[i] - s * sin_beams[i]
+            dy = s * cos_beams[i] + c * sin_beams[i]
+            dx = dx if abs(dx) > _PARALLEL else _PARALLEL
+            dy = dy if abs(dy) > _PARALLEL else _PARALLEL
+            mid_x, mid_y = -ox / dx, -oy / dy
+            reach_x, reach_y = half_length / abs(dx), half_width / abs(dy)
+            near = max(mid_x - reach_x, mid_y - reach_y)
+            far = min(mid_x + reach_x, mid_y + reach_y)
+            hit = max(near, 0.0)
+            nearer = (far >= hit) & (hit < ranges[i])
+            ranges[i] = hit if nearer else ranges[i]
+    for k in range(posts.shape[0]):
+        east, north, radius = posts[k, 0] - x, posts[k, 1] - y, posts[k, 2]
+        px, py = cos_yaw * east + sin_yaw * north, cos_yaw * north - sin_yaw * east
+        for i in range(beams):
+            along = px * cos_beams[i] + py * sin_beams[i]
+            across = px * sin_beams[i] - py * cos_beams[i]
+            half_chord = radius * radius - across * across
+            hit = max(along - math.sqrt(max(half_chord, 0.0)), 0.0)
+            nearer = (half_chord >= 0.0) & (along >= 0.0) & (hit < ranges[i])
+            ranges[i] = hit if nearer else ranges[i]
+
+
+@njit(cache=True, error_model="numpy")
+def clearance_one(x, y, boxes, posts):
+    """Distance from a point to the nearest obstacle [m]; 0 inside one, inf where there is none."""
+    nearest = np.inf
+    for k in range(boxes.shape[0]):
+        east, north = x - boxes[k, 0], y - boxes[k, 1]
+        dx = abs(boxes[k, 4] * east + boxes[k, 5] * north) - boxes[k, 2]
+        dy = abs(boxes[k, 4] * north - boxes[k, 5] * east) - boxes[k, 3]
+        nearest = min(nearest, math.hypot(max(dx, 0.0), max(dy, 0.0)))
+    for k in range(posts.shape[0]):
+        gap = math.hypot(x - posts[k, 0], y - posts[k, 1]) - posts[k, 2]
+        nearest = min(nearest, max(gap, 0.0))
+    return nearest
+
+
+@njit(cache=True)
+def cast(poses, cos_beams, sin_beams, boxes, posts, ranges):
+    """`cast_one` for many robots: poses (robots, 3), ranges (robots, beams)."""
+    for robot in range(poses.shape[0]):
+        cast_one(
+            poses[robot, 0], poses[robot, 1], poses[robot, 2], cos_beams, sin_beams, boxes, posts, ranges[robot]
+        )

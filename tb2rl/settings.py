@@ -1,0 +1,97 @@
+"""Foreign values made into checked ones: YAML trees and keyword arguments into frozen dataclasses.
+
+The checking itself is pydantic's; this module turns its reports into one line that names the key.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import yaml
+from annotated_types import Ge, Gt, Le
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+import tb2rl
+from tb2rl.errors import InputError, unknown
+
+T = TypeVar("T")
+
+Positive = Annotated[float, Gt(0)]
+NonNegative = Annotated[float, Ge(0)]
+Fraction = Annotated[float, Ge(0), Le(1)]
+Count = Annotated[int, Ge(1)]
+Point = tuple[float, float]
+Pose = tuple[float, float, float]  # x [m], y [m], yaw [rad]
+
+_CHECKS = ConfigDict(allow_inf_nan=False, arbitrary_types_allowed=True)
+
+
+def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
+    """Make the frozen dataclass `cls` from foreign values.
+
+    Args:
+        cls: A dataclass whose annotations say what fits; a default lives in its signature.
+        values: Its fields by name, as YAML or keyword arguments bring them.
+        where: What the values are, for the message: "task", "maze loop.yaml".
+
+    Raises:
+        InputError: For a key that the class lacks (with the nearest one), or a value that does not fit.
+    """
+    if not isinstance(values, Mapping):
+        raise InputError(f"{where}: expected a mapping of keys to values, got {values!r}")
+    known = [field.name for field in dataclasses.fields(cls) if field.init]  # type: ignore[arg-type]
+    for key in values:
+        if key not in known:
+            raise unknown(f"key of {where}", key, known)
+    return checked(type_with_checks(cls), dict(values), where)
+
+
+def type_with_checks(cls: type[T]) -> Any:
+    """The dataclass `cls` itself, told to pydantic to refuse NaN and infinities."""
+    if "__pydantic_config__" not in cls.__dict__:
+        cls.__pydantic_config__ = _CHECKS  # type: ignore[attr-defined]
+    return cls
+
+
+def checked(kind: Any, value: Any, where: str) -> Any:
+    """`value` as the type `kind`, or an `InputError` that says where it stands and what fits."""
+    own_config = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    adapter = TypeAdapter(kind) if own_config else TypeAdapter(kind, config=_CHECKS)
+    try:
+        return adapter.validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join([where, *map(str, first["loc"])])
+        raise InputError(f"{place}: {first['msg']}, got {first['input']!r}") from None
+
+
+def read_yaml(path: Path) -> Any:
+    """The content of a YAML file; an empty file is an empty mapping."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read {path}: {error}") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"{path} is not YAML: {error}") from None
+    return {} if content is None else content
+
+
+def room(name: str) -> Path:
+    """The folder `agents`, `configs` or `zoo`: beside the package in a checkout, inside it when installed."""
+    return next(folder for place in tb2rl.__path__ if (folder := Path(place, name)).is_dir())
+
+
+def find_file(name: str, folder: Path, kind: str, suffixes: tuple[str, ...] = (".yaml",)) -> Path:
+    """The file that a user means: a path, or the name of a built-in one in `folder`."""
+    path = Path(name)
+    if path.suffix in suffixes or path.parent != Path("."):
+        if not path.is_file():
+            raise InputError(f"there is no {kind} file {name}")
+        return path
+    built_in = {file.stem: file for file in folder.glob("*.yaml")}
+    if name not in built_in:
+        raise unknown(kind, name, built_in)
+    return built_in[name]

@@ -1,0 +1,51 @@
+"""A maze and robots in motion: what the robots are told, and what they read.
+
+Everything carries a leading robot axis; `bullet` simulates one robot in PyBullet's physics, the judge of every policy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the sensors of all robots say at one instant, and the truth beside it.
+
+    Attributes:
+        pose: True x [m], y [m], yaw [rad] in the maze's frame, shape (robots, 3).
+        twist: True forward speed [m/s] and turn rate [rad/s], shape (robots, 2).
+        odometry: x, y, yaw counted from the wheels since the start pose, shape (robots, 3).
+        ranges: Distances along the kept beams [m], right to left, inf where nothing was hit, shape (robots, beams).
+        bumped: Whether the base touched a wall since the last reading, shape (robots,), bool.
+    """
+
+    pose: np.ndarray
+    twist: np.ndarray
+    odometry: np.ndarray
+    ranges: np.ndarray
+    bumped: np.ndarray
+
+
+class Simulation(Protocol):
+    """Robots that share a maze but not each other's space: they do not meet."""
+
+    robots: int
+
+    def reset(self, poses: np.ndarray, rng: np.random.Generator) -> Reading:
+        """Put the robots at `poses` (robots, 3), at rest; `rng` is the source of their laser noise from now on."""
+
+    def step(self, commands: np.ndarray, duration: float) -> Reading:
+        """Drive at `commands` (robots, 2), v [m/s] and w [rad/s], for `duration` [s] of simulated time."""
+
+    def state(self) -> Any:
+        """All that the future depends on, to give back to `restore`."""
+
+    def restore(self, state: Any) -> Reading:
+        """Go on from a `state` as if nothing had happened since."""
+
+    def close(self) -> None:
+        """Free what the simulation holds."""

@@ -1,0 +1,321 @@
+"""The reference physics: a TurtleBot2 driven by its wheels in PyBullet. The only module that imports pybullet.
+
+The direct solver (Dantzig's, for the exact linear complementarity problem) holds the wheel speeds that the usual
+iterative one misses, at a fifth of its cost.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tb2rl import robot
+from tb2rl.errors import InputError
+from tb2rl.laser import cast_one
+from tb2rl.maze import WALL_HEIGHT, Maze
+from tb2rl.simulation import Reading
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep from the user what PyBullet's C code prints during the block: its build time, its solver."""
+    streams = {1: sys.stdout, 2: sys.stderr}
+    kept = {descriptor: os.dup(descriptor) for descriptor in streams}
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for descriptor, stream in streams.items():
+            stream.flush()
+            os.dup2(nowhere, descriptor)
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)  # C's own buffers
+        for descriptor, copy in kept.items():
+            os.dup2(copy, descriptor)
+            os.close(copy)
+        os.close(nowhere)
+
+
+with _quiet():
+    import pybullet
+
+URDF = Path(__file__).parent.parent / "assets" / "turtlebot2.urdf"
+STEP_RATE = 60.0  # [Hz] at least; with the direct solver 60 Hz holds every commanded speed within 0.2 %, as 100 Hz does
+GRAVITY = 9.81  # [m/s^2]
+FLOOR_FRICTION = 1.0  # rubber on a dry floor
+TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
+_SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
+
+
+@dataclass(frozen=True)
+class BulletState:
+    """Base and wheels of the robot, and what the sensors remember."""
+
+    position: tuple[float, float, float]
+    orientation: tuple[float, float, float, float]
+    velocity: tuple[tuple[float, float, float], tuple[float, float, float]]
+    wheels: tuple[tuple[float, float], tuple[float, float]]
+    odometry: tuple[float, float, float]
+    rng: np.random.Generator
+
+
+class BulletSimulation:
+    """One TurtleBot2 in one maze.
+
+    Args:
+        maze: Its walls are fixed bodies of their full height.
+        laser: Cast exactly (`tb2rl.laser`), not by PyBullet.
+        window: Open PyBullet's window; needs a display.
+    """
+
+    robots = 1
+
+    def __init__(self, maze: Maze, laser: robot.Laser, window: bool = False) -> None:
+        self.maze, self.laser = maze, laser
+        if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+            raise InputError("render_mode 'human' opens a window, and there is no display; use 'rgb_array'")
+        with _quiet():
+            self._client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
+            self._set_physics()
+            self._build_floor()
+            self._walls = self._build_walls()
+            self._load_robot()
+        self._cos_beams, self._sin_beams = np.cos(laser.angles), np.sin(laser.angles)
+        self._rng = np.random.default_rng()
+        self._steps, self._time_step = 0, 0.0
+
+    # ---- the robot's life
+
+    def reset(self, poses: np.ndarray, rng: np.random.Generator) -> Reading:
+        x, y, yaw = map(float, poses[0])
+        turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+        position = (x + self._centre_x * math.cos(yaw), y + self._centre_x * math.sin(yaw), self._centre_z)
+        rest = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        return self.restore(BulletState(position, turn, rest, ((0.0, 0.0), (0.0, 0.0)), (x, y, yaw), rng))
+
+    def step(self, commands: np.ndarray, duration: float) -> Reading:
+        self._set_duration(duration)
+        self.drive(commands)
+        x, y = self._position()[:2]
+        reach = robot.BASE_RADIUS + robot.MAX_SPEED * duration + 0.02
+        if self.maze.clearance(x, y) > reach:
+            self.advance()
+            bumped = False
+        else:  # near a wall: a touch may be shorter than a control step
+            bumped = False
+            for _ in range(self._steps):
+                pybullet.stepSimulation(self._client)
+                bumped = bumped or self._touches_a_wall()
+        return self._read(bumped)
+
+    def drive(self, commands: np.ndarray) -> None:
+        """Tell the wheel motors the speeds for `commands` (1, 2)."""
+        v, w = commands[0]
+        v = min(max(v, -robot.MAX_SPEED), robot.MAX_SPEED)
+        reach = min(max(w, -robot.MAX_TURN_RATE), robot.MAX_TURN_RATE) * robot.WHEEL_SEPARATION / 2
+        for wheel, speed in zip(self._wheels, (v - reach, v + reach), strict=True):
+            pybullet.setJointMotorControl2(
+                self._robot,
+                wheel,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocity=speed / robot.WHEEL_RADIUS,
+                force=robot.WHEEL_TORQUE,
+                physicsClientId=self._client,
+            )
+
+    def advance(self) -> None:
+        """Run the physics for the duration last set: the bare stepping that `benchmark` compares `step` with."""
+        client, step = self._client, pybullet.stepSimulation
+        for _ in range(self._steps):
+            step(client)
+
+    def state(self) -> BulletState:
+        position, orientation = pybullet.getBasePositionAndOrientation(self._robot, self._client)
+        velocity = pybullet.getBaseVelocity(self._robot, self._client)
+        wheels = tuple(joint[:2] for joint in self._joint_states())
+        return BulletState(position, orientation, velocity, wheels, tuple(self._odometry), self._rng)
+
+    def restore(self, state: BulletState) -> Reading:
+        pybullet.resetBasePositionAndOrientation(self._robot, state.position, state.orientation, self._client)
+        pybullet.resetBaseVelocity(self._robot, *state.velocity, self._client)
+        for wheel, (angle, rate) in zip(self._wheels, state.wheels, strict=True):
+            pybullet.resetJointState(self._robot, wheel, angle, rate, self._client)
+        self._angles = tuple(angle for angle, _ in state.wheels)
+        self._odometry = state.odometry
+        self._rng = state.rng
+        return self._read(bumped=False)
+
+    def close(self) -> None:
+        if self._client >= 0:
+            pybullet.disconnect(self._client)
+            self._client = -1
+
+    # ---- sensors
+
+    def _read(self, bumped: bool) -> Reading:
+        (px, py, _), (_, _, qz, qw) = pybullet.getBasePositionAndOrientation(self._robot, self._client)
+        (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._robot, self._client)
+        yaw = math.remainder(2.0 * math.atan2(qz, qw), math.tau)  # the robot stays upright
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        x, y = px - self._centre_x * cos, py - self._centre_x * sin
+        ranges = np.empty((1, self._cos_beams.size))
+        cast_one(x, y, yaw, self._cos_beams, self._sin_beams, self.maze.boxes, self.maze.posts, ranges[0])
+        self._finish_ranges(ranges)
+        return Reading(
+            pose=np.array([[x, y, yaw]]),
+            twist=np.array([[vx * cos + vy * sin, turn_rate]]),
+            odometry=np.array([self._count_wheels()]),
+            ranges=ranges,
+            bumped=np.array([bumped]),
+        )
+
+    def _finish_ranges(self, ranges: np.ndarray) -> None:
+        laser = self.laser
+        if laser.noise:
+            ranges += laser.noise * self._rng.standard_normal(ranges.shape)
+        np.maximum(ranges, laser.min_range, out=ranges)
+        ranges[ranges > laser.max_range] = np.inf
+
+    def _count_wheels(self) -> tuple[float, float, float]:
+        """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give."""
+        left, right = (joint[0] for joint in self._joint_states())
+        step_left = (left - self._angles[0]) * robot.WHEEL_RADIUS
+        step_right = (right - self._angles[1]) * robot.WHEEL_RADIUS
+        self._angles = (left, right)
+        x, y, yaw = self._odometry
+        length, turn = (step_left + step_right) / 2, (step_right - step_left) / robot.WHEEL_SEPARATION
+        heading = yaw + turn / 2
+        yaw = math.remainder(yaw + turn, math.tau)
+        self._odometry = (x + length * math.cos(heading), y + length * math.sin(heading), yaw)
+        return self._odometry
+
+    def _joint_states(self) -> tuple:
+        return pybullet.getJointStates(self._robot, self._wheels, self._client)
+
+    def _position(self) -> tuple[float, float, float]:
+        return pybullet.getBasePositionAndOrientation(self._robot, self._client)[0]
+
+    def _touches_a_wall(self) -> bool:
+        contacts = pybullet.getContactPoints(self._robot, self._walls, physicsClientId=self._client)
+        return any(contact[8] < TOUCH for contact in contacts)  # 8: distance
+
+    def ray_ranges(self, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """PyBullet's own ranges [m] from `pose` (3,) along `angles` (beams,): what the exact laser is tested against."""
+        x, y, yaw = pose
+        reach = self.laser.max_range
+        ends = [(x + reach * math.cos(yaw + a), y + reach * math.sin(yaw + a), WALL_HEIGHT / 2) for a in angles]
+        hits = pybullet.rayTestBatch(
+            [(x, y, WALL_HEIGHT / 2)] * len(ends), ends, collisionFilterMask=_WALL_GROUP, physicsClientId=self._client
+        )
+        return np.array([hit[2] * reach if hit[0] >= 0 else np.inf for hit in hits])
+
+    def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
+        """What the RGB-D camera on the front sees, drawn by PyBullet's software renderer.
+
+        Returns:
+            Colours, shape (height, width, 3), uint8; depth along the optical axis [m], shape (height, width), float32,
+            inf beyond the sensor's range.
+        """
+        x, y, yaw = self._read(bumped=False).pose[0]
+        ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+        eye = np.array([x, y, 0.0]) + robot.CAMERA_POSITION[0] * ahead + (0.0, 0.0, robot.CAMERA_POSITION[2])
+        near, far = robot.CAMERA_RANGE
+        view = pybullet.computeViewMatrix(eye, eye + ahead, (0.0, 0.0, 1.0))
+        angle = math.degrees(robot.CAMERA_FIELD_OF_VIEW)
+        projection = pybullet.computeProjectionMatrixFOV(angle, width / height, near, far)
+        _, _, rgba, buffer, _ = pybullet.getCameraImage(
+            width, height, view, projection, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=self._client
+        )
+        rgb = np.reshape(rgba, (height, width, 4))[..., :3].astype(np.uint8)
+        z = np.reshape(buffer, (height, width)).astype(np.float64)
+        depth = far * near / (far - (far - near) * z)  # OpenGL's depth buffer
+        return rgb, np.where(z < 1.0, depth, np.inf).astype(np.float32)
+
+    # ---- building
+
+    def _set_physics(self) -> None:
+        pybullet.resetSimulation(self._client)
+        pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=self._client)
+        pybullet.setPhysicsEngineParameter(
+            constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG,
+            globalCFM=_SOFTNESS,
+            physicsClientId=self._client,
+        )
+
+    def _set_duration(self, duration: float) -> None:
+        steps = max(1, math.ceil(duration * STEP_RATE - 1e-9))
+        if steps != self._steps or duration / steps != self._time_step:
+            self._steps, self._time_step = steps, duration / steps
+            pybullet.setPhysicsEngineParameter(fixedTimeStep=self._time_step, physicsClientId=self._client)
+
+    def _build_floor(self) -> None:
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
+        floor = pybullet.createMultiBody(0.0, plane, physicsClientId=self._client)
+        pybullet.changeDynamics(floor, -1, lateralFriction=FLOOR_FRICTION, physicsClientId=self._client)
+
+    def _build_walls(self) -> int:
+        """All walls as one body: a fixed base without a shape, and a fixed link for each box and post."""
+        client = self._client
+        shapes, places, turns = [], [], []
+        for x, y, half_length, half_width, cos, sin in self.maze.boxes:
+            half = (half_length, half_width, WALL_HEIGHT / 2)
+            shapes.append(("box", {"shapeType": pybullet.GEOM_BOX, "halfExtents": half}))
+            places.append((x, y, WALL_HEIGHT / 2))
+            turns.append(pybullet.getQuaternionFromEuler((0.0, 0.0, math.atan2(sin, cos))))
+        for x, y, radius in self.maze.posts:
+            shapes.append(("post", {"shapeType": pybullet.GEOM_CYLINDER, "radius": radius}))
+            places.append((x, y, WALL_HEIGHT / 2))
+            turns.append((0.0, 0.0, 0.0, 1.0))
+        collisions = [
+            pybullet.createCollisionShape(**shape, **({"height": WALL_HEIGHT} if kind == "post" else {}), physicsClientId=client)
+            for kind, shape in shapes
+        ]
+        visuals = [
+            pybullet.createVisualShape(
+                **shape, **({"length": WALL_HEIGHT} if kind == "post" else {}), rgbaColor=WALL_COLOUR, physicsClientId=client
+            )
+            for kind, shape in shapes
+        ]
+        count = len(shapes)
+        walls = pybullet.createMultiBody(
+            baseMass=0.0,
+            linkMasses=[0.0] * count,
+            linkCollisionShapeIndices=collisions,
+            linkVisualShapeIndices=visuals,
+            linkPositions=places,
+            linkOrientations=turns,
+            linkInertialFramePositions=[(0.0, 0.0, 0.0)] * count,
+            linkInertialFrameOrientations=[(0.0, 0.0, 0.0, 1.0)] * count,
+            linkParentIndices=[0] * count,
+            linkJointTypes=[pybullet.JOINT_FIXED] * count,
+            linkJointAxis=[(0.0, 0.0, 1.0)] * count,
+            physicsClientId=client,
+        )
+        for link in range(count):
+            pybullet.setCollisionFilterGroupMask(walls, link, _WALL_GROUP, _EVERYTHING, physicsClientId=client)
+        return walls
+
+    def _load_robot(self) -> None:
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MERGE_FIXED_LINKS
+        self._robot = pybullet.loadURDF(str(URDF), flags=flags, physicsClientId=self._client)
+        joints = range(pybullet.getNumJoints(self._robot, self._client))
+        names = {pybullet.getJointInfo(self._robot, joint, self._client)[1].decode(): joint for joint in joints}
+        self._wheels = (names["wheel_left"], names["wheel_right"])
+        # Casters roll: merged into the base, they and it are free of friction. The wheels grip.
+        pybullet.changeDynamics(self._robot, -1, lateralFriction=0.0, physicsClientId=self._client)
+        for wheel in self._wheels:
+            pybullet.changeDynamics(self._robot, wheel, lateralFriction=1.0, physicsClientId=self._client)
+        # PyBullet speaks of the centre of mass, we of the middle of the axle on the floor.
+        self._centre_x, _, self._centre_z = pybullet.getDynamicsInfo(self._robot, -1, self._client)[3]
+
+
+WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
+_WALL_GROUP = 2
+_EVERYTHING = -1

@@ -1,0 +1,98 @@
+"""What a robot is asked to do: actions, reward and ending, over any simulation and any number of robots.
+
+A task is a frozen dataclass; its fields are its settings, for YAML (`task.maze: circuit`), the command line
+(`--set task.maze=circuit`) and `gymnasium.make(id, maze="circuit")` alike. `my_turtlebot2_maze.py` is the example to copy.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar, Literal, Self
+
+import numpy as np
+from annotated_types import Ge, MinLen
+
+from tb2rl import robot
+from tb2rl.maze import Maze
+from tb2rl.settings import Count, NonNegative, Positive
+from tb2rl.simulation import Reading
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a task makes of one control step.
+
+    Attributes:
+        reward: Shape (robots,).
+        endings: Why episodes end here, each reason with its robots, bool, shape (robots,); earlier ones win.
+        success: Whether the goal was reached, bool, shape (robots,); None for a task without a goal.
+    """
+
+    reward: np.ndarray
+    endings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    success: np.ndarray | None = None
+
+    @property
+    def terminated(self) -> np.ndarray:
+        """Whether an episode ends here, bool, shape (robots,)."""
+        return np.logical_or.reduce(list(self.endings.values())) if self.endings else np.zeros(len(self.reward), dtype=bool)
+
+
+@dataclass(frozen=True)
+class Sense:
+    """One number that a task observes beside the laser, for example how far the goal is."""
+
+    name: str
+    low: float
+    high: float
+    edges: tuple[float, ...]  # borders of its classes for tabular learners
+
+
+@dataclass(frozen=True)
+class Task(ABC):
+    """The settings that all tasks share, and the three things that a task defines: commands, judge, and its senses."""
+
+    goal_task: ClassVar[bool] = False  # whether `Outcome.success` means anything
+
+    maze: str = "loop"  # a built-in name, or the path of a YAML file or a text drawing
+    start: Literal["fixed", "random"] = "random"
+    start_clearance: NonNegative = 0.6  # [m] between the robot's centre and the walls at a random start
+    control_period: Positive = 0.2  # [s] an action lasts
+    episode_steps: Count = 1500  # control steps until the time limit truncates
+    beams: Count | None = None  # evenly over 180 degrees, both ends included; None: what the observation likes
+    kept: Annotated[tuple[Annotated[int, Ge(0)], ...], MinLen(1)] | None = None  # indices of beams to read; None: all
+    noise: NonNegative = 0.0  # [m] standard deviation of the laser; `robot.LASER_NOISE` is realistic
+    edges: Annotated[tuple[Positive, ...], MinLen(1)] = (0.75, 1.0, 1.5, 2.0, 3.0)  # [m] borders of the distance classes
+
+    @property
+    @abstractmethod
+    def commands(self) -> np.ndarray:
+        """What each action tells the base: v [m/s] and w [rad/s], shape (actions, 2)."""
+
+    @abstractmethod
+    def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
+        """Reward and ending of the step that led from one reading to the next; action has shape (robots,)."""
+
+    @property
+    def senses(self) -> tuple[Sense, ...]:
+        """What is observed beside the laser."""
+        return ()
+
+    def sense(self, reading: Reading) -> np.ndarray:
+        """The values of `senses`, shape (robots, senses)."""
+        return np.empty((len(reading.pose), 0))
+
+    def placed(self, maze: Maze) -> Self:
+        """This task with what it leaves to its maze filled in, such as the goal."""
+        return self
+
+    def laser(self, beams: int) -> robot.Laser:
+        """The laser that the task reads; `beams` where it sets no number itself."""
+        return robot.Laser(beams=self.beams or beams, kept=self.kept, noise=self.noise)
+
+
+def nearest(reading: Reading) -> np.ndarray:
+    """The shortest kept range of each robot [m], shape (robots,)."""
+    return reading.ranges.min(axis=1)
