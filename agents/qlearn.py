@@ -6,6 +6,7 @@ as they do for DQN and PPO. One step of n environments makes n updates, in compi
 
 from __future__ import annotations
 
+import time
 from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
@@ -129,11 +130,11 @@ class QLearning(BaseAlgorithm):
         policy: str | type[QTable],
         env: GymEnv | str | None,
         learning_rate: float | Schedule = 0.1,
-        gamma: float = 0.95,
+        gamma: float = 0.98,
         exploration: Literal["epsilon_greedy", "noisy_values"] = "epsilon_greedy",
         exploration_initial_eps: float = 1.0,
         exploration_final_eps: float = 0.02,
-        exploration_fraction: float = 0.6,
+        exploration_fraction: float = 0.8,
         exploration_decay: float | None = None,
         update: Literal["textbook", "tutorial"] = "textbook",
         stats_window_size: int = 100,
@@ -226,6 +227,9 @@ class QLearning(BaseAlgorithm):
             self.logger.record("rollout/ep_len_mean", safe_mean([info["l"] for info in self.ep_info_buffer]))
         if self.ep_success_buffer:
             self.logger.record("rollout/success_rate", safe_mean(self.ep_success_buffer))
+        seconds = max((time.time_ns() - self.start_time) / 1e9, 1e-9)
+        self.logger.record("time/episodes", self._episode_num)
+        self.logger.record("time/fps", int((self.num_timesteps - self._num_timesteps_at_start) / seconds))
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
         self.logger.record("train/learning_rate", self.lr_schedule(self._current_progress_remaining))
         self.logger.record("train/visited_share", float((self.policy.visits > 0).float().mean()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any, ClassVar, SupportsFloat
 
 import gymnasium as gym
@@ -144,3 +145,23 @@ class TurtleBot2Env(gym.Env[np.ndarray, int]):
             "is_success": success,
             "ended": ended,
         }
+
+
+def make_env(
+    what: Any = "maze", observation: str | None = None, render_mode: str | None = None, **settings: Any
+) -> TurtleBot2Env:
+    """The environment of a task, or the one that a policy was trained in.
+
+    Args:
+        what: A task's name, "module:Class", a `Task`, or a policy from `load` or `train`.
+        observation: "discrete" or "raw"; None: the policy's, else "discrete".
+        render_mode: As in `TurtleBot2Env`.
+        settings: Fields of the task to set, for example `maze="circuit"`.
+    """
+    config = getattr(what, "trained_with", None)
+    if config is not None:
+        what, observation = config.task_settings, observation or config.observation
+    if isinstance(what, Task):
+        what = build(type(what), {**{f.name: getattr(what, f.name) for f in fields(what)}, **settings}, "task")
+        settings = {}
+    return TurtleBot2Env(what, observation or "discrete", render_mode, **settings)

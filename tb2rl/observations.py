@@ -29,7 +29,7 @@ def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float]) -> np.ndarray:
 class DiscreteScan:
     """Distance classes of a few beams, and of the task's own senses: for tabular learners."""
 
-    beams = 5  # -90, -45, 0, 45, 90 degrees
+    beams = 7  # 30 degrees apart
 
     def __init__(self, task: Task, laser: Laser) -> None:
         self.task = task

@@ -39,7 +39,6 @@ TASKS = {
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }
-GYM_IDS = {"TurtleBot2Maze-v0": "maze", "MyTurtleBot2Maze-v0": "my-maze", "TurtleBot2Wall-v0": "wall"}
 
 
 def agent_names() -> list[str]:
@@ -61,7 +60,13 @@ def find_agent(name: str) -> Agent:
     if name in _agent_files():
         return import_module(f"tb2rl.agents.{name}").AGENT
     found = _find(name, "agent", _plugins("agents"), agent_names)
-    return found if isinstance(found, Agent) else Agent(algorithm=name)
+    if isinstance(found, Agent):
+        return found
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+    if not (isinstance(found, type) and issubclass(found, BaseAlgorithm)):
+        raise InputError(f"agent {name!r} is neither a Stable-Baselines3 algorithm nor a tb2rl.registry.Agent")
+    return Agent(algorithm=f"{found.__module__}:{found.__name__}")
 
 
 def find_task(name: str) -> type[Task]:

@@ -64,7 +64,7 @@ class Task(ABC):
     beams: Count | None = None  # evenly over 180 degrees, both ends included; None: what the observation likes
     kept: Annotated[tuple[Annotated[int, Ge(0)], ...], MinLen(1)] | None = None  # indices of beams to read; None: all
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; `robot.LASER_NOISE` is realistic
-    edges: Annotated[tuple[Positive, ...], MinLen(1)] = (0.75, 1.0, 1.5, 2.0, 3.0)  # [m] borders of the distance classes
+    edges: Annotated[tuple[Positive, ...], MinLen(1)] = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
 
     @property
     @abstractmethod

@@ -1,0 +1,105 @@
+"""Pictures seen from above, drawn without a window: the robot with its beams and path, and the paths of many episodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from tb2rl.maze import Maze, box_shape
+from tb2rl.robot import BASE_RADIUS, WHEEL_RADIUS, WHEEL_SEPARATION, Laser
+from tb2rl.simulation import Reading
+from tb2rl.tasks import Task
+
+SIDE = 640  # [px] of the longer side
+_SMOOTH = 2  # drawn larger and shrunk, against jagged lines
+_MARGIN = 0.3  # [m] around the maze
+FLOOR, WALL, PATH, BEAM = "#f4f1ea", "#a85c45", "#2f6fb0", "#f0a63c"
+BODY, WHEEL, NOSE, GOAL, CRASH, START = "#2b2d31", "#77797d", "#6cc04a", "#6cc04a", "#d62728", "#2ca02c"
+
+
+class Canvas:
+    """A picture in metres: x to the right, y up."""
+
+    def __init__(self, maze: Maze) -> None:
+        x0, y0, x1, y1 = maze.bounds
+        self._left, self._top = x0 - _MARGIN, y1 + _MARGIN
+        width, height = x1 - x0 + 2 * _MARGIN, y1 - y0 + 2 * _MARGIN
+        self._scale = SIDE * _SMOOTH / max(width, height)  # [px/m]
+        # Even sides: what video encoders want.
+        self._size = tuple(2 * max(1, round(side * self._scale / _SMOOTH / 2)) for side in (width, height))
+        self._image = Image.new("RGB", (self._size[0] * _SMOOTH, self._size[1] * _SMOOTH), FLOOR)
+        self._draw = ImageDraw.Draw(self._image)
+        for row in maze.boxes:
+            self.polygon(box_shape(row).exterior.coords, WALL)
+        for x, y, radius in maze.posts:
+            self.disc(x, y, radius, WALL)
+
+    def line(self, points: Iterable[Sequence[float]], colour: str, width: float) -> None:
+        """A line through points [m], `width` [m] wide."""
+        self._draw.line(self._pixels(points), fill=colour, width=max(1, round(width * self._scale)), joint="curve")
+
+    def polygon(self, points: Iterable[Sequence[float]], colour: str) -> None:
+        """A filled polygon [m]."""
+        self._draw.polygon(self._pixels(points), fill=colour)
+
+    def disc(self, x: float, y: float, radius: float, colour: str | None, outline: str | None = None) -> None:
+        """A disc [m]; without `colour` only its outline."""
+        (left, top), (right, bottom) = self._pixels([(x - radius, y + radius), (x + radius, y - radius)])
+        self._draw.ellipse((left, top, right, bottom), fill=colour, outline=outline, width=2 * _SMOOTH)
+
+    def array(self) -> np.ndarray:
+        """The finished picture, shape (height, width, 3), uint8."""
+        return np.asarray(self._image.resize(self._size, Image.Resampling.BOX))
+
+    def _pixels(self, points: Iterable[Sequence[float]]) -> list[tuple[float, float]]:
+        return [((p[0] - self._left) * self._scale, (self._top - p[1]) * self._scale) for p in points]
+
+
+def draw_scene(maze: Maze, task: Task, laser: Laser, reading: Reading, path: Sequence[np.ndarray]) -> np.ndarray:
+    """One robot with its beams, its path since the reset, and the goal if there is one; see `Canvas.array`."""
+    canvas = Canvas(maze)
+    _draw_goal(canvas, task)
+    x, y, yaw = reading.pose[0]
+    for angle, distance in zip(laser.angles + yaw, reading.ranges[0], strict=True):
+        reach = min(distance, laser.max_range)
+        canvas.line([(x, y), (x + reach * math.cos(angle), y + reach * math.sin(angle))], BEAM, 0.015)
+    if len(path) > 1:
+        canvas.line(path, PATH, 0.04)
+    _draw_robot(canvas, x, y, yaw)
+    return canvas.array()
+
+
+def draw_paths(maze: Maze, task: Task, paths: Iterable[np.ndarray], crashed: Iterable[bool]) -> np.ndarray:
+    """The paths (steps, 2 or 3) of episodes, a dot at each start and a red one at each crash; see `Canvas.array`."""
+    canvas = Canvas(maze)
+    _draw_goal(canvas, task)
+    paths, crashed = list(paths), list(crashed)
+    for path in paths:
+        if len(path) > 1:
+            canvas.line(path, PATH, 0.02)
+    for path, crash in zip(paths, crashed, strict=True):
+        canvas.disc(path[0][0], path[0][1], 0.08, START)
+        if crash:
+            canvas.disc(path[-1][0], path[-1][1], 0.12, CRASH)
+    return canvas.array()
+
+
+def _draw_goal(canvas: Canvas, task: Task) -> None:
+    goal = getattr(task, "goal", None)
+    if goal is not None:
+        canvas.disc(goal[0], goal[1], max(getattr(task, "goal_tolerance", 0.0), 0.1), None, outline=GOAL)
+
+
+def _draw_robot(canvas: Canvas, x: float, y: float, yaw: float) -> None:
+    cos, sin = math.cos(yaw), math.sin(yaw)
+
+    def at(forward: float, left: float) -> tuple[float, float]:
+        return x + forward * cos - left * sin, y + forward * sin + left * cos
+
+    canvas.disc(x, y, BASE_RADIUS, BODY)
+    for side in (WHEEL_SEPARATION / 2, -WHEEL_SEPARATION / 2):
+        canvas.line([at(-WHEEL_RADIUS, side), at(WHEEL_RADIUS, side)], WHEEL, 0.03)
+    canvas.polygon([at(0.15, 0.0), at(0.05, 0.06), at(0.05, -0.06)], NOSE)

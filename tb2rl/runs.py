@@ -1,0 +1,235 @@
+"""The run folder: everything about one training, and how its policies come back.
+
+    runs/<task>/<agent>/<name>/
+        config.yaml         the resolved config, and the versions of what trained it
+        checkpoints/        step-<timesteps>.pt, as training goes on
+        best/policy.pt      the best in an evaluation while training
+        final/policy.pt     the last
+        evaluations.jsonl   a line for each evaluation while training
+        evaluation.json     the standard evaluation
+        tensorboard/        event files
+
+A checkpoint holds arrays and plain values only, and is read without running code from it (`weights_only`): the
+algorithm is rebuilt from the config through the registry. Files are written beside and renamed, so a folder is valid
+at every instant.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch as th
+import yaml
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+from tb2rl.config import Config, algorithm_arguments, config_from
+from tb2rl.errors import InputError, unknown
+from tb2rl.maze import load_maze
+from tb2rl.observations import observe_as
+from tb2rl.registry import find_agent, import_object
+from tb2rl.settings import read_yaml, room
+
+FORMAT = 1
+_PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder that exists."""
+
+    folder: Path
+    config: Config
+
+    @classmethod
+    def create(cls, folder: Path, config: Config) -> Run:
+        """Make the folder and write its config.
+
+        Raises:
+            InputError: If there is one already, or it cannot be written.
+        """
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder} exists already; choose another --name")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write(folder / "config.yaml", yaml.safe_dump({**config.to_dict(), "versions": versions()}, sort_keys=False))
+        except OSError as error:
+            raise InputError(f"cannot write the run folder {folder}: {error.strerror}") from None
+        return cls(folder, config)
+
+    @classmethod
+    def open(cls, folder: Path) -> Run:
+        """The run of an existing folder.
+
+        Raises:
+            InputError: If it is none, or its config does not fit.
+        """
+        if not (folder / "config.yaml").is_file():
+            raise InputError(f"{folder} is not a run folder: it has no config.yaml")
+        tree = read_yaml(folder / "config.yaml")
+        try:
+            return cls(folder, config_from({key: value for key, value in tree.items() if key != "versions"}))
+        except (AttributeError, KeyError) as error:
+            raise InputError(f"{folder / 'config.yaml'} is not a run's config: {error!r}") from None
+
+    def save(self, algorithm: BaseAlgorithm, place: str) -> Path:
+        """Write a checkpoint at `place` within the folder, for example "best/policy.pt"."""
+        path = self.folder / place
+        path.parent.mkdir(exist_ok=True)
+        content = {
+            "format": FORMAT,
+            "timesteps": algorithm.num_timesteps,
+            "versions": versions(),
+            "config": self.config.to_dict(),
+            "parameters": algorithm.get_parameters(),
+        }
+        with _replacing(path) as temporary:
+            th.save(content, temporary)
+        return path
+
+    def note(self, file: str, entry: Mapping[str, Any]) -> None:
+        """Append a line of JSON to a file of the folder."""
+        with (self.folder / file).open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(entry) + "\n")
+
+    @property
+    def policy_file(self) -> Path:
+        """The checkpoint that stands for the run: the best, else the final, else the latest one.
+
+        Raises:
+            InputError: If there is none yet.
+        """
+        steps = sorted((self.folder / "checkpoints").glob("step-*.pt"), reverse=True)
+        for file in (self.folder / "best" / "policy.pt", self.folder / "final" / "policy.pt", *steps):
+            if file.is_file():
+                return file
+        raise InputError(f"{self.folder} holds no checkpoint yet")
+
+
+def load(reference: str | Path) -> BaseAlgorithm:
+    """A trained agent, ready to `predict`; `make_env` of it gives the environment that it was trained in.
+
+    Args:
+        reference: A run folder (its best policy), a checkpoint in it, or "zoo:NAME".
+
+    Raises:
+        InputError: If it is none of these, or does not hold what it should.
+    """
+    file = checkpoint_file(reference)
+    try:
+        content = th.load(file, weights_only=True, map_location="cpu")
+    except (OSError, RuntimeError, EOFError, ValueError, pickle.UnpicklingError) as error:
+        raise InputError(f"{file} is not a checkpoint: {str(error).splitlines()[0]}") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(f"{file} is not a checkpoint of format {FORMAT}")
+    config = config_from(content["config"])
+    algorithm = make_algorithm(config, _Spaces.vectorised(config))
+    try:
+        algorithm.set_parameters(content["parameters"], exact_match=True)
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise InputError(f"{file} does not fit agent {config.agent}: {str(error).splitlines()[0]}") from None
+    algorithm.num_timesteps = content["timesteps"]
+    algorithm.trained_with = config
+    return algorithm
+
+
+def checkpoint_file(reference: str | Path) -> Path:
+    """The file that a reference to a policy means, see `load`."""
+    name = str(reference)
+    if name.startswith("zoo:"):
+        entries = {entry.name: entry for entry in room("zoo").iterdir() if (entry / "config.yaml").is_file()}
+        if name[4:] not in entries:
+            raise unknown("zoo policy", name[4:], entries)
+        return Run.open(entries[name[4:]]).policy_file
+    path = Path(reference)
+    if path.is_dir():
+        return Run.open(path).policy_file
+    if not path.is_file():
+        raise InputError(f"there is no run folder or checkpoint {name}")
+    return path
+
+
+def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorithm:
+    """The untrained algorithm of a config.
+
+    Raises:
+        InputError: If its agent does not learn, or its settings do not fit together.
+    """
+    agent = find_agent(config.agent)
+    if agent.algorithm is None:
+        raise InputError(f"agent {config.agent} does not learn; try it with `python -m tb2rl.evaluate --agent {config.agent}`")
+    th.set_num_threads(config.train.torch_threads)
+    try:
+        return import_object(agent.algorithm)(
+            agent.policy,
+            env,
+            seed=config.train.seed,
+            device=config.train.device,
+            **algorithm_arguments(config.agent_settings),
+            **arguments,
+        )
+    except (AssertionError, TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"agent {config.agent} refuses its settings: {error}") from None
+
+
+def make_baseline(config: Config) -> BasePolicy:
+    """The policy of an agent that does not learn."""
+    spaces = _Spaces(config)
+    return import_object(find_agent(config.agent).policy)(spaces.observation_space, spaces.action_space)
+
+
+def write(path: Path, text: str) -> None:
+    """Write a text file in one step: a reader sees the old or the new one, never half of it."""
+    with _replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def versions() -> dict[str, str]:
+    """The versions of what a result depends on."""
+    return {"python": platform.python_version(), **{package: _version(package) for package in _PACKAGES}}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # a checkout that is not installed
+        return "unknown"
+
+
+class _replacing:  # noqa: N801 (reads as a verb)
+    """A temporary path beside `path` that takes its place when the block ends well."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.temporary = path, path.with_name(f".{path.name}.{os.getpid()}")
+
+    def __enter__(self) -> Path:
+        return self.temporary
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.temporary.replace(self.path)
+        else:
+            self.temporary.unlink(missing_ok=True)
+
+
+class _Spaces(gym.Env):
+    """The spaces of a config without a simulation behind them: all that an algorithm needs to be rebuilt."""
+
+    def __init__(self, config: Config) -> None:
+        task = config.task_settings.placed(load_maze(config.task_settings.maze))
+        self.observation_space = observe_as(config.observation, task)[0].space
+        self.action_space = gym.spaces.Discrete(len(task.commands))
+
+    @classmethod
+    def vectorised(cls, config: Config) -> VecEnv:
+        return DummyVecEnv([lambda: cls(config)] * config.train.n_envs)

@@ -1,0 +1,197 @@
+"""Train an agent at a task: one command, one run folder.
+
+    python -m tb2rl.train --agent qlearn
+    python -m tb2rl.train --agent dqn --set task.maze=circuit agent.gamma=0.97 --name mine
+
+Everything has a default, in a signature or a preset of `configs`; `--set` changes anything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from tb2rl import callbacks
+from tb2rl.config import Config, parse_settings, resolve
+from tb2rl.envs import TurtleBot2Env
+from tb2rl.errors import InputError, command
+from tb2rl.evaluate import TRAINING_SEED, Evaluator, evaluate, report, save
+from tb2rl.registry import agent_names, task_names
+from tb2rl.runs import Run, load, make_algorithm
+
+
+def train(
+    agent: str | None = None,
+    task: str | None = None,
+    *,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    folder: str | Path | None = None,
+    progress_bar: bool = False,
+    verbose: int = 0,
+    **train_settings: Any,
+) -> BaseAlgorithm:
+    """Train an agent and leave a run folder.
+
+    Args:
+        agent: Its name in the registry, or "module:Class".
+        task: The task's name, or "module:Class".
+        preset: The name of a file in `configs`, or the path of one.
+        settings: Single settings by dotted key, such as {"task.maze": "circuit"}.
+        folder: The run folder; None: `runs/<task>/<agent>/<date and time>`.
+        progress_bar: Whether to show the rate and the remaining time.
+        verbose: 1: a line for each episode.
+        train_settings: Fields of `config.TrainSettings`, such as total_timesteps, seed or n_envs.
+
+    Returns:
+        The run's best policy, as `load` gives it.
+
+    Raises:
+        InputError: For anything in the arguments that does not fit.
+    """
+    given = {f"train.{key}": value for key, value in train_settings.items() if value is not None}
+    config = resolve(agent, task, preset, {**(settings or {}), **given})
+    return load(train_config(config, folder or default_folder(config), progress_bar, verbose).run.folder)
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a training went."""
+
+    run: Run
+    timesteps: int
+    seconds: float  # of learning, evaluations included
+    lengths: Sequence[int]  # control steps of each episode
+    interrupted: bool
+
+
+def train_config(config: Config, folder: str | Path, progress_bar: bool = False, verbose: int = 0) -> Training:
+    """`train` for a resolved config."""
+    settings = config.train
+    with ExitStack() as resources:
+        env = make_vec_env(config)
+        resources.callback(env.close)
+        algorithm = make_algorithm(config, env)
+        run = Run.create(Path(folder), config)
+        algorithm.set_logger(configure(str(run.folder / "tensorboard"), ["tensorboard"]))
+        statistics, stop = callbacks.Statistics(config.to_dict()), callbacks.StopOnInterrupt()
+        watching: list[BaseCallback] = [statistics, stop]
+        if settings.save_freq:
+            watching.append(callbacks.Checkpoints(run, settings.save_freq))
+        if settings.eval_freq:
+            conditions = (settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
+            evaluator = resources.enter_context(Evaluator(config.task_settings, config.observation, *conditions))
+            evaluation = callbacks.Evaluate(run, evaluator, settings.eval_freq)
+            watching.append(evaluation)
+        if settings.episodes:
+            watching.append(callbacks.StopAfterEpisodes(settings.episodes))
+        if verbose:
+            watching.append(callbacks.EpisodeLines())
+        started = time.monotonic()
+        with stop:
+            algorithm.learn(settings.total_timesteps, watching, progress_bar=progress_bar)
+            run.save(algorithm, "final/policy.pt")
+            if settings.eval_freq and not stop.interrupted:
+                evaluation.evaluate()
+        seconds = time.monotonic() - started
+    return Training(run, algorithm.num_timesteps, seconds, statistics.lengths, stop.interrupted)
+
+
+def make_vec_env(config: Config) -> VecEnv:
+    """The worlds of a training: in this process if there is one, else in a process each."""
+    worlds = [partial(_make_world, config, rank, config.train.n_envs > 1) for rank in range(config.train.n_envs)]
+    env = DummyVecEnv(worlds) if len(worlds) == 1 else SubprocVecEnv(worlds)
+    env.seed(config.train.seed)
+    return env
+
+
+def default_folder(config: Config) -> Path:
+    """`runs/<task>/<agent>/<date and time>`, with a number where that is taken."""
+    folder = Path("runs") / _file_name(config.task) / _file_name(config.agent)
+    name = datetime.now().strftime("%Y%m%d-%H%M%S")
+    names = [name, *(f"{name}-{i}" for i in range(2, 1000))]
+    return next(folder / name for name in names if not (folder / name).exists())
+
+
+def _file_name(name: str) -> str:
+    return name.rpartition(":")[2]
+
+
+def _make_world(config: Config, _rank: int, in_process: bool) -> gym.Env:
+    if in_process:  # Ctrl-C reaches the whole group; the training decides what it means
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    env: gym.Env = Monitor(TurtleBot2Env(config.task_settings, config.observation))
+    scale = config.train.reward_scale
+    return env if scale == 1.0 else gym.wrappers.TransformReward(env, partial(_scaled, scale))
+
+
+def _scaled(scale: float, reward: float) -> float:
+    return scale * reward
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m tb2rl.train", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
+    parser.add_argument("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
+    parser.add_argument("--preset", help="a file of configs, such as tutorial, or a path")
+    parser.add_argument("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9")
+    parser.add_argument("--name", help="of the run folder runs/TASK/AGENT/NAME (default: date and time)")
+    parser.add_argument("--total-timesteps", type=int, help="control steps, over all worlds")
+    parser.add_argument("--episodes", type=int, help="stop after so many")
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--n-envs", type=int, help="worlds, in parallel processes")
+    parser.add_argument("--device", help="of the networks: cpu, cuda, auto")
+    parser.add_argument("--eval-freq", type=int, help="control steps between evaluations; 0: none")
+    parser.add_argument("--save-freq", type=int, help="control steps between checkpoints; 0: only the last")
+    parser.add_argument("--no-evaluation", action="store_true", help="skip the standard evaluation at the end")
+    parser.add_argument("--no-progress", action="store_true", help="no progress bar")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="a line for each episode")
+    return parser.parse_args(arguments)
+
+
+@command
+def main(arguments: list[str] | None = None) -> None:
+    """Train, say where the run is, evaluate."""
+    options = parse(arguments)
+    names = ("total_timesteps", "episodes", "seed", "n_envs", "device", "eval_freq", "save_freq")
+    flags = {f"train.{name}": getattr(options, name) for name in names if getattr(options, name) is not None}
+    config = resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
+    folder = default_folder(config)
+    if options.name:
+        folder = folder.with_name(options.name)
+    settings = config.train
+    print(
+        f"training {config.agent} at {config.task} in {config.task_settings.maze}: {settings.total_timesteps} steps, "
+        f"{settings.n_envs} worlds, seed {settings.seed}\nrun folder: {folder} (watch it: tensorboard --logdir runs)",
+        flush=True,
+    )
+    bar = not options.no_progress and not options.verbose and sys.stderr.isatty()
+    training = train_config(config, folder, bar, options.verbose)
+    rate = training.timesteps / training.seconds
+    print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
+    print(callbacks.tutorial_scores(training.lengths))
+    if not (options.no_evaluation or training.interrupted):
+        policy = load(folder)
+        evaluation = evaluate(policy)
+        save(evaluation, report(evaluation, f"{folder} in {evaluation.task.maze}"), config, str(folder), folder / "evaluation.json")
+
+
+if __name__ == "__main__":
+    main()
