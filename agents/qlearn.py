@@ -119,7 +119,7 @@ class QLearning(BaseAlgorithm):
             it is above `exploration_final_eps`.
         update: "textbook", or "tutorial": the first visit of a pair stores the plain reward, and episodes that ended
             bootstrap like any other step.
-        stats_window_size, tensorboard_log, policy_kwargs, verbose, seed, device: As in every Stable-Baselines3 algorithm.
+        stats_window_size, tensorboard_log, policy_kwargs, verbose, seed, device: As in any Stable-Baselines3 algorithm.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"QTable": QTable}
@@ -176,7 +176,9 @@ class QLearning(BaseAlgorithm):
         self.exploration_schedule = LinearSchedule(
             self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
         )
-        self.policy = self.policy_class(self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs)
+        self.policy = self.policy_class(
+            self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
+        )
         self.policy = self.policy.to(self.device)
 
     def learn(

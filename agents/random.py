@@ -20,5 +20,5 @@ class RandomPolicy(BasePolicy):
         super().__init__(observation_space, action_space, **kwargs)
         self._rng = th.Generator().manual_seed(0)
 
-    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # noqa: ARG002
+    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         return th.randint(int(self.action_space.n), (len(observation),), generator=self._rng)

@@ -44,7 +44,7 @@ class WallFollower(BasePolicy):
         self._front = angles.abs() <= 30.0
         self._left = angles > 30.0
 
-    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:  # noqa: ARG002
+    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         right = observation[:, self._right].amin(dim=1)
         front = observation[:, self._front].amin(dim=1)
         left = observation[:, self._left].amin(dim=1)

@@ -1,11 +1,11 @@
-"""What happens beside a training: evaluations, checkpoints, statistics, and stopping; Stable-Baselines3 callbacks all."""
+"""What happens beside a training: evaluations, checkpoints, statistics, stopping. Stable-Baselines3 callbacks all."""
 
 from __future__ import annotations
 
 import signal
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import FrameType
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import HParam, Image
 
-from tb2rl.evaluate import Evaluator
+from tb2rl.evaluation import Evaluator
 from tb2rl.maze import load_maze
 from tb2rl.render import draw_paths
 from tb2rl.runs import Run
@@ -34,7 +34,9 @@ class Statistics(BaseCallback):
 
     def _on_training_start(self) -> None:
         metrics = {"rollout/ep_rew_mean": 0.0, "rollout/ep_len_mean": 0.0, "rollout/crash_rate": 0.0, "eval/score": 0.0}
-        self.logger.record("hparams", HParam(_flat(self.hyperparameters), metrics), exclude=("stdout", "log", "json", "csv"))
+        self.logger.record(
+            "hparams", HParam(_flat(self.hyperparameters), metrics), exclude=("stdout", "log", "json", "csv")
+        )
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
@@ -82,8 +84,10 @@ class Evaluate(BaseCallback):
         self.logger.record("eval/score", evaluation.score[0])
         few = evaluation.episodes[:_PATHS_DRAWN]
         maze = load_maze(evaluation.task.maze)
-        picture = draw_paths(maze, evaluation.task.placed(maze), [e.path for e in few], [e.ended == "crash" for e in few])
-        self.logger.record("eval/paths", Image(picture, "HWC"), exclude=("stdout", "log", "json", "csv"))
+        picture = draw_paths(
+            maze, evaluation.task.placed(maze), [e.path for e in few], [e.ended == "crash" for e in few]
+        )
+        self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)
 
 
@@ -166,7 +170,7 @@ class StopOnInterrupt(BaseCallback):
         return not self.interrupted
 
 
-def tutorial_scores(lengths: list[int]) -> str:
+def tutorial_scores(lengths: Sequence[int]) -> str:
     """The two numbers that the tutorial ends with: mean length of all episodes, and of the 100 longest."""
     if not lengths:
         return "no episode ended"

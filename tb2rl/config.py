@@ -33,7 +33,7 @@ class TrainSettings:
     total_timesteps: Count = 500_000  # control steps, over all worlds
     episodes: Count | None = None  # stop after so many, over all worlds, if that comes first
     seed: Annotated[int, Ge(0)] = 0
-    n_envs: Count = 2  # worlds, in parallel processes
+    n_envs: Count = 16  # worlds, shared out among parallel processes
     device: str = "cpu"
     torch_threads: Count = 1  # small networks lose by more, and the worlds need the cores
     reward_scale: Positive = 1.0  # what the agent sees of the reward; everything that is logged is unscaled
@@ -116,7 +116,9 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     agent = find_agent(agent_name)
     observation = sections["task"].pop("observation", agent.observation)
     if agent.only and observation != agent.observation:
-        raise InputError(f"agent {agent_name} works with task.observation={agent.observation} only, got {observation!r}")
+        raise InputError(
+            f"agent {agent_name} works with task.observation={agent.observation} only, got {observation!r}"
+        )
     return Config(
         agent=agent_name,
         agent_settings=check_arguments(agent, sections["agent"]),
@@ -161,7 +163,9 @@ def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
     A schedule is {start: 0.5, end: 0.05, fraction: 0.8}, linear over that share of the training; in `policy_kwargs` a
     class is "module:Class".
     """
-    made = {key: _schedule(value, key) if _is_schedule(value) else value for key, value in settings.items()}
+    made: dict[str, Any] = {
+        key: _schedule(value, key) if _is_schedule(value) else value for key, value in settings.items()
+    }
     if "policy_kwargs" in made:
         made["policy_kwargs"] = {
             key: import_object(value) if isinstance(value, str) and ":" in value else value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, ClassVar, SupportsFloat
+from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +19,7 @@ from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.tasks import Task
 
 
-class TurtleBot2Env(gym.Env[np.ndarray, int]):
+class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
     """One TurtleBot2 in one maze.
 
     | | |
@@ -51,7 +51,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, int]):
         InputError: For an unknown task, maze, observation or setting, or a value that does not fit.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (as Gymnasium declares it)
 
     def __init__(
         self,
@@ -90,12 +90,15 @@ class TurtleBot2Env(gym.Env[np.ndarray, int]):
         self.path = [self._reading.pose[0]]
         return self._observe(self._reading)[0], self._info(self._reading, success=False, ended=None)
 
-    def step(self, action: int) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
+    def step(self, action: int | np.int64) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         if self._reading is None:
             raise InputError("step needs a reset first")
         if not self.action_space.contains(action):
             raise InputError(f"action {action!r} is none of the integers 0 to {len(self._commands) - 1}")
-        before, after = self._reading, self.simulation.step(self._commands[action : action + 1], self.task.control_period)
+        before, after = (
+            self._reading,
+            self.simulation.step(self._commands[action : action + 1], self.task.control_period),
+        )
         outcome = self.task.judge(before, np.array([action]), after)
         self._reading = after
         self._steps += 1

@@ -21,7 +21,7 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> InputError:
     return InputError(f"unknown {kind} {name!r};{suggestion} known: {', '.join(known)}")
 
 
-def command(main: Callable[[list[str] | None], None]) -> Callable[[list[str] | None], None]:
+def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
     """Let a command's `main` report an `InputError` as one line on stderr and exit with status 2."""
 
     @functools.wraps(main)

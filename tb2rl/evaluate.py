@@ -12,176 +12,18 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import math
-import multiprocessing
-import os
-import pickle
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import cloudpickle
-import numpy as np
 import torch as th
 from rich.console import Console
 from rich.table import Table
 
 from tb2rl.config import Config, config_from, parse_settings, resolve
-from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError, command
-from tb2rl.maze import load_maze
-from tb2rl.runs import Run, checkpoint_file, load, make_baseline, versions, write
-from tb2rl.tasks import Task
-
-EPISODES, STEPS = 100, 1500
-SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
-TRAINING_SEED = 20_190_000  # of the evaluations while training
-
-
-class Policy(Protocol):
-    """What is evaluated: anything with Stable-Baselines3's `predict`."""
-
-    def predict(self, observation: np.ndarray, *, deterministic: bool = False) -> tuple[np.ndarray, Any]:
-        """Action and state for an observation."""
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One evaluated episode; the return and the distance are sums over its steps."""
-
-    start: tuple[float, float, float]  # x [m], y [m], yaw [rad]
-    ended: str  # "crash", "goal", ..., "time limit"
-    success: bool
-    touched: bool  # whether the bumper fired
-    length: int  # control steps
-    distance: float  # [m]
-    episode_return: float
-    path: np.ndarray  # x, y [m] after each step, shape (length + 1, 2), float32
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """What a policy did, and what it was asked to do."""
-
-    episodes: Sequence[Episode]
-    task: Task
-    steps: int
-    seed: int
-
-    def summary(self) -> dict[str, Any]:
-        """The figures, for a table or a JSON file; speeds in m/s, distances in m, rates with 95 % intervals."""
-        episodes, seconds = self.episodes, self.task.control_period
-        crash_free = [episode.ended != "crash" for episode in episodes]
-        success = [episode.success for episode in episodes]
-        lengths = [episode.length for episode in episodes]
-        distances = [episode.distance for episode in episodes]
-        returns = [episode.episode_return for episode in episodes]
-        return {
-            "episodes": len(episodes),
-            "steps": self.steps,
-            "seed": self.seed,
-            "crash_free_rate": float(np.mean(crash_free)),
-            "crash_free_interval": wilson_interval(sum(crash_free), len(episodes)),
-            "success_rate": float(np.mean(success)),
-            "success_interval": wilson_interval(sum(success), len(episodes)),
-            "touch_free_rate": float(np.mean([not episode.touched for episode in episodes])),
-            "mean_distance": float(np.mean(distances)),
-            "std_distance": float(np.std(distances)),
-            "mean_return": float(np.mean(returns)),
-            "std_return": float(np.std(returns)),
-            "mean_length": float(np.mean(lengths)),
-            "std_length": float(np.std(lengths)),
-            "mean_speed": sum(distances) / (sum(lengths) * seconds),
-            "endings": {ended: sum(e.ended == ended for e in episodes) for ended in sorted({e.ended for e in episodes})},
-        }
-
-    @property
-    def score(self) -> tuple[float, float]:
-        """What makes one evaluation better than another: the success rate, then the mean return."""
-        return float(np.mean([e.success for e in self.episodes])), float(np.mean([e.episode_return for e in self.episodes]))
-
-
-class Evaluator:
-    """Worlds that stand ready to evaluate policies, spread over processes.
-
-    Args:
-        task: What to do; its start poses and time limit are replaced.
-        observation: "discrete" or "raw".
-        episodes: How many, each from a start pose of its own.
-        steps: Control steps at most in an episode.
-        seed: Of the start poses and of all noise.
-        workers: Processes; None: one for each processor, 1: none but this one.
-    """
-
-    def __init__(
-        self,
-        task: Task,
-        observation: str,
-        episodes: int = EPISODES,
-        steps: int = STEPS,
-        seed: int = SEED,
-        workers: int | None = None,
-    ) -> None:
-        self.task, self.observation, self.steps, self.seed = replace(task, episode_steps=steps), observation, steps, seed
-        maze = load_maze(task.maze)
-        self.poses = maze.random_poses(np.random.default_rng(seed), episodes, task.start_clearance)
-        workers = min(workers or len(os.sched_getaffinity(0)), episodes)
-        self._pool = None
-        if workers > 1:
-            self._pool = ProcessPoolExecutor(
-                workers, _process_context(), initializer=_open_world, initargs=(cloudpickle.dumps(self.task), observation)
-            )
-            self._chunks = np.array_split(np.arange(episodes), 4 * workers)
-
-    def run(self, policy: Policy) -> Evaluation:
-        """Drive all episodes."""
-        if self._pool is None:
-            env = TurtleBot2Env(self.task, self.observation)
-            episodes = [drive(env, policy, pose, self.seed + i) for i, pose in enumerate(self.poses)]
-            env.close()
-        else:
-            data = cloudpickle.dumps(policy)
-            jobs = [
-                self._pool.submit(_drive_some, data, self.poses[chunk], self.seed + chunk) for chunk in self._chunks if len(chunk)
-            ]
-            episodes = [episode for job in jobs for episode in job.result()]
-        return Evaluation(episodes, self.task, self.steps, self.seed)
-
-    def close(self) -> None:
-        """End the processes."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-
-    def __enter__(self) -> Evaluator:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-def drive(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Episode:
-    """One episode of the greedy policy from `pose` (x, y, yaw)."""
-    observation, info = env.reset(seed=seed, options={"pose": tuple(pose)})
-    path, total, touched, over = [info["pose"][:2]], 0.0, False, False
-    while not over:
-        action, _ = policy.predict(observation, deterministic=True)
-        observation, reward, terminated, truncated, info = env.step(int(action))
-        path.append(info["pose"][:2])
-        total += float(reward)
-        touched = touched or info["bumped"]
-        over = terminated or truncated
-    return Episode(
-        start=tuple(pose.tolist()),
-        ended=info["ended"],
-        success=info["is_success"],
-        touched=touched,
-        length=len(path) - 1,
-        distance=info["distance"],
-        episode_return=total,
-        path=np.array(path, dtype=np.float32),
-    )
+from tb2rl.evaluation import EPISODES, SEED, STEPS, Evaluation, Evaluator, Policy
+from tb2rl.runs import checkpoint_file, config_of, load, make_baseline, versions, write
 
 
 def evaluate(
@@ -201,9 +43,7 @@ def evaluate(
     if isinstance(policy, str | Path):
         policy = load(policy)
     if config is None:
-        config = getattr(policy, "trained_with", None)
-        if config is None:
-            raise InputError("evaluate needs a config for a policy that tb2rl did not train")
+        config = config_of(policy)
     config = changed(config, settings or {})
     th.set_num_threads(1)
     with Evaluator(config.task_settings, config.observation, **conditions) as evaluator:
@@ -227,7 +67,9 @@ def report(evaluation: Evaluation, title: str) -> dict[str, Any]:
 
     def rate(name: str, key: str) -> None:
         low, high = summary[f"{key}_interval"]
-        table.add_row(name, f"{100 * summary[f'{key}_rate']:.1f} %", f"95 % interval {100 * low:.1f} to {100 * high:.1f} %")
+        table.add_row(
+            name, f"{100 * summary[f'{key}_rate']:.1f} %", f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
+        )
 
     rate("crash-free", "crash_free")
     if evaluation.task.goal_task:
@@ -253,44 +95,15 @@ def save(evaluation: Evaluation, summary: Mapping[str, Any], config: Config, pol
         raise InputError(f"cannot write {path}: {error.strerror}") from None
 
 
-def wilson_interval(count: int, total: int, z: float = 1.959964) -> tuple[float, float]:
-    """The 95 % interval of a rate (Wilson 1927): honest near 0 and 1, where the usual one is not."""
-    rate, spread = count / total, z * z / total
-    centre = (rate + spread / 2) / (1 + spread)
-    half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
-    return max(0.0, centre - half), min(1.0, centre + half)
-
-
-def _process_context() -> multiprocessing.context.BaseContext:
-    """Processes that start clean (a fork would copy torch's threads), from a server that has imported what they need."""
-    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-    context = multiprocessing.get_context(method)
-    if method == "forkserver":
-        context.set_forkserver_preload(["tb2rl.evaluate"])
-    return context
-
-
-_world: TurtleBot2Env  # of a worker process
-
-
-def _open_world(task: bytes, observation: str) -> None:
-    global _world
-    th.set_num_threads(1)
-    _world = TurtleBot2Env(pickle.loads(task), observation)
-
-
-def _drive_some(policy: bytes, poses: np.ndarray, seeds: np.ndarray) -> list[Episode]:
-    loaded = pickle.loads(policy)
-    return [drive(_world, loaded, pose, int(seed)) for pose, seed in zip(poses, seeds, strict=True)]
-
-
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m tb2rl.evaluate", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("policy", nargs="?", help="run folder, checkpoint in it, or zoo:NAME")
     parser.add_argument("--agent", help="instead: an agent that does not learn, such as random or wallfollower")
     parser.add_argument("--task", help="its task (default: maze)")
-    parser.add_argument("--set", nargs="+", default=[], metavar="KEY=VALUE", help="change the task, e.g. task.maze=circuit")
+    parser.add_argument(
+        "--set", nargs="+", default=[], metavar="KEY=VALUE", help="change the task, e.g. task.maze=circuit"
+    )
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--steps", type=int, default=STEPS, help="control steps at most in an episode")
     parser.add_argument("--seed", type=int, default=SEED, help="of the start poses")
@@ -308,13 +121,19 @@ def main(arguments: list[str] | None = None) -> None:
     if min(options.episodes, options.steps, options.workers or 1) < 1 or options.seed < 0:
         raise InputError("--episodes, --steps and --workers must be at least 1, and --seed at least 0")
     settings = parse_settings(options.set)
-    conditions = {"episodes": options.episodes, "steps": options.steps, "seed": options.seed, "workers": options.workers}
+    conditions = {
+        "episodes": options.episodes,
+        "steps": options.steps,
+        "seed": options.seed,
+        "workers": options.workers,
+    }
     if options.agent:
         config = resolve(options.agent, options.task, settings=settings)
-        policy, name = make_baseline(config), options.agent
+        policy: Policy = make_baseline(config)
+        name = options.agent
     else:
         policy, name = load(options.policy), str(checkpoint_file(options.policy))
-        config = changed(policy.trained_with, _task_settings(settings))
+        config = changed(config_of(policy), _task_settings(settings))
     evaluation = evaluate(policy, config, **conditions)
     summary = report(evaluation, f"{name} in {evaluation.task.maze}")
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not settings

@@ -1,7 +1,8 @@
 """Exact laser ranges against the boxes and posts of a maze, compiled.
 
 Slab test against oriented boxes (Kay & Kajiya 1986) and the quadratic for circles; the inner loop over beams has no
-branches, so that the compiler turns it into vector instructions. Both simulations read this laser: they see the same walls.
+branches, so that the compiler turns it into vector instructions. Every simulation reads this laser: all see the same
+walls.
 """
 
 from __future__ import annotations
@@ -79,6 +80,4 @@ def clearance_one(x, y, boxes, posts):
 def cast(poses, cos_beams, sin_beams, boxes, posts, ranges):
     """`cast_one` for many robots: poses (robots, 3), ranges (robots, beams)."""
     for robot in range(poses.shape[0]):
-        cast_one(
-            poses[robot, 0], poses[robot, 1], poses[robot, 2], cos_beams, sin_beams, boxes, posts, ranges[robot]
-        )
+        cast_one(poses[robot, 0], poses[robot, 1], poses[robot, 2], cos_beams, sin_beams, boxes, posts, ranges[robot])

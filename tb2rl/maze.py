@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -106,7 +107,7 @@ class Maze:
             rooms = [room for room in shapely.get_parts(open_space) if room.intersects(start)]
             if not rooms:
                 raise InputError(
-                    f"maze {self.name}: the start ({self.start[0]:g}, {self.start[1]:g}) is inside a wall or closer than "
+                    f"maze {self.name}: the start ({self.start[0]:g}, {self.start[1]:g}) is inside or nearer than "
                     f"{clearance:g} m to one, so there is no free space around it"
                 )
             self._free[clearance] = rooms[0]
@@ -125,7 +126,9 @@ class Maze:
         draws = rng.random((count, 4))
         triangle = corners[np.searchsorted(shares, draws[:, 0], side="right").clip(max=len(shares) - 1)]
         root = np.sqrt(draws[:, 1:2])  # Osada et al. 2002, "Shape distributions", section 4.2
-        points = (1 - root) * triangle[:, 0] + root * ((1 - draws[:, 2:3]) * triangle[:, 1] + draws[:, 2:3] * triangle[:, 2])
+        points = (1 - root) * triangle[:, 0] + root * (
+            (1 - draws[:, 2:3]) * triangle[:, 1] + draws[:, 2:3] * triangle[:, 2]
+        )
         return np.column_stack([points, math.tau * draws[:, 3] - math.pi])
 
     @lru_cache(maxsize=8)  # noqa: B019 (mazes are few and live as long as the process)
@@ -142,7 +145,8 @@ def box_shape(row: np.ndarray) -> BaseGeometry:
     """The polygon of one row of `Maze.boxes`."""
     x, y, half_length, half_width, cos, sin = row
     along, across = half_length * np.array([cos, sin]), half_width * np.array([-sin, cos])
-    return shapely.Polygon([(x, y) + along + across, (x, y) - along + across, (x, y) - along - across, (x, y) + along - across])
+    corners = [along + across, across - along, -along - across, along - across]
+    return shapely.Polygon([corner + (x, y) for corner in corners])
 
 
 def post_shape(row: np.ndarray) -> BaseGeometry:
@@ -189,10 +193,10 @@ def maze_from(content: Any, name: str) -> Maze:
 
 
 def _wall_boxes(walls: Sequence[Wall]) -> list[tuple[float, ...]]:
-    boxes = []
+    boxes: list[tuple[float, ...]] = []
     for wall in walls:
         points = [*wall.path, wall.path[0]] if wall.closed else wall.path
-        for (x0, y0), (x1, y1) in zip(points, points[1:], strict=False):
+        for (x0, y0), (x1, y1) in pairwise(points):
             length = math.hypot(x1 - x0, y1 - y0) + wall.thickness
             boxes.append(((x0 + x1) / 2, (y0 + y1) / 2, length, wall.thickness, math.atan2(y1 - y0, x1 - x0)))
     return boxes
@@ -209,7 +213,7 @@ def _read_drawing(drawing: str, cell: float) -> tuple[list[tuple[float, ...]], P
                 marks[mark] = ((column + 0.5) * cell, (row + 0.5) * cell, 0.0)
         for first, last in _runs(line):
             runs.setdefault((first, last), []).append(row)
-    boxes = []
+    boxes: list[tuple[float, ...]] = []
     for (first, last), rows in runs.items():
         for bottom, top in _stretches(rows):
             size = ((last - first + 1) * cell, (top - bottom + 1) * cell)

@@ -13,7 +13,7 @@ from tb2rl.simulation import Reading
 from tb2rl.tasks import Task
 
 
-def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float]) -> np.ndarray:
+def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> np.ndarray:
     """Sort laser ranges into distance classes.
 
     Args:
@@ -48,7 +48,7 @@ class DiscreteScan:
 
 
 class RawScan:
-    """The ranges in metres, and the task's own senses as they are: for networks. What is out of range reads as the longest."""
+    """The ranges in metres (nothing hit: the longest one) and the task's own senses as they are: for networks."""
 
     beams = 36
 
@@ -66,8 +66,8 @@ class RawScan:
         return np.clip(values, self.space.low, self.space.high, dtype=np.float32, casting="same_kind")
 
 
-OBSERVATIONS = {"discrete": DiscreteScan, "raw": RawScan}
 Observation = DiscreteScan | RawScan
+OBSERVATIONS: dict[str, type[DiscreteScan] | type[RawScan]] = {"discrete": DiscreteScan, "raw": RawScan}
 
 
 def observe_as(mode: str, task: Task) -> tuple[Observation, Laser]:
@@ -80,7 +80,9 @@ def observe_as(mode: str, task: Task) -> tuple[Observation, Laser]:
         raise unknown("observation", mode, OBSERVATIONS)
     laser = task.laser(OBSERVATIONS[mode].beams)
     if task.kept is not None and max(task.kept) >= laser.beams:
-        raise InputError(f"task.kept names beam {max(task.kept)}, but the laser has {laser.beams} beams, counted from 0")
+        raise InputError(
+            f"task.kept names beam {max(task.kept)}, but the laser has {laser.beams} beams, counted from 0"
+        )
     return OBSERVATIONS[mode](task, laser), laser
 
 

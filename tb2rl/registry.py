@@ -23,7 +23,7 @@ class Agent:
 
     Attributes:
         algorithm: A Stable-Baselines3 `BaseAlgorithm`, as "module:Class"; None for an agent that does not learn.
-        policy: The algorithm's name for its policy; for an agent that does not learn its `BasePolicy`, as "module:Class".
+        policy: The algorithm's name for its policy; for an agent that does not learn a `BasePolicy`, as "module:Class".
         observation: The observation mode it wants, "discrete" or "raw".
         only: Whether it can work with no other mode.
     """

@@ -1,4 +1,4 @@
-"""Pictures seen from above, drawn without a window: the robot with its beams and path, and the paths of many episodes."""
+"""Pictures seen from above, drawn without a window: the robot with its beams and path, the paths of many episodes."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ class Canvas:
         self._left, self._top = x0 - _MARGIN, y1 + _MARGIN
         width, height = x1 - x0 + 2 * _MARGIN, y1 - y0 + 2 * _MARGIN
         self._scale = SIDE * _SMOOTH / max(width, height)  # [px/m]
-        # Even sides: what video encoders want.
-        self._size = tuple(2 * max(1, round(side * self._scale / _SMOOTH / 2)) for side in (width, height))
+        self._size = _even(width * self._scale / _SMOOTH), _even(height * self._scale / _SMOOTH)
         self._image = Image.new("RGB", (self._size[0] * _SMOOTH, self._size[1] * _SMOOTH), FLOOR)
         self._draw = ImageDraw.Draw(self._image)
         for row in maze.boxes:
@@ -37,11 +36,11 @@ class Canvas:
         for x, y, radius in maze.posts:
             self.disc(x, y, radius, WALL)
 
-    def line(self, points: Iterable[Sequence[float]], colour: str, width: float) -> None:
+    def line(self, points: Iterable[Sequence[float] | np.ndarray], colour: str, width: float) -> None:
         """A line through points [m], `width` [m] wide."""
         self._draw.line(self._pixels(points), fill=colour, width=max(1, round(width * self._scale)), joint="curve")
 
-    def polygon(self, points: Iterable[Sequence[float]], colour: str) -> None:
+    def polygon(self, points: Iterable[Sequence[float] | np.ndarray], colour: str) -> None:
         """A filled polygon [m]."""
         self._draw.polygon(self._pixels(points), fill=colour)
 
@@ -54,7 +53,7 @@ class Canvas:
         """The finished picture, shape (height, width, 3), uint8."""
         return np.asarray(self._image.resize(self._size, Image.Resampling.BOX))
 
-    def _pixels(self, points: Iterable[Sequence[float]]) -> list[tuple[float, float]]:
+    def _pixels(self, points: Iterable[Sequence[float] | np.ndarray]) -> list[tuple[float, float]]:
         return [((p[0] - self._left) * self._scale, (self._top - p[1]) * self._scale) for p in points]
 
 
@@ -85,6 +84,11 @@ def draw_paths(maze: Maze, task: Task, paths: Iterable[np.ndarray], crashed: Ite
         if crash:
             canvas.disc(path[-1][0], path[-1][1], 0.12, CRASH)
     return canvas.array()
+
+
+def _even(pixels: float) -> int:
+    """The nearest even number: what video encoders want of a side."""
+    return 2 * max(1, round(pixels / 2))
 
 
 def _draw_goal(canvas: Canvas, task: Task) -> None:

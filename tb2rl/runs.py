@@ -139,8 +139,20 @@ def load(reference: str | Path) -> BaseAlgorithm:
     except (RuntimeError, ValueError, KeyError) as error:
         raise InputError(f"{file} does not fit agent {config.agent}: {str(error).splitlines()[0]}") from None
     algorithm.num_timesteps = content["timesteps"]
-    algorithm.trained_with = config
+    algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
+
+
+def config_of(policy: Any) -> Config:
+    """What a policy from `load` or `train` was trained to do.
+
+    Raises:
+        InputError: If it is not one of these.
+    """
+    config = getattr(policy, "trained_with", None)
+    if not isinstance(config, Config):
+        raise InputError(f"{type(policy).__name__} does not come from tb2rl.load or tb2rl.train, so it has no config")
+    return config
 
 
 def checkpoint_file(reference: str | Path) -> Path:
@@ -167,7 +179,9 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
     """
     agent = find_agent(config.agent)
     if agent.algorithm is None:
-        raise InputError(f"agent {config.agent} does not learn; try it with `python -m tb2rl.evaluate --agent {config.agent}`")
+        raise InputError(
+            f"agent {config.agent} does not learn; try it with `python -m tb2rl.evaluate --agent {config.agent}`"
+        )
     th.set_num_threads(config.train.torch_threads)
     try:
         return import_object(agent.algorithm)(

@@ -87,7 +87,7 @@ def room(name: str) -> Path:
 def find_file(name: str, folder: Path, kind: str, suffixes: tuple[str, ...] = (".yaml",)) -> Path:
     """The file that a user means: a path, or the name of a built-in one in `folder`."""
     path = Path(name)
-    if path.suffix in suffixes or path.parent != Path("."):
+    if path.suffix in suffixes or path.parent != Path():
         if not path.is_file():
             raise InputError(f"there is no {kind} file {name}")
         return path

@@ -9,10 +9,9 @@ Everything has a default, in a signature or a preset of `configs`; `--set` chang
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
@@ -25,13 +24,15 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from tb2rl import callbacks
 from tb2rl.config import Config, parse_settings, resolve
 from tb2rl.envs import TurtleBot2Env
-from tb2rl.errors import InputError, command
-from tb2rl.evaluate import TRAINING_SEED, Evaluator, evaluate, report, save
+from tb2rl.errors import command
+from tb2rl.evaluate import evaluate, report, save
+from tb2rl.evaluation import TRAINING_SEED, Evaluator
+from tb2rl.processes import ProcessVecEnv
 from tb2rl.registry import agent_names, task_names
 from tb2rl.runs import Run, load, make_algorithm
 
@@ -114,9 +115,9 @@ def train_config(config: Config, folder: str | Path, progress_bar: bool = False,
 
 
 def make_vec_env(config: Config) -> VecEnv:
-    """The worlds of a training: in this process if there is one, else in a process each."""
-    worlds = [partial(_make_world, config, rank, config.train.n_envs > 1) for rank in range(config.train.n_envs)]
-    env = DummyVecEnv(worlds) if len(worlds) == 1 else SubprocVecEnv(worlds)
+    """The worlds of a training: in this process if there is one, else shared out among processes."""
+    worlds: list[Callable[[], gym.Env]] = [partial(_make_world, config)] * config.train.n_envs
+    env = DummyVecEnv(worlds) if len(worlds) == 1 else ProcessVecEnv(worlds)
     env.seed(config.train.seed)
     return env
 
@@ -133,9 +134,7 @@ def _file_name(name: str) -> str:
     return name.rpartition(":")[2]
 
 
-def _make_world(config: Config, _rank: int, in_process: bool) -> gym.Env:
-    if in_process:  # Ctrl-C reaches the whole group; the training decides what it means
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _make_world(config: Config) -> gym.Env:
     env: gym.Env = Monitor(TurtleBot2Env(config.task_settings, config.observation))
     scale = config.train.reward_scale
     return env if scale == 1.0 else gym.wrappers.TransformReward(env, partial(_scaled, scale))
@@ -151,7 +150,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
     parser.add_argument("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
     parser.add_argument("--preset", help="a file of configs, such as tutorial, or a path")
-    parser.add_argument("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9")
+    parser.add_argument(
+        "--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9"
+    )
     parser.add_argument("--name", help="of the run folder runs/TASK/AGENT/NAME (default: date and time)")
     parser.add_argument("--total-timesteps", type=int, help="control steps, over all worlds")
     parser.add_argument("--episodes", type=int, help="stop after so many")
@@ -188,9 +189,9 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
     print(callbacks.tutorial_scores(training.lengths))
     if not (options.no_evaluation or training.interrupted):
-        policy = load(folder)
-        evaluation = evaluate(policy)
-        save(evaluation, report(evaluation, f"{folder} in {evaluation.task.maze}"), config, str(folder), folder / "evaluation.json")
+        evaluation = evaluate(load(folder))
+        summary = report(evaluation, f"{folder} in {evaluation.task.maze}")
+        save(evaluation, summary, config, str(folder), folder / "evaluation.json")
 
 
 if __name__ == "__main__":

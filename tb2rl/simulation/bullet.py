@@ -61,7 +61,7 @@ class BulletState:
     position: tuple[float, float, float]
     orientation: tuple[float, float, float, float]
     velocity: tuple[tuple[float, float, float], tuple[float, float, float]]
-    wheels: tuple[tuple[float, float], tuple[float, float]]
+    wheels: tuple[tuple[float, float], ...]  # angle [rad] and rate [rad/s] of each
     odometry: tuple[float, float, float]
     rng: np.random.Generator
 
@@ -140,7 +140,7 @@ class BulletSimulation:
         position, orientation = pybullet.getBasePositionAndOrientation(self._robot, self._client)
         velocity = pybullet.getBaseVelocity(self._robot, self._client)
         wheels = tuple(joint[:2] for joint in self._joint_states())
-        return BulletState(position, orientation, velocity, wheels, tuple(self._odometry), self._rng)
+        return BulletState(position, orientation, velocity, wheels, self._odometry, self._rng)
 
     def restore(self, state: BulletState) -> Reading:
         pybullet.resetBasePositionAndOrientation(self._robot, state.position, state.orientation, self._client)
@@ -207,7 +207,7 @@ class BulletSimulation:
         return any(contact[8] < TOUCH for contact in contacts)  # 8: distance
 
     def ray_ranges(self, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        """PyBullet's own ranges [m] from `pose` (3,) along `angles` (beams,): what the exact laser is tested against."""
+        """PyBullet's own ranges [m] from `pose` (3,) along `angles` (beams,), to hold the exact laser against."""
         x, y, yaw = pose
         reach = self.laser.max_range
         ends = [(x + reach * math.cos(yaw + a), y + reach * math.sin(yaw + a), WALL_HEIGHT / 2) for a in angles]
@@ -241,7 +241,6 @@ class BulletSimulation:
     # ---- building
 
     def _set_physics(self) -> None:
-        pybullet.resetSimulation(self._client)
         pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(
             constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG,
@@ -263,27 +262,21 @@ class BulletSimulation:
     def _build_walls(self) -> int:
         """All walls as one body: a fixed base without a shape, and a fixed link for each box and post."""
         client = self._client
-        shapes, places, turns = [], [], []
+        collisions, visuals, places, turns = [], [], [], []
+
+        def add(x: float, y: float, yaw: float, shape: int, collision: dict, visual: dict) -> None:
+            collisions.append(pybullet.createCollisionShape(shape, **collision, physicsClientId=client))
+            visuals.append(pybullet.createVisualShape(shape, **visual, rgbaColor=WALL_COLOUR, physicsClientId=client))
+            places.append((x, y, WALL_HEIGHT / 2))
+            turns.append(pybullet.getQuaternionFromEuler((0.0, 0.0, yaw)))
+
         for x, y, half_length, half_width, cos, sin in self.maze.boxes:
-            half = (half_length, half_width, WALL_HEIGHT / 2)
-            shapes.append(("box", {"shapeType": pybullet.GEOM_BOX, "halfExtents": half}))
-            places.append((x, y, WALL_HEIGHT / 2))
-            turns.append(pybullet.getQuaternionFromEuler((0.0, 0.0, math.atan2(sin, cos))))
+            size = {"halfExtents": (half_length, half_width, WALL_HEIGHT / 2)}
+            add(x, y, math.atan2(sin, cos), pybullet.GEOM_BOX, size, size)
         for x, y, radius in self.maze.posts:
-            shapes.append(("post", {"shapeType": pybullet.GEOM_CYLINDER, "radius": radius}))
-            places.append((x, y, WALL_HEIGHT / 2))
-            turns.append((0.0, 0.0, 0.0, 1.0))
-        collisions = [
-            pybullet.createCollisionShape(**shape, **({"height": WALL_HEIGHT} if kind == "post" else {}), physicsClientId=client)
-            for kind, shape in shapes
-        ]
-        visuals = [
-            pybullet.createVisualShape(
-                **shape, **({"length": WALL_HEIGHT} if kind == "post" else {}), rgbaColor=WALL_COLOUR, physicsClientId=client
-            )
-            for kind, shape in shapes
-        ]
-        count = len(shapes)
+            sizes = {"radius": radius, "height": WALL_HEIGHT}, {"radius": radius, "length": WALL_HEIGHT}
+            add(x, y, 0.0, pybullet.GEOM_CYLINDER, *sizes)
+        count = len(places)
         walls = pybullet.createMultiBody(
             baseMass=0.0,
             linkMasses=[0.0] * count,

@@ -1,7 +1,7 @@
 """What a robot is asked to do: actions, reward and ending, over any simulation and any number of robots.
 
 A task is a frozen dataclass; its fields are its settings, for YAML (`task.maze: circuit`), the command line
-(`--set task.maze=circuit`) and `gymnasium.make(id, maze="circuit")` alike. `my_turtlebot2_maze.py` is the example to copy.
+(`--set task.maze=circuit`) and `gymnasium.make(id, maze="circuit")` alike. `my_turtlebot2_maze.py` is the one to copy.
 """
 
 from __future__ import annotations
@@ -37,7 +37,11 @@ class Outcome:
     @property
     def terminated(self) -> np.ndarray:
         """Whether an episode ends here, bool, shape (robots,)."""
-        return np.logical_or.reduce(list(self.endings.values())) if self.endings else np.zeros(len(self.reward), dtype=bool)
+        return (
+            np.logical_or.reduce(list(self.endings.values()))
+            if self.endings
+            else np.zeros(len(self.reward), dtype=bool)
+        )
 
 
 @dataclass(frozen=True)

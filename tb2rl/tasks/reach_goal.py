@@ -55,13 +55,13 @@ class ReachGoal(Wander):
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
         wandered = super().judge(before, action, after)
         missing = self.goal - after.pose[:, :2]
-        reached = (np.abs(missing) <= self.goal_tolerance).all(axis=1)
+        reached: np.ndarray = (np.abs(missing) <= self.goal_tolerance).all(axis=1)
         x0, y0, x1, y1 = self.bounds or (-np.inf, -np.inf, np.inf, np.inf)
         x, y = after.pose[:, 0], after.pose[:, 1]
-        outside = (x <= x0) | (x > x1) | (y <= y0) | (y > y1)
+        outside: np.ndarray = (x <= x0) | (x > x1) | (y <= y0) | (y > y1)
         closer = np.hypot(*missing.T) < np.hypot(*(self.goal - before.pose[:, :2]).T)
         moving = wandered.reward + self.closer_reward * closer
         crashed = wandered.endings["crash"]
         reward = np.select([crashed | outside, reached], [self.crash_reward, self.goal_reward], moving)
-        endings = {"crash": crashed, "out of bounds": outside, "goal": reached}
+        endings: dict[str, np.ndarray] = {"crash": crashed, "out of bounds": outside, "goal": reached}
         return Outcome(reward, endings, success=reached & ~crashed & ~outside)

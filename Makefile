@@ -1,0 +1,30 @@
+# The two commands that do everything: `make train` and `make test`.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: train test check slow clean
+
+train: $(VENV)/installed  ## set up, train the default agent, evaluate it
+	$(BIN)/python -m tb2rl.train --agent qlearn
+
+test: $(VENV)/installed  ## set up, run the fast tests
+	$(BIN)/python -m pytest -n 2
+
+slow: $(VENV)/installed  ## the tests that take longer
+	$(BIN)/python -m pytest -m slow
+
+check: $(VENV)/installed  ## format, lint, types, fast tests
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -n 2
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
+	touch $@
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

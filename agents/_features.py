@@ -1,0 +1,23 @@
+"""What the networks of DQN and PPO see of raw observations."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+
+class Nearness(BaseFeaturesExtractor):
+    """Distances as nearness 1 / (1 + d), so that a metre counts where it matters; angles scaled to [-1, 1].
+
+    A number that is never negative counts as a distance [m], any other as an angle.
+    """
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
+        self.register_buffer("_is_distance", th.as_tensor(observation_space.low >= 0.0))
+        self.register_buffer("_largest", th.as_tensor(observation_space.high))
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        return th.where(self._is_distance, 1.0 / (1.0 + observations.clamp(min=0.0)), observations / self._largest)

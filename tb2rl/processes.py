@@ -1,0 +1,164 @@
+"""Worlds in parallel processes, several in each.
+
+Stable-Baselines3's `SubprocVecEnv` gives every world a process and every step a message of its own; a step of this
+physics is so short that the messages cost more than it does. Here each process serves a `DummyVecEnv`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+PRELOADED = [
+    "tb2rl.evaluation",
+    "stable_baselines3.common.monitor",
+]  # imported once, in the server that new processes are forked from
+
+
+def process_context() -> Any:
+    """How processes start: from a clean server (a plain fork would copy torch's threads), or anew without one."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    return context
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class ProcessVecEnv(VecEnv):
+    """A `VecEnv` over worlds in other processes.
+
+    Args:
+        worlds: Functions that make the worlds, called in the processes.
+        processes: Among how many processes to share them out; None: one for each processor.
+    """
+
+    def __init__(self, worlds: Sequence[Callable[[], gym.Env]], processes: int | None = None) -> None:
+        context = process_context()
+        shares = np.array_split(np.arange(len(worlds)), min(processes or processors(), len(worlds)))
+        self._parts = [slice(int(share[0]), int(share[-1]) + 1) for share in shares]
+        self._pipes: list[Connection] = []
+        self._processes = []
+        for part in self._parts:
+            ours, theirs = context.Pipe()
+            made = cloudpickle.dumps(list(worlds[part]))
+            process = context.Process(target=_serve, args=(theirs, made), daemon=True)
+            process.start()
+            theirs.close()
+            self._pipes.append(ours)
+            self._processes.append(process)
+        observation_space, action_space, render_mode = self._ask("spaces")[0]
+        self._render_mode = render_mode
+        super().__init__(len(worlds), observation_space, action_space)
+
+    def reset(self) -> VecEnvObs:
+        return np.concatenate(self._ask("reset"))
+
+    def step_async(self, actions: np.ndarray) -> None:
+        for pipe, part in zip(self._pipes, self._parts, strict=True):
+            pipe.send(("step", (actions[part],)))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = zip(*self._answers(), strict=True)
+        return np.concatenate(observations), np.concatenate(rewards), np.concatenate(dones), list(chain(*infos))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the worlds with `seed`, `seed` + 1, ... from their next reset on."""
+        if seed is None:
+            seed = int(np.random.default_rng().integers(2**31))
+        for pipe, part in zip(self._pipes, self._parts, strict=True):
+            pipe.send(("seed", (seed + part.start,)))
+        return list(chain(*self._answers()))
+
+    def close(self) -> None:
+        for pipe in self._pipes:
+            pipe.close()  # the process sees the end and leaves
+        for process in self._processes:
+            process.join(timeout=5)
+            process.terminate()
+        self._pipes, self._processes = [], []
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        if attr_name == "render_mode":  # asked for before the base class is ready
+            return [self._render_mode] * sum(part.stop - part.start for part in self._parts)
+        return self._ask_some("get_attr", (attr_name,), indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        self._ask_some("set_attr", (attr_name, value), indices)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
+    ) -> list[Any]:
+        return self._ask_some("env_method", (method_name, *method_args), indices, method_kwargs)
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper], indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
+        return self._ask_some("env_is_wrapped", (wrapper_class,), indices)
+
+    def _ask(self, method: str, *arguments: Any) -> list[Any]:
+        for pipe in self._pipes:
+            pipe.send((method, arguments))
+        return self._answers()
+
+    def _ask_some(
+        self, method: str, arguments: tuple, indices: int | Iterable[int] | None, named: Any = None
+    ) -> list[Any]:
+        """Call a method of the worlds with `indices`; the answers in their order."""
+        wanted = list(self._get_indices(indices))
+        found: dict[int, Any] = {}
+        for pipe, part in zip(self._pipes, self._parts, strict=True):
+            here = [i for i in wanted if part.start <= i < part.stop]
+            if here:
+                pipe.send((method, arguments, {**(named or {}), "indices": [i - part.start for i in here]}))
+                found.update(zip(here, _answer(pipe) or [None] * len(here), strict=True))
+        return [found[i] for i in wanted]
+
+    def _answers(self) -> list[Any]:
+        return [_answer(pipe) for pipe in self._pipes]
+
+
+def _answer(pipe: Connection) -> Any:
+    answer = pipe.recv()
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+def _serve(pipe: Connection, made: bytes) -> None:
+    """The life of a process: answer calls of its worlds' methods until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the training decides what it means
+    env = None
+    while True:
+        try:
+            method, arguments, *named = pipe.recv()
+        except EOFError:
+            break
+        answer: Any
+        try:
+            env = env or DummyVecEnv(pickle.loads(made))
+            if method == "spaces":
+                answer = (env.observation_space, env.action_space, env.render_mode)
+            else:
+                answer = getattr(env, method)(*arguments, **(named[0] if named else {}))
+        except Exception as error:  # it is raised again where it was asked for
+            answer = error
+        pipe.send(answer)
+    if env is not None:
+        env.close()
