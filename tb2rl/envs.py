@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import fields
 from typing import Any, SupportsFloat
 
@@ -93,13 +94,10 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
     def step(self, action: int | np.int64) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         if self._reading is None:
             raise InputError("step needs a reset first")
-        if not self.action_space.contains(action):
-            raise InputError(f"action {action!r} is none of the integers 0 to {len(self._commands) - 1}")
-        before, after = (
-            self._reading,
-            self.simulation.step(self._commands[action : action + 1], self.task.control_period),
-        )
-        outcome = self.task.judge(before, np.array([action]), after)
+        index = self._checked(action)
+        before = self._reading
+        after = self.simulation.step(self._commands[index : index + 1], self.task.control_period)
+        outcome = self.task.judge(before, np.array([index]), after)
         self._reading = after
         self._steps += 1
         dx, dy, _ = (after.pose - before.pose)[0].tolist()
@@ -129,6 +127,15 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
     def close(self) -> None:
         self.simulation.close()
 
+    def _checked(self, action: int | np.int64) -> int:
+        try:
+            index = operator.index(action)
+        except TypeError:  # a float, NaN, a longer array
+            index = -1
+        if not 0 <= index < len(self._commands):
+            raise InputError(f"action {action!r} is none of the integers 0 to {len(self._commands) - 1}")
+        return index
+
     def _start_pose(self, options: dict[str, Any]) -> np.ndarray:
         if "pose" in options:
             pose = checked(Pose, options["pose"], "options.pose")
@@ -143,7 +150,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         return {
             "pose": reading.pose[0],
             "distance": self._distance,
-            "min_range": float(reading.ranges.min()),
+            "min_range": float(reading.nearest[0]),
             "bumped": bool(reading.bumped[0]),
             "is_success": success,
             "ended": ended,

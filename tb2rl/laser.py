@@ -1,7 +1,7 @@
 """Exact laser ranges against the boxes and posts of a maze, compiled.
 
-Slab test against oriented boxes (Kay & Kajiya 1986) and the quadratic for circles; the inner loop over beams has no
-branches, so that the compiler turns it into vector instructions. Every simulation reads this laser: all see the same
+Slab test against oriented boxes (Kay & Kajiya 1986) and the quadratic for circles; the inner loops over beams have no
+branches, so that the compiler turns them into vector instructions. Every simulation reads this laser: all see the same
 walls.
 """
 
@@ -30,20 +30,23 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, ranges):
     beams = cos_beams.size
     for i in range(beams):
         ranges[i] = np.inf
+    # One over each beam's direction in the frame of a box: divisions are what costs, and boxes share orientations.
+    over_x, over_y = np.empty(beams), np.empty(beams)
     for k in range(boxes.shape[0]):
         half_length, half_width, cos_box, sin_box = boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5]
+        if k == 0 or cos_box != boxes[k - 1, 4] or sin_box != boxes[k - 1, 5]:
+            c = cos_yaw * cos_box + sin_yaw * sin_box
+            s = sin_yaw * cos_box - cos_yaw * sin_box
+            for i in range(beams):
+                dx = c * cos_beams[i] - s * sin_beams[i]
+                dy = s * cos_beams[i] + c * sin_beams[i]
+                over_x[i] = 1.0 / (dx if abs(dx) > _PARALLEL else _PARALLEL)
+                over_y[i] = 1.0 / (dy if abs(dy) > _PARALLEL else _PARALLEL)
         east, north = x - boxes[k, 0], y - boxes[k, 1]
         ox, oy = cos_box * east + sin_box * north, cos_box * north - sin_box * east
-        # The beam's direction in the box frame is its direction in the laser frame turned by yaw - box yaw.
-        c = cos_yaw * cos_box + sin_yaw * sin_box
-        s = sin_yaw * cos_box - cos_yaw * sin_box
         for i in range(beams):
-            dx = c * cos_beams[i] - s * sin_beams[i]
-            dy = s * cos_beams[i] + c * sin_beams[i]
-            dx = dx if abs(dx) > _PARALLEL else _PARALLEL
-            dy = dy if abs(dy) > _PARALLEL else _PARALLEL
-            mid_x, mid_y = -ox / dx, -oy / dy
-            reach_x, reach_y = half_length / abs(dx), half_width / abs(dy)
+            mid_x, mid_y = -ox * over_x[i], -oy * over_y[i]
+            reach_x, reach_y = half_length * abs(over_x[i]), half_width * abs(over_y[i])
             near = max(mid_x - reach_x, mid_y - reach_y)
             far = min(mid_x + reach_x, mid_y + reach_y)
             hit = max(near, 0.0)
@@ -59,6 +62,13 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, ranges):
             hit = max(along - math.sqrt(max(half_chord, 0.0)), 0.0)
             nearer = (half_chord >= 0.0) & (along >= 0.0) & (hit < ranges[i])
             ranges[i] = hit if nearer else ranges[i]
+
+
+@njit(cache=True)
+def limit_ranges(ranges, min_range, max_range):
+    """Keep `ranges` (beams,) within what a laser can say: not below its shortest, inf beyond its longest."""
+    for i in range(ranges.size):
+        ranges[i] = np.inf if ranges[i] > max_range else max(ranges[i], min_range)
 
 
 @njit(cache=True, error_model="numpy")

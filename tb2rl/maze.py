@@ -184,12 +184,28 @@ def maze_from(content: Any, name: str) -> Maze:
     start, goal = file.start or start, file.goal or goal
     if start is None:
         raise InputError(f"maze {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")
-    table = np.array(boxes, dtype=float).reshape(-1, 5)
-    rows = np.column_stack([table[:, :2], table[:, 2:4] / 2, np.cos(table[:, 4]), np.sin(table[:, 4])])
+    rows = _box_rows(boxes)
     posts = np.array([(*post.centre, post.radius) for post in file.posts], dtype=float).reshape(-1, 3)
     maze = Maze(name, rows, posts, start, goal, file.bounds or _extent(rows, posts, name), file.description)
     maze.free_space(BASE_RADIUS)
     return maze
+
+
+def _box_rows(boxes: Sequence[tuple[float, ...]]) -> np.ndarray:
+    """`Maze.boxes` from x, y, length, width, yaw; turned by less than 45 degrees, and those of one orientation together.
+
+    A box turned by a quarter is the same box with its sides swapped: so the walls of a square maze share one orientation,
+    and the laser needs the beams' directions in it only once.
+    """
+    rows = []
+    for x, y, length, width, yaw in boxes:
+        quarters = round(yaw / (math.pi / 2))
+        yaw -= quarters * math.pi / 2
+        yaw = yaw if abs(yaw) > 1e-12 else 0.0
+        along, across = (width, length) if quarters % 2 else (length, width)
+        rows.append((yaw, x, y, along / 2, across / 2))
+    table = np.array(sorted(rows), dtype=float).reshape(-1, 5)
+    return np.column_stack([table[:, 1:], np.cos(table[:, 0]), np.sin(table[:, 0])])
 
 
 def _wall_boxes(walls: Sequence[Wall]) -> list[tuple[float, ...]]:

@@ -63,7 +63,7 @@ class RawScan:
         values = reading.ranges
         if self.task.senses:
             values = np.column_stack([values, self.task.sense(reading)])
-        return np.clip(values, self.space.low, self.space.high, dtype=np.float32, casting="same_kind")
+        return np.minimum(values, self.space.high).astype(np.float32)
 
 
 Observation = DiscreteScan | RawScan

@@ -6,12 +6,13 @@ Everything carries a leading robot axis; `bullet` simulates one robot in PyBulle
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Reading:
     """What the sensors of all robots say at one instant, and the truth beside it.
 
@@ -28,6 +29,11 @@ class Reading:
     odometry: np.ndarray
     ranges: np.ndarray
     bumped: np.ndarray
+
+    @cached_property
+    def nearest(self) -> np.ndarray:
+        """The shortest kept range of each robot [m], shape (robots,)."""
+        return self.ranges.min(axis=1)
 
 
 class Simulation(Protocol):

@@ -19,7 +19,7 @@ import numpy as np
 
 from tb2rl import robot
 from tb2rl.errors import InputError
-from tb2rl.laser import cast_one
+from tb2rl.laser import cast_one, limit_ranges
 from tb2rl.maze import WALL_HEIGHT, Maze
 from tb2rl.simulation import Reading
 
@@ -50,6 +50,7 @@ URDF = Path(__file__).parent.parent / "assets" / "turtlebot2.urdf"
 STEP_RATE = 60.0  # [Hz] at least; with the direct solver 60 Hz holds every commanded speed within 0.2 %, as 100 Hz does
 GRAVITY = 9.81  # [m/s^2]
 FLOOR_FRICTION = 1.0  # rubber on a dry floor
+_MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
 TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
 _SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
 
@@ -89,7 +90,7 @@ class BulletSimulation:
             self._load_robot()
         self._cos_beams, self._sin_beams = np.cos(laser.angles), np.sin(laser.angles)
         self._rng = np.random.default_rng()
-        self._steps, self._time_step = 0, 0.0
+        self._duration, self._steps = 0.0, 0
 
     # ---- the robot's life
 
@@ -103,13 +104,10 @@ class BulletSimulation:
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         self._set_duration(duration)
         self.drive(commands)
-        x, y = self._position()[:2]
-        reach = robot.BASE_RADIUS + robot.MAX_SPEED * duration + 0.02
-        if self.maze.clearance(x, y) > reach:
+        bumped = False
+        if self.maze.clearance(*self._place) > robot.BASE_RADIUS + robot.MAX_SPEED * duration + _MARGIN:
             self.advance()
-            bumped = False
         else:  # near a wall: a touch may be shorter than a control step
-            bumped = False
             for _ in range(self._steps):
                 pybullet.stepSimulation(self._client)
                 bumped = bumped or self._touches_a_wall()
@@ -117,7 +115,7 @@ class BulletSimulation:
 
     def drive(self, commands: np.ndarray) -> None:
         """Tell the wheel motors the speeds for `commands` (1, 2)."""
-        v, w = commands[0]
+        v, w = commands[0].tolist()
         v = min(max(v, -robot.MAX_SPEED), robot.MAX_SPEED)
         reach = min(max(w, -robot.MAX_TURN_RATE), robot.MAX_TURN_RATE) * robot.WHEEL_SEPARATION / 2
         for wheel, speed in zip(self._wheels, (v - reach, v + reach), strict=True):
@@ -165,9 +163,12 @@ class BulletSimulation:
         yaw = math.remainder(2.0 * math.atan2(qz, qw), math.tau)  # the robot stays upright
         cos, sin = math.cos(yaw), math.sin(yaw)
         x, y = px - self._centre_x * cos, py - self._centre_x * sin
+        self._place = x, y
         ranges = np.empty((1, self._cos_beams.size))
         cast_one(x, y, yaw, self._cos_beams, self._sin_beams, self.maze.boxes, self.maze.posts, ranges[0])
-        self._finish_ranges(ranges)
+        if self.laser.noise:
+            ranges += self.laser.noise * self._rng.standard_normal(ranges.shape)
+        limit_ranges(ranges[0], self.laser.min_range, self.laser.max_range)
         return Reading(
             pose=np.array([[x, y, yaw]]),
             twist=np.array([[vx * cos + vy * sin, turn_rate]]),
@@ -175,13 +176,6 @@ class BulletSimulation:
             ranges=ranges,
             bumped=np.array([bumped]),
         )
-
-    def _finish_ranges(self, ranges: np.ndarray) -> None:
-        laser = self.laser
-        if laser.noise:
-            ranges += laser.noise * self._rng.standard_normal(ranges.shape)
-        np.maximum(ranges, laser.min_range, out=ranges)
-        ranges[ranges > laser.max_range] = np.inf
 
     def _count_wheels(self) -> tuple[float, float, float]:
         """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give."""
@@ -198,9 +192,6 @@ class BulletSimulation:
 
     def _joint_states(self) -> tuple:
         return pybullet.getJointStates(self._robot, self._wheels, self._client)
-
-    def _position(self) -> tuple[float, float, float]:
-        return pybullet.getBasePositionAndOrientation(self._robot, self._client)[0]
 
     def _touches_a_wall(self) -> bool:
         contacts = pybullet.getContactPoints(self._robot, self._walls, physicsClientId=self._client)
@@ -249,10 +240,10 @@ class BulletSimulation:
         )
 
     def _set_duration(self, duration: float) -> None:
-        steps = max(1, math.ceil(duration * STEP_RATE - 1e-9))
-        if steps != self._steps or duration / steps != self._time_step:
-            self._steps, self._time_step = steps, duration / steps
-            pybullet.setPhysicsEngineParameter(fixedTimeStep=self._time_step, physicsClientId=self._client)
+        if duration != self._duration:
+            self._duration = duration
+            self._steps = max(1, math.ceil(duration * STEP_RATE - 1e-9))
+            pybullet.setPhysicsEngineParameter(fixedTimeStep=duration / self._steps, physicsClientId=self._client)
 
     def _build_floor(self) -> None:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)

@@ -95,8 +95,3 @@ class Task(ABC):
     def laser(self, beams: int) -> robot.Laser:
         """The laser that the task reads; `beams` where it sets no number itself."""
         return robot.Laser(beams=self.beams or beams, kept=self.kept, noise=self.noise)
-
-
-def nearest(reading: Reading) -> np.ndarray:
-    """The shortest kept range of each robot [m], shape (robots,)."""
-    return reading.ranges.min(axis=1)

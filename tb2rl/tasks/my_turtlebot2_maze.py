@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tb2rl.simulation import Reading
-from tb2rl.tasks import Outcome, Task, nearest
+from tb2rl.tasks import Outcome, Task
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,6 @@ class MyTurtleBot2Maze(Task):
         return np.array([(0.5, 0.0), (0.05, 1.0), (0.05, -1.0), (-0.05, 0.0)])  # v [m/s], w [rad/s]
 
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
-        crashed = after.bumped | (nearest(after) < self.crash_range)
+        crashed = after.bumped | (after.nearest < self.crash_range)
         worth = np.array([5.0, 1.0, 1.0, self.backward_reward])[action]
         return Outcome(reward=np.where(crashed, -200.0, worth), endings={"crash": crashed})

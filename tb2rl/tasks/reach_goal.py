@@ -55,7 +55,7 @@ class ReachGoal(Wander):
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
         wandered = super().judge(before, action, after)
         missing = self.goal - after.pose[:, :2]
-        reached: np.ndarray = (np.abs(missing) <= self.goal_tolerance).all(axis=1)
+        reached = np.logical_and(*(np.abs(missing) <= self.goal_tolerance).T)
         x0, y0, x1, y1 = self.bounds or (-np.inf, -np.inf, np.inf, np.inf)
         x, y = after.pose[:, 0], after.pose[:, 1]
         outside: np.ndarray = (x <= x0) | (x > x1) | (y <= y0) | (y > y1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tb2rl.settings import NonNegative
 from tb2rl.simulation import Reading
-from tb2rl.tasks import Outcome, Task, nearest
+from tb2rl.tasks import Outcome, Task
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,6 @@ class Wander(Task):
         )
 
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
-        crashed = after.bumped | (nearest(after) < self.crash_range)
+        crashed = after.bumped | (after.nearest < self.crash_range)
         moving = np.where(action == self.FORWARD, self.forward_reward, self.turn_reward)
         return Outcome(np.where(crashed, self.crash_reward, moving), {"crash": crashed})
