@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch as th
-from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
 from tb2rl.registry import Agent
@@ -14,11 +11,7 @@ AGENT = Agent(algorithm=None, policy="tb2rl.agents.random:RandomPolicy", observa
 
 
 class RandomPolicy(BasePolicy):
-    """Each action as likely as any other, from a stream of its own; it knows no greedy mode."""
-
-    def __init__(self, observation_space: spaces.Space, action_space: spaces.Discrete, **kwargs: Any) -> None:
-        super().__init__(observation_space, action_space, **kwargs)
-        self._rng = th.Generator().manual_seed(0)
+    """Each action as likely as any other, from torch's random stream; it knows no greedy mode."""
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        return th.randint(int(self.action_space.n), (len(observation),), generator=self._rng)
+        return th.randint(int(self.action_space.n), (len(observation),))

@@ -1,7 +1,8 @@
-"""Drive ahead until something is near, turn away from it until the way is free: what a learner should beat."""
+"""Keep the wall to the right at a distance: the rule that a learner should beat."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch as th
@@ -17,42 +18,52 @@ FORWARD, LEFT, RIGHT = 0, 1, 2
 
 
 class WallFollower(BasePolicy):
-    """Keeps the wall to its right at a distance, by a rule for each beam that reads less than it should.
+    """Two beams on the right give the angle and the distance of the wall there, looked ahead by a bit.
 
     Args:
-        observation_space: Ranges of beams from -90 to +90 degrees.
-        action_space: Forward, left, right.
-        side: Distance to keep at the side [m].
+        observation_space: Ranges of beams from -90 to +90 degrees, at least five.
+        action_space: Forward, left, right, and whatever else: unused.
+        side: Distance to keep from the wall [m], give or take `tolerance`.
         ahead: Free way to keep ahead [m].
+        guard: No beam may read less than this without a turn away [m].
+        tolerance: See `side` [m].
+        lost: A wall further than `side` by this is none to turn to [m].
+        look_ahead: How far down the way the distance counts [m].
     """
 
     def __init__(
         self,
         observation_space: spaces.Space,
         action_space: spaces.Discrete,
-        side: float = 0.9,
-        ahead: float = 1.1,
+        side: float = 0.8,
+        ahead: float = 0.85,
+        guard: float = 0.6,
+        tolerance: float = 0.15,
+        lost: float = 1.0,
+        look_ahead: float = 0.4,
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
         beams = observation_space.shape[0]
         if beams < 5:
             raise InputError(f"the wall follower needs at least 5 beams over 180 degrees, got {beams}")
-        self.side, self.ahead = side, ahead
+        self.side, self.ahead, self.guard = side, ahead, guard
+        self.tolerance, self.lost, self.look_ahead = tolerance, lost, look_ahead
         angles = th.linspace(-90.0, 90.0, beams)
-        self._right = angles < -30.0
-        self._front = angles.abs() <= 30.0
-        self._left = angles > 30.0
+        self._oblique = int((angles + 45.0).abs().argmin())
+        self._between = math.radians(float(angles[self._oblique] - angles[0]))
+        self._right, self._front, self._left = angles < -25.0, angles.abs() <= 25.0, angles > 25.0
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        right = observation[:, self._right].amin(dim=1)
-        front = observation[:, self._front].amin(dim=1)
-        left = observation[:, self._left].amin(dim=1)
-        blocked = front < self.ahead
-        squeezed = right < 0.65
-        wide = (right > self.side) & (left > 0.65)
+        abeam, oblique = observation[:, 0], observation[:, self._oblique]
+        # The angle of the wall from two sides of a triangle and the angle between them.
+        angle = th.atan2(oblique * math.cos(self._between) - abeam, oblique * math.sin(self._between))
+        distance = abeam * th.cos(angle) + self.look_ahead * th.sin(angle)
+        right, front, left = (observation[:, part].amin(dim=1) for part in (self._right, self._front, self._left))
+
         action = th.full((len(observation),), FORWARD)
-        action[wide] = RIGHT
-        action[left < 0.65] = RIGHT
-        action[blocked | squeezed] = LEFT
+        action[(distance > self.side + self.tolerance) & (distance < self.side + self.lost)] = RIGHT
+        action[distance < self.side - self.tolerance] = LEFT
+        action[left < self.guard] = RIGHT
+        action[(front < self.ahead) | (right < self.guard)] = LEFT
         return action

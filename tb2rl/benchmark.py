@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import platform
 import time
 from dataclasses import asdict, dataclass
@@ -24,7 +23,7 @@ from rich.table import Table
 
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError, command
-from tb2rl.processes import ProcessVecEnv
+from tb2rl.processes import ProcessVecEnv, processors
 from tb2rl.runs import write
 
 BEAMS = (6, 720)
@@ -54,7 +53,7 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     whole, bare = [], []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
-        actions = rng.integers(env.action_space.n, size=BLOCK)
+        actions = rng.integers(len(env.task.commands), size=BLOCK)
         before = env.simulation.state()
         times, over = _time_steps(env, actions)
         after = env.simulation.state()
@@ -81,7 +80,7 @@ def measure_worlds(worlds: int, seconds: float) -> Figure:
     rng = np.random.default_rng(0)
     steps, start = 0, time.perf_counter()
     while time.perf_counter() < start + seconds:
-        env.step(rng.integers(env.action_space.n, size=worlds))
+        env.step(rng.integers(3, size=worlds))
         steps += worlds
     rate = steps / (time.perf_counter() - start)
     env.close()
@@ -113,7 +112,8 @@ def machine() -> str:
     """The processor and how many of them this process may use."""
     info = Path("/proc/cpuinfo")
     models = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
-    return f"{models[0] if models else platform.processor()}, {os.cpu_count()} processors, Python {platform.python_version()}"
+    model = models[0] if models else platform.processor()
+    return f"{model}, {processors()} processors, Python {platform.python_version()}"
 
 
 @command

@@ -154,15 +154,17 @@ class Evaluator:
 
 def drive(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Episode:
     """One episode of the greedy policy from `pose` (x, y, yaw)."""
-    observation, info = env.reset(seed=seed, options={"pose": tuple(pose)})
-    path, total, touched, over = [info["pose"][:2]], 0.0, False, False
-    while not over:
-        action, _ = policy.predict(observation, deterministic=True)
-        observation, reward, terminated, truncated, info = env.step(int(action))
-        path.append(info["pose"][:2])
-        total += float(reward)
-        touched = touched or info["bumped"]
-        over = terminated or truncated
+    with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whoever drives the episode
+        th.manual_seed(seed)
+        observation, info = env.reset(seed=seed, options={"pose": tuple(pose)})
+        path, total, touched, over = [info["pose"][:2]], 0.0, False, False
+        while not over:
+            action, _ = policy.predict(observation, deterministic=True)
+            observation, reward, terminated, truncated, info = env.step(int(action))
+            path.append(info["pose"][:2])
+            total += float(reward)
+            touched = touched or info["bumped"]
+            over = terminated or truncated
     return Episode(
         start=tuple(pose.tolist()),
         ended=info["ended"],

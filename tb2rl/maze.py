@@ -192,10 +192,10 @@ def maze_from(content: Any, name: str) -> Maze:
 
 
 def _box_rows(boxes: Sequence[tuple[float, ...]]) -> np.ndarray:
-    """`Maze.boxes` from x, y, length, width, yaw; turned by less than 45 degrees, and those of one orientation together.
+    """`Maze.boxes` from x, y, length, width, yaw: turned by 45 degrees at most, those of one orientation together.
 
-    A box turned by a quarter is the same box with its sides swapped: so the walls of a square maze share one orientation,
-    and the laser needs the beams' directions in it only once.
+    A box turned by a quarter is the same box with its sides swapped: so the walls of a square maze share one
+    orientation, and the laser needs the beams' directions in it only once.
     """
     rows = []
     for x, y, length, width, yaw in boxes:
