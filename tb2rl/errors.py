@@ -30,6 +30,8 @@ def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
             main(arguments)
         except InputError as error:
             _stop(f"error: {error}")
+        except KeyboardInterrupt:
+            raise SystemExit(130) from None  # as the shell counts it: 128 + SIGINT
         except BrokenPipeError:  # the reader of our output went away, for example `| head`
             sys.stderr.close()
 

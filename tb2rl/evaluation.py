@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import signal
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -190,6 +191,7 @@ _world: TurtleBot2Env  # of a worker process
 
 def _open_world(task: bytes, observation: str) -> None:
     global _world
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that asked decides
     th.set_num_threads(1)
     _world = TurtleBot2Env(pickle.loads(task), observation)
 

@@ -293,9 +293,10 @@ class BulletSimulation:
         names = {pybullet.getJointInfo(self._robot, joint, self._client)[1].decode(): joint for joint in joints}
         self._wheels = (names["wheel_left"], names["wheel_right"])
         # Casters roll: merged into the base, they and it are free of friction. The wheels grip.
-        pybullet.changeDynamics(self._robot, -1, lateralFriction=0.0, physicsClientId=self._client)
+        undamped = {"linearDamping": 0.0, "angularDamping": 0.0, "jointDamping": 0.0, "physicsClientId": self._client}
+        pybullet.changeDynamics(self._robot, -1, lateralFriction=0.0, **undamped)
         for wheel in self._wheels:
-            pybullet.changeDynamics(self._robot, wheel, lateralFriction=1.0, physicsClientId=self._client)
+            pybullet.changeDynamics(self._robot, wheel, lateralFriction=1.0, **undamped)
         # PyBullet speaks of the centre of mass, we of the middle of the axle on the floor.
         self._centre_x, _, self._centre_z = pybullet.getDynamicsInfo(self._robot, -1, self._client)[3]
 
