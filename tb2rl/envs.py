@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, SupportsFloat
 
@@ -63,7 +64,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"unknown render_mode {render_mode!r}; known: None, 'rgb_array', 'human'")
-        given = task if isinstance(task, Task) else build(find_task(task), settings, "task")
+        given = changed(task, settings) if isinstance(task, Task) else build(find_task(task), settings, "task")
         self.maze = load_maze(given.maze)
         self.task = given.placed(self.maze)
         self.render_mode = render_mode
@@ -139,6 +140,9 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
     def _start_pose(self, options: dict[str, Any]) -> np.ndarray:
         if "pose" in options:
             pose = checked(Pose, options["pose"], "options.pose")
+            x0, y0, x1, y1 = self.maze.bounds
+            if not (x0 <= pose[0] <= x1 and y0 <= pose[1] <= y1):
+                raise InputError(f"the start ({pose[0]:g}, {pose[1]:g}) is outside maze {self.maze.name}")
             if self.maze.clearance(*pose[:2]) < BASE_RADIUS:
                 raise InputError(f"the start ({pose[0]:g}, {pose[1]:g}) is inside a wall of maze {self.maze.name}")
             return np.array([pose])
@@ -157,6 +161,11 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         }
 
 
+def changed(task: Task, settings: Mapping[str, Any]) -> Task:
+    """The task with some of its fields set, all checked again."""
+    return build(type(task), {**{field.name: getattr(task, field.name) for field in fields(task)}, **settings}, "task")
+
+
 def make_env(
     what: Any = "maze", observation: str | None = None, render_mode: str | None = None, **settings: Any
 ) -> TurtleBot2Env:
@@ -171,7 +180,4 @@ def make_env(
     config = getattr(what, "trained_with", None)
     if config is not None:
         what, observation = config.task_settings, observation or config.observation
-    if isinstance(what, Task):
-        what = build(type(what), {**{f.name: getattr(what, f.name) for f in fields(what)}, **settings}, "task")
-        settings = {}
     return TurtleBot2Env(what, observation or "discrete", render_mode, **settings)

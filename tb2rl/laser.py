@@ -16,7 +16,7 @@ _PARALLEL = 1e-12  # direction components below this count as parallel to a side
 
 
 @njit(cache=True, fastmath={"nsz", "nnan", "arcp", "contract", "reassoc"}, error_model="numpy")
-def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, ranges):
+def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, scratch, ranges):
     """Write the distance to the nearest obstacle along each beam of one robot into `ranges` (inf: nothing).
 
     Args:
@@ -24,6 +24,7 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, ranges):
         cos_beams, sin_beams: Beam directions in the laser's frame, shape (beams,).
         boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
         posts: Rows of x, y, radius [m], shape (posts, 3).
+        scratch: Room to calculate in, shape (2, beams); to allocate it here would cost as much as the work.
         ranges: Result [m], shape (beams,).
     """
     cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
@@ -31,7 +32,7 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, ranges):
     for i in range(beams):
         ranges[i] = np.inf
     # One over each beam's direction in the frame of a box: divisions are what costs, and boxes share orientations.
-    over_x, over_y = np.empty(beams), np.empty(beams)
+    over_x, over_y = scratch[0], scratch[1]
     for k in range(boxes.shape[0]):
         half_length, half_width, cos_box, sin_box = boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5]
         if k == 0 or cos_box != boxes[k - 1, 4] or sin_box != boxes[k - 1, 5]:
@@ -59,8 +60,9 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, ranges):
             along = px * cos_beams[i] + py * sin_beams[i]
             across = px * sin_beams[i] - py * cos_beams[i]
             half_chord = radius * radius - across * across
-            hit = max(along - math.sqrt(max(half_chord, 0.0)), 0.0)
-            nearer = (half_chord >= 0.0) & (along >= 0.0) & (hit < ranges[i])
+            half = math.sqrt(max(half_chord, 0.0))
+            hit = max(along - half, 0.0)
+            nearer = (half_chord >= 0.0) & (along + half >= 0.0) & (hit < ranges[i])
             ranges[i] = hit if nearer else ranges[i]
 
 
@@ -89,5 +91,6 @@ def clearance_one(x, y, boxes, posts):
 @njit(cache=True)
 def cast(poses, cos_beams, sin_beams, boxes, posts, ranges):
     """`cast_one` for many robots: poses (robots, 3), ranges (robots, beams)."""
-    for robot in range(poses.shape[0]):
-        cast_one(poses[robot, 0], poses[robot, 1], poses[robot, 2], cos_beams, sin_beams, boxes, posts, ranges[robot])
+    scratch = np.empty((2, cos_beams.size))
+    for i in range(poses.shape[0]):
+        cast_one(poses[i, 0], poses[i, 1], poses[i, 2], cos_beams, sin_beams, boxes, posts, scratch, ranges[i])

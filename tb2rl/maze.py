@@ -22,7 +22,7 @@ from shapely.geometry.base import BaseGeometry
 from tb2rl.errors import InputError
 from tb2rl.laser import clearance_one
 from tb2rl.robot import BASE_RADIUS
-from tb2rl.settings import Point, Pose, Positive, build, find_file, read_yaml, room
+from tb2rl.settings import Point, Pose, Positive, build, find_file, read_text, read_yaml, room
 
 FOLDER = room("configs") / "mazes"
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
@@ -69,7 +69,7 @@ class MazeFile:
     bounds: tuple[float, float, float, float] | None = None  # x from, y from, x to, y to; None: around the obstacles
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Maze:
     """Obstacles, and where a robot may be among them.
 
@@ -102,13 +102,16 @@ class Maze:
             InputError: If the start itself has no such clearance.
         """
         if clearance not in self._free:
+            x, y = self.start[:2]
+            if not shapely.box(*self.bounds).covers(shapely.Point(x, y)):
+                raise InputError(f"maze {self.name}: the start ({x:g}, {y:g}) is outside its bounds")
             open_space = shapely.box(*self.bounds).difference(self.obstacles.buffer(clearance, quad_segs=32))
             start = shapely.Point(self.start[:2])
             rooms = [room for room in shapely.get_parts(open_space) if room.intersects(start)]
             if not rooms:
                 raise InputError(
-                    f"maze {self.name}: the start ({self.start[0]:g}, {self.start[1]:g}) is inside or nearer than "
-                    f"{clearance:g} m to one, so there is no free space around it"
+                    f"maze {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to one, "
+                    "so there is no free space around it"
                 )
             self._free[clearance] = rooms[0]
         return self._free[clearance]
@@ -118,12 +121,15 @@ class Maze:
         return clearance_one(x, y, self.boxes, self.posts)
 
     def random_poses(self, rng: np.random.Generator, count: int, clearance: float) -> np.ndarray:
-        """Poses spread evenly over the free space, headings over the circle, shape (count, 3).
+        """Poses spread evenly over the free space, headings over the circle, shape (count, 3)."""
+        return self.poses_from(rng.random((count, 4)), clearance)
 
-        Points come from the triangles of the free space (no rejection): four random numbers a pose, whatever the maze.
+    def poses_from(self, draws: np.ndarray, clearance: float) -> np.ndarray:
+        """The poses that four random numbers in [0, 1) each mean, (count, 4) to (count, 3); see `random_poses`.
+
+        Points come from the triangles of the free space: no rejection, whatever the maze.
         """
         corners, shares = self._triangles(clearance)
-        draws = rng.random((count, 4))
         triangle = corners[np.searchsorted(shares, draws[:, 0], side="right").clip(max=len(shares) - 1)]
         root = np.sqrt(draws[:, 1:2])  # Osada et al. 2002, "Shape distributions", section 4.2
         points = (1 - root) * triangle[:, 0] + root * (
@@ -136,9 +142,6 @@ class Maze:
         parts = shapely.get_parts(shapely.constrained_delaunay_triangles(self.free_space(clearance)))
         corners = np.array([part.exterior.coords[:3] for part in parts])
         return corners, np.cumsum(shapely.area(parts)) / shapely.area(parts).sum()
-
-    def __hash__(self) -> int:
-        return id(self)
 
 
 def box_shape(row: np.ndarray) -> BaseGeometry:
@@ -172,13 +175,15 @@ def load_maze(name: str) -> Maze:
 @lru_cache(maxsize=32)
 def _load(path: Path, _modified: int) -> Maze:
     if path.suffix == ".txt":
-        return maze_from({"drawing": path.read_text(encoding="utf-8")}, path.stem)
+        return maze_from({"drawing": read_text(path)}, path.stem)
     return maze_from(read_yaml(path), path.stem)
 
 
 def maze_from(content: Any, name: str) -> Maze:
     """A maze from the content of its file, see `MazeFile`."""
     file = build(MazeFile, content, f"maze {name}")
+    if file.bounds and not (file.bounds[0] < file.bounds[2] and file.bounds[1] < file.bounds[3]):
+        raise InputError(f"maze {name}: bounds must be x from, y from, x to, y to, got {list(file.bounds)}")
     cells, start, goal = _read_drawing(file.drawing, file.cell)
     boxes = [*_wall_boxes(file.walls), *((*box.centre, *box.size, box.yaw) for box in file.boxes), *cells]
     start, goal = file.start or start, file.goal or goal

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from gymnasium import spaces
+from numba import njit
 
 from tb2rl.errors import InputError, unknown
 from tb2rl.robot import Laser
@@ -23,7 +24,16 @@ def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> n
     Returns:
         Class of each beam, shape (robots, beams), integers in [0, bins); 0 is nearest, and what NaN becomes.
     """
-    return np.searchsorted(edges, np.where(np.isnan(ranges), -np.inf, ranges), side="right")
+    bins = np.zeros(np.shape(ranges), dtype=np.int64)
+    _count_edges(np.asarray(ranges, dtype=float).ravel(), np.asarray(edges, dtype=float), bins.reshape(-1))
+    return bins
+
+
+@njit(cache=True)
+def _count_edges(ranges, edges, bins):
+    for i in range(ranges.size):
+        for edge in edges:
+            bins[i] += ranges[i] >= edge
 
 
 class DiscreteScan:
@@ -62,7 +72,7 @@ class RawScan:
     def __call__(self, reading: Reading) -> np.ndarray:
         values = reading.ranges
         if self.task.senses:
-            values = np.column_stack([values, self.task.sense(reading)])
+            values = np.maximum(np.column_stack([values, self.task.sense(reading)]), self.space.low)
         return np.minimum(values, self.space.high).astype(np.float32)
 
 

@@ -26,7 +26,7 @@ Count = Annotated[int, Ge(1)]
 Point = tuple[float, float]
 Pose = tuple[float, float, float]  # x [m], y [m], yaw [rad]
 
-_CHECKS = ConfigDict(allow_inf_nan=False, arbitrary_types_allowed=True)
+_CHECKS = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
 def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
@@ -68,14 +68,21 @@ def checked(kind: Any, value: Any, where: str) -> Any:
         raise InputError(f"{place}: {first['msg']}, got {first['input']!r}") from None
 
 
-def read_yaml(path: Path) -> Any:
-    """The content of a YAML file; an empty file is an empty mapping."""
+def read_text(path: Path) -> str:
+    """The content of a text file."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read {path}: {error}") from None
+
+
+def read_yaml(path: Path) -> Any:
+    """The content of a YAML file; an empty file is an empty mapping."""
+    text = read_text(path)
+    try:
+        content = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise InputError(f"{path} is not YAML: {error}") from None
+        raise InputError(" ".join(f"{path} is not YAML: {error}".split())) from None
     return {} if content is None else content
 
 

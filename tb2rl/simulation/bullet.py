@@ -10,10 +10,11 @@ import ctypes
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from tb2rl import robot
 from tb2rl.errors import InputError
 from tb2rl.laser import cast_one, limit_ranges
 from tb2rl.maze import WALL_HEIGHT, Maze
-from tb2rl.simulation import Reading
+from tb2rl.simulation import PHYSICS_RATE, Reading
 
 
 @contextmanager
@@ -36,7 +37,8 @@ def _quiet() -> Iterator[None]:
             os.dup2(nowhere, descriptor)
         yield
     finally:
-        ctypes.CDLL(None).fflush(None)  # C's own buffers
+        if sys.platform != "win32":
+            ctypes.CDLL(None).fflush(None)  # C's own buffers
         for descriptor, copy in kept.items():
             os.dup2(copy, descriptor)
             os.close(copy)
@@ -47,7 +49,7 @@ with _quiet():
     import pybullet
 
 URDF = Path(__file__).parent.parent / "assets" / "turtlebot2.urdf"
-STEP_RATE = 60.0  # [Hz] at least; with the direct solver 60 Hz holds every commanded speed within 0.2 %, as 100 Hz does
+STEP_RATE = PHYSICS_RATE  # [Hz] at least
 GRAVITY = 9.81  # [m/s^2]
 FLOOR_FRICTION = 1.0  # rubber on a dry floor
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
@@ -64,7 +66,7 @@ class BulletState:
     velocity: tuple[tuple[float, float, float], tuple[float, float, float]]
     wheels: tuple[tuple[float, float], ...]  # angle [rad] and rate [rad/s] of each
     odometry: tuple[float, float, float]
-    rng: np.random.Generator
+    rng: Mapping[str, Any]  # of the generator of the laser's noise
 
 
 class BulletSimulation:
@@ -89,6 +91,7 @@ class BulletSimulation:
             self._walls = self._build_walls()
             self._load_robot()
         self._cos_beams, self._sin_beams = np.cos(laser.angles), np.sin(laser.angles)
+        self._scratch = np.empty((2, len(laser.angles)))
         self._rng = np.random.default_rng()
         self._duration, self._steps = 0.0, 0
 
@@ -99,7 +102,9 @@ class BulletSimulation:
         turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
         position = (x + self._centre_x * math.cos(yaw), y + self._centre_x * math.sin(yaw), self._centre_z)
         rest = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        return self.restore(BulletState(position, turn, rest, ((0.0, 0.0), (0.0, 0.0)), (x, y, yaw), rng))
+        self._rng = rng
+        self._put(BulletState(position, turn, rest, ((0.0, 0.0), (0.0, 0.0)), (x, y, yaw), {}))
+        return self._read(bumped=False)
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         self._set_duration(duration)
@@ -138,17 +143,25 @@ class BulletSimulation:
         position, orientation = pybullet.getBasePositionAndOrientation(self._robot, self._client)
         velocity = pybullet.getBaseVelocity(self._robot, self._client)
         wheels = tuple(joint[:2] for joint in self._joint_states())
-        return BulletState(position, orientation, velocity, wheels, self._odometry, self._rng)
+        state = BulletState(position, orientation, velocity, wheels, self._odometry, self._rng.bit_generator.state)
+        self._put(state)  # PyBullet rounds what it is given, so that a restored robot would differ from this one
+        return state
 
     def restore(self, state: BulletState) -> Reading:
+        self._put(state)
+        reading = self._read(bumped=False)
+        self._rng.bit_generator.state = dict(state.rng)
+        return reading
+
+    def _put(self, state: BulletState) -> None:
+        pybullet.resetBasePositionAndOrientation(self._robot, (0.0, 0.0, 100.0), (0.0, 0.0, 0.0, 1.0), self._client)
+        pybullet.performCollisionDetection(self._client)  # forgets the contacts of where it was
         pybullet.resetBasePositionAndOrientation(self._robot, state.position, state.orientation, self._client)
         pybullet.resetBaseVelocity(self._robot, *state.velocity, self._client)
         for wheel, (angle, rate) in zip(self._wheels, state.wheels, strict=True):
             pybullet.resetJointState(self._robot, wheel, angle, rate, self._client)
         self._angles = tuple(angle for angle, _ in state.wheels)
         self._odometry = state.odometry
-        self._rng = state.rng
-        return self._read(bumped=False)
 
     def close(self) -> None:
         if self._client >= 0:
@@ -158,14 +171,14 @@ class BulletSimulation:
     # ---- sensors
 
     def _read(self, bumped: bool) -> Reading:
-        (px, py, _), (_, _, qz, qw) = pybullet.getBasePositionAndOrientation(self._robot, self._client)
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._robot, self._client)
-        yaw = math.remainder(2.0 * math.atan2(qz, qw), math.tau)  # the robot stays upright
+        x, y, yaw = self._pose()
         cos, sin = math.cos(yaw), math.sin(yaw)
-        x, y = px - self._centre_x * cos, py - self._centre_x * sin
         self._place = x, y
         ranges = np.empty((1, self._cos_beams.size))
-        cast_one(x, y, yaw, self._cos_beams, self._sin_beams, self.maze.boxes, self.maze.posts, ranges[0])
+        cast_one(
+            x, y, yaw, self._cos_beams, self._sin_beams, self.maze.boxes, self.maze.posts, self._scratch, ranges[0]
+        )
         if self.laser.noise:
             ranges += self.laser.noise * self._rng.standard_normal(ranges.shape)
         limit_ranges(ranges[0], self.laser.min_range, self.laser.max_range)
@@ -177,6 +190,11 @@ class BulletSimulation:
             bumped=np.array([bumped]),
         )
 
+    def _pose(self) -> tuple[float, float, float]:
+        (px, py, _), (_, _, qz, qw) = pybullet.getBasePositionAndOrientation(self._robot, self._client)
+        yaw = math.remainder(2.0 * math.atan2(qz, qw), math.tau)  # the robot stays upright
+        return px - self._centre_x * math.cos(yaw), py - self._centre_x * math.sin(yaw), yaw
+
     def _count_wheels(self) -> tuple[float, float, float]:
         """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give."""
         left, right = (joint[0] for joint in self._joint_states())
@@ -185,6 +203,8 @@ class BulletSimulation:
         self._angles = (left, right)
         x, y, yaw = self._odometry
         length, turn = (step_left + step_right) / 2, (step_right - step_left) / robot.WHEEL_SEPARATION
+        if turn:
+            length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
         heading = yaw + turn / 2
         yaw = math.remainder(yaw + turn, math.tau)
         self._odometry = (x + length * math.cos(heading), y + length * math.sin(heading), yaw)
@@ -214,7 +234,7 @@ class BulletSimulation:
             Colours, shape (height, width, 3), uint8; depth along the optical axis [m], shape (height, width), float32,
             inf beyond the sensor's range.
         """
-        x, y, yaw = self._read(bumped=False).pose[0]
+        x, y, yaw = self._pose()
         ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
         eye = np.array([x, y, 0.0]) + robot.CAMERA_POSITION[0] * ahead + (0.0, 0.0, robot.CAMERA_POSITION[2])
         near, far = robot.CAMERA_RANGE
