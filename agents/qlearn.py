@@ -67,6 +67,7 @@ class QTable(BasePolicy):
         initial_value: float = 0.0,
     ) -> None:
         super().__init__(observation_space, action_space)
+        self.initial_value = initial_value
         if isinstance(observation_space, spaces.MultiDiscrete):
             self.shape = tuple(int(n) for n in observation_space.nvec)
         elif isinstance(observation_space, spaces.Discrete):
@@ -76,6 +77,13 @@ class QTable(BasePolicy):
         states, actions = int(np.prod(self.shape)), int(action_space.n)
         self.q = th.nn.Parameter(th.full((states, actions), initial_value, dtype=th.float64), requires_grad=False)
         self.visits = th.nn.Parameter(th.zeros((states, actions), dtype=th.int64), requires_grad=False)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {
+            "observation_space": self.observation_space,
+            "action_space": self.action_space,
+            "initial_value": self.initial_value,
+        }
 
     def states(self, observations: np.ndarray) -> np.ndarray:
         """The row of the table of each observation, shape (robots,)."""

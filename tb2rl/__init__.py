@@ -9,9 +9,11 @@ Importing this registers the Gymnasium ids; nothing heavy is imported before it 
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -23,9 +25,9 @@ if (Path(__file__).parent.parent / "pyproject.toml").is_file():
 if TYPE_CHECKING:
     from tb2rl.envs import make_env
     from tb2rl.errors import InputError
-    from tb2rl.evaluate import evaluate
+    from tb2rl.evaluation import evaluate
     from tb2rl.runs import load
-    from tb2rl.train import train
+    from tb2rl.training import train
 
 __all__ = ["InputError", "evaluate", "load", "make_env", "train"]
 
@@ -38,12 +40,21 @@ GYM_IDS = {"TurtleBot2Maze-v0": "maze", "MyTurtleBot2Maze-v0": "my-maze", "Turtl
 for _id, _task in GYM_IDS.items():
     gymnasium.register(_id, entry_point="tb2rl.envs:TurtleBot2Env", kwargs={"task": _task})
 
-_HOMES = {"InputError": "errors", "evaluate": "evaluate", "load": "runs", "make_env": "envs", "train": "train"}
+_HOMES = {"InputError": "errors", "evaluate": "evaluation", "load": "runs", "make_env": "envs", "train": "training"}
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'tb2rl' has no attribute {name!r}")
-    value = getattr(import_module(f"tb2rl.{_HOMES[name]}"), name)
-    globals()[name] = value  # over the submodule of the same name, which the import put there
-    return value
+    return getattr(import_module(f"tb2rl.{_HOMES[name]}"), name)
+
+
+class _Package(ModuleType):
+    """Keeps `tb2rl.train` and `tb2rl.evaluate` the functions when the commands' modules of these names are imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _HOMES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

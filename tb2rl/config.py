@@ -8,22 +8,27 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import yaml
 from annotated_types import Ge
 from stable_baselines3.common.utils import LinearSchedule
 
 from tb2rl.errors import InputError, unknown
+from tb2rl.maze import load_maze
+from tb2rl.observations import observe_as
 from tb2rl.registry import Agent, find_agent, find_task, import_object
 from tb2rl.settings import Count, Fraction, Positive, build, checked, find_file, read_yaml, room
 from tb2rl.tasks import Task
 
 DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
-_GIVEN_BY_TRAIN = {"self", "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model"}
+_GIVEN_BY_TRAIN = {
+    "self", "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
+    "observation_space", "action_space",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,7 @@ class TrainSettings:
 
     total_timesteps: Count = 500_000  # control steps, over all worlds
     episodes: Count | None = None  # stop after so many, over all worlds, if that comes first
+    episode_steps: Count | None = None  # time limit while training, more starts if it is short; None: the task's
     seed: Annotated[int, Ge(0)] = 0
     n_envs: Count = 16  # worlds, shared out among parallel processes
     device: str = "cpu"
@@ -112,18 +118,21 @@ def config_from(tree: Mapping[str, Any]) -> Config:
         InputError: For any name, key or value that does not fit.
     """
     sections = {name: dict(values) for name, values in _sections(tree, "config").items()}
-    agent_name, task_name = sections["agent"].pop("name"), sections["task"].pop("name")
+    for name in ("agent", "task"):
+        if "name" not in sections.get(name, {}):
+            raise InputError(f"the config does not say {name}.name")
+    agent_name, task_name = str(sections["agent"].pop("name")), str(sections["task"].pop("name"))
     agent = find_agent(agent_name)
-    observation = sections["task"].pop("observation", agent.observation)
+    observation = str(sections["task"].pop("observation", agent.observation))
     if agent.only and observation != agent.observation:
-        raise InputError(
-            f"agent {agent_name} works with task.observation={agent.observation} only, got {observation!r}"
-        )
+        raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
+    task = build(find_task(task_name), sections["task"], "task")
+    observe_as(observation, task.placed(load_maze(task.maze)))  # says what does not fit together
     return Config(
         agent=agent_name,
         agent_settings=check_arguments(agent, sections["agent"]),
         task=task_name,
-        task_settings=build(find_task(task_name), sections["task"], "task"),
+        task_settings=task,
         observation=observation,
         train=build(TrainSettings, sections.get("train", {}), "train"),
     )
@@ -144,17 +153,22 @@ def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
 
 
 def check_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of an agent's algorithm, held against its signature."""
-    if agent.algorithm is None:
-        return {}
-    constructor = import_object(agent.algorithm).__init__
-    known = inspect.signature(constructor).parameters.keys() - _GIVEN_BY_TRAIN
+    """The arguments of an agent's algorithm (of its policy, if it does not learn), held against the signature."""
+    constructor = import_object(agent.algorithm or agent.policy).__init__
+    parameters = inspect.signature(constructor).parameters.values()
+    known = {parameter.name for parameter in parameters if parameter.kind is parameter.POSITIONAL_OR_KEYWORD}
+    known -= _GIVEN_BY_TRAIN
+    fitting = {}
     for key, value in arguments.items():
         if key not in known:
             raise unknown("key of agent", key, known)
-        if not _is_schedule(value):
-            checked(_parameter_type(constructor, key), value, f"agent.{key}")
-    return dict(arguments)
+        kind = _parameter_type(constructor, key)
+        if isinstance(value, Mapping) and _takes_schedule(kind):
+            _schedule(value, key)
+            fitting[key] = value
+        else:
+            fitting[key] = checked(kind, value, f"agent.{key}")
+    return fitting
 
 
 def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -188,6 +202,10 @@ def _parameter_type(function: Any, name: str) -> Any:
         return get_type_hints(only, function.__globals__)[name]
     except NameError:  # a name imported for type checkers only
         return Any
+
+
+def _takes_schedule(kind: Any) -> bool:
+    return any(get_origin(option) is Callable for option in get_args(kind))
 
 
 def _is_schedule(value: Any) -> bool:
@@ -224,6 +242,8 @@ def _nest(settings: Mapping[str, Any]) -> dict[str, Any]:
         branch = tree
         for name in path:
             branch = branch.setdefault(name, {})
+            if not isinstance(branch, dict):
+                raise InputError(f"setting {dotted!r} and another one give {'.'.join(path)} twice")
         branch[key] = value
     return _sections(tree, "the settings")
 

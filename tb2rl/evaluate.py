@@ -10,89 +10,14 @@ depend on how many processes share the work.
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch as th
-from rich.console import Console
-from rich.table import Table
-
-from tb2rl.config import Config, config_from, parse_settings, resolve
+from tb2rl.config import parse_settings, resolve
 from tb2rl.errors import InputError, command
-from tb2rl.evaluation import EPISODES, SEED, STEPS, Evaluation, Evaluator, Policy
-from tb2rl.runs import checkpoint_file, config_of, load, make_baseline, versions, write
-
-
-def evaluate(
-    policy: Policy | str | Path,
-    config: Config | None = None,
-    settings: Mapping[str, Any] | None = None,
-    **conditions: Any,
-) -> Evaluation:
-    """Evaluate a policy; the standard evaluation unless `conditions` say otherwise.
-
-    Args:
-        policy: A loaded policy, a reference that `load` takes, or anything with `predict`.
-        config: What it is to do; None: what it was trained to do.
-        settings: Changes to the task by name, for example {"maze": "circuit"}.
-        conditions: Arguments of `Evaluator`.
-    """
-    if isinstance(policy, str | Path):
-        policy = load(policy)
-    if config is None:
-        config = config_of(policy)
-    config = changed(config, settings or {})
-    th.set_num_threads(1)
-    with Evaluator(config.task_settings, config.observation, **conditions) as evaluator:
-        return evaluator.run(getattr(policy, "policy", policy))
-
-
-def changed(config: Config, settings: Mapping[str, Any]) -> Config:
-    """The config with some of its task's settings changed, checked again."""
-    tree = config.to_dict()
-    tree["task"].update(settings)
-    return config_from(tree) if settings else config
-
-
-def report(evaluation: Evaluation, title: str) -> dict[str, Any]:
-    """Print the table of an evaluation and return its summary."""
-    summary = evaluation.summary()
-    table = Table(title=title, title_justify="left")
-    table.add_column(f"{summary['episodes']} episodes of at most {evaluation.steps} steps")
-    table.add_column("value", justify="right")
-    table.add_column("", justify="left")
-
-    def rate(name: str, key: str) -> None:
-        low, high = summary[f"{key}_interval"]
-        table.add_row(
-            name, f"{100 * summary[f'{key}_rate']:.1f} %", f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
-        )
-
-    rate("crash-free", "crash_free")
-    if evaluation.task.goal_task:
-        rate("goal reached", "success")
-    for name, key, unit in (("distance", "distance", "m"), ("return", "return", ""), ("length", "length", "steps")):
-        table.add_row(name, f"{summary[f'mean_{key}']:.1f}", f"± {summary[f'std_{key}']:.1f} {unit}".rstrip())
-    table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
-    table.add_row("endings", "", ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items()))
-    Console().print(table)
-    return summary
-
-
-def save(evaluation: Evaluation, summary: Mapping[str, Any], config: Config, policy: str, path: Path) -> None:
-    """Write an evaluation as JSON: its figures, its conditions, and every episode."""
-    episodes = [
-        {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode) if field.name != "path"}
-        for episode in evaluation.episodes
-    ]
-    tree = {**summary, "policy": policy, "config": config.to_dict(), "versions": versions(), "each": episodes}
-    try:
-        write(path, json.dumps(tree, indent=1) + "\n")
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}") from None
+from tb2rl.evaluation import EPISODES, SEED, STEPS, Policy, changed, evaluate, report, save
+from tb2rl.runs import checkpoint_file, config_of, load, make_baseline
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -102,7 +27,12 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--agent", help="instead: an agent that does not learn, such as random or wallfollower")
     parser.add_argument("--task", help="its task (default: maze)")
     parser.add_argument(
-        "--set", nargs="+", default=[], metavar="KEY=VALUE", help="change the task, e.g. task.maze=circuit"
+        "--set",
+        nargs="+",
+        default=[],
+        action="extend",
+        metavar="KEY=VALUE",
+        help="change the task, e.g. task.maze=circuit",
     )
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--steps", type=int, default=STEPS, help="control steps at most in an episode")

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import math
 import pickle
 import signal
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import cloudpickle
 import numpy as np
 import torch as th
+from rich.console import Console
+from rich.table import Table
 
+from tb2rl.config import Config, config_from
 from tb2rl.envs import TurtleBot2Env
+from tb2rl.errors import InputError
 from tb2rl.maze import load_maze
+from tb2rl.observations import observe_as
 from tb2rl.processes import process_context, processors
+from tb2rl.runs import config_of, load, versions, write
 from tb2rl.tasks import Task
 
 EPISODES, STEPS = 100, 1500
@@ -184,6 +193,88 @@ def wilson_interval(count: int, total: int, z: float = 1.959964) -> tuple[float,
     centre = (rate + spread / 2) / (1 + spread)
     half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def evaluate(
+    policy: Policy | str | Path,
+    config: Config | None = None,
+    settings: Mapping[str, Any] | None = None,
+    **conditions: Any,
+) -> Evaluation:
+    """Evaluate a policy; the standard evaluation unless `conditions` say otherwise.
+
+    Args:
+        policy: A loaded policy, a reference that `load` takes, or anything with `predict`.
+        config: What it is to do; None: what it was trained to do.
+        settings: Changes to the task by name, for example {"maze": "circuit"}.
+        conditions: Arguments of `Evaluator`.
+    """
+    if isinstance(policy, str | Path):
+        policy = load(policy)
+    if config is None:
+        config = config_of(policy)
+    config = changed(config, settings or {})
+    _assert_observes(policy, config)
+    th.set_num_threads(1)
+    with Evaluator(config.task_settings, config.observation, **conditions) as evaluator:
+        return evaluator.run(getattr(policy, "policy", policy))
+
+
+def _assert_observes(policy: Any, config: Config) -> None:
+    """Raise an `InputError` where a policy would get other observations or actions than it knows."""
+    task = config.task_settings.placed(load_maze(config.task_settings.maze))
+    given = observe_as(config.observation, task)[0].space
+    known = getattr(policy, "observation_space", given)
+    if known != given:
+        raise InputError(f"the policy knows the observation {known}, but this task gives {given}")
+    actions = getattr(getattr(policy, "action_space", None), "n", len(task.commands))
+    if actions != len(task.commands):
+        raise InputError(f"the policy knows {actions} actions, but this task has {len(task.commands)}")
+
+
+def changed(config: Config, settings: Mapping[str, Any]) -> Config:
+    """The config with some of its task's settings changed, checked again."""
+    tree = config.to_dict()
+    tree["task"].update(settings)
+    return config_from(tree) if settings else config
+
+
+def report(evaluation: Evaluation, title: str) -> dict[str, Any]:
+    """Print the table of an evaluation and return its summary."""
+    summary = evaluation.summary()
+    table = Table(title=title, title_justify="left")
+    table.add_column(f"{summary['episodes']} episodes of at most {evaluation.steps} steps")
+    table.add_column("value", justify="right")
+    table.add_column("", justify="left")
+
+    def rate(name: str, key: str) -> None:
+        low, high = summary[f"{key}_interval"]
+        table.add_row(
+            name, f"{100 * summary[f'{key}_rate']:.1f} %", f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
+        )
+
+    rate("crash-free", "crash_free")
+    if evaluation.task.goal_task:
+        rate("goal reached", "success")
+    for name, key, unit in (("distance", "distance", "m"), ("return", "return", ""), ("length", "length", "steps")):
+        table.add_row(name, f"{summary[f'mean_{key}']:.1f}", f"± {summary[f'std_{key}']:.1f} {unit}".rstrip())
+    table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
+    table.add_row("endings", "", ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items()))
+    Console().print(table)
+    return summary
+
+
+def save(evaluation: Evaluation, summary: Mapping[str, Any], config: Config, policy: str, path: Path) -> None:
+    """Write an evaluation as JSON: its figures, its conditions, and every episode."""
+    episodes = [
+        {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode) if field.name != "path"}
+        for episode in evaluation.episodes
+    ]
+    tree = {**summary, "policy": policy, "config": config.to_dict(), "versions": versions(), "each": episodes}
+    try:
+        write(path, json.dumps(tree, indent=1) + "\n")
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}") from None
 
 
 _world: TurtleBot2Env  # of a worker process

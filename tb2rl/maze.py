@@ -110,8 +110,8 @@ class Maze:
             rooms = [room for room in shapely.get_parts(open_space) if room.intersects(start)]
             if not rooms:
                 raise InputError(
-                    f"maze {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to one, "
-                    "so there is no free space around it"
+                    f"maze {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to "
+                    "one, so there is no free space around it"
                 )
             self._free[clearance] = rooms[0]
         return self._free[clearance]

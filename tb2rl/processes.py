@@ -63,7 +63,11 @@ class ProcessVecEnv(VecEnv):
             theirs.close()
             self._pipes.append(ours)
             self._processes.append(process)
-        observation_space, action_space, render_mode = self._ask("spaces")[0]
+        try:
+            observation_space, action_space, render_mode = self._ask("spaces")[0]
+        except Exception:
+            self.close()
+            raise
         self._render_mode = render_mode
         super().__init__(len(worlds), observation_space, action_space)
 
@@ -122,23 +126,27 @@ class ProcessVecEnv(VecEnv):
     ) -> list[Any]:
         """Call a method of the worlds with `indices`; the answers in their order."""
         wanted = list(self._get_indices(indices))
-        found: dict[int, Any] = {}
+        asked = []
         for pipe, part in zip(self._pipes, self._parts, strict=True):
             here = [i for i in wanted if part.start <= i < part.stop]
             if here:
                 pipe.send((method, arguments, {**(named or {}), "indices": [i - part.start for i in here]}))
-                found.update(zip(here, _answer(pipe) or [None] * len(here), strict=True))
+                asked.append((pipe, here))
+        answers = _unless_failed([pipe.recv() for pipe, _ in asked])
+        found: dict[int, Any] = {}
+        for (_, here), answer in zip(asked, answers, strict=True):
+            found.update(zip(here, answer or [None] * len(here), strict=True))
         return [found[i] for i in wanted]
 
     def _answers(self) -> list[Any]:
-        return [_answer(pipe) for pipe in self._pipes]
+        return _unless_failed([pipe.recv() for pipe in self._pipes])
 
 
-def _answer(pipe: Connection) -> Any:
-    answer = pipe.recv()
-    if isinstance(answer, Exception):
-        raise answer
-    return answer
+def _unless_failed(answers: list[Any]) -> list[Any]:
+    for answer in answers:
+        if isinstance(answer, Exception):
+            raise answer
+    return answers
 
 
 def _serve(pipe: Connection, made: bytes) -> None:

@@ -5,6 +5,7 @@ Nothing is imported before it is asked for, so that a list of names costs no tor
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,8 +77,8 @@ def find_task(name: str) -> type[Task]:
         InputError: If there is none; the message lists the known ones.
     """
     found = _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
-    if not (isinstance(found, type) and issubclass(found, Task)):
-        raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task")
+    if not (isinstance(found, type) and issubclass(found, Task)) or inspect.isabstract(found):
+        raise InputError(f"task {name!r} is not a class with commands and judge, derived from tb2rl.tasks.Task")
     return found
 
 
@@ -94,7 +95,7 @@ def import_object(reference: str) -> Any:
         if error.name and not (module_name + ".").startswith(error.name + "."):
             raise
         raise InputError(f"cannot import {reference!r}: there is no module {error.name!r}") from None
-    except (ImportError, ValueError) as error:
+    except (ImportError, TypeError, ValueError) as error:
         raise InputError(f"cannot import {reference!r}: {error}") from None
     if not hasattr(module, attribute):
         raise InputError(f"cannot import {reference!r}: module {module_name!r} has no {attribute!r}")

@@ -198,8 +198,8 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
 
 def make_baseline(config: Config) -> BasePolicy:
     """The policy of an agent that does not learn."""
-    spaces = _Spaces(config)
-    return import_object(find_agent(config.agent).policy)(spaces.observation_space, spaces.action_space)
+    spaces, policy = _Spaces(config), import_object(find_agent(config.agent).policy)
+    return policy(spaces.observation_space, spaces.action_space, **config.agent_settings)
 
 
 def write(path: Path, text: str) -> None:

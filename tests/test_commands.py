@@ -1,0 +1,170 @@
+"""Bad input to the commands: one line on stderr that names what is allowed, exit status 2, nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from tb2rl import train
+from tb2rl.registry import agent_names, task_names
+
+COMMANDS = {name: import_module(f"tb2rl.{name}") for name in ("train", "evaluate")}
+FILES = {
+    "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",
+    "inside.yaml": "boxes: [{centre: [0, 0], size: [1, 1]}]\nstart: [0.3, 0, 0]\nbounds: [-9, -9, 9, 9]\n",
+    "narrow.txt": "#####\n#.S.#\n#####\n",
+    "typo.yaml": "wals: []\nstart: [0, 0, 0]\n",
+    "aimless.yaml": "boxes: [{centre: [5, 5], size: [1, 1]}]\nstart: [0, 0, 0]\nbounds: [-9, -9, 9, 9]\n",
+    "nowhere.yaml": "boxes: [{centre: [5, 5], size: [1, 1]}]\n",
+    "no.yaml": "[",
+}
+
+QUICK = "--n-envs 1 --total-timesteps 1 --eval-freq 0 --no-evaluation"
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch) -> Path:
+    """A working directory with mazes that do not fit, and a run folder whose name is taken."""
+    for name, content in FILES.items():
+        (tmp_path / name).write_text(content)
+    taken = tmp_path / "runs" / "maze" / "qlearn" / "taken"
+    taken.mkdir(parents=True)
+    (taken / "config.yaml").touch()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A run folder with a policy."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    train("qlearn", total_timesteps=8, n_envs=1, eval_freq=0, folder=folder)
+    return folder
+
+
+def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
+    before = sorted(Path.cwd().rglob("*"))
+    with pytest.raises(SystemExit) as stopped:
+        COMMANDS[name].main(shlex.split(line))
+    message = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert message.count("\n") == 1, message
+    assert [part for part in named if part not in message] == [], message
+    assert sorted(Path.cwd().rglob("*")) == before, "it leaves nothing behind"
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("--agent qlern", ["did you mean 'qlearn'", *agent_names()]),
+        ("--task wal", ["did you mean 'wall'", *task_names()]),
+        ("--preset tutoral", ["did you mean 'tutorial'"]),
+        ("--preset no.yaml", ["no.yaml"]),
+        ("--preset missing.yaml", ["missing.yaml"]),
+        ("--agent no_module:Agent", ["no_module"]),
+        ("--agent random", ["random does not learn", "tb2rl.evaluate"]),
+        ("--set gamma", ["KEY=VALUE", "'gamma'"]),
+        ("--set gamma=1", ["agent.gamma"]),
+        ("--set agent.gama=1", ["did you mean 'gamma'", "learning_rate"]),
+        ("--set agnt.gamma=1", ["did you mean 'agent'", "task", "train"]),
+        ("--set task.turn=1", ["'turn'", "turn_rate", "turn_speed"]),
+        ("--set agent.gamma=high", ["agent.gamma", "number", "'high'"]),
+        ("--set agent.gamma=.nan", ["agent.gamma", "finite"]),
+        ("--set 'agent.gamma=[1'", ["agent.gamma", "YAML"]),
+        ("--set train.eval_steps=two", ["train.eval_steps", "integer", "'two'"]),
+        ("--set task.observation=raw", ["qlearn", "discrete", "'raw'"]),
+        ("--set task.kept=[99]", ["task.kept", "99", "beams"]),
+        ("--set 'task.edges=[2, 1]'", ["task.edges", "increase"]),
+        ("--set task.maze=lop", ["did you mean 'loop'", "circuit"]),
+        ("--set task.maze=missing.yaml", ["missing.yaml"]),
+        ("--set task.maze=full.yaml", ["maze full", "start", "no free space"]),
+        ("--set task.maze=inside.yaml task.start=fixed", ["maze inside", "start (0.3, 0)", "inside"]),
+        ("--set task.maze=narrow.txt", ["maze narrow", "start", "0.6 m"]),
+        ("--set task.maze=typo.yaml", ["maze typo", "did you mean 'walls'", "boxes"]),
+        ("--set task.maze=nowhere.yaml", ["maze nowhere", "start: [x, y, yaw]"]),
+        ("--set task.maze=no.yaml", ["no.yaml", "YAML"]),
+        ("--task wall --set task.maze=aimless.yaml", ["maze aimless", "goal", "task.goal"]),
+        ("--total-timesteps 0", ["train.total_timesteps", "greater than or equal to 1"]),
+        ("--total-timesteps many", ["--total-timesteps", "'many'"]),
+        ("--episodes 0", ["train.episodes", "greater than or equal to 1"]),
+        ("--n-envs -1", ["train.n_envs", "greater than or equal to 1"]),
+        ("--seed -1", ["train.seed", "greater than or equal to 0"]),
+        ("--seed 99999999999", ["Seed", "2**32"]),
+        ("--device gpu", ["cpu", "cuda"]),
+        ("--name taken", ["taken", "exists already", "--name"]),
+        ("--name ../up", ["--name", "../up"]),
+        ("--sed 1", ["--sed"]),
+    ],
+)
+def test_train_says_what_is_wrong(line, named, place, capsys):
+    assert_refused("train", f"{QUICK} {line}", named, capsys)
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("", ["policy", "--agent"]),
+        ("RUN --agent random", ["policy", "--agent"]),
+        ("RUN --task wall", ["--task"]),
+        ("RUN --set agent.gamma=1", ["task.KEY=VALUE", "agent.gamma"]),
+        ("RUN --set task.maz=loop", ["did you mean 'maze'"]),
+        ("RUN --set task.maze=lop", ["did you mean 'loop'", "circuit"]),
+        ("RUN --set task.beams=9", ["observation"]),
+        ("missing", ["missing", "run folder"]),
+        (".", ["not a run folder", "config.yaml"]),
+        ("full.yaml", ["full.yaml", "checkpoint"]),
+        ("zoo:missing", ["zoo", "'missing'"]),
+        ("--agent qlearn", ["qlearn", "tb2rl.train"]),
+        ("--agent rando", ["did you mean 'random'", *agent_names()]),
+        ("--agent random --task wal", ["did you mean 'wall'", *task_names()]),
+        ("--agent random --set agent.speed=1", ["'speed'"]),
+        ("--agent random --set task.maze=full.yaml", ["maze full", "start", "no free space"]),
+        ("--agent wallfollower --set task.beams=3", ["5 beams", "got 3"]),
+        ("--agent wallfollower --set task.observation=discrete", ["wallfollower", "raw"]),
+        ("--agent random --episodes 0", ["--episodes", "at least 1"]),
+        ("--agent random --episodes few", ["--episodes", "'few'"]),
+        ("--agent random --steps 0", ["--steps", "at least 1"]),
+        ("--agent random --workers 0", ["--workers", "at least 1"]),
+        ("--agent random --seed -1", ["--seed", "at least 0"]),
+        ("--agent random --json missing/it.json", ["missing/it.json"]),
+    ],
+)
+def test_evaluate_says_what_is_wrong(line, named, place, run, capsys):
+    line = f"--workers 1 --episodes 1 --steps 1 {line}".replace("RUN", str(run))
+    assert_refused("evaluate", line, named, capsys)
+
+
+def test_an_error_in_many_worlds_is_one_line_too(place):
+    arguments = [sys.executable, "-m", "tb2rl.train", *QUICK.split(), "--n-envs", "4", "--set", "task.maze=lop"]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "did you mean 'loop'" in done.stderr
+
+
+@pytest.mark.skipif(os.access("/proc/version", os.W_OK) or os.geteuid() == 0, reason="root can write anywhere")
+def test_a_folder_that_cannot_be_written_is_refused(place, capsys):
+    (place / "runs" / "maze" / "qlearn").chmod(0o500)
+    assert_refused("train", f"{QUICK} --name it", ["cannot write", "runs/maze/qlearn/it"], capsys)
+
+
+def test_a_run_folder_below_a_file_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").touch()
+    assert_refused("train", f"{QUICK} --name it", ["runs/maze/qlearn/it"], capsys)
+
+
+@pytest.mark.parametrize(("name", "shown"), [("train", [*agent_names(), *task_names()]), ("evaluate", ["zoo:NAME"])])
+def test_help_is_shown(name, shown, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        COMMANDS[name].main(["--help"])
+    out = capsys.readouterr().out
+    assert stopped.value.code == 0
+    assert f"python -m tb2rl.{name}" in out
+    assert [part for part in shown if part not in out] == []
