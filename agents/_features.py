@@ -12,12 +12,19 @@ class Nearness(BaseFeaturesExtractor):
     """Distances as nearness 1 / (1 + d), so that a metre counts where it matters; angles scaled to [-1, 1].
 
     A number that is never negative counts as a distance [m], any other as an angle.
+
+    Args:
+        observation_space: Raw observations.
+        middle: Nearness that becomes 0.
+        spread: Factor on the difference to it.
     """
 
-    def __init__(self, observation_space: spaces.Box) -> None:
+    def __init__(self, observation_space: spaces.Box, middle: float = 0.0, spread: float = 1.0) -> None:
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
+        self.middle, self.spread = middle, spread
         self.register_buffer("_is_distance", th.as_tensor(observation_space.low >= 0.0))
         self.register_buffer("_largest", th.as_tensor(observation_space.high))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        return th.where(self._is_distance, 1.0 / (1.0 + observations.clamp(min=0.0)), observations / self._largest)
+        nearness = self.spread * (1.0 / (1.0 + observations.clamp(min=0.0)) - self.middle)
+        return th.where(self._is_distance, nearness, observations / self._largest)

@@ -8,7 +8,6 @@ PyBullet stepping from the same state. So it holds on a noisy machine, where the
 
 from __future__ import annotations
 
-import argparse
 import json
 import platform
 import time
@@ -22,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tb2rl.envs import TurtleBot2Env
-from tb2rl.errors import InputError, command
+from tb2rl.errors import ArgumentParser, InputError, command
 from tb2rl.processes import ProcessVecEnv, processors
 from tb2rl.runs import write
 
@@ -119,7 +118,7 @@ def machine() -> str:
 @command
 def main(arguments: list[str] | None = None) -> None:
     """Measure, print a table, write JSON."""
-    parser = argparse.ArgumentParser(prog="python -m tb2rl.benchmark", description=(__doc__ or "").splitlines()[0])
+    parser = ArgumentParser(prog="python -m tb2rl.benchmark", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write a list of name, value, unit")
     parser.add_argument("--seconds", type=float, default=5.0, help="for each part")
     options = parser.parse_args(arguments)

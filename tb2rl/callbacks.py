@@ -56,7 +56,6 @@ class Evaluate(BaseCallback):
         super().__init__()
         self.run, self.evaluator, self.freq = run, evaluator, freq
         self._next = freq
-        self._evaluated_at = -1
         self._best = (-np.inf, -np.inf)
 
     def _on_step(self) -> bool:
@@ -66,10 +65,7 @@ class Evaluate(BaseCallback):
         return True
 
     def evaluate(self) -> None:
-        """Evaluate the policy as it is now, unless that was just done."""
-        if self.num_timesteps == self._evaluated_at:
-            return
-        self._evaluated_at = self.num_timesteps
+        """Evaluate the policy as it is now."""
         started = time.monotonic()
         evaluation = self.evaluator.run(self.model.policy)
         summary = {"timesteps": self.num_timesteps, **evaluation.summary()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import difflib
 import functools
 import sys
@@ -19,6 +20,13 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> InputError:
     near = difflib.get_close_matches(str(name), known, n=1)
     suggestion = f" did you mean {near[0]!r}?" if near else ""
     return InputError(f"unknown {kind} {name!r};{suggestion} known: {', '.join(known)}")
+
+
+class ArgumentParser(argparse.ArgumentParser):
+    """One that reports a wrong argument as an `InputError`."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message} (see --help)")
 
 
 def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:

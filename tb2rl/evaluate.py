@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.config import parse_settings, resolve
-from tb2rl.errors import InputError, command
+from tb2rl.errors import ArgumentParser, InputError, command
 from tb2rl.evaluation import EPISODES, SEED, STEPS, Policy, changed, evaluate, report, save
 from tb2rl.runs import checkpoint_file, config_of, load, make_baseline
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m tb2rl.evaluate", description=(__doc__ or "").splitlines()[0])
+    parser = ArgumentParser(prog="python -m tb2rl.evaluate", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("policy", nargs="?", help="run folder, checkpoint in it, or zoo:NAME")
     parser.add_argument("--agent", help="instead: an agent that does not learn, such as random or wallfollower")
     parser.add_argument("--task", help="its task (default: maze)")
@@ -48,7 +48,10 @@ def main(arguments: list[str] | None = None) -> None:
     options = parse(arguments)
     if (options.policy is None) == (options.agent is None):
         raise InputError("name either a policy (a run folder, a checkpoint, zoo:NAME) or an --agent")
-    if min(options.episodes, options.steps, options.workers or 1) < 1 or options.seed < 0:
+    if options.policy and options.task:
+        raise InputError("--task goes with --agent; a policy keeps the task that it was trained at")
+    workers = 1 if options.workers is None else options.workers
+    if min(options.episodes, options.steps, workers) < 1 or options.seed < 0:
         raise InputError("--episodes, --steps and --workers must be at least 1, and --seed at least 0")
     settings = parse_settings(options.set)
     conditions = {

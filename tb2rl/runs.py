@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,9 +37,10 @@ from tb2rl.errors import InputError, unknown
 from tb2rl.maze import load_maze
 from tb2rl.observations import observe_as
 from tb2rl.registry import find_agent, import_object
-from tb2rl.settings import read_yaml, room
+from tb2rl.settings import checked, read_yaml, room
 
 FORMAT = 1
+_CONTENT = {"config", "parameters", "timesteps"}
 _PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba")
 
 
@@ -79,8 +79,8 @@ class Run:
         tree = read_yaml(folder / "config.yaml")
         try:
             return cls(folder, config_from({key: value for key, value in tree.items() if key != "versions"}))
-        except (AttributeError, KeyError) as error:
-            raise InputError(f"{folder / 'config.yaml'} is not a run's config: {error!r}") from None
+        except (AttributeError, InputError) as error:
+            raise InputError(f"{folder / 'config.yaml'} is not a run's config: {error}") from None
 
     def save(self, algorithm: BaseAlgorithm, place: str) -> Path:
         """Write a checkpoint at `place` within the folder, for example "best/policy.pt"."""
@@ -128,17 +128,17 @@ def load(reference: str | Path) -> BaseAlgorithm:
     file = checkpoint_file(reference)
     try:
         content = th.load(file, weights_only=True, map_location="cpu")
-    except (OSError, RuntimeError, EOFError, ValueError, pickle.UnpicklingError) as error:
-        raise InputError(f"{file} is not a checkpoint: {str(error).splitlines()[0]}") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    except Exception as error:  # torch's unpickler lets through whatever a broken file leads to
+        raise InputError(f"{file} is not a checkpoint ({type(error).__name__})") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT or not content.keys() >= _CONTENT:
         raise InputError(f"{file} is not a checkpoint of format {FORMAT}")
     config = config_from(content["config"])
     algorithm = make_algorithm(config, _Spaces.vectorised(config))
     try:
         algorithm.set_parameters(content["parameters"], exact_match=True)
-    except (RuntimeError, ValueError, KeyError) as error:
+    except (RuntimeError, TypeError, ValueError, KeyError) as error:
         raise InputError(f"{file} does not fit agent {config.agent}: {str(error).splitlines()[0]}") from None
-    algorithm.num_timesteps = content["timesteps"]
+    algorithm.num_timesteps = checked(int, content["timesteps"], f"{file}: timesteps")
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
 
@@ -198,6 +198,8 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
 
 def make_baseline(config: Config) -> BasePolicy:
     """The policy of an agent that does not learn."""
+    if find_agent(config.agent).algorithm is not None:
+        raise InputError(f"agent {config.agent} learns; train it with `python -m tb2rl.train --agent {config.agent}`")
     spaces, policy = _Spaces(config), import_object(find_agent(config.agent).policy)
     return policy(spaces.observation_space, spaces.action_space, **config.agent_settings)
 

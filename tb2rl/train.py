@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from tb2rl.callbacks import tutorial_scores
 from tb2rl.config import parse_settings, resolve
-from tb2rl.errors import command
+from tb2rl.errors import ArgumentParser, InputError, command
 from tb2rl.evaluation import evaluate, report, save
 from tb2rl.registry import agent_names, task_names
 from tb2rl.runs import load
@@ -22,7 +23,7 @@ from tb2rl.training import default_folder, train_config
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m tb2rl.train", description=(__doc__ or "").splitlines()[0])
+    parser = ArgumentParser(prog="python -m tb2rl.train", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
     parser.add_argument("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
     parser.add_argument("--preset", help="a file of configs, such as tutorial, or a path")
@@ -52,6 +53,8 @@ def main(arguments: list[str] | None = None) -> None:
     config = resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
     folder = default_folder(config)
     if options.name:
+        if Path(options.name).name != options.name:
+            raise InputError(f"--name is the name of a folder, without a path, got {options.name!r}")
         folder = folder.with_name(options.name)
     settings = config.train
     print(

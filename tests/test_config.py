@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch as th
 import yaml
-from tb2rl.agents._features import Nearness
 
+from tb2rl.agents._features import Nearness
 from tb2rl.config import TrainSettings, algorithm_arguments, config_from, parse_settings, resolve
 from tb2rl.errors import InputError
 from tb2rl.registry import agent_names, find_agent, task_names

@@ -16,9 +16,9 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import SubprocVecEnv
-from tb2rl.agents.qlearn import QLearning, QTable, update_table
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from tb2rl.agents.qlearn import QLearning, QTable, update_table
 from tb2rl.config import resolve
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError
