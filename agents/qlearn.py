@@ -227,6 +227,8 @@ class QLearning(BaseAlgorithm):
                 if log_interval is not None and self._episode_num % log_interval < dones.sum():
                     self.dump_logs()
             self._explore_less(int(dones.sum()))
+        if log_interval is not None:
+            self.dump_logs()
         callback.on_training_end()
         return self
 

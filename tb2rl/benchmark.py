@@ -24,6 +24,7 @@ from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import ArgumentParser, InputError, command
 from tb2rl.processes import ProcessVecEnv, processors
 from tb2rl.runs import write
+from tb2rl.simulation.bullet import BulletSimulation
 
 BEAMS = (6, 720)
 BLOCK = 50  # control steps
@@ -49,6 +50,7 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     env = TurtleBot2Env(observation="raw", beams=beams)
     rng = np.random.default_rng(0)
     env.reset(seed=0)
+    assert isinstance(env.simulation, BulletSimulation)
     whole, bare = [], []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
@@ -58,7 +60,7 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
         after = env.simulation.state()
         env.simulation.restore(before)
         whole.append(np.mean(times))
-        bare.append(_time_bare(env, actions[: len(times)]))
+        bare.append(_time_bare(env.simulation, env.task.commands[actions[: len(times)]]))
         env.simulation.restore(after)
         if over:
             env.reset()
@@ -97,14 +99,14 @@ def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], b
     return times, False
 
 
-def _time_bare(env: TurtleBot2Env, actions: np.ndarray) -> float:
+def _time_bare(simulation: BulletSimulation, commands: np.ndarray) -> float:
     total = 0.0
-    for command_ in env.task.commands[actions]:
-        env.simulation.drive(command_[None])
+    for told in commands:
+        simulation.drive(told[None])
         start = time.perf_counter()
-        env.simulation.advance()
+        simulation.advance()
         total += time.perf_counter() - start
-    return total / len(actions)
+    return total / len(commands)
 
 
 def machine() -> str:

@@ -1,7 +1,8 @@
 """What a training is: an agent, a task and how to train, resolved from presets and overrides.
 
-Later layers win: the defaults of the signatures, `configs/tasks/TASK.yaml`, `configs/agents/AGENT.yaml`, a preset that
-the user names, single settings (`agent.gamma=0.9`). Each layer is a tree of three mappings, `agent`, `task`, `train`.
+Later layers win: the defaults of the signatures, `configs/tasks/TASK.yaml`, `configs/agents/AGENT.yaml`, what differs
+for the agent in the fast twin (`configs/kinematic/AGENT.yaml`), a preset that the user names, single settings
+(`agent.gamma=0.9`). Each layer is a tree of three mappings, `agent`, `task`, `train`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import yaml
 from annotated_types import Ge
@@ -39,6 +40,7 @@ class TrainSettings:
     episodes: Count | None = None  # stop after so many, over all worlds, if that comes first
     episode_steps: Count | None = None  # time limit while training, more starts if it is short; None: the task's
     seed: Annotated[int, Ge(0)] = 0
+    simulation: Literal["bullet", "kinematic"] = "bullet"  # what it trains in; evaluations always drive in PyBullet
     n_envs: Count = 16  # worlds, shared out among parallel processes
     device: str = "cpu"
     torch_threads: Count = 1  # small networks lose by more, and the worlds need the cores
@@ -100,10 +102,11 @@ def resolve(
     """
     chosen = _sections(read_yaml(find_file(preset, room("configs"), "preset")), f"preset {preset}") if preset else {}
     single = _nest(settings or {})
-    agent = _first_name(agent, single, chosen, "agent") or DEFAULT_AGENT
-    task = _first_name(task, single, chosen, "task") or DEFAULT_TASK
+    agent = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
+    task = task or _first("name", single, chosen, "task") or DEFAULT_TASK
     find_agent(agent), find_task(task)  # say that a name is unknown before anything else
-    layers = [_built_in("tasks", task), _built_in("agents", agent), chosen, single]
+    simulation = _first("simulation", single, chosen, "train")
+    layers = [_built_in("tasks", task), _built_in("agents", agent), _built_in(f"{simulation}", agent), chosen, single]
     tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
     for layer in layers:
         _merge(tree, layer)
@@ -248,10 +251,10 @@ def _nest(settings: Mapping[str, Any]) -> dict[str, Any]:
     return _sections(tree, "the settings")
 
 
-def _first_name(given: str | None, single: Mapping[str, Any], chosen: Mapping[str, Any], section: str) -> str | None:
-    for name in (given, single.get(section, {}).get("name"), chosen.get(section, {}).get("name")):
-        if name is not None:
-            return str(name)
+def _first(key: str, single: Mapping[str, Any], chosen: Mapping[str, Any], section: str) -> str | None:
+    for layer in (single, chosen):
+        if layer.get(section, {}).get(key) is not None:
+            return str(layer[section][key])
     return None
 
 

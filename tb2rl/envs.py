@@ -16,8 +16,7 @@ from tb2rl.observations import observe_as
 from tb2rl.registry import find_task
 from tb2rl.robot import BASE_RADIUS
 from tb2rl.settings import Pose, build, checked
-from tb2rl.simulation import Reading
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation import Reading, simulate
 from tb2rl.tasks import Task
 
 
@@ -47,10 +46,11 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         task: A task's name, "module:Class", or a `Task` itself.
         observation: "discrete" or "raw".
         render_mode: None, "rgb_array" (seen from above, no window) or "human" (PyBullet's window).
+        simulation: "bullet" or "kinematic".
         settings: Fields of the task by name, for example `maze="circuit"`.
 
     Raises:
-        InputError: For an unknown task, maze, observation or setting, or a value that does not fit.
+        InputError: For an unknown task, maze, observation, simulation or setting, or a value that does not fit.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (as Gymnasium declares it)
@@ -60,6 +60,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         task: str | Task = "maze",
         observation: str = "discrete",
         render_mode: str | None = None,
+        simulation: str = "bullet",
         **settings: Any,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -73,7 +74,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         self.observation_space = self._observe.space
         self.action_space = gym.spaces.Discrete(len(self._commands))
         self.maze.free_space(self.task.start_clearance if self.task.start == "random" else BASE_RADIUS)
-        self.simulation = BulletSimulation(self.maze, self.laser, window=render_mode == "human")
+        self.simulation = simulate(simulation, self.maze, self.laser, window=render_mode == "human")
         self._reading: Reading | None = None
         self.path: list[np.ndarray] = []  # poses since the reset, for pictures
 
@@ -122,7 +123,13 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         return draw_scene(self.maze, self.task, self.laser, self._reading, self.path)
 
     def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
-        """Colours and depth [m] that the camera on the robot's front sees, see `BulletSimulation.camera`."""
+        """Colours and depth [m] that the camera on the robot's front sees, see `BulletSimulation.camera`.
+
+        Raises:
+            InputError: If the simulation has no camera.
+        """
+        if not hasattr(self.simulation, "camera"):
+            raise InputError("only simulation 'bullet' has a camera")
         return self.simulation.camera(width, height)
 
     def close(self) -> None:

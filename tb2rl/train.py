@@ -34,7 +34,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--total-timesteps", type=int, help="control steps, over all worlds")
     parser.add_argument("--episodes", type=int, help="stop after so many")
     parser.add_argument("--seed", type=int)
-    parser.add_argument("--n-envs", type=int, help="worlds, in parallel processes")
+    parser.add_argument("--simulation", help="what to train in: bullet (default), or its fast twin kinematic")
+    parser.add_argument("--n-envs", type=int, help="worlds, in parallel processes or in one batch")
     parser.add_argument("--device", help="of the networks: cpu, cuda, auto")
     parser.add_argument("--eval-freq", type=int, help="control steps between evaluations; 0: none")
     parser.add_argument("--save-freq", type=int, help="control steps between checkpoints; 0: only the last")
@@ -48,7 +49,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def main(arguments: list[str] | None = None) -> None:
     """Train, say where the run is, evaluate."""
     options = parse(arguments)
-    names = ("total_timesteps", "episodes", "seed", "n_envs", "device", "eval_freq", "save_freq")
+    names = ("total_timesteps", "episodes", "seed", "simulation", "n_envs", "device", "eval_freq", "save_freq")
     flags = {f"train.{name}": getattr(options, name) for name in names if getattr(options, name) is not None}
     config = resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
     folder = default_folder(config)

@@ -24,6 +24,8 @@ from tb2rl.envs import TurtleBot2Env
 from tb2rl.evaluation import TRAINING_SEED, Evaluator
 from tb2rl.processes import ProcessVecEnv
 from tb2rl.runs import Run, load, make_algorithm
+from tb2rl.tasks import Task
+from tb2rl.vec_env import BatchVecEnv
 
 
 def train(
@@ -104,11 +106,12 @@ def train_config(config: Config, folder: str | Path, progress_bar: bool = False,
 
 
 def make_vec_env(config: Config) -> VecEnv:
-    """The worlds of a training: in this process if there is one, else shared out among processes."""
+    """The worlds of a training: one batch of the fast twin, or PyBullet's, shared out among processes."""
+    settings = config.train
+    if settings.simulation == "kinematic":
+        return BatchVecEnv(_training_task(config), config.observation, settings.n_envs, settings.reward_scale)
     worlds: list[Callable[[], gym.Env]] = [partial(_make_world, config)] * config.train.n_envs
-    env = DummyVecEnv(worlds) if len(worlds) == 1 else ProcessVecEnv(worlds)
-    env.seed(config.train.seed)
-    return env
+    return DummyVecEnv(worlds) if len(worlds) == 1 else ProcessVecEnv(worlds)
 
 
 def default_folder(config: Config) -> Path:
@@ -123,11 +126,13 @@ def _file_name(name: str) -> str:
     return name.rpartition(":")[2]
 
 
+def _training_task(config: Config) -> Task:
+    steps = config.train.episode_steps
+    return config.task_settings if steps is None else replace(config.task_settings, episode_steps=steps)
+
+
 def _make_world(config: Config) -> gym.Env:
-    task = config.task_settings
-    if config.train.episode_steps is not None:
-        task = replace(task, episode_steps=config.train.episode_steps)
-    env: gym.Env = Monitor(TurtleBot2Env(task, config.observation))
+    env: gym.Env = Monitor(TurtleBot2Env(_training_task(config), config.observation))
     scale = config.train.reward_scale
     return env if scale == 1.0 else gym.wrappers.TransformReward(env, partial(_scaled, scale))
 
