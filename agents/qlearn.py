@@ -6,6 +6,7 @@ as they do for DQN and PPO. One step of n environments makes n updates, in compi
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any, ClassVar, Literal, TypeVar
 
@@ -22,6 +23,8 @@ from tb2rl.errors import InputError
 from tb2rl.registry import Agent
 
 AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True)
+
+LARGEST = 50_000_000  # values in a table; 800 MB with their visits
 
 Self = TypeVar("Self", bound="QLearning")
 
@@ -74,7 +77,9 @@ class QTable(BasePolicy):
             self.shape = (int(observation_space.n),)
         else:
             raise InputError("a Q-table needs observation=discrete: distance classes, not raw ranges")
-        states, actions = int(np.prod(self.shape)), int(action_space.n)
+        states, actions = math.prod(self.shape), int(action_space.n)
+        if states * actions > LARGEST:
+            raise InputError(f"a table of {states} states is too large; take fewer task.beams or task.edges")
         self.q = th.nn.Parameter(th.full((states, actions), initial_value, dtype=th.float64), requires_grad=False)
         self.visits = th.nn.Parameter(th.zeros((states, actions), dtype=th.int64), requires_grad=False)
 
@@ -127,7 +132,8 @@ class QLearning(BaseAlgorithm):
             it is above `exploration_final_eps`.
         update: "textbook", or "tutorial": the first visit of a pair stores the plain reward, and episodes that ended
             bootstrap like any other step.
-        stats_window_size, tensorboard_log, policy_kwargs, verbose, seed, device: As in any Stable-Baselines3 algorithm.
+        stats_window_size, tensorboard_log, policy_kwargs, verbose, seed: As in any Stable-Baselines3 algorithm.
+        device: Taken for its sake, and ignored: a table lives on the CPU.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"QTable": QTable}
@@ -161,7 +167,7 @@ class QLearning(BaseAlgorithm):
             stats_window_size=stats_window_size,
             tensorboard_log=tensorboard_log,
             verbose=verbose,
-            device=device,
+            device="cpu",  # numpy reads the table
             support_multi_env=True,
             seed=seed,
             supported_action_spaces=(spaces.Discrete,),
@@ -181,9 +187,9 @@ class QLearning(BaseAlgorithm):
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         self._rng = np.random.default_rng(self.seed)
-        self.exploration_schedule = LinearSchedule(
-            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
-        )
+        self._logged_at = 0
+        fraction = max(self.exploration_fraction, 1e-9)  # 0: greedy from the start
+        self.exploration_schedule = LinearSchedule(self.exploration_initial_eps, self.exploration_final_eps, fraction)
         self.policy = self.policy_class(
             self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
         )
@@ -227,13 +233,14 @@ class QLearning(BaseAlgorithm):
                 if log_interval is not None and self._episode_num % log_interval < dones.sum():
                     self.dump_logs()
             self._explore_less(int(dones.sum()))
-        if log_interval is not None:
+        if log_interval is not None and self._logged_at != self.num_timesteps:
             self.dump_logs()
         callback.on_training_end()
         return self
 
     def dump_logs(self) -> None:
         """Write the statistics since the last time to the logger."""
+        self._logged_at = self.num_timesteps
         if self.ep_info_buffer:
             self.logger.record("rollout/ep_rew_mean", safe_mean([info["r"] for info in self.ep_info_buffer]))
             self.logger.record("rollout/ep_len_mean", safe_mean([info["l"] for info in self.ep_info_buffer]))

@@ -44,7 +44,7 @@ class WallFollower(BasePolicy):
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
-        beams = observation_space.shape[0]
+        beams = int((observation_space.high == observation_space.high[0]).sum())  # the task's own senses follow them
         if beams < 5:
             raise InputError(f"the wall follower needs at least 5 beams over 180 degrees, got {beams}")
         self.side, self.ahead, self.guard = side, ahead, guard
@@ -55,6 +55,7 @@ class WallFollower(BasePolicy):
         self._right, self._front, self._left = angles < -25.0, angles.abs() <= 25.0, angles > 25.0
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
+        observation = observation[:, : len(self._front)]
         abeam, oblique = observation[:, 0], observation[:, self._oblique]
         # The angle of the wall from two sides of a triangle and the angle between them.
         angle = th.atan2(oblique * math.cos(self._between) - abeam, oblique * math.sin(self._between))

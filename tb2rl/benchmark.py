@@ -112,7 +112,8 @@ def _time_bare(simulation: BulletSimulation, commands: np.ndarray) -> float:
 def machine() -> str:
     """The processor and how many of them this process may use."""
     info = Path("/proc/cpuinfo")
-    models = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+    lines = info.read_text().splitlines() if info.is_file() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     model = models[0] if models else platform.processor()
     return f"{model}, {processors()} processors, Python {platform.python_version()}"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -60,7 +61,7 @@ class Evaluate(BaseCallback):
 
     def _on_step(self) -> bool:
         if self.num_timesteps >= self._next:
-            self._next += self.freq
+            self._next = (self.num_timesteps // self.freq + 1) * self.freq
             self.evaluate()
         return True
 
@@ -97,7 +98,7 @@ class Checkpoints(BaseCallback):
 
     def _on_step(self) -> bool:
         if self.num_timesteps >= self._next:
-            self._next += self.freq
+            self._next = (self.num_timesteps // self.freq + 1) * self.freq
             self.run.save(self.model, f"checkpoints/step-{self.num_timesteps:010d}.pt")
         return True
 
@@ -150,11 +151,13 @@ class StopOnInterrupt(BaseCallback):
         self.interrupted = False
 
     def __enter__(self) -> StopOnInterrupt:
-        self._previous = signal.signal(signal.SIGINT, self._on_signal)
+        if threading.current_thread() is threading.main_thread():  # elsewhere Python takes no signals
+            self._previous = signal.signal(signal.SIGINT, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._previous)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, self._previous)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         if self.interrupted:

@@ -11,18 +11,20 @@ import dataclasses
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
+import torch as th
 import yaml
-from annotated_types import Ge
+from annotated_types import Ge, Gt, Le
 from stable_baselines3.common.utils import LinearSchedule
 
 from tb2rl.errors import InputError, unknown
 from tb2rl.maze import load_maze
 from tb2rl.observations import observe_as
 from tb2rl.registry import Agent, find_agent, find_task, import_object
-from tb2rl.settings import Count, Fraction, Positive, build, checked, find_file, read_yaml, room
+from tb2rl.settings import Count, Positive, build, checked, find_file, read_yaml, room
 from tb2rl.tasks import Task
 
 DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
@@ -85,7 +87,7 @@ class Config:
 
 def resolve(
     agent: str | None = None,
-    task: str | None = None,
+    task: str | type[Task] | None = None,
     preset: str | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> Config:
@@ -93,7 +95,7 @@ def resolve(
 
     Args:
         agent: The agent's name; None: the preset's, else `DEFAULT_AGENT`.
-        task: The task's name; None: the preset's, else `DEFAULT_TASK`.
+        task: The task's name, or its class; None: the preset's, else `DEFAULT_TASK`.
         preset: The name of a file in `configs`, or the path of one.
         settings: Single settings by dotted key, such as {"agent.gamma": 0.9}.
 
@@ -103,12 +105,14 @@ def resolve(
     chosen = _sections(read_yaml(find_file(preset, room("configs"), "preset")), f"preset {preset}") if preset else {}
     single = _nest(settings or {})
     agent = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
+    if isinstance(task, type):
+        task = f"{task.__module__}:{task.__qualname__}"
     task = task or _first("name", single, chosen, "task") or DEFAULT_TASK
     find_agent(agent), find_task(task)  # say that a name is unknown before anything else
     simulation = _first("simulation", single, chosen, "train")
-    layers = [_built_in("tasks", task), _built_in("agents", agent), _built_in(f"{simulation}", agent), chosen, single]
+    built_in = [_built_in("tasks", task), _built_in("agents", agent), _built_in(simulation or "bullet", agent)]
     tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
-    for layer in layers:
+    for layer in (*built_in, chosen, single):
         _merge(tree, layer)
     tree["agent"]["name"], tree["task"]["name"] = agent, task
     return config_from(tree)
@@ -131,6 +135,8 @@ def config_from(tree: Mapping[str, Any]) -> Config:
         raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
     task = build(find_task(task_name), sections["task"], "task")
     observe_as(observation, task.placed(load_maze(task.maze)))  # says what does not fit together
+    if Path(task.maze).is_file():  # the run is to be found again from another folder
+        task = dataclasses.replace(task, maze=str(Path(task.maze).resolve()))
     return Config(
         agent=agent_name,
         agent_settings=check_arguments(agent, sections["agent"]),
@@ -185,17 +191,24 @@ def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
     if "policy_kwargs" in made:
         made["policy_kwargs"] = {
-            key: import_object(value) if isinstance(value, str) and ":" in value else value
+            key: _network_class(value) if isinstance(value, str) and ":" in value else value
             for key, value in made["policy_kwargs"].items()
         }
     return made
+
+
+def _network_class(reference: str) -> type:
+    found = import_object(reference)
+    if not (isinstance(found, type) and issubclass(found, th.nn.Module | th.optim.Optimizer)):
+        raise InputError(f"agent.policy_kwargs: {reference!r} is neither a torch module nor an optimiser")
+    return found
 
 
 @dataclass(frozen=True)
 class _Linear:
     start: float
     end: float
-    fraction: Fraction = 1.0
+    fraction: Annotated[float, Gt(0), Le(1)] = 1.0
 
 
 def _parameter_type(function: Any, name: str) -> Any:

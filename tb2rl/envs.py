@@ -43,7 +43,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
     | `ended` | None, or why the episode is over: "crash", "goal", ..., "time limit" |
 
     Args:
-        task: A task's name, "module:Class", or a `Task` itself.
+        task: A task's name, "module:Class", a class derived from `Task`, or a `Task` itself.
         observation: "discrete" or "raw".
         render_mode: None, "rgb_array" (seen from above, no window) or "human" (PyBullet's window).
         simulation: "bullet" or "kinematic".
@@ -57,7 +57,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
 
     def __init__(
         self,
-        task: str | Task = "maze",
+        task: str | type[Task] | Task = "maze",
         observation: str = "discrete",
         render_mode: str | None = None,
         simulation: str = "bullet",
@@ -69,6 +69,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         self.maze = load_maze(given.maze)
         self.task = given.placed(self.maze)
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.task.control_period))}
         self._observe, self.laser = observe_as(observation, self.task)
         self._commands = self.task.commands
         self.observation_space = self._observe.space
@@ -76,7 +77,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         self.maze.free_space(self.task.start_clearance if self.task.start == "random" else BASE_RADIUS)
         self.simulation = simulate(simulation, self.maze, self.laser, window=render_mode == "human")
         self._reading: Reading | None = None
-        self.path: list[np.ndarray] = []  # poses since the reset, for pictures
+        self.path: list[np.ndarray] = []  # poses since the reset, for pictures: only with a render_mode
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -53,6 +53,8 @@ def main(arguments: list[str] | None = None) -> None:
     workers = 1 if options.workers is None else options.workers
     if min(options.episodes, options.steps, workers) < 1 or options.seed < 0:
         raise InputError("--episodes, --steps and --workers must be at least 1, and --seed at least 0")
+    if options.json and not options.json.absolute().parent.is_dir():
+        raise InputError(f"there is no folder {options.json.absolute().parent} for --json")
     settings = parse_settings(options.set)
     conditions = {
         "episodes": options.episodes,
@@ -74,6 +76,8 @@ def main(arguments: list[str] | None = None) -> None:
         save(evaluation, summary, config, name, options.json)
     elif options.policy and standard and Path(options.policy).is_dir():
         save(evaluation, summary, config, name, Path(options.policy) / "evaluation.json")
+    else:
+        print("not written: only the standard evaluation of a run folder is kept there; --json FILE keeps any")
 
 
 def _task_settings(settings: Mapping[str, Any]) -> dict[str, Any]:

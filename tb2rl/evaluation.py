@@ -24,7 +24,7 @@ from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError
 from tb2rl.maze import load_maze
 from tb2rl.observations import observe_as
-from tb2rl.processes import process_context, processors
+from tb2rl.processes import main_hidden, process_context, processors
 from tb2rl.runs import config_of, load, versions, write
 from tb2rl.tasks import Task
 
@@ -134,7 +134,6 @@ class Evaluator:
         if workers > 1:
             world = (cloudpickle.dumps(self.task), observation)
             self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_open_world, initargs=world)
-            self._chunks = np.array_split(np.arange(episodes), min(4 * workers, episodes))
 
     def run(self, policy: Policy) -> Evaluation:
         """Drive all episodes."""
@@ -144,10 +143,9 @@ class Evaluator:
             env.close()
         else:
             data = cloudpickle.dumps(policy)
-            jobs = [
-                self._pool.submit(_drive_some, data, self.poses[chunk], self.seed + chunk) for chunk in self._chunks
-            ]
-            episodes = [episode for job in jobs for episode in job.result()]
+            with main_hidden():  # processes start as they are needed
+                jobs = [self._pool.submit(_drive_one, data, pose, self.seed + i) for i, pose in enumerate(self.poses)]
+            episodes = [job.result() for job in jobs]
         return Evaluation(episodes, self.task, self.steps, self.seed)
 
     def close(self) -> None:
@@ -214,13 +212,12 @@ def evaluate(
     if config is None:
         config = config_of(policy)
     config = changed(config, settings or {})
-    _assert_observes(policy, config)
-    th.set_num_threads(1)
+    _check_observes(policy, config)
     with Evaluator(config.task_settings, config.observation, **conditions) as evaluator:
         return evaluator.run(getattr(policy, "policy", policy))
 
 
-def _assert_observes(policy: Any, config: Config) -> None:
+def _check_observes(policy: Any, config: Config) -> None:
     """Raise an `InputError` where a policy would get other observations or actions than it knows."""
     task = config.task_settings.placed(load_maze(config.task_settings.maze))
     given = observe_as(config.observation, task)[0].space
@@ -287,6 +284,5 @@ def _open_world(task: bytes, observation: str) -> None:
     _world = TurtleBot2Env(pickle.loads(task), observation)
 
 
-def _drive_some(policy: bytes, poses: np.ndarray, seeds: np.ndarray) -> list[Episode]:
-    loaded = pickle.loads(policy)
-    return [drive(_world, loaded, pose, int(seed)) for pose, seed in zip(poses, seeds, strict=True)]
+def _drive_one(policy: bytes, pose: np.ndarray, seed: int) -> Episode:
+    return drive(_world, pickle.loads(policy), pose, seed)

@@ -63,7 +63,7 @@ class MazeFile:
     boxes: tuple[Box, ...] = ()
     posts: tuple[Post, ...] = ()
     drawing: str = ""  # `#` wall, `S` start, `G` goal, anything else free
-    cell: Positive = 1.0  # [m] side of a character of the drawing
+    cell: Positive = 2.0  # [m] side of a character of the drawing: a corridor with room to turn
     start: Pose | None = None
     goal: Pose | None = None
     bounds: tuple[float, float, float, float] | None = None  # x from, y from, x to, y to; None: around the obstacles

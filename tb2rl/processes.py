@@ -10,7 +10,9 @@ import multiprocessing
 import os
 import pickle
 import signal
-from collections.abc import Callable, Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from multiprocessing.connection import Connection
 from typing import Any
@@ -36,6 +38,20 @@ def process_context() -> Any:
     return context
 
 
+@contextmanager
+def main_hidden() -> Iterator[None]:
+    """Start processes during the block without the user's script: they would run it again, from its first line."""
+    main = sys.modules["__main__"]
+    kept = {name: getattr(main, name) for name in ("__spec__", "__file__") if hasattr(main, name)}
+    for name in kept:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(main, name, value)
+
+
 def processors() -> int:
     """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -59,7 +75,8 @@ class ProcessVecEnv(VecEnv):
             ours, theirs = context.Pipe()
             made = cloudpickle.dumps(list(worlds[part]))
             process = context.Process(target=_serve, args=(theirs, made), daemon=True)
-            process.start()
+            with main_hidden():
+                process.start()
             theirs.close()
             self._pipes.append(ours)
             self._processes.append(process)
@@ -154,11 +171,11 @@ def _serve(pipe: Connection, made: bytes) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the training decides what it means
     env = None
     while True:
+        answer: Any
         try:
             method, arguments, *named = pipe.recv()
-        except EOFError:
+        except (EOFError, OSError):
             break
-        answer: Any
         try:
             env = env or DummyVecEnv(pickle.loads(made))
             if method == "spaces":
@@ -167,6 +184,9 @@ def _serve(pipe: Connection, made: bytes) -> None:
                 answer = getattr(env, method)(*arguments, **(named[0] if named else {}))
         except Exception as error:  # it is raised again where it was asked for
             answer = error
-        pipe.send(answer)
+        try:
+            pipe.send(answer)
+        except OSError:  # nobody listens any more
+            break
     if env is not None:
         env.close()

@@ -70,15 +70,18 @@ def find_agent(name: str) -> Agent:
     return Agent(algorithm=f"{found.__module__}:{found.__name__}")
 
 
-def find_task(name: str) -> type[Task]:
-    """The task class of a name, or of "module:Class".
+def find_task(name: str | type[Task]) -> type[Task]:
+    """The task class of a name, or of "module:Class", or the class itself.
 
     Raises:
         InputError: If there is none; the message lists the known ones.
     """
-    found = _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
+    found = name if isinstance(name, type) else _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
     if not (isinstance(found, type) and issubclass(found, Task)) or inspect.isabstract(found):
-        raise InputError(f"task {name!r} is not a class with commands and judge, derived from tb2rl.tasks.Task")
+        raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task with commands and judge")
+    settings = [key for key, kind in found.__annotations__.items() if not str(kind).startswith("ClassVar")]
+    if settings and "__dataclass_fields__" not in vars(found):
+        raise InputError(f"task {name!r} has the settings {', '.join(settings)}, so it needs @dataclass(frozen=True)")
     return found
 
 
@@ -86,17 +89,17 @@ def import_object(reference: str) -> Any:
     """What "module:Name" refers to.
 
     Raises:
-        InputError: If it cannot be imported; what goes wrong inside an existing module shows as it is.
+        InputError: If there is no such module or name; what goes wrong inside a module shows as it is.
     """
     module_name, _, attribute = reference.partition(":")
+    if not all(part.isidentifier() for part in module_name.split(".")):
+        raise InputError(f"cannot import {reference!r}: it should read module:Class")
     try:
         module = import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name and not (module_name + ".").startswith(error.name + "."):
             raise
         raise InputError(f"cannot import {reference!r}: there is no module {error.name!r}") from None
-    except (ImportError, TypeError, ValueError) as error:
-        raise InputError(f"cannot import {reference!r}: {error}") from None
     if not hasattr(module, attribute):
         raise InputError(f"cannot import {reference!r}: module {module_name!r} has no {attribute!r}")
     return getattr(module, attribute)

@@ -10,8 +10,8 @@
         tensorboard/        event files
 
 A checkpoint holds arrays and plain values only, and is read without running code from it (`weights_only`): the
-algorithm is rebuilt from the config through the registry. Files are written beside and renamed, so a folder is valid
-at every instant.
+algorithm is rebuilt from the config through the registry, which imports the modules that the config names. Files are
+written beside and renamed, so a folder is valid at every instant.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ import json
 import os
 import platform
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -182,7 +184,6 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
         raise InputError(
             f"agent {config.agent} does not learn; try it with `python -m tb2rl.evaluate --agent {config.agent}`"
         )
-    th.set_num_threads(config.train.torch_threads)
     try:
         return import_object(agent.algorithm)(
             agent.policy,
@@ -248,4 +249,6 @@ class _Spaces(gym.Env):
 
     @classmethod
     def vectorised(cls, config: Config) -> VecEnv:
-        return DummyVecEnv([lambda: cls(config)] * config.train.n_envs)
+        """As many of them as the config has worlds."""
+        one = cls(config)
+        return DummyVecEnv([partial(copy, one)] * config.train.n_envs)

@@ -32,7 +32,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--name", help="of the run folder runs/TASK/AGENT/NAME (default: date and time)")
     parser.add_argument("--total-timesteps", type=int, help="control steps, over all worlds")
-    parser.add_argument("--episodes", type=int, help="stop after so many")
+    parser.add_argument("--episodes", type=int, help="stop after so many, if that comes before --total-timesteps")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--simulation", help="what to train in: bullet (default), or its fast twin kinematic")
     parser.add_argument("--n-envs", type=int, help="worlds, in parallel processes or in one batch")
@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
     config = resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
     folder = default_folder(config)
     if options.name:
-        if Path(options.name).name != options.name:
+        if Path(options.name).name != options.name or options.name == "..":
             raise InputError(f"--name is the name of a folder, without a path, got {options.name!r}")
         folder = folder.with_name(options.name)
     settings = config.train

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
@@ -30,7 +31,7 @@ from tb2rl.vec_env import BatchVecEnv
 
 def train(
     agent: str | None = None,
-    task: str | None = None,
+    task: str | type[Task] | None = None,
     *,
     preset: str | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -77,9 +78,13 @@ def train_config(config: Config, folder: str | Path, progress_bar: bool = False,
     """`train` for a resolved config."""
     settings = config.train
     with ExitStack() as resources:
+        th.set_num_threads(settings.torch_threads)
         env = make_vec_env(config)
         resources.callback(env.close)
         algorithm = make_algorithm(config, env)
+        if settings.eval_freq:
+            conditions = (settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
+            evaluator = resources.enter_context(Evaluator(config.task_settings, config.observation, *conditions))
         run = Run.create(Path(folder), config)
         algorithm.set_logger(configure(str(run.folder / "tensorboard"), ["tensorboard"]))
         statistics, stop = callbacks.Statistics(config.to_dict()), callbacks.StopOnInterrupt()
@@ -87,8 +92,6 @@ def train_config(config: Config, folder: str | Path, progress_bar: bool = False,
         if settings.save_freq:
             watching.append(callbacks.Checkpoints(run, settings.save_freq))
         if settings.eval_freq:
-            conditions = (settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
-            evaluator = resources.enter_context(Evaluator(config.task_settings, config.observation, *conditions))
             evaluation = callbacks.Evaluate(run, evaluator, settings.eval_freq)
             watching.append(evaluation)
         if settings.episodes:

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from tb2rl.maze import load_maze
 from tb2rl.observations import observe_as
+from tb2rl.robot import BASE_RADIUS
 from tb2rl.simulation import Reading
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.streams import uniforms
@@ -39,7 +40,7 @@ class BatchVecEnv(VecEnv):
         self._observe, self.laser = observe_as(observation, self.task)
         self._commands = self.task.commands
         self.simulation = KinematicSimulation(self.maze, self.laser, robots)
-        self.maze.free_space(self.task.start_clearance)
+        self.maze.free_space(self.task.start_clearance if self.task.start == "random" else BASE_RADIUS)
         self.render_mode = None
         self.reward_scale = reward_scale
         super().__init__(robots, self._observe.space, gym.spaces.Discrete(len(self._commands)))
@@ -52,11 +53,12 @@ class BatchVecEnv(VecEnv):
 
     def reset(self) -> VecEnvObs:
         robots = self.num_envs
-        self._keys = self._rng.integers(2**64, size=robots, dtype=np.uint64)
+        starts, noise = self._rng.spawn(2)
+        self._keys = starts.integers(2**64, size=robots, dtype=np.uint64)
         self._draws = np.zeros(robots, dtype=np.uint64)
         self._lengths = np.zeros(robots, dtype=np.int64)
         self._returns, self._distances = np.zeros(robots), np.zeros(robots)
-        self._reading = self.simulation.reset(self._start_poses(np.arange(robots)), self._rng)
+        self._reading = self.simulation.reset(self._start_poses(np.arange(robots)), noise)
         return self._observe(self._reading)
 
     def step_async(self, actions: np.ndarray) -> None:

@@ -148,7 +148,7 @@ def test_a_file_of_ones_own_is_loaded_by_its_path(tmp_path):
     text, yaml = tmp_path / "mine.txt", tmp_path / "mine.yaml"
     text.write_text(DRAWING)
     yaml.write_text("start: [1.5, 2.5, 0.0]\nwalls: [{path: [[0, 0], [4, 0], [4, 4], [0, 4]], closed: true}]\n")
-    assert load_maze(str(text)).start == (1.5, 2.5, 0)
+    assert load_maze(str(text)).start == (3.0, 5.0, 0)
     assert load_maze(str(yaml)).clearance(1.5, 3.0) == pytest.approx(0.9)
 
 

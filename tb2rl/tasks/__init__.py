@@ -62,7 +62,7 @@ class Task(ABC):
 
     maze: str = "loop"  # a built-in name, or the path of a YAML file or a text drawing
     start: Literal["fixed", "random"] = "random"
-    start_clearance: NonNegative = 0.6  # [m] between the robot's centre and the walls at a random start
+    start_clearance: Annotated[float, Ge(robot.BASE_RADIUS)] = 0.6  # [m] from the robot's centre to walls, random start
     control_period: Positive = 0.2  # [s] an action lasts
     episode_steps: Count = 1500  # control steps until the time limit truncates
     beams: Count | None = None  # evenly over 180 degrees, both ends included; None: what the observation likes
