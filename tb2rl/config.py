@@ -21,8 +21,7 @@ from annotated_types import Ge, Gt, Le
 from stable_baselines3.common.utils import LinearSchedule
 
 from tb2rl.errors import InputError, unknown
-from tb2rl.maze import load_maze
-from tb2rl.observations import observe_as
+from tb2rl.observations import prepare
 from tb2rl.registry import Agent, find_agent, find_task, import_object
 from tb2rl.settings import Count, Positive, build, checked, find_file, read_yaml, room
 from tb2rl.tasks import Task
@@ -134,7 +133,7 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     if agent.only and observation != agent.observation:
         raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
     task = build(find_task(task_name), sections["task"], "task")
-    observe_as(observation, task.placed(load_maze(task.maze)))  # says what does not fit together
+    prepare(task, observation)  # says what does not fit together
     if Path(task.maze).is_file():  # the run is to be found again from another folder
         task = dataclasses.replace(task, maze=str(Path(task.maze).resolve()))
     return Config(

@@ -11,8 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from tb2rl.errors import InputError
-from tb2rl.maze import load_maze
-from tb2rl.observations import observe_as
+from tb2rl.observations import prepare
 from tb2rl.registry import find_task
 from tb2rl.robot import BASE_RADIUS
 from tb2rl.settings import Pose, build, checked
@@ -66,11 +65,9 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"unknown render_mode {render_mode!r}; known: None, 'rgb_array', 'human'")
         given = changed(task, settings) if isinstance(task, Task) else build(find_task(task), settings, "task")
-        self.maze = load_maze(given.maze)
-        self.task = given.placed(self.maze)
+        self.maze, self.task, self._observe, self.laser = prepare(given, observation)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.task.control_period))}
-        self._observe, self.laser = observe_as(observation, self.task)
         self._commands = self.task.commands
         self.observation_space = self._observe.space
         self.action_space = gym.spaces.Discrete(len(self._commands))
@@ -92,7 +89,7 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         self._reading = self.simulation.reset(pose, self.np_random)
         self._steps, self._distance = 0, 0.0
         self.path = [self._reading.pose[0]]
-        return self._observe(self._reading)[0], self._info(self._reading, success=False, ended=None)
+        return self._observe(self._reading)[0], info_of(self._reading, 0, 0.0, success=False, ended=None)
 
     def step(self, action: int | np.int64) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
         if self._reading is None:
@@ -107,12 +104,10 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         self._distance += (dx * dx + dy * dy) ** 0.5
         if self.render_mode is not None:
             self.path.append(after.pose[0])
-        ended = next((reason for reason, where in outcome.endings.items() if where[0]), None)
-        terminated, truncated = ended is not None, self._steps >= self.task.episode_steps
-        if truncated and not terminated:
-            ended = "time limit"
-        success = bool(outcome.success[0]) if outcome.success is not None else ended == "time limit"
-        info = self._info(after, success, ended)
+        truncated = self._steps >= self.task.episode_steps
+        ended = outcome.ending(0, truncated)
+        info = info_of(after, 0, self._distance, outcome.succeeded(0, ended), ended)
+        terminated = ended not in (None, "time limit")
         return self._observe(after)[0], float(outcome.reward[0]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
@@ -158,15 +153,17 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
             return np.array([self.maze.start])
         return self.maze.random_poses(self.np_random, 1, self.task.start_clearance)
 
-    def _info(self, reading: Reading, success: bool, ended: str | None) -> dict[str, Any]:
-        return {
-            "pose": reading.pose[0],
-            "distance": self._distance,
-            "min_range": float(reading.nearest[0]),
-            "bumped": bool(reading.bumped[0]),
-            "is_success": success,
-            "ended": ended,
-        }
+
+def info_of(reading: Reading, robot: int, distance: float, success: bool, ended: str | None) -> dict[str, Any]:
+    """The `info` of one robot, see `TurtleBot2Env`."""
+    return {
+        "pose": reading.pose[robot],
+        "distance": distance,
+        "min_range": float(reading.nearest[robot]),
+        "bumped": bool(reading.bumped[robot]),
+        "is_success": success,
+        "ended": ended,
+    }
 
 
 def changed(task: Task, settings: Mapping[str, Any]) -> Task:

@@ -23,7 +23,7 @@ from tb2rl.config import Config, config_from
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError
 from tb2rl.maze import load_maze
-from tb2rl.observations import observe_as
+from tb2rl.observations import prepare
 from tb2rl.processes import main_hidden, process_context, processors
 from tb2rl.runs import config_of, load, versions, write
 from tb2rl.tasks import Task
@@ -219,11 +219,10 @@ def evaluate(
 
 def _check_observes(policy: Any, config: Config) -> None:
     """Raise an `InputError` where a policy would get other observations or actions than it knows."""
-    task = config.task_settings.placed(load_maze(config.task_settings.maze))
-    given = observe_as(config.observation, task)[0].space
-    known = getattr(policy, "observation_space", given)
-    if known != given:
-        raise InputError(f"the policy knows the observation {known}, but this task gives {given}")
+    _, task, observe, _ = prepare(config.task_settings, config.observation)
+    known = getattr(policy, "observation_space", observe.space)
+    if known != observe.space:
+        raise InputError(f"the policy knows the observation {known}, but this task gives {observe.space}")
     actions = getattr(getattr(policy, "action_space", None), "n", len(task.commands))
     if actions != len(task.commands):
         raise InputError(f"the policy knows {actions} actions, but this task has {len(task.commands)}")

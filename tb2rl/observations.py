@@ -9,6 +9,7 @@ from gymnasium import spaces
 from numba import njit
 
 from tb2rl.errors import InputError, unknown
+from tb2rl.maze import Maze, load_maze
 from tb2rl.robot import Laser
 from tb2rl.simulation import Reading
 from tb2rl.tasks import Task
@@ -94,6 +95,13 @@ def observe_as(mode: str, task: Task) -> tuple[Observation, Laser]:
             f"task.kept names beam {max(task.kept)}, but the laser has {laser.beams} beams, counted from 0"
         )
     return OBSERVATIONS[mode](task, laser), laser
+
+
+def prepare(task: Task, mode: str) -> tuple[Maze, Task, Observation, Laser]:
+    """The maze of a task, the task placed in it, and how it is observed there; see `observe_as`."""
+    maze = load_maze(task.maze)
+    placed = task.placed(maze)
+    return maze, placed, *observe_as(mode, placed)
 
 
 def _increasing(edges: Sequence[float], name: str) -> np.ndarray:

@@ -36,8 +36,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from tb2rl.config import Config, algorithm_arguments, config_from
 from tb2rl.errors import InputError, unknown
-from tb2rl.maze import load_maze
-from tb2rl.observations import observe_as
+from tb2rl.observations import prepare
 from tb2rl.registry import find_agent, import_object
 from tb2rl.settings import checked, read_yaml, room
 
@@ -243,8 +242,8 @@ class _Spaces(gym.Env):
     """The spaces of a config without a simulation behind them: all that an algorithm needs to be rebuilt."""
 
     def __init__(self, config: Config) -> None:
-        task = config.task_settings.placed(load_maze(config.task_settings.maze))
-        self.observation_space = observe_as(config.observation, task)[0].space
+        _, task, observe, _ = prepare(config.task_settings, config.observation)
+        self.observation_space = observe.space
         self.action_space = gym.spaces.Discrete(len(task.commands))
 
     @classmethod

@@ -10,13 +10,13 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from tb2rl.maze import load_maze
-from tb2rl.observations import observe_as
+from tb2rl.envs import info_of
+from tb2rl.observations import prepare
 from tb2rl.robot import BASE_RADIUS
 from tb2rl.simulation import Reading
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.streams import uniforms
-from tb2rl.tasks import Task
+from tb2rl.tasks import Outcome, Task
 
 
 class BatchVecEnv(VecEnv):
@@ -35,9 +35,7 @@ class BatchVecEnv(VecEnv):
     """
 
     def __init__(self, task: Task, observation: str, robots: int, reward_scale: float = 1.0) -> None:
-        self.maze = load_maze(task.maze)
-        self.task = task.placed(self.maze)
-        self._observe, self.laser = observe_as(observation, self.task)
+        self.maze, self.task, self._observe, self.laser = prepare(task, observation)
         self._commands = self.task.commands
         self.simulation = KinematicSimulation(self.maze, self.laser, robots)
         self.maze.free_space(self.task.start_clearance if self.task.start == "random" else BASE_RADIUS)
@@ -115,19 +113,15 @@ class BatchVecEnv(VecEnv):
         self._draws[robots] = draws
         return self.maze.poses_from(numbers, self.task.start_clearance)
 
-    def _report(self, robot: int, observation: np.ndarray, outcome: Any, after: Reading) -> dict[str, Any]:
-        ended = next((reason for reason, where in outcome.endings.items() if where[robot]), "time limit")
-        success = bool(outcome.success[robot]) if outcome.success is not None else ended == "time limit"
+    def _report(self, robot: int, observation: np.ndarray, outcome: Outcome, after: Reading) -> dict[str, Any]:
+        ended = outcome.ending(robot, timed_out=True)
+        distance = float(self._distances[robot])
         return {
+            **info_of(after, robot, distance, outcome.succeeded(robot, ended), ended),
+            "pose": after.pose[robot].copy(),
             "terminal_observation": observation,
             "TimeLimit.truncated": ended == "time limit",
             "episode": {"r": float(self._returns[robot]), "l": int(self._lengths[robot]), "t": 0.0},
-            "pose": after.pose[robot].copy(),
-            "distance": float(self._distances[robot]),
-            "min_range": float(after.nearest[robot]),
-            "bumped": bool(after.bumped[robot]),
-            "is_success": success,
-            "ended": ended,
         }
 
 

@@ -43,6 +43,17 @@ class Outcome:
             else np.zeros(len(self.reward), dtype=bool)
         )
 
+    def ending(self, robot: int, timed_out: bool) -> str | None:
+        """Why the episode of a robot is over, None if it is not; `timed_out` says that its steps are used up."""
+        for reason, where in self.endings.items():
+            if where[robot]:
+                return reason
+        return "time limit" if timed_out else None
+
+    def succeeded(self, robot: int, ending: str | None) -> bool:
+        """Whether a robot reached the goal; without one, whether it got to the time limit."""
+        return bool(self.success[robot]) if self.success is not None else ending == "time limit"
+
 
 @dataclass(frozen=True)
 class Sense:
