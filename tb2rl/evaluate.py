@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
     if min(options.episodes, options.steps, workers) < 1 or options.seed < 0:
         raise InputError("--episodes, --steps and --workers must be at least 1, and --seed at least 0")
     if options.json and not options.json.absolute().parent.is_dir():
-        raise InputError(f"there is no folder {options.json.absolute().parent} for --json")
+        raise InputError(f"cannot write {options.json}: there is no folder {options.json.absolute().parent}")
     settings = parse_settings(options.set)
     conditions = {
         "episodes": options.episodes,

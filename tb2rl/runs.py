@@ -32,6 +32,7 @@ import torch as th
 import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from tb2rl.config import Config, algorithm_arguments, config_from
@@ -184,6 +185,7 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
             f"agent {config.agent} does not learn; try it with `python -m tb2rl.evaluate --agent {config.agent}`"
         )
     try:
+        get_device(config.train.device)  # a table has no use for one, and yet it should exist
         return import_object(agent.algorithm)(
             agent.policy,
             env,

@@ -18,7 +18,7 @@ COMMANDS = {name: import_module(f"tb2rl.{name}") for name in ("train", "evaluate
 FILES = {
     "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",
     "inside.yaml": "boxes: [{centre: [0, 0], size: [1, 1]}]\nstart: [0.3, 0, 0]\nbounds: [-9, -9, 9, 9]\n",
-    "narrow.txt": "#####\n#.S.#\n#####\n",
+    "narrow.yaml": "cell: 1.0\ndrawing: |\n  #####\n  #.S.#\n  #####\n",
     "typo.yaml": "wals: []\nstart: [0, 0, 0]\n",
     "aimless.yaml": "boxes: [{centre: [5, 5], size: [1, 1]}]\nstart: [0, 0, 0]\nbounds: [-9, -9, 9, 9]\n",
     "nowhere.yaml": "boxes: [{centre: [5, 5], size: [1, 1]}]\n",
@@ -85,7 +85,7 @@ def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
         ("--set task.maze=missing.yaml", ["missing.yaml"]),
         ("--set task.maze=full.yaml", ["maze full", "start", "no free space"]),
         ("--set task.maze=inside.yaml task.start=fixed", ["maze inside", "start (0.3, 0)", "inside"]),
-        ("--set task.maze=narrow.txt", ["maze narrow", "start", "0.6 m"]),
+        ("--set task.maze=narrow.yaml", ["maze narrow", "start", "0.6 m"]),
         ("--set task.maze=typo.yaml", ["maze typo", "did you mean 'walls'", "boxes"]),
         ("--set task.maze=nowhere.yaml", ["maze nowhere", "start: [x, y, yaw]"]),
         ("--set task.maze=no.yaml", ["no.yaml", "YAML"]),
