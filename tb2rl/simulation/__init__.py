@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tb2rl.robot import Laser
 
 SIMULATIONS = ("bullet", "kinematic")
-PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9 mm deep; 100 Hz costs a quarter more
+PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9 mm deep; 100 Hz costs a third more
 
 
 @dataclass(frozen=True)
