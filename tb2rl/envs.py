@@ -174,13 +174,13 @@ def changed(task: Task, settings: Mapping[str, Any]) -> Task:
 def make_env(
     what: Any = "maze", observation: str | None = None, render_mode: str | None = None, **settings: Any
 ) -> TurtleBot2Env:
-    """The environment of a task, or the one that a policy was trained in.
+    """The environment of a task, or the one that a policy was trained for: in PyBullet, to the task's own time limit.
 
     Args:
-        what: A task's name, "module:Class", a `Task`, or a policy from `load` or `train`.
+        what: A task's name, "module:Class", a `Task` or its class, or a policy from `load` or `train`.
         observation: "discrete" or "raw"; None: the policy's, else "discrete".
         render_mode: As in `TurtleBot2Env`.
-        settings: Fields of the task to set, for example `maze="circuit"`.
+        settings: Fields of the task to set, for example `maze="circuit"`; `simulation` as in `TurtleBot2Env`.
     """
     config = getattr(what, "trained_with", None)
     if config is not None:

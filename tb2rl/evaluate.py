@@ -16,7 +16,7 @@ from typing import Any
 
 from tb2rl.config import parse_settings, resolve
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluation import EPISODES, SEED, STEPS, Policy, changed, evaluate, report, save
+from tb2rl.evaluation import EPISODES, SEED, STEPS, Policy, evaluate, report, save, with_task
 from tb2rl.runs import checkpoint_file, config_of, load, make_baseline
 
 
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
         name = options.agent
     else:
         policy, name = load(options.policy), str(checkpoint_file(options.policy))
-        config = changed(config_of(policy), _task_settings(settings))
+        config = with_task(config_of(policy), _task_settings(settings))
     evaluation = evaluate(policy, config, **conditions)
     summary = report(evaluation, f"{name} in {evaluation.task.maze}")
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not settings

@@ -95,9 +95,9 @@ class Evaluation:
     @property
     def score(self) -> tuple[float, float]:
         """What makes one evaluation better than another: the success rate, then the mean return."""
-        return float(np.mean([e.success for e in self.episodes])), float(
-            np.mean([e.episode_return for e in self.episodes])
-        )
+        success = [episode.success for episode in self.episodes]
+        returns = [episode.episode_return for episode in self.episodes]
+        return float(np.mean(success)), float(np.mean(returns))
 
 
 class Evaluator:
@@ -121,12 +121,8 @@ class Evaluator:
         seed: int = SEED,
         workers: int | None = None,
     ) -> None:
-        self.task, self.observation, self.steps, self.seed = (
-            replace(task, episode_steps=steps),
-            observation,
-            steps,
-            seed,
-        )
+        self.task, self.observation = replace(task, episode_steps=steps), observation
+        self.steps, self.seed = steps, seed
         maze = load_maze(task.maze)
         self.poses = maze.random_poses(np.random.default_rng(seed), episodes, task.start_clearance)
         workers = min(workers or processors(), episodes)
@@ -211,7 +207,7 @@ def evaluate(
         policy = load(policy)
     if config is None:
         config = config_of(policy)
-    config = changed(config, settings or {})
+    config = with_task(config, settings or {})
     _check_observes(policy, config)
     with Evaluator(config.task_settings, config.observation, **conditions) as evaluator:
         return evaluator.run(getattr(policy, "policy", policy))
@@ -228,7 +224,7 @@ def _check_observes(policy: Any, config: Config) -> None:
         raise InputError(f"the policy knows {actions} actions, but this task has {len(task.commands)}")
 
 
-def changed(config: Config, settings: Mapping[str, Any]) -> Config:
+def with_task(config: Config, settings: Mapping[str, Any]) -> Config:
     """The config with some of its task's settings changed, checked again."""
     tree = config.to_dict()
     tree["task"].update(settings)

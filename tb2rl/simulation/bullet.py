@@ -49,7 +49,6 @@ with _quiet():
     import pybullet
 
 URDF = Path(__file__).parent.parent / "assets" / "turtlebot2.urdf"
-STEP_RATE = PHYSICS_RATE  # [Hz] at least
 GRAVITY = 9.81  # [m/s^2]
 FLOOR_FRICTION = 1.0  # rubber on a dry floor
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
@@ -262,7 +261,7 @@ class BulletSimulation:
     def _set_duration(self, duration: float) -> None:
         if duration != self._duration:
             self._duration = duration
-            self._steps = max(1, math.ceil(duration * STEP_RATE - 1e-9))
+            self._steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))
             pybullet.setPhysicsEngineParameter(fixedTimeStep=duration / self._steps, physicsClientId=self._client)
 
     def _build_floor(self) -> None:
