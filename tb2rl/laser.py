@@ -81,10 +81,22 @@ def clearance_one(x, y, boxes, posts):
         east, north = x - boxes[k, 0], y - boxes[k, 1]
         dx = abs(boxes[k, 4] * east + boxes[k, 5] * north) - boxes[k, 2]
         dy = abs(boxes[k, 4] * north - boxes[k, 5] * east) - boxes[k, 3]
-        nearest = min(nearest, math.hypot(max(dx, 0.0), max(dy, 0.0)))
+        dx, dy = max(dx, 0.0), max(dy, 0.0)
+        nearest = min(nearest, dx * dx + dy * dy)
+    nearest = math.sqrt(nearest)
     for k in range(posts.shape[0]):
-        gap = math.hypot(x - posts[k, 0], y - posts[k, 1]) - posts[k, 2]
-        nearest = min(nearest, max(gap, 0.0))
+        east, north = x - posts[k, 0], y - posts[k, 1]
+        nearest = min(nearest, max(math.sqrt(east * east + north * north) - posts[k, 2], 0.0))
+    return nearest
+
+
+@njit(cache=True)
+def shortest(ranges):
+    """The shortest of each robot's ranges (robots, beams), shape (robots,)."""
+    nearest = np.full(ranges.shape[0], np.inf)
+    for i in range(ranges.shape[0]):
+        for beam in range(ranges.shape[1]):
+            nearest[i] = min(nearest[i], ranges[i, beam])
     return nearest
 
 

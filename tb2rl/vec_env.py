@@ -64,7 +64,7 @@ class BatchVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         before = self._reading
-        after = self.simulation.step(self._commands[self._actions], self.task.control_period)
+        after = self.simulation.step(self._commands.take(self._actions, axis=0), self.task.control_period)
         outcome = self.task.judge(before, self._actions, after)
         terminated = outcome.terminated
         self._lengths += 1

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from tb2rl.errors import InputError, unknown
+from tb2rl.laser import shortest
 
 if TYPE_CHECKING:
     from tb2rl.maze import Maze
@@ -43,7 +44,7 @@ class Reading:
     @cached_property
     def nearest(self) -> np.ndarray:
         """The shortest kept range of each robot [m], shape (robots,)."""
-        return self.ranges.min(axis=1)
+        return shortest(self.ranges)
 
 
 class Simulation(Protocol):

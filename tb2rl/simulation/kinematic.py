@@ -25,8 +25,7 @@ PHYSICS_STEP = (
     1.0 / PHYSICS_RATE
 )  # [s] PyBullet moves with the speed at the end of a step, along the heading at its start
 CONTACT = 1.0e-4  # [m] a gap below this is contact
-BLOCK = 64  # robots that a thread takes at a time
-WORTH_THREADS = 1_000  # ranges in a step; waking the threads costs more below
+BLOCK = 64  # robots that a thread takes at a time: 30 microseconds or more of work, where waking one costs up to 90
 _NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched
 
 
@@ -140,24 +139,32 @@ def sense(pose, cos_beams, sin_beams, boxes, posts, limits, key, step, scratch, 
     limit_ranges(ranges, limits[1], limits[2])
 
 
-def _step_all(
+@njit(cache=True, error_model="numpy")
+def step_block(
+    first, last, poses, rims, commands, duration, boxes, posts, cos_beams, sin_beams, limits, keys, steps,
+    twists, bumped, ranges,
+):  # fmt: skip
+    """A control step of robots `first` to `last` - 1; `limits` are the laser's noise, shortest and longest range."""
+    scratch = np.empty((2, cos_beams.size))
+    for i in range(first, last):
+        bumped[i] = drive(poses[i], rims[i], commands[i, 0], commands[i, 1], duration, boxes, posts)
+        twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
+        twists[i, 1] = (rims[i, 1] - rims[i, 0]) / robot.WHEEL_SEPARATION
+        steps[i] += np.uint64(1)
+        sense(poses[i], cos_beams, sin_beams, boxes, posts, limits, keys[i], steps[i], scratch, ranges[i])
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def step_in_threads(
     poses, rims, commands, duration, boxes, posts, cos_beams, sin_beams, limits, keys, steps, twists, bumped, ranges
 ):
-    """One control step of all robots; `limits` are the laser's noise, shortest and longest range."""
+    """`step_block` for all robots, block by block in parallel."""
     robots = poses.shape[0]
-    blocks = (robots + BLOCK - 1) // BLOCK
-    for block in prange(blocks):
-        scratch = np.empty((2, cos_beams.size))
-        for i in range(block * BLOCK, min((block + 1) * BLOCK, robots)):
-            bumped[i] = drive(poses[i], rims[i], commands[i, 0], commands[i, 1], duration, boxes, posts)
-            twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
-            twists[i, 1] = (rims[i, 1] - rims[i, 0]) / robot.WHEEL_SEPARATION
-            steps[i] += np.uint64(1)
-            sense(poses[i], cos_beams, sin_beams, boxes, posts, limits, keys[i], steps[i], scratch, ranges[i])
-
-
-step_here = njit(cache=True, error_model="numpy")(_step_all)
-step_in_threads = njit(cache=True, parallel=True, error_model="numpy")(_step_all)
+    for block in prange((robots + BLOCK - 1) // BLOCK):
+        step_block(
+            block * BLOCK, min((block + 1) * BLOCK, robots), poses, rims, commands, duration, boxes, posts,
+            cos_beams, sin_beams, limits, keys, steps, twists, bumped, ranges,
+        )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
@@ -205,11 +212,14 @@ class KinematicSimulation:
         poses, rims = self._poses.copy(), self._rims.copy()  # readings keep what they show
         twists, bumped = np.empty_like(rims), np.empty(self.robots, dtype=bool)
         ranges = np.empty((self.robots, self._beams[0].size))
-        step = step_in_threads if ranges.size >= WORTH_THREADS else step_here
-        step(
+        data = (
             poses, rims, np.ascontiguousarray(commands, dtype=float), duration, self.maze.boxes, self.maze.posts,
             *self._beams, self._limits, self._keys, self._steps, twists, bumped, ranges,
         )  # fmt: skip
+        if self.robots > BLOCK:
+            step_in_threads(*data)
+        else:
+            step_block(0, self.robots, *data)
         self._poses, self._rims = poses, rims
         return Reading(poses, twists, poses, ranges, bumped)
 
