@@ -7,9 +7,11 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+_NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
+
 
 class Nearness(BaseFeaturesExtractor):
-    """Distances as nearness 1 / (1 + d), so that a metre counts where it matters; angles scaled to [-1, 1].
+    """Distances as nearness 1 / (offset + d), so that a metre counts where it matters; angles scaled to [-1, 1].
 
     A number that is never negative counts as a distance [m], any other as an angle.
 
@@ -17,14 +19,17 @@ class Nearness(BaseFeaturesExtractor):
         observation_space: Raw observations.
         middle: Nearness that becomes 0.
         spread: Factor on the difference to it.
+        offset: [m] Small: the last decimetres before a wall stand out.
     """
 
-    def __init__(self, observation_space: spaces.Box, middle: float = 0.0, spread: float = 1.0) -> None:
+    def __init__(
+        self, observation_space: spaces.Box, middle: float = 0.0, spread: float = 1.0, offset: float = 1.0
+    ) -> None:
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
-        self.middle, self.spread = middle, spread
+        self.middle, self.spread, self.offset = middle, spread, offset
         self.register_buffer("_is_distance", th.as_tensor(observation_space.low >= 0.0))
         self.register_buffer("_largest", th.as_tensor(observation_space.high))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        nearness = self.spread * (1.0 / (1.0 + observations.clamp(min=0.0)) - self.middle)
+        nearness = self.spread * (1.0 / (self.offset + observations.clamp(min=_NEAREST)) - self.middle)
         return th.where(self._is_distance, nearness, observations / self._largest)

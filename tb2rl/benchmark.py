@@ -1,33 +1,55 @@
-"""How fast the worlds are: steps a second, and what the environment's step costs on top of the physics in it.
+"""The project's table: how fast the worlds are, what is left of that while agents learn, how soon they have learned.
 
-    python -m tb2rl.benchmark --json benchmark.json
+    python -m tb2rl.benchmark
+    python -m tb2rl.benchmark trained --seeds 5 --json trained.json
 
-Both sides of the ratio run in turn over the very same motion: a block of environment steps, then the same block as bare
-PyBullet stepping from the same state. So it holds on a noisy machine, where the rates do not.
+| part | what |
+|---|---|
+| physics | the environment's step in PyBullet, and what it costs on top of the physics in it |
+| twin | robot-steps a second of the fast twin, by robots and beams, and the VecEnv's step over the bare kernel |
+| training | control steps a second of each agent that learns, with its own preset, no evaluations |
+| trained | seconds until an evaluation in PyBullet first passes 95 % crash-free, then the standard evaluation |
+
+Both sides of a ratio run in turn over the very same motion, from the same state. So ratios hold on a noisy machine,
+where rates do not.
 """
 
 from __future__ import annotations
 
 import json
 import platform
+import tempfile
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from tb2rl.config import resolve
 from tb2rl.envs import TurtleBot2Env
-from tb2rl.errors import ArgumentParser, InputError, command
+from tb2rl.errors import ArgumentParser, InputError, command, unknown
+from tb2rl.evaluation import evaluate
 from tb2rl.processes import ProcessVecEnv, processors
-from tb2rl.runs import write
+from tb2rl.registry import agent_names, find_agent
+from tb2rl.runs import load, write
+from tb2rl.simulation import SIMULATIONS
 from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.tasks.wander import Wander
+from tb2rl.training import Training, train_config
+from tb2rl.vec_env import BatchVecEnv
 
-BEAMS = (6, 720)
-BLOCK = 50  # control steps
+BEAMS = (6, 36, 720)
+ROBOTS = (1, 64, 1024, 4096)
+WORLDS = 16  # as in the presets
+PASSED = 0.95  # crash-free
+_BLOCK = 50  # control steps between the two sides of a ratio
+_STEPS = 50_000  # of a training in PyBullet whose rate is measured
 
 
 @dataclass(frozen=True)
@@ -39,10 +61,19 @@ class Figure:
     unit: str
 
 
-def benchmark(seconds: float = 5.0) -> list[Figure]:
-    """Measure everything, about `seconds` [s] for each part."""
-    figures = [figure for beams in BEAMS for figure in measure_step(beams, seconds)]
-    return [*figures, measure_worlds(16, seconds)]
+@dataclass(frozen=True)
+class Conditions:
+    """How long to measure, and what to train."""
+
+    seconds: float = 5.0  # for each figure of the parts physics and twin
+    seeds: int = 1  # trainings of each agent in the part trained, with seeds from 0
+    simulations: Sequence[str] = ("kinematic",)  # in which the part trained does so
+
+
+def measure_physics(conditions: Conditions) -> list[Figure]:
+    """The environment's step in one world and in several."""
+    figures = [figure for beams in BEAMS for figure in measure_step(beams, conditions.seconds)]
+    return [*figures, measure_worlds(WORLDS, conditions.seconds)]
 
 
 def measure_step(beams: int, seconds: float) -> list[Figure]:
@@ -54,7 +85,7 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     whole, bare = [], []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
-        actions = rng.integers(len(env.task.commands), size=BLOCK)
+        actions = rng.integers(len(env.task.commands), size=_BLOCK)
         before = env.simulation.state()
         times, over = _time_steps(env, actions)
         after = env.simulation.state()
@@ -67,9 +98,9 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     env.close()
     step, physics = float(np.median(whole)), float(np.median(bare))
     return [
-        Figure(f"step with {beams} beams", 1.0 / step, "steps/s"),
-        Figure(f"bare PyBullet stepping in it, {beams} beams", 1e3 * physics, f"ms per {env.task.control_period} s"),
-        Figure(f"step / bare stepping, {beams} beams", float(np.median(np.divide(whole, bare))), "ratio"),
+        Figure(f"PyBullet, {beams} beams: step", 1.0 / step, "steps/s"),
+        Figure(f"PyBullet, {beams} beams: bare stepping in it", 1e3 * physics, f"ms per {env.task.control_period} s"),
+        Figure(f"PyBullet, {beams} beams: step / bare stepping", float(np.median(np.divide(whole, bare))), "ratio"),
     ]
 
 
@@ -85,7 +116,107 @@ def measure_worlds(worlds: int, seconds: float) -> Figure:
         steps += worlds
     rate = steps / (time.perf_counter() - start)
     env.close()
-    return Figure(f"{worlds} worlds in parallel processes", rate, "steps/s")
+    return Figure(f"PyBullet, {worlds} worlds in parallel processes", rate, "steps/s")
+
+
+def measure_twin(conditions: Conditions) -> list[Figure]:
+    """The fast twin for every number of robots and beams."""
+    return [
+        figure
+        for beams in BEAMS
+        for robots in ROBOTS
+        for figure in measure_batch(robots, beams, conditions.seconds / 5)
+    ]
+
+
+def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
+    """The VecEnv's own step, everything included, and the twin's compiled kernel alone over the same commands."""
+    env = BatchVecEnv(Wander(beams=beams), "raw", robots)
+    env.seed(0)
+    env.reset()
+    simulation, period, rng = env.simulation, env.task.control_period, np.random.default_rng(0)
+    room = np.empty((robots, 2)), np.empty(robots, dtype=bool), np.empty((robots, beams))
+    whole: list[float] = []
+    bare: list[float] = []
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end or len(whole) < 3:  # the first ones start the threads
+        action = rng.integers(len(env.task.commands), size=robots)
+        commands, state = env.task.commands[action], simulation.state()
+        start = time.perf_counter()
+        env.step(action)
+        between = time.perf_counter()
+        simulation.advance(state.poses, state.rims, commands, period, *room)
+        whole.append(between - start)
+        bare.append(time.perf_counter() - between)
+    name = f"twin, {robots} robots, {beams} beams"
+    return [
+        Figure(f"{name}: step", robots / float(np.mean(whole[2:])), "robot-steps/s"),
+        Figure(f"{name}: step / bare kernel", float(np.mean(whole[2:]) / np.mean(bare[2:])), "ratio"),
+    ]
+
+
+def measure_training(conditions: Conditions) -> list[Figure]:
+    """What is left of the worlds' rates while each agent learns in them."""
+    figures = []
+    for simulation in SIMULATIONS:
+        for agent in learners():
+            preset = resolve(agent, settings={"train.simulation": simulation}).train.total_timesteps
+            steps = preset if simulation == "kinematic" else min(preset, _STEPS)
+            training = _train(agent, simulation, 0, total_timesteps=steps, eval_freq=0, save_freq=0)
+            rate = training.timesteps / training.seconds
+            figures.append(Figure(f"training, {agent} in {simulation}", rate, "steps/s"))
+    return figures
+
+
+def measure_trained(conditions: Conditions) -> list[Figure]:
+    """Whole trainings: the time of the first evaluation that passes, and what the standard evaluation says then."""
+    figures = []
+    for simulation in conditions.simulations:
+        for agent in learners():
+            for seed in range(conditions.seeds):
+                figures += measure_one_trained(agent, simulation, seed)
+            if conditions.seeds > 1:
+                times = [f.value for f in figures if f.name.startswith(f"{agent} in {simulation}") and f.unit == "s"]
+                name = f"{agent} in {simulation}: trained, median of {conditions.seeds} seeds"
+                figures.append(Figure(name, float(np.median(times)), "s"))
+    return figures
+
+
+def measure_one_trained(agent: str, simulation: str, seed: int) -> list[Figure]:
+    """Seconds of learning, with the evaluations on the way, until one passes (inf: none did)."""
+    with tempfile.TemporaryDirectory() as folder:
+        training = _train(agent, simulation, seed, Path(folder))
+        lines = (training.run.folder / "evaluations.jsonl").read_text().splitlines()
+        passed = [e["elapsed"] for e in map(json.loads, lines) if e["crash_free_rate"] >= PASSED]
+        judged = evaluate(load(training.run.folder)).summary()["crash_free_rate"]
+    name = f"{agent} in {simulation}, seed {seed}"
+    return [
+        Figure(f"{name}: trained after", min(passed, default=float("inf")), "s"),
+        Figure(f"{name}: crash-free, standard evaluation", 100 * judged, "%"),
+    ]
+
+
+def learners() -> list[str]:
+    """The agents that learn."""
+    return [name for name in agent_names() if find_agent(name).algorithm is not None]
+
+
+PARTS: dict[str, Callable[[Conditions], list[Figure]]] = {
+    "physics": measure_physics,
+    "twin": measure_twin,
+    "training": measure_training,
+    "trained": measure_trained,
+}
+
+
+def _train(agent: str, simulation: str, seed: int, folder: Path | None = None, **settings: Any) -> Training:
+    """One training after a first short one, which loads what is compiled and imported late."""
+    given = {f"train.{key}": value for key, value in {"simulation": simulation, "seed": seed, **settings}.items()}
+    config = resolve(agent, settings=given)
+    short = resolve(agent, settings={**given, "train.total_timesteps": 1, "train.eval_freq": 0, "train.save_freq": 0})
+    with tempfile.TemporaryDirectory() as scratch:
+        train_config(short, Path(scratch) / "short")
+        return train_config(config, (folder or Path(scratch)) / "run")
 
 
 def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], bool]:
@@ -122,26 +253,39 @@ def machine() -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Measure, print a table, write JSON."""
     parser = ArgumentParser(prog="python -m tb2rl.benchmark", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write a list of name, value, unit")
-    parser.add_argument("--seconds", type=float, default=5.0, help="for each part")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)} (default: all)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the machine, and each name, value and unit")
+    parser.add_argument("--seconds", type=float, default=5.0, help="for each figure of the parts physics and twin")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="trainings of each agent in the part trained")
+    parser.add_argument("--in", nargs="+", dest="simulations", choices=SIMULATIONS, default=["kinematic"],
+                        help="where the part trained trains (default: kinematic; bullet takes minutes)")  # fmt: skip
     options = parser.parse_args(arguments)
-    if not options.seconds > 0:
-        raise InputError(f"--seconds must be above 0, got {options.seconds}")
-    figures = benchmark(options.seconds)
+    for part in options.parts:
+        if part not in PARTS:
+            raise unknown("part", part, PARTS)
+    if not options.seconds > 0 or options.seeds < 1:
+        raise InputError(f"--seconds must be above 0 and --seeds at least 1, got {options.seconds}, {options.seeds}")
+    conditions = Conditions(options.seconds, options.seeds, options.simulations)
+    figures = [figure for part in options.parts or PARTS for figure in PARTS[part](conditions)]
+    Console().print(as_table(figures))
+    if options.json:
+        tree = {"machine": machine(), "figures": [asdict(figure) for figure in figures]}
+        try:
+            write(options.json, json.dumps(tree, indent=1) + "\n")
+        except OSError as error:
+            raise InputError(f"cannot write {options.json}: {error.strerror}") from None
+
+
+def as_table(figures: Sequence[Figure]) -> Table:
+    """The figures, one a line."""
     table = Table(title=machine(), title_justify="left")
     table.add_column("what")
     table.add_column("value", justify="right")
     table.add_column("unit")
     for figure in figures:
-        table.add_row(
-            figure.name, f"{figure.value:,.3f}" if figure.value < 100 else f"{figure.value:,.0f}", figure.unit
-        )
-    Console().print(table)
-    if options.json:
-        try:
-            write(options.json, json.dumps([asdict(figure) for figure in figures], indent=1) + "\n")
-        except OSError as error:
-            raise InputError(f"cannot write {options.json}: {error.strerror}") from None
+        shown = f"{figure.value:,.2f}" if figure.value < 100 else f"{figure.value:,.0f}"
+        table.add_row(figure.name, shown, figure.unit)
+    return table
 
 
 if __name__ == "__main__":

@@ -59,8 +59,11 @@ class Evaluate(BaseCallback):
         self._next = freq
         self._best = (-np.inf, -np.inf)
 
+    def _on_training_start(self) -> None:
+        self._started = time.monotonic()
+
     def _on_step(self) -> bool:
-        if self.num_timesteps >= self._next:
+        if self._next <= self.num_timesteps < self.locals["total_timesteps"]:  # the end has an evaluation of its own
             self._next = (self.num_timesteps // self.freq + 1) * self.freq
             self.evaluate()
         return True
@@ -71,6 +74,7 @@ class Evaluate(BaseCallback):
         evaluation = self.evaluator.run(self.model.policy)
         summary = {"timesteps": self.num_timesteps, **evaluation.summary()}
         summary["seconds"] = round(time.monotonic() - started, 3)
+        summary["elapsed"] = round(time.monotonic() - self._started, 3)  # since the training began
         summary["best"] = evaluation.score > self._best
         if summary["best"]:
             self._best = evaluation.score

@@ -77,6 +77,10 @@ def test_a_changed_config_comes_back_from_its_yaml():
 def test_every_shipped_config_resolves(file):
     if file.parent.name == "mazes":
         assert resolve(settings={"task.maze": file.stem}).task_settings.maze == file.stem
+    elif file.parent.name == "kinematic":
+        assert file.stem in agent_names(), "a preset that nobody reads"
+        fast, slow = (resolve(file.stem, settings={"train.simulation": name}) for name in ("kinematic", "bullet"))
+        assert fast.train.n_envs > slow.train.n_envs
     elif file.parent.name in ("agents", "tasks"):
         kind = file.parent.name.removesuffix("s")
         assert file.stem in (agent_names() if kind == "agent" else task_names()), "a preset that nobody reads"

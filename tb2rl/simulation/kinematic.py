@@ -212,16 +212,29 @@ class KinematicSimulation:
         poses, rims = self._poses.copy(), self._rims.copy()  # readings keep what they show
         twists, bumped = np.empty_like(rims), np.empty(self.robots, dtype=bool)
         ranges = np.empty((self.robots, self._beams[0].size))
+        self.advance(poses, rims, np.ascontiguousarray(commands, dtype=float), duration, twists, bumped, ranges)
+        self._poses, self._rims = poses, rims
+        return Reading(poses, twists, poses, ranges, bumped)
+
+    def advance(
+        self,
+        poses: np.ndarray,
+        rims: np.ndarray,
+        commands: np.ndarray,
+        duration: float,
+        twists: np.ndarray,
+        bumped: np.ndarray,
+        ranges: np.ndarray,
+    ) -> None:
+        """The compiled work of a step alone, into the caller's arrays; for `step` and the benchmark."""
         data = (
-            poses, rims, np.ascontiguousarray(commands, dtype=float), duration, self.maze.boxes, self.maze.posts,
-            *self._beams, self._limits, self._keys, self._steps, twists, bumped, ranges,
+            poses, rims, commands, duration, self.maze.boxes, self.maze.posts, *self._beams, self._limits,
+            self._keys, self._steps, twists, bumped, ranges,
         )  # fmt: skip
         if self.robots > BLOCK:
             step_in_threads(*data)
         else:
             step_block(0, self.robots, *data)
-        self._poses, self._rims = poses, rims
-        return Reading(poses, twists, poses, ranges, bumped)
 
     def place(self, robots: np.ndarray, poses: np.ndarray, reading: Reading) -> Reading:
         """Put the robots with indices `robots` (n,) at `poses` (n, 3), at rest, and write it into the last reading."""
