@@ -265,6 +265,8 @@ def main(arguments: list[str] | None = None) -> None:
             raise unknown("part", part, PARTS)
     if not options.seconds > 0 or options.seeds < 1:
         raise InputError(f"--seconds must be above 0 and --seeds at least 1, got {options.seconds}, {options.seeds}")
+    if options.json and not options.json.absolute().parent.is_dir():
+        raise InputError(f"cannot write {options.json}: there is no folder {options.json.absolute().parent}")
     conditions = Conditions(options.seconds, options.seeds, options.simulations)
     figures = [figure for part in options.parts or PARTS for figure in PARTS[part](conditions)]
     Console().print(as_table(figures))

@@ -12,9 +12,12 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import tb2rl
+from tb2rl.evaluation import Evaluator
 from tb2rl.laser import cast
 from tb2rl.maze import load_maze, maze_from, maze_names
+from tb2rl.observations import prepare
 from tb2rl.robot import BASE_RADIUS, MAX_SPEED, MAX_TURN_RATE, WHEEL_SEPARATION, Laser
+from tb2rl.runs import config_of
 from tb2rl.simulation import PHYSICS_RATE
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.simulation.kinematic import WHEEL_ACCELERATION, WHEEL_COUPLING, KinematicSimulation
@@ -104,6 +107,28 @@ def test_a_robot_stops_at_a_wall_and_gets_away_backwards(yaw):
         reading = twin.step(np.array([[-MAX_SPEED, 0.0]]), PERIOD)
     assert not reading.bumped[0]
     assert maze.clearance(*reading.pose[0, :2]) > BASE_RADIUS + 0.1
+
+
+def crash_free_in_the_twin(policy, poses: np.ndarray, steps: int) -> float:
+    config = config_of(policy)
+    maze, task, observe, laser = prepare(config.task_settings, config.observation)
+    twin, crashed = KinematicSimulation(maze, laser, len(poses)), np.zeros(len(poses), dtype=bool)
+    reading = twin.reset(poses, np.random.default_rng(0))
+    for _ in range(steps):
+        actions, _ = policy.predict(observe(reading), deterministic=True)
+        before, reading = reading, twin.step(task.commands[actions], task.control_period)
+        crashed |= task.judge(before, actions, reading).endings["crash"]
+    return 1.0 - float(crashed.mean())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["zoo:maze-loop-qlearn", "zoo:maze-loop-dqn"])
+def test_a_policy_is_as_good_in_both_simulations(name):
+    """200 episodes of 1 500 control steps from the same start poses."""
+    policy = tb2rl.load(name)
+    with Evaluator(config_of(policy).task_settings, config_of(policy).observation, episodes=200) as evaluator:
+        in_physics = evaluator.run(policy.policy).summary()["crash_free_rate"]
+    assert crash_free_in_the_twin(policy, evaluator.poses, evaluator.steps) == pytest.approx(in_physics, abs=0.02)
 
 
 def test_both_simulations_read_the_same_at_the_same_pose():

@@ -1,0 +1,95 @@
+"""The benchmark measures what it says, and the compiled code uses the processors that there are."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numba
+import numpy as np
+import pytest
+
+from tb2rl import benchmark
+from tb2rl.benchmark import PARTS, Figure, learners
+from tb2rl.maze import load_maze
+from tb2rl.robot import Laser
+from tb2rl.simulation.kinematic import KinematicSimulation
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Less of everything."""
+    monkeypatch.setattr(benchmark, "BEAMS", (6,))
+    monkeypatch.setattr(benchmark, "ROBOTS", (1, 100))
+    monkeypatch.setattr(benchmark, "WORLDS", 2)
+    monkeypatch.setattr(benchmark, "learners", lambda: ["qlearn"])
+
+
+def test_the_table_has_a_figure_for_everything(brief, tmp_path, capsys):
+    benchmark.main(["physics", "twin", "--seconds", "0.2", "--json", str(tmp_path / "b.json")])
+    tree = json.loads((tmp_path / "b.json").read_text())
+    values = {figure["name"]: figure["value"] for figure in tree["figures"]}
+    assert "processors" in tree["machine"]
+    assert values["PyBullet, 6 beams: step / bare stepping"] > 1
+    for robots in (1, 100):
+        assert values[f"twin, {robots} robots, 6 beams: step / bare kernel"] > 1
+    assert values["twin, 100 robots, 6 beams: step"] > values["PyBullet, 6 beams: step"]
+    printed = capsys.readouterr().out
+    assert tree["machine"].split(",")[0] in printed
+    assert all(name in printed for name in values)
+
+
+@pytest.mark.slow
+def test_the_time_to_trained_is_the_one_of_the_first_evaluation_that_passes(brief, tmp_path):
+    benchmark.main(["training", "trained", "--seeds", "2", "--json", str(tmp_path / "b.json")])
+    figures = [Figure(**figure) for figure in json.loads((tmp_path / "b.json").read_text())["figures"]]
+    values = {figure.name: figure.value for figure in figures}
+    times = [values[f"qlearn in kinematic, seed {seed}: trained after"] for seed in (0, 1)]
+    assert values["qlearn in kinematic: trained, median of 2 seeds"] == pytest.approx(np.mean(times))
+    assert all(0.1 < seconds < 120 for seconds in times)
+    assert all(values[f"qlearn in kinematic, seed {s}: crash-free, standard evaluation"] >= 95 for s in (0, 1))
+    assert values["training, qlearn in kinematic"] > 10 * values["training, qlearn in bullet"]
+
+
+def test_it_knows_every_agent_that_learns():
+    assert learners() == ["dqn", "ppo", "qlearn"]
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("twn", ["twn", "did you mean 'twin'", *PARTS]),
+        ("--seconds 0", ["--seconds", "0.0"]),
+        ("--seeds 0", ["--seeds", "0"]),
+        ("--in gazebo", ["gazebo", "kinematic", "bullet"]),
+        ("--json nowhere/b.json", ["nowhere/b.json"]),
+    ],
+)
+def test_bad_input_is_refused_before_anything_is_measured(line, named, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(benchmark, "PARTS", dict.fromkeys(PARTS, lambda conditions: pytest.fail("measured")))
+    with pytest.raises(SystemExit) as stopped:
+        benchmark.main(line.split())
+    message = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert message.count("\n") == 1
+    assert [part for part in named if part not in message] == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor has nothing to share")
+def test_two_threads_do_more_than_one():
+    """They did not while two compilations of one function shared an entry of the cache."""
+    simulation, rng = KinematicSimulation(load_maze("loop"), Laser(36), 4096), np.random.default_rng(0)
+    simulation.reset(simulation.maze.random_poses(rng, 4096, 0.6), rng)
+    commands, taken = np.tile([0.05, 1.0], (4096, 1)), {1: float("inf"), 2: float("inf")}
+    try:
+        for _ in range(20):
+            for threads in taken:
+                numba.set_num_threads(threads)
+                start = time.perf_counter()
+                simulation.step(commands, 0.2)
+                taken[threads] = min(taken[threads], time.perf_counter() - start)
+    finally:
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    assert taken[1] > 1.3 * taken[2]
