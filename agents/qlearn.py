@@ -215,6 +215,7 @@ class QLearning(BaseAlgorithm):
         self.policy.set_training_mode(True)
         states = self.policy.states(self._last_obs)
         while self.num_timesteps < total_timesteps:
+            callback.on_rollout_start()
             actions = self._choose(states)
             observations, rewards, dones, infos = self.env.step(actions)
             self.num_timesteps += self.env.num_envs

@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import HParam, Image
 from tb2rl.evaluation import Evaluator
 from tb2rl.maze import load_maze
 from tb2rl.render import draw_paths
+from tb2rl.resume import Stateful, capture
 from tb2rl.runs import Run
 
 _WINDOW = 100  # episodes in a running mean
@@ -32,6 +33,14 @@ class Statistics(BaseCallback):
         self._ended: deque[str] = deque(maxlen=_WINDOW)
         self._distances: deque[float] = deque(maxlen=_WINDOW)
         self.lengths: list[int] = []
+
+    def state(self) -> dict[str, Any]:
+        return {"ended": self._ended, "distances": self._distances, "lengths": self.lengths}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._ended.extend(state["ended"])
+        self._distances.extend(state["distances"])
+        self.lengths.extend(state["lengths"])
 
     def _on_training_start(self) -> None:
         metrics = {"rollout/ep_rew_mean": 0.0, "rollout/ep_len_mean": 0.0, "rollout/crash_rate": 0.0, "eval/score": 0.0}
@@ -58,6 +67,19 @@ class Evaluate(BaseCallback):
         self.run, self.evaluator, self.freq = run, evaluator, freq
         self._next = freq
         self._best = (-np.inf, -np.inf)
+        self._elapsed_before = 0.0
+
+    def state(self) -> dict[str, Any]:
+        return {"next": self._next, "best": self._best, "elapsed": self._elapsed()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._next, self._elapsed_before = int(state["next"]), float(state["elapsed"])
+        success, mean_return = map(float, state["best"])
+        self._best = (success, mean_return)
+
+    def _elapsed(self) -> float:
+        """Seconds since the training began."""
+        return round(self._elapsed_before + time.monotonic() - self._started, 3)
 
     def _on_training_start(self) -> None:
         self._started = time.monotonic()
@@ -74,11 +96,11 @@ class Evaluate(BaseCallback):
         evaluation = self.evaluator.run(self.model.policy)
         summary = {"timesteps": self.num_timesteps, **evaluation.summary()}
         summary["seconds"] = round(time.monotonic() - started, 3)
-        summary["elapsed"] = round(time.monotonic() - self._started, 3)  # since the training began
+        summary["elapsed"] = self._elapsed()
         summary["best"] = evaluation.score > self._best
         if summary["best"]:
             self._best = evaluation.score
-            self.run.save(self.model, "best/policy.pt")
+            self.run.save(self.model, "best/policy")
         self.run.note("evaluations.jsonl", summary)
         for key in ("crash_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "mean_speed"):
             self.logger.record(f"eval/{key}", summary[key])
@@ -93,17 +115,31 @@ class Evaluate(BaseCallback):
 
 
 class Checkpoints(BaseCallback):
-    """Saves the policy now and then."""
+    """Saves everything that the rest of the training depends on, now and then, and keeps the last few of these."""
 
-    def __init__(self, run: Run, freq: int) -> None:
+    def __init__(self, run: Run, freq: int, keep: int) -> None:
         super().__init__()
-        self.run, self.freq = run, freq
+        self.run, self.freq, self.keep = run, freq, keep
         self._next = freq
+        self.others: Sequence[Stateful] = ()  # the callbacks that remember, this one among them
+
+    def state(self) -> dict[str, Any]:
+        return {"next": self._next}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._next = int(state["next"])
+
+    def _on_rollout_start(self) -> None:
+        if self.freq and self.num_timesteps >= self._next:
+            self._next = (self.num_timesteps // self.freq + 1) * self.freq
+            self.save()
+
+    def save(self) -> None:
+        """Save the training as it is now, where a rollout starts or the training ends."""
+        self.run.save_training(self.model, capture(self.model, self.others))
+        self.run.prune(self.keep)
 
     def _on_step(self) -> bool:
-        if self.num_timesteps >= self._next:
-            self._next = (self.num_timesteps // self.freq + 1) * self.freq
-            self.run.save(self.model, f"checkpoints/step-{self.num_timesteps:010d}.pt")
         return True
 
 
@@ -113,6 +149,12 @@ class StopAfterEpisodes(BaseCallback):
     def __init__(self, episodes: int) -> None:
         super().__init__()
         self.left = episodes
+
+    def state(self) -> dict[str, Any]:
+        return {"left": self.left}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.left = int(state["left"])
 
     def _on_step(self) -> bool:
         self.left -= int(self.locals["dones"].sum())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -127,6 +127,28 @@ class TurtleBot2Env(gym.Env[np.ndarray, np.int64]):
         if not hasattr(self.simulation, "camera"):
             raise InputError("only simulation 'bullet' has a camera")
         return self.simulation.camera(width, height)
+
+    def state(self) -> dict[str, Any]:
+        """All that the rest of the episode and later ones depend on, in plain values and arrays."""
+        if self._reading is None:
+            raise InputError("state needs a reset first")
+        return {
+            "simulation": asdict(self.simulation.state()),
+            "reading": asdict(self._reading),
+            "steps": self._steps,
+            "distance": self._distance,
+            "generator": self.np_random.bit_generator.state,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a `state` as if nothing had happened since."""
+        if self._reading is None:  # the simulation learns where its noise comes from
+            self.simulation.reset(np.array([self.maze.start]), self.np_random)
+        self.simulation.restore(self.simulation.state_type(**state["simulation"]))
+        self._reading = Reading(**state["reading"])
+        self._steps, self._distance = int(state["steps"]), float(state["distance"])
+        self.np_random.bit_generator.state = state["generator"]
+        self.path = [self._reading.pose[0]]
 
     def close(self) -> None:
         self.simulation.close()

@@ -2,24 +2,24 @@
 
     runs/<task>/<agent>/<name>/
         config.yaml         the resolved config, and the versions of what trained it
-        checkpoints/        step-<timesteps>.pt, as training goes on
-        best/policy.pt      the best in an evaluation while training
-        final/policy.pt     the last
+        checkpoints/        step-<timesteps>, the last few: policy, and all that `--resume` needs
+        best/policy         the best in an evaluation while training
+        final/policy        the last
         evaluations.jsonl   a line for each evaluation while training
         evaluation.json     the standard evaluation
         tensorboard/        event files
 
-A checkpoint holds arrays and plain values only, and is read without running code from it (`weights_only`): the
-algorithm is rebuilt from the config through the registry, which imports the modules that the config names. Files are
-written beside and renamed, so a folder is valid at every instant.
+A checkpoint holds arrays and plain values only (`tb2rl.checkpoint`): the algorithm is rebuilt from its config through
+the registry, which imports the modules that the config names. Files are written beside and renamed, so a folder is
+valid at every instant.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
@@ -28,22 +28,23 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch as th
 import yaml
+from filelock import FileLock, Timeout
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from tb2rl.checkpoint import SUFFIX, read_checkpoint, replacing, write_checkpoint
 from tb2rl.config import Config, algorithm_arguments, config_from
 from tb2rl.errors import InputError, unknown
 from tb2rl.observations import prepare
 from tb2rl.registry import find_agent, import_object
 from tb2rl.settings import checked, read_yaml, room
 
-FORMAT = 1
-_CONTENT = {"config", "parameters", "timesteps"}
-_PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba")
+_PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,11 @@ class Run:
             raise InputError(f"{folder} exists already; choose another --name")
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            write(folder / "config.yaml", yaml.safe_dump({**config.to_dict(), "versions": versions()}, sort_keys=False))
         except OSError as error:
             raise InputError(f"cannot write the run folder {folder}: {error.strerror}") from None
-        return cls(folder, config)
+        run = cls(folder, config)
+        run.write_config()
+        return run
 
     @classmethod
     def open(cls, folder: Path) -> Run:
@@ -84,25 +86,73 @@ class Run:
         except (AttributeError, InputError) as error:
             raise InputError(f"{folder / 'config.yaml'} is not a run's config: {error}") from None
 
-    def save(self, algorithm: BaseAlgorithm, place: str) -> Path:
-        """Write a checkpoint at `place` within the folder, for example "best/policy.pt"."""
-        path = self.folder / place
-        path.parent.mkdir(exist_ok=True)
+    def write_config(self) -> None:
+        """Write the config, and the versions of what trains it."""
+        text = yaml.safe_dump({**self.config.to_dict(), "versions": versions()}, sort_keys=False)
+        try:
+            write(self.folder / "config.yaml", text)
+        except OSError as error:
+            raise InputError(f"cannot write the run folder {self.folder}: {error.strerror}") from None
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other processes from training in this folder; a process that dies holds no lock.
+
+        Raises:
+            InputError: If another process does.
+        """
+        try:
+            with FileLock(self.folder / ".lock", timeout=0):
+                yield
+        except Timeout:
+            raise InputError(f"another process is training in {self.folder}") from None
+
+    def save(self, algorithm: BaseAlgorithm, place: str, **more: Any) -> Path:
+        """Write a checkpoint at `place` within the folder, for example "best/policy".
+
+        Raises:
+            InputError: If it cannot be written; what was there before stays.
+        """
+        path = self.folder / f"{place}{SUFFIX}"
         content = {
-            "format": FORMAT,
             "timesteps": algorithm.num_timesteps,
             "versions": versions(),
             "config": self.config.to_dict(),
-            "parameters": algorithm.get_parameters(),
+            "policy": algorithm.policy.state_dict(),
+            **more,
         }
-        with _replacing(path) as temporary:
-            th.save(content, temporary)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            write_checkpoint(path, content)
+        except OSError as error:
+            raise InputError(f"cannot write {path}: {error.strerror or error}") from None
         return path
+
+    def save_training(self, algorithm: BaseAlgorithm, state: Mapping[str, Any]) -> Path:
+        """Write a checkpoint that a training can go on from, see `tb2rl.resume`."""
+        return self.save(algorithm, f"checkpoints/step-{algorithm.num_timesteps:010d}", training=state)
+
+    @property
+    def checkpoints(self) -> list[Path]:
+        """The checkpoints of the training itself, latest first."""
+        return sorted((self.folder / "checkpoints").glob(f"step-*{SUFFIX}"), reverse=True)
+
+    def prune(self, keep: int) -> None:
+        """Remove all but the last `keep` checkpoints of the training."""
+        for file in self.checkpoints[keep:]:
+            file.unlink(missing_ok=True)
 
     def note(self, file: str, entry: Mapping[str, Any]) -> None:
         """Append a line of JSON to a file of the folder."""
         with (self.folder / file).open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(entry) + "\n")
+
+    def forget_notes(self, file: str, after: int) -> None:
+        """Drop the lines of a file of the folder whose timesteps are larger than `after`."""
+        path = self.folder / file
+        if path.is_file():
+            lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+            write(path, "".join(line for line in lines if json.loads(line)["timesteps"] <= after))
 
     @property
     def policy_file(self) -> Path:
@@ -111,8 +161,8 @@ class Run:
         Raises:
             InputError: If there is none yet.
         """
-        steps = sorted((self.folder / "checkpoints").glob("step-*.pt"), reverse=True)
-        for file in (self.folder / "best" / "policy.pt", self.folder / "final" / "policy.pt", *steps):
+        places = (self.folder / place / f"policy{SUFFIX}" for place in ("best", "final"))
+        for file in (*places, *self.checkpoints):
             if file.is_file():
                 return file
         raise InputError(f"{self.folder} holds no checkpoint yet")
@@ -128,21 +178,46 @@ def load(reference: str | Path) -> BaseAlgorithm:
         InputError: If it is none of these, or does not hold what it should.
     """
     file = checkpoint_file(reference)
-    try:
-        content = th.load(file, weights_only=True, map_location="cpu")
-    except Exception as error:  # torch's unpickler lets through whatever a broken file leads to
-        raise InputError(f"{file} is not a checkpoint ({type(error).__name__})") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT or not content.keys() >= _CONTENT:
-        raise InputError(f"{file} is not a checkpoint of format {FORMAT}")
-    config = config_from(content["config"])
+    content = read_checkpoint(file)
+    config = content_config(content, file)
     algorithm = make_algorithm(config, _Spaces.vectorised(config))
-    try:
-        algorithm.set_parameters(content["parameters"], exact_match=True)
-    except (RuntimeError, TypeError, ValueError, KeyError) as error:
-        raise InputError(f"{file} does not fit agent {config.agent}: {str(error).splitlines()[0]}") from None
-    algorithm.num_timesteps = checked(int, content["timesteps"], f"{file}: timesteps")
+    load_parameters(algorithm, content, file)
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
+
+
+def content_config(content: Mapping[str, Any], file: Path) -> Config:
+    """The config in a checkpoint."""
+    try:
+        return config_from(content["config"])
+    except (InputError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file} does not hold a config that fits: {error}") from None
+
+
+def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: Path) -> None:
+    """Put the parameters of a checkpoint into the algorithm of its config: the policy's, and optimisers' if it has any.
+
+    Raises:
+        InputError: If they do not fit.
+    """
+    try:
+        algorithm.num_timesteps = checked(int, content["timesteps"], "timesteps")
+        algorithm.policy.load_state_dict(_tensors(content["policy"]))
+        if "training" in content:
+            parameters = {"policy": content["policy"], **content["training"]["optimizers"]}
+            algorithm.set_parameters(_tensors(parameters), exact_match=True)
+    except (InputError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise InputError(f"{file} does not fit its config: {line}") from None
+
+
+def _tensors(tree: Any) -> Any:
+    """The tree with tensors for arrays, as torch wants it."""
+    if isinstance(tree, np.ndarray):
+        return th.from_numpy(tree)
+    if isinstance(tree, Mapping):
+        return {key: _tensors(value) for key, value in tree.items()}
+    return [_tensors(value) for value in tree] if isinstance(tree, list) else tree
 
 
 def config_of(policy: Any) -> Config:
@@ -208,7 +283,7 @@ def make_baseline(config: Config) -> BasePolicy:
 
 def write(path: Path, text: str) -> None:
     """Write a text file in one step: a reader sees the old or the new one, never half of it."""
-    with _replacing(path) as temporary:
+    with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -222,22 +297,6 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:  # a checkout that is not installed
         return "unknown"
-
-
-class _replacing:  # noqa: N801 (reads as a verb)
-    """A temporary path beside `path` that takes its place when the block ends well."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.temporary = path, path.with_name(f".{path.name}.{os.getpid()}")
-
-    def __enter__(self) -> Path:
-        return self.temporary
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.temporary.replace(self.path)
-        else:
-            self.temporary.unlink(missing_ok=True)
 
 
 class _Spaces(gym.Env):

@@ -9,22 +9,26 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import gymnasium as gym
+import numpy as np
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
-from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from torch.utils.tensorboard import SummaryWriter
 
 from tb2rl import callbacks
+from tb2rl.checkpoint import read_checkpoint
 from tb2rl.config import Config, resolve
 from tb2rl.envs import TurtleBot2Env
+from tb2rl.errors import InputError
 from tb2rl.evaluation import TRAINING_SEED, Evaluator
 from tb2rl.processes import ProcessVecEnv
-from tb2rl.runs import Run, load, make_algorithm
+from tb2rl.resume import Stateful, restore
+from tb2rl.runs import Run, content_config, load, load_parameters, make_algorithm
 from tb2rl.tasks import Task
 from tb2rl.vec_env import BatchVecEnv
 
@@ -68,14 +72,50 @@ class Training:
     """How a training went."""
 
     run: Run
-    timesteps: int
-    seconds: float  # of learning, evaluations included
+    timesteps: int  # control steps; of a resumed training those since
+    seconds: float  # of learning them, evaluations included
     lengths: Sequence[int]  # control steps of each episode
     interrupted: bool
 
 
 def train_config(config: Config, folder: str | Path, progress_bar: bool = False, verbose: int = 0) -> Training:
     """`train` for a resolved config."""
+    return _train(config, Path(folder), None, progress_bar, verbose)
+
+
+def resume(
+    folder: str | Path, total_timesteps: int | None = None, progress_bar: bool = False, verbose: int = 0
+) -> Training:
+    """Go on with the training of a run folder from its last checkpoint, as if nothing had happened.
+
+    Args:
+        folder: The run folder.
+        total_timesteps: A larger total than the run was begun with; schedules then stretch over it.
+        progress_bar, verbose: As in `train`.
+
+    Raises:
+        InputError: If there is nothing to resume, or it does not fit.
+    """
+    run = Run.open(Path(folder))
+    if not run.checkpoints:
+        raise InputError(f"{folder} has no checkpoint of its training to go on from")
+    file = run.checkpoints[0]
+    content = read_checkpoint(file)
+    config = run.config
+    if content_config(content, file) != config or "training" not in content:
+        raise InputError(f"{file} is not a checkpoint of the training that {folder} describes")
+    if total_timesteps is not None:
+        if total_timesteps < config.train.total_timesteps:
+            raise InputError(f"the run was begun with {config.train.total_timesteps} steps; ask for more, not for less")
+        config = replace(config, train=replace(config.train, total_timesteps=total_timesteps))
+    if content["timesteps"] >= config.train.total_timesteps:
+        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; raise --total-timesteps to go on")
+    return _train(config, run.folder, (file, content), progress_bar, verbose)
+
+
+def _train(
+    config: Config, folder: Path, resumed: tuple[Path, dict[str, Any]] | None, progress_bar: bool, verbose: int
+) -> Training:
     settings = config.train
     with ExitStack() as resources:
         th.set_num_threads(settings.torch_threads)
@@ -85,27 +125,56 @@ def train_config(config: Config, folder: str | Path, progress_bar: bool = False,
         if settings.eval_freq:
             conditions = (settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
             evaluator = resources.enter_context(Evaluator(config.task_settings, config.observation, *conditions))
-        run = Run.create(Path(folder), config)
-        algorithm.set_logger(configure(str(run.folder / "tensorboard"), ["tensorboard"]))
+        run = Run(folder, config) if resumed else Run.create(folder, config)
+        resources.enter_context(run.lock())
         statistics, stop = callbacks.Statistics(config.to_dict()), callbacks.StopOnInterrupt()
-        watching: list[BaseCallback] = [statistics, stop]
-        if settings.save_freq:
-            watching.append(callbacks.Checkpoints(run, settings.save_freq))
+        checkpoints = callbacks.Checkpoints(run, settings.save_freq, settings.keep)
+        remembering: list[Any] = [statistics, checkpoints]
         if settings.eval_freq:
             evaluation = callbacks.Evaluate(run, evaluator, settings.eval_freq)
-            watching.append(evaluation)
+            remembering.append(evaluation)
         if settings.episodes:
-            watching.append(callbacks.StopAfterEpisodes(settings.episodes))
-        if verbose:
-            watching.append(callbacks.EpisodeLines())
+            remembering.append(callbacks.StopAfterEpisodes(settings.episodes))
+        checkpoints.others = remembering
+        watching: list[BaseCallback] = [*remembering, stop, *([callbacks.EpisodeLines()] if verbose else [])]
+        done = 0
+        if resumed:
+            done = _restore(algorithm, run, *resumed, remembering)
+        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done)]))
         started = time.monotonic()
         with stop:
-            algorithm.learn(settings.total_timesteps, watching, progress_bar=progress_bar)
-            run.save(algorithm, "final/policy.pt")
-            if settings.eval_freq and not stop.interrupted:
-                evaluation.evaluate()
+            algorithm.learn(
+                settings.total_timesteps - done, watching, reset_num_timesteps=not resumed, progress_bar=progress_bar
+            )
+            run.save(algorithm, "final/policy")
+            if not stop.interrupted:
+                checkpoints.save()
+                if settings.eval_freq:
+                    evaluation.evaluate()
         seconds = time.monotonic() - started
-    return Training(run, algorithm.num_timesteps, seconds, statistics.lengths, stop.interrupted)
+    return Training(run, algorithm.num_timesteps - done, seconds, statistics.lengths, stop.interrupted)
+
+
+def _restore(
+    algorithm: BaseAlgorithm, run: Run, file: Path, content: dict[str, Any], remembering: Sequence[Stateful]
+) -> int:
+    """Put the content of a checkpoint into a training, undo what was noted after it; its timesteps."""
+    load_parameters(algorithm, content, file)
+    try:
+        restore(content["training"], algorithm, remembering)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    run.write_config()
+    run.forget_notes("evaluations.jsonl", after=algorithm.num_timesteps)
+    return algorithm.num_timesteps
+
+
+class TensorBoard(TensorBoardOutputFormat):
+    """Stable-Baselines3's event files; those of a resumed training replace what a killed one wrote after `done`."""
+
+    def __init__(self, folder: Path, done: int) -> None:
+        self.writer = SummaryWriter(log_dir=str(folder), purge_step=done + 1 if done else None)
+        self._is_closed = False
 
 
 def make_vec_env(config: Config) -> VecEnv:
@@ -135,10 +204,39 @@ def _training_task(config: Config) -> Task:
 
 
 def _make_world(config: Config) -> gym.Env:
-    env: gym.Env = Monitor(TurtleBot2Env(_training_task(config), config.observation))
-    scale = config.train.reward_scale
-    return env if scale == 1.0 else gym.wrappers.TransformReward(env, partial(_scaled, scale))
+    return TrainingWorld(TurtleBot2Env(_training_task(config), config.observation), config.train.reward_scale)
 
 
-def _scaled(scale: float, reward: float) -> float:
-    return scale * reward
+class TrainingWorld(gym.Wrapper[np.ndarray, np.int64, np.ndarray, np.int64]):
+    """Reports an episode that ends as Stable-Baselines3 wants it (its `Monitor` does not resume), scales rewards.
+
+    Args:
+        env: The world.
+        reward_scale: Of the rewards that `step` returns; `episode` holds the unscaled return.
+    """
+
+    env: TurtleBot2Env
+
+    def __init__(self, env: TurtleBot2Env, reward_scale: float = 1.0) -> None:
+        super().__init__(env)
+        self.reward_scale = reward_scale
+        self._return, self._length = 0.0, 0
+
+    def reset(self, **arguments: Any) -> tuple[np.ndarray, dict[str, Any]]:
+        self._return, self._length = 0.0, 0
+        return self.env.reset(**arguments)
+
+    def step(self, action: np.int64) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._return += float(reward)
+        self._length += 1
+        if terminated or truncated:
+            info["episode"] = {"r": self._return, "l": self._length, "t": 0.0}
+        return observation, self.reward_scale * float(reward), terminated, truncated, info
+
+    def state(self) -> dict[str, Any]:
+        return {**self.env.state(), "return": self._return, "length": self._length}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.env.restore(state)
+        self._return, self._length = float(state["return"]), int(state["length"])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import gymnasium as gym
@@ -83,6 +84,35 @@ class BatchVecEnv(VecEnv):
             observations[ended] = self._observe(some_of(after, ended))
         self._reading = after
         return observations, (self.reward_scale * outcome.reward).astype(np.float32), dones, infos
+
+    def state(self) -> dict[str, Any]:
+        """All that the rest of the episodes and later ones depend on, in plain values and arrays."""
+        return {
+            "simulation": asdict(self.simulation.state()),
+            "reading": asdict(self._reading),
+            "keys": self._keys.copy(),
+            "draws": self._draws.copy(),
+            "lengths": self._lengths.copy(),
+            "returns": self._returns.copy(),
+            "distances": self._distances.copy(),
+            "generator": self._rng.bit_generator.state,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a `state` as if nothing had happened since.
+
+        Raises:
+            ValueError: If it is one of another number of robots or beams.
+        """
+        sizes = self.num_envs, len(self.laser.angles)
+        if state["reading"]["ranges"].shape != sizes or any(len(a) != sizes[0] for a in state["simulation"].values()):
+            raise ValueError(f"the state is not one of {sizes[0]} robots with {sizes[1]} beams")
+        self.simulation.restore(self.simulation.state_type(**state["simulation"]))
+        self._reading = Reading(**state["reading"])
+        self._keys, self._draws = state["keys"].copy(), state["draws"].copy()
+        self._lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
+        self._distances = state["distances"].copy()
+        self._rng.bit_generator.state = state["generator"]
 
     def close(self) -> None:
         self.simulation.close()

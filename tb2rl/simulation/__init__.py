@@ -51,6 +51,7 @@ class Simulation(Protocol):
     """Robots that share a maze but not each other's space: they do not meet."""
 
     robots: int
+    state_type: type[Any]  # of `state`: a dataclass of plain values and arrays
 
     def reset(self, poses: np.ndarray, rng: np.random.Generator) -> Reading:
         """Put the robots at `poses` (robots, 3), at rest; `rng` is the source of their laser noise from now on."""

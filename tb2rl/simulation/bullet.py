@@ -78,6 +78,7 @@ class BulletSimulation:
     """
 
     robots = 1
+    state_type = BulletState
 
     def __init__(self, maze: Maze, laser: robot.Laser, window: bool = False) -> None:
         self.maze, self.laser = maze, laser

@@ -195,12 +195,15 @@ class KinematicSimulation:
         robots: How many.
     """
 
+    state_type = KinematicState
+
     def __init__(self, maze: Maze, laser: robot.Laser, robots: int = 1) -> None:
         self.maze, self.laser, self.robots = maze, laser, robots
         self._beams = np.cos(laser.angles), np.sin(laser.angles)
         self._limits = np.array([laser.noise, laser.min_range, laser.max_range])
         self._poses, self._rims = np.zeros((robots, 3)), np.zeros((robots, 2))
         self._keys, self._steps = np.zeros(robots, dtype=np.uint64), np.zeros(robots, dtype=np.uint64)
+        self._bumped = np.zeros(robots, dtype=bool)
 
     def reset(self, poses: np.ndarray, rng: np.random.Generator) -> Reading:
         keys = rng.integers(2**64, size=self.robots, dtype=np.uint64)
@@ -213,7 +216,7 @@ class KinematicSimulation:
         twists, bumped = np.empty_like(rims), np.empty(self.robots, dtype=bool)
         ranges = np.empty((self.robots, self._beams[0].size))
         self.advance(poses, rims, np.ascontiguousarray(commands, dtype=float), duration, twists, bumped, ranges)
-        self._poses, self._rims = poses, rims
+        self._poses, self._rims, self._bumped = poses, rims, bumped
         return Reading(poses, twists, poses, ranges, bumped)
 
     def advance(
@@ -245,16 +248,16 @@ class KinematicSimulation:
         return Reading(self._poses, reading.twist, self._poses, reading.ranges, reading.bumped)
 
     def state(self) -> KinematicState:
-        none = np.zeros(self.robots, dtype=bool)
-        return KinematicState(self._poses.copy(), self._rims.copy(), self._keys.copy(), self._steps.copy(), none)
+        now = (self._poses, self._rims, self._keys, self._steps, self._bumped)
+        return KinematicState(*(array.copy() for array in now))
 
     def restore(self, state: KinematicState) -> Reading:
         self._poses, self._rims = state.poses.copy(), state.rims.copy()
-        self._keys, self._steps = state.keys.copy(), state.steps.copy()
+        self._keys, self._steps, self._bumped = state.keys.copy(), state.steps.copy(), state.bumped.copy()
         ranges = np.empty((self.robots, self._beams[0].size))
         self._sense(np.arange(self.robots), ranges)
         speeds = self._rims.mean(axis=1), np.diff(self._rims, axis=1)[:, 0] / robot.WHEEL_SEPARATION
-        return Reading(self._poses, np.stack(speeds, axis=1), self._poses, ranges, state.bumped)
+        return Reading(self._poses, np.stack(speeds, axis=1), self._poses, ranges, self._bumped)
 
     def close(self) -> None:
         """Nothing to free."""
