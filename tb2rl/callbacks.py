@@ -49,13 +49,15 @@ class Statistics(BaseCallback):
         )
 
     def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            if "episode" in info:
-                self._ended.append(info["ended"])
-                self._distances.append(info["distance"])
-                self.lengths.append(info["episode"]["l"])
-                self.logger.record("rollout/crash_rate", self._ended.count("crash") / len(self._ended))
-                self.logger.record("rollout/distance_mean", float(np.mean(self._distances)))
+        ended = np.flatnonzero(self.locals["dones"])
+        for i in ended:
+            info = self.locals["infos"][i]
+            self._ended.append(info["ended"])
+            self._distances.append(info["distance"])
+            self.lengths.append(info["episode"]["l"])
+        if ended.size:
+            self.logger.record("rollout/crash_rate", self._ended.count("crash") / len(self._ended))
+            self.logger.record("rollout/distance_mean", float(np.mean(self._distances)))
         return True
 
 
@@ -170,10 +172,9 @@ class EpisodeLines(BaseCallback):
         self._started = time.monotonic()
 
     def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            if "episode" in info:
-                self._episodes += 1
-                print(self._line(info["episode"]), flush=True)
+        for i in np.flatnonzero(self.locals["dones"]):
+            self._episodes += 1
+            print(self._line(self.locals["infos"][i]["episode"]), flush=True)
         return True
 
     def _line(self, episode: Mapping[str, float]) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -31,6 +32,9 @@ from tb2rl.resume import Stateful, restore
 from tb2rl.runs import Run, content_config, load, load_parameters, make_algorithm
 from tb2rl.tasks import Task
 from tb2rl.vec_env import BatchVecEnv
+from tb2rl.watcher import Watcher
+
+_DISK_TROUBLES = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
 
 def train(
@@ -122,24 +126,22 @@ def _train(
         env = make_vec_env(config)
         resources.callback(env.close)
         algorithm = make_algorithm(config, env)
-        if settings.eval_freq:
-            conditions = (settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
-            evaluator = resources.enter_context(Evaluator(config.task_settings, config.observation, *conditions))
+        evaluator = resources.enter_context(_evaluator(config)) if settings.eval_freq else None
         run = Run(folder, config) if resumed else Run.create(folder, config)
         resources.enter_context(run.lock())
+        resources.enter_context(_disk_troubles_named(run))
         statistics, stop = callbacks.Statistics(config.to_dict()), callbacks.StopOnInterrupt()
         checkpoints = callbacks.Checkpoints(run, settings.save_freq, settings.keep)
-        remembering: list[Any] = [statistics, checkpoints]
-        if settings.eval_freq:
+        watcher = Watcher(settings.total_timesteps, config.task_settings.control_period)
+        remembering: list[Any] = [statistics, checkpoints, watcher]
+        if evaluator:
             evaluation = callbacks.Evaluate(run, evaluator, settings.eval_freq)
             remembering.append(evaluation)
         if settings.episodes:
             remembering.append(callbacks.StopAfterEpisodes(settings.episodes))
         checkpoints.others = remembering
         watching: list[BaseCallback] = [*remembering, stop, *([callbacks.EpisodeLines()] if verbose else [])]
-        done = 0
-        if resumed:
-            done = _restore(algorithm, run, *resumed, remembering)
+        done = _restore(algorithm, run, *resumed, remembering) if resumed else 0
         algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done)]))
         started = time.monotonic()
         with stop:
@@ -149,10 +151,27 @@ def _train(
             run.save(algorithm, "final/policy")
             if not stop.interrupted:
                 checkpoints.save()
-                if settings.eval_freq:
+                if evaluator:
                     evaluation.evaluate()
         seconds = time.monotonic() - started
     return Training(run, algorithm.num_timesteps - done, seconds, statistics.lengths, stop.interrupted)
+
+
+def _evaluator(config: Config) -> Evaluator:
+    settings = config.train
+    conditions = (settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
+    return Evaluator(config.task_settings, config.observation, *conditions)
+
+
+@contextmanager
+def _disk_troubles_named(run: Run) -> Iterator[None]:
+    """Say in one line that the disk is full, or that the folder cannot be written any more."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _DISK_TROUBLES:
+            raise
+        raise InputError(f"cannot write into {run.folder}: {error.strerror}; its last checkpoint stands") from None
 
 
 def _restore(

@@ -1,0 +1,46 @@
+"""A training that does not learn says so, in one line with what to try; one that learns says nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from tb2rl.config import resolve
+from tb2rl.training import resume, train_config
+from tb2rl.watcher import ADVICE
+
+TROUBLES = {
+    "crashing": {"task.crash_range": 1.5, "agent.exploration_fraction": 0.1},
+    "spinning": {"task.forward_reward": 0.0, "task.turn_reward": 5.0, "task.episode_steps": 100},
+    "flat": {"agent.learning_rate": 0.0, "agent.exploration_fraction": 0.01},
+    "values": {"agent.learning_rate": 3.0},
+}
+FAST = {"train.simulation": "kinematic", "train.n_envs": 64, "train.eval_freq": 0}
+
+
+@pytest.mark.parametrize("problem", TROUBLES)
+def test_a_problem_is_named_once_with_what_to_try(problem, tmp_path, capsys):
+    settings = {**FAST, "train.total_timesteps": 40_000, **TROUBLES[problem]}
+    run = train_config(resolve("qlearn", settings=settings), tmp_path / "run").run
+    warnings = capsys.readouterr().err.splitlines()
+    assert len([line for line in warnings if ADVICE[problem] in line]) == 1
+    assert all(line.startswith("warning: after ") for line in warnings)
+    events = EventAccumulator(str(run.folder / "tensorboard"))
+    events.Reload()
+    assert max(event.value for event in events.Scalars(f"watch/{problem}")) == 1.0
+    resume(run.folder, 41_000)
+    assert ADVICE[problem] not in capsys.readouterr().err, "once is enough, resumed or not"
+
+
+def test_a_network_whose_values_run_away_is_named(tmp_path, capsys):
+    settings = {"agent.learning_rate": 100.0, "agent.learning_starts": 100, "train.total_timesteps": 3000}
+    train_config(resolve("dqn", settings={**FAST, "train.n_envs": 8, **settings}), tmp_path / "run")
+    assert ADVICE["values"] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("agent", ["qlearn", "ppo"])
+def test_a_training_that_learns_is_left_alone(agent, tmp_path, capsys):
+    training = train_config(resolve(agent, settings={**FAST, "train.total_timesteps": 150_000}), tmp_path / "run")
+    assert np.mean(training.lengths[-50:]) > 150
+    assert capsys.readouterr().err == ""
