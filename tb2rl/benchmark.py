@@ -34,7 +34,7 @@ from rich.table import Table
 from tb2rl.config import resolve
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import ArgumentParser, InputError, command, unknown
-from tb2rl.evaluation import evaluate
+from tb2rl.evaluation import PASSED, evaluate
 from tb2rl.processes import ProcessVecEnv, processors
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs import load, write
@@ -47,7 +47,6 @@ from tb2rl.vec_env import BatchVecEnv
 BEAMS = (6, 36, 720)
 ROBOTS = (1, 64, 1024, 4096)
 WORLDS = 16  # as in the presets
-PASSED = 0.95  # crash-free
 _BLOCK = 50  # control steps between the two sides of a ratio
 _STEPS = 50_000  # of a training in PyBullet whose rate is measured
 

@@ -31,6 +31,7 @@ from tb2rl.tasks import Task
 EPISODES, STEPS = 100, 1500
 SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
 TRAINING_SEED = 20_190_000  # of the evaluations while training
+PASSED = 0.95  # success rate from which a training counts as one that has learned
 
 
 class Policy(Protocol):
@@ -187,6 +188,13 @@ def wilson_interval(count: int, total: int, z: float = 1.959964) -> tuple[float,
     centre = (rate + spread / 2) / (1 + spread)
     half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
     return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def bootstrap_interval(values: Sequence[float], resamples: int = 10_000) -> tuple[float, float]:
+    """The 95 % interval of the mean of a few trainings (percentile bootstrap, Agarwal et al. 2021)."""
+    drawn = np.random.default_rng(0).choice(np.asarray(values), size=(resamples, len(values)))
+    low, high = np.percentile(drawn.mean(axis=1), [2.5, 97.5])
+    return float(low), float(high)
 
 
 def evaluate(

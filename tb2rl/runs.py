@@ -180,7 +180,7 @@ def load(reference: str | Path) -> BaseAlgorithm:
     file = checkpoint_file(reference)
     content = read_checkpoint(file)
     config = content_config(content, file)
-    algorithm = make_algorithm(config, _Spaces.vectorised(config))
+    algorithm = make_algorithm(config, Spaces.vectorised(config))
     load_parameters(algorithm, content, file)
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
@@ -277,7 +277,7 @@ def make_baseline(config: Config) -> BasePolicy:
     """The policy of an agent that does not learn."""
     if find_agent(config.agent).algorithm is not None:
         raise InputError(f"agent {config.agent} learns; train it with `python -m tb2rl.train --agent {config.agent}`")
-    spaces, policy = _Spaces(config), import_object(find_agent(config.agent).policy)
+    spaces, policy = Spaces(config), import_object(find_agent(config.agent).policy)
     return policy(spaces.observation_space, spaces.action_space, **config.agent_settings)
 
 
@@ -299,7 +299,7 @@ def _version(package: str) -> str:
         return "unknown"
 
 
-class _Spaces(gym.Env):
+class Spaces(gym.Env):
     """The spaces of a config without a simulation behind them: all that an algorithm needs to be rebuilt."""
 
     def __init__(self, config: Config) -> None:

@@ -188,7 +188,7 @@ def rollout(robots: int, threads: int, task=None, steps: int = 300) -> list[np.n
 
 
 def test_results_do_not_depend_on_threads():
-    for one, two in zip(rollout(200, 1), rollout(200, numba.config.NUMBA_NUM_THREADS), strict=True):
+    for one, two in zip(rollout(1000, 1), rollout(1000, numba.config.NUMBA_NUM_THREADS), strict=True):
         np.testing.assert_array_equal(one, two)
 
 

@@ -25,7 +25,9 @@ PHYSICS_STEP = (
     1.0 / PHYSICS_RATE
 )  # [s] PyBullet moves with the speed at the end of a step, along the heading at its start
 CONTACT = 1.0e-4  # [m] a gap below this is contact
-BLOCK = 64  # robots that a thread takes at a time: 30 microseconds or more of work, where waking one costs up to 90
+BLOCK = 64  # robots that a thread takes at a time
+ROBOT, BEAM = 0.4e-6, 5e-9  # [s] what a step costs a thread, for each robot and for each of its beams
+WORTH_THREADS = 0.2e-3  # [s] of work; to wake a thread costs up to 0.09 ms, and more on a busy machine
 _NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched
 
 
@@ -234,7 +236,7 @@ class KinematicSimulation:
             poses, rims, commands, duration, self.maze.boxes, self.maze.posts, *self._beams, self._limits,
             self._keys, self._steps, twists, bumped, ranges,
         )  # fmt: skip
-        if self.robots > BLOCK:
+        if self.robots * (ROBOT + BEAM * ranges.shape[1]) > WORTH_THREADS:
             step_in_threads(*data)
         else:
             step_block(0, self.robots, *data)

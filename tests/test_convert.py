@@ -1,0 +1,80 @@
+"""Policies go to Stable-Baselines3 and come back; reading a zip runs code, and only `--trust` does it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import stable_baselines3
+from stable_baselines3 import DQN, PPO
+from torch import nn
+
+from tb2rl import convert, load, make_env
+from tb2rl.config import resolve
+from tb2rl.training import train_config
+
+TINY = {"train.simulation": "kinematic", "train.n_envs": 2, "train.total_timesteps": 64, "train.eval_freq": 0}
+
+
+def observations(policy) -> np.ndarray:
+    space = policy.observation_space
+    space.seed(0)
+    return np.stack([space.sample() for _ in range(50)])
+
+
+@pytest.mark.parametrize(("agent", "name"), [("dqn", "DQN"), ("ppo", "PPO")])
+def test_an_exported_policy_opens_in_stable_baselines_and_comes_back(agent, name, tmp_path, capsys):
+    settings = TINY | ({"agent.n_steps": 16, "agent.batch_size": 32} if agent == "ppo" else {})
+    run = train_config(resolve(agent, settings=settings), tmp_path / "run").run
+    convert.main([str(run.folder), str(tmp_path / "policy.zip")])
+    ours, theirs = load(run.folder), getattr(stable_baselines3, name).load(tmp_path / "policy.zip")
+    seen = observations(ours)
+    expected = ours.predict(seen, deterministic=True)[0]
+    np.testing.assert_array_equal(theirs.predict(seen, deterministic=True)[0], expected)
+    convert.main(["--trust", str(tmp_path / "policy.zip"), str(tmp_path / "back"), "--agent", agent])
+    back = load(tmp_path / "back")
+    np.testing.assert_array_equal(back.predict(seen, deterministic=True)[0], expected)
+    assert back.num_timesteps == ours.num_timesteps
+    assert str(tmp_path / "back") in capsys.readouterr().out
+
+
+def test_a_network_of_ones_own_comes_in_with_its_shape(tmp_path):
+    env = make_env("maze", "raw", simulation="kinematic", beams=9)
+    model = PPO("MlpPolicy", env, n_steps=64, policy_kwargs={"net_arch": [16], "activation_fn": nn.ELU})
+    model.save(tmp_path / "mine.zip")
+    settings = ["--set", "task.beams=9"]
+    convert.main(["--trust", str(tmp_path / "mine.zip"), str(tmp_path / "run"), "--agent", "ppo", *settings])
+    seen = observations(model)
+    expected = model.predict(seen, deterministic=True)[0]
+    np.testing.assert_array_equal(load(tmp_path / "run").predict(seen, deterministic=True)[0], expected)
+
+
+@pytest.fixture(scope="module")
+def policy_zip(tmp_path_factory):
+    file = tmp_path_factory.mktemp("zip") / "policy.zip"
+    DQN("MlpPolicy", make_env("maze", "raw", simulation="kinematic"), buffer_size=10).save(file)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("{zip} {new}", ["--trust", "run the code"]),
+        ("--trust {zip} {new}", ["--agent"]),
+        ("--trust {zip} {new} --agent random", ["random", "does not learn"]),
+        ("--trust {zip} {new} --agent ppo", ["policy.zip", "stable_baselines3:PPO"]),
+        ("--trust {zip} {new} --agent dqn --set task.beams=9", ["policy.zip", "observations"]),
+        ("--trust {zip} {new} --agent dqn --task my-maze", ["policy.zip", "actions"]),
+        ("--trust {zip}.no {new} --agent dqn", ["no file", "policy.zip.no"]),
+        ("zoo:maze-loop-dqn {new} --agent dqn", ["--trust"]),
+        ("zoo:none {new}", ["none", "zoo"]),
+        ("zoo:maze-loop-dqn /proc/none/x.zip", ["cannot write", "/proc/none"]),
+    ],
+)
+def test_bad_input_is_one_line(line, named, policy_zip, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        convert.main(line.format(zip=policy_zip, new=tmp_path / "new").split())
+    message = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert message.count("\n") == 1
+    assert [part for part in named if part not in message] == []
+    assert not (tmp_path / "new").exists()
