@@ -17,7 +17,9 @@ valid at every instant.
 from __future__ import annotations
 
 import json
+import os
 import platform
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
@@ -63,13 +65,16 @@ class Run:
         """
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder} exists already; choose another --name")
+        staging = folder.absolute().with_name(f".{folder.name}.{os.getpid()}")  # it appears with its config in it
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            staging.mkdir(parents=True)
+            cls(staging, config).write_config()
+            staging.replace(folder)
         except OSError as error:
             raise InputError(f"cannot write the run folder {folder}: {error.strerror}") from None
-        run = cls(folder, config)
-        run.write_config()
-        return run
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+        return cls(folder, config)
 
     @classmethod
     def open(cls, folder: Path) -> Run:

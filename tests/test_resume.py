@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import random
 import shutil
 import signal
@@ -13,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from filelock import FileLock
@@ -126,6 +129,56 @@ def test_another_runs_checkpoint_is_not_gone_on_with(tmp_path):
     shutil.copy(runs[0].checkpoints[0], runs[1].checkpoints[0])
     with pytest.raises(InputError, match="not a checkpoint of the training that"):
         resume(runs[1].folder, 128)
+
+
+@pytest.mark.parametrize("agent", ["qlearn", "ppo"])
+def test_the_same_seed_gives_the_same_weights_whatever_the_threads(agent, tmp_path):
+    train = {"simulation": "kinematic", "n_envs": 600, "total_timesteps": 6000, "eval_freq": 0}
+    config = resolve(agent, settings={f"train.{key}": value for key, value in train.items()} | SMALL[agent])
+    ends = []
+    try:
+        for threads in (1, numba.config.NUMBA_NUM_THREADS):
+            numba.set_num_threads(threads)
+            run = train_config(config, tmp_path / str(len(ends))).run
+            ends.append(read_checkpoint(run.checkpoints[0]))
+    finally:
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    assert list(differences(*ends)) == []
+
+
+@pytest.fixture
+def small_disk(tmp_path) -> Iterator[Path]:
+    """A disk of 3 MB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = shutil.which("mount")
+    if mount is None or subprocess.run([mount, "-t", "tmpfs", "-o", "size=3m", "tmpfs", place], check=False).returncode:
+        pytest.skip("a small disk needs the right to mount one")
+    yield place
+    subprocess.run(["umount", place], check=True)
+
+
+def test_a_full_disk_is_named_and_the_last_checkpoint_stands(small_disk):
+    settings = {"train.simulation": "kinematic", "train.n_envs": 4, "train.eval_freq": 0, "train.save_freq": 500}
+    with pytest.raises(InputError, match="No space left") as stopped:
+        train_config(resolve("dqn", settings={**settings, "train.total_timesteps": 20_000}), small_disk / "run")
+    assert "\n" not in str(stopped.value)
+    run = Run.open(small_disk / "run")
+    assert load(run.folder).num_timesteps == timesteps(run.folder) >= 500
+    assert not [file for file in run.folder.rglob(".*") if file.name != ".lock"], "nothing half-written is left"
+
+
+def test_a_folder_that_becomes_read_only_is_named_and_the_last_checkpoint_stands(tmp_path, monkeypatch):
+    config = resolve("qlearn", settings={"train.total_timesteps": 64, "train.n_envs": 1, "train.eval_freq": 0})
+    run = train_config(config, tmp_path / "run").run
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "replace", refuse)  # no permission holds root back
+    with pytest.raises(InputError, match="Read-only file system"):
+        resume(run.folder, 128)
+    assert timesteps(run.folder) == load(run.folder).num_timesteps == 64
 
 
 @pytest.mark.slow

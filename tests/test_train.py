@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -375,6 +376,39 @@ def test_the_scores_are_the_mean_length_and_the_mean_of_the_100_longest():
     assert tutorial_scores(range(1, 201)) == "overall score: 100.5 steps, best 100 score: 150.5 steps"
     assert tutorial_scores([3, 5]) == "overall score: 4.0 steps, best 2 score: 4.0 steps"
     assert tutorial_scores([]) == "no episode ended"
+
+
+# ---- several seeds
+
+
+def test_several_seeds_are_trained_judged_and_summed_up(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rates = iter([1.0, 0.5, 0.96])
+    summary = {"mean_distance": 10.0}
+    monkeypatch.setattr(command, "evaluate", lambda policy: SimpleNamespace(task=SimpleNamespace(maze="loop")))
+    monkeypatch.setattr(command, "report", lambda *_: {**summary, "success_rate": next(rates)})
+    monkeypatch.setattr(command, "save", lambda *_: None)
+    quick = ["--total-timesteps", "8", "--n-envs", "1", "--eval-freq", "0"]
+    command.main(["--seeds", "3..5", "--name", "it", *quick])
+    folder = tmp_path / "runs" / "maze" / "qlearn" / "it"
+    assert [load(folder / f"seed-{seed}").seed for seed in (3, 4, 5)] == [3, 4, 5]
+    figures = json.loads((folder / "seeds.json").read_text())
+    assert (figures["seeds"], figures["failed"]) == ([3, 4, 5], [4])
+    assert figures["success"]["mean"] == pytest.approx(0.82)
+    low, high = figures["success"]["interval"]
+    assert 0.5 <= low < 0.82 < high <= 1.0
+    assert "failed (success below 95 %): 1 of 3: 4" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("text", "seeds"), [("0..4", [0, 1, 2, 3, 4]), ("7", [7]), ("3,1", [3, 1]), ("2..2", [2])])
+def test_seeds_are_read_from_the_command_line(text, seeds):
+    assert command.parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize("text", ["", "4..2", "1,1", "-1", "a", "0..", "0..99999", "1.5"])
+def test_seeds_that_are_none_are_refused(text):
+    with pytest.raises(InputError, match=r"0\.\.4"):
+        command.parse_seeds(text)
 
 
 # ---- stopping
