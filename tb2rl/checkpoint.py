@@ -18,7 +18,7 @@ import torch as th
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, one_line
 
 FORMAT = 2
 SUFFIX = ".safetensors"
@@ -55,15 +55,15 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         found = header["format"]
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from None
-    except (SafetensorError, KeyError, TypeError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"{path} is not a checkpoint, or is damaged ({_first_line(error)})") from None
+    except (SafetensorError, AttributeError, KeyError, TypeError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError(one_line(f"{path} is not a checkpoint, or is damaged ({_cause(error)})")) from None
     if found != FORMAT:
-        raise InputError(f"{path} has checkpoint format {found!r}; this version of tb2rl reads format {FORMAT}")
+        raise InputError(f"{path} has checkpoint format {one_line(repr(found), 50)}; this tb2rl reads {FORMAT}")
     try:
         content = _unpack(header["content"], arrays)
         assert isinstance(content, dict)
-    except (AssertionError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} is damaged ({_first_line(error)})") from None
+    except (AssertionError, KeyError, TypeError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError(one_line(f"{path} is damaged ({_cause(error)})")) from None
     return content
 
 
@@ -97,8 +97,8 @@ def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     return {key: _unpack(part, arrays) for key, part in value.items()}
 
 
-def _first_line(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}".splitlines()[0][:200]
+def _cause(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 class replacing:  # noqa: N801 (reads as a verb)
@@ -111,7 +111,8 @@ class replacing:  # noqa: N801 (reads as a verb)
         return self.temporary
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.temporary.replace(self.path)
-        else:
+        try:
+            if kind is None:
+                self.temporary.replace(self.path)
+        finally:
             self.temporary.unlink(missing_ok=True)

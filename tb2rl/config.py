@@ -16,14 +16,13 @@ from types import SimpleNamespace
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import torch as th
-import yaml
 from annotated_types import Ge, Gt, Le
 from stable_baselines3.common.utils import LinearSchedule
 
 from tb2rl.errors import InputError, unknown
 from tb2rl.observations import prepare
 from tb2rl.registry import Agent, find_agent, find_task, import_object
-from tb2rl.settings import Count, Positive, build, checked, find_file, read_yaml, room
+from tb2rl.settings import Count, CountOrNone, build, checked, find_file, parse_yaml, read_yaml, room
 from tb2rl.tasks import Task
 
 DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
@@ -40,16 +39,16 @@ class TrainSettings:
     total_timesteps: Count = 500_000  # control steps, over all worlds
     episodes: Count | None = None  # stop after so many, over all worlds, if that comes first
     episode_steps: Count | None = None  # time limit while training, more starts if it is short; None: the task's
-    seed: Annotated[int, Ge(0)] = 0
+    seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
     simulation: Literal["bullet", "kinematic"] = "bullet"  # what it trains in; evaluations always drive in PyBullet
-    n_envs: Count = 16  # worlds, shared out among parallel processes
+    n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # worlds, shared out among parallel processes
     device: str = "cpu"
-    torch_threads: Count = 1  # two gain ppo 15 % in the twin and dqn nothing; in PyBullet the worlds need the cores
-    reward_scale: Positive = 1.0  # what the agent sees of the reward; everything that is logged is unscaled
-    eval_freq: Annotated[int, Ge(0)] = 50_000  # control steps between evaluations; 0: none
-    eval_episodes: Count = 20
+    torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # two: 15 % for ppo in the twin, nothing for dqn
+    reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # of what the agent sees; logs are unscaled
+    eval_freq: CountOrNone = 50_000  # control steps between evaluations; 0: none
+    eval_episodes: Annotated[int, Ge(1), Le(100_000)] = 20
     eval_steps: Count = 1000  # control steps at most in an episode of these
-    save_freq: Annotated[int, Ge(0)] = 50_000  # control steps between checkpoints; 0: only the last
+    save_freq: CountOrNone = 50_000  # control steps between checkpoints; 0: only the last
     keep: Count = 2  # of these checkpoints, the latest
 
 
@@ -110,7 +109,11 @@ def resolve(
     task = task or _first("name", single, chosen, "task") or DEFAULT_TASK
     find_agent(agent), find_task(task)  # say that a name is unknown before anything else
     simulation = _first("simulation", single, chosen, "train")
-    built_in = [_built_in("tasks", task), _built_in("agents", agent), _built_in(simulation or "bullet", agent)]
+    built_in = [
+        _built_in("tasks", task),
+        _built_in("agents", agent),
+        _built_in("kinematic", agent) if simulation == "kinematic" else {},
+    ]
     tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
     for layer in (*built_in, chosen, single):
         _merge(tree, layer)
@@ -154,10 +157,7 @@ def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
         key, equals, value = pair.partition("=")
         if not equals:
             raise InputError(f"--set takes KEY=VALUE, for example task.maze=circuit, got {pair!r}")
-        try:
-            settings[key.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise InputError(f"--set {key}: {value!r} is not a YAML value") from None
+        settings[key.strip()] = parse_yaml(value, f"--set {key}: {value!r}")
     return settings
 
 
@@ -189,7 +189,7 @@ def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
     made: dict[str, Any] = {
         key: _schedule(value, key) if _is_schedule(value) else value for key, value in settings.items()
     }
-    if "policy_kwargs" in made:
+    if made.get("policy_kwargs") is not None:
         made["policy_kwargs"] = {
             key: _network_class(value) if isinstance(value, str) and ":" in value else value
             for key, value in made["policy_kwargs"].items()

@@ -14,12 +14,18 @@ class InputError(ValueError):
     """Foreign input that does not fit: the message is one line and names what is allowed."""
 
 
+def one_line(message: object, longest: int = 400) -> str:
+    """A message without line breaks, cut where it repeats too much of what came in."""
+    text = " ".join(str(message).split())
+    return text if len(text) <= longest else f"{text[:longest]} ..."
+
+
 def unknown(kind: str, name: object, known: Iterable[str]) -> InputError:
     """The error for a name that does not exist: suggests the nearest one and lists all."""
     known = sorted(known)
     near = difflib.get_close_matches(str(name), known, n=1)
     suggestion = f" did you mean {near[0]!r}?" if near else ""
-    return InputError(f"unknown {kind} {name!r};{suggestion} known: {', '.join(known)}")
+    return InputError(f"unknown {kind} {one_line(repr(name), 200)};{suggestion} known: {', '.join(known)}")
 
 
 class ArgumentParser(argparse.ArgumentParser):

@@ -92,7 +92,7 @@ def import_object(reference: str) -> Any:
         InputError: If there is no such module or name; what goes wrong inside a module shows as it is.
     """
     module_name, _, attribute = reference.partition(":")
-    if not all(part.isidentifier() for part in module_name.split(".")):
+    if not all(part.isidentifier() and part != "__main__" for part in module_name.split(".")):
         raise InputError(f"cannot import {reference!r}: it should read module:Class")
     try:
         module = import_module(module_name)

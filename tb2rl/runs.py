@@ -26,6 +26,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -41,11 +42,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from tb2rl.checkpoint import SUFFIX, read_checkpoint, replacing, write_checkpoint
 from tb2rl.config import Config, algorithm_arguments, config_from
-from tb2rl.errors import InputError, unknown
+from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.observations import prepare
 from tb2rl.registry import find_agent, import_object
 from tb2rl.settings import checked, read_yaml, room
 
+_FOREIGN = (  # what values that fit no better than their types allow lead to, in torch and Stable-Baselines3
+    ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError,
+)  # fmt: skip
 _PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
 
 
@@ -185,18 +189,45 @@ def load(reference: str | Path) -> BaseAlgorithm:
     file = checkpoint_file(reference)
     content = read_checkpoint(file)
     config = content_config(content, file)
-    algorithm = make_algorithm(config, Spaces.vectorised(config))
-    load_parameters(algorithm, content, file)
+    try:
+        algorithm = make_algorithm(config, Spaces.vectorised(config))
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    load_parameters(algorithm, {**content, "training": None}, file)
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
 
 
 def content_config(content: Mapping[str, Any], file: Path) -> Config:
-    """The config in a checkpoint."""
+    """The config in a checkpoint, which says how many timesteps it has, too.
+
+    Raises:
+        InputError: If it is none, or asks for networks that the file's own arrays are too small for.
+    """
     try:
-        return config_from(content["config"])
-    except (InputError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{file} does not hold a config that fits: {error}") from None
+        timesteps = checked(int, content["timesteps"], "timesteps")
+        if type(timesteps) is not int or timesteps < 0:
+            raise InputError(f"timesteps is {timesteps!r}")
+        config = config_from(content["config"])
+        _check_network(config, content["policy"])
+    except (*_FOREIGN, InputError) as error:
+        raise InputError(one_line(f"{file} does not hold a config that fits: {error}")) from None
+    return config
+
+
+def _check_network(config: Config, policy: Mapping[str, np.ndarray]) -> None:
+    widths = [int(size) for size in _numbers((config.agent_settings.get("policy_kwargs") or {}).get("net_arch"))]
+    largest = max((max(array.shape, default=0) for array in policy.values()), default=0)
+    if len(widths) > len(policy) or max(widths, default=0) > largest:
+        raise InputError("its net_arch is larger than the networks in it")
+
+
+def _numbers(tree: Any) -> list[float]:
+    if isinstance(tree, Mapping):
+        return [number for part in tree.values() for number in _numbers(part)]
+    if isinstance(tree, list | tuple):
+        return [number for part in tree for number in _numbers(part)]
+    return [tree] if isinstance(tree, int | float) else []
 
 
 def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: Path) -> None:
@@ -206,14 +237,38 @@ def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: 
         InputError: If they do not fit.
     """
     try:
-        algorithm.num_timesteps = checked(int, content["timesteps"], "timesteps")
+        algorithm.num_timesteps = int(content["timesteps"])
         algorithm.policy.load_state_dict(_tensors(content["policy"]))
-        if "training" in content:
-            parameters = {"policy": content["policy"], **content["training"]["optimizers"]}
-            algorithm.set_parameters(_tensors(parameters), exact_match=True)
-    except (InputError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise InputError(f"{file} does not fit its config: {line}") from None
+        if content.get("training"):
+            optimizers = content["training"]["optimizers"]
+            for name, optimizer in _optimizers(algorithm).items():
+                _check_optimizer(optimizers[name], optimizer)
+            algorithm.set_parameters(_tensors({"policy": content["policy"], **optimizers}), exact_match=True)
+    except _FOREIGN as error:
+        raise InputError(one_line(f"{file} does not fit its config: {error or type(error).__name__}")) from None
+
+
+def _optimizers(algorithm: BaseAlgorithm) -> dict[str, th.optim.Optimizer]:
+    names = (name for name in algorithm.get_parameters() if name != "policy")
+    return {name: attrgetter(name)(algorithm) for name in names}
+
+
+def _check_optimizer(state: Mapping[str, Any], optimizer: th.optim.Optimizer) -> None:
+    """Raise a ValueError where a state is not one of this optimiser: torch would write past an array's end."""
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    for index, values in state["state"].items():
+        for name, array in values.items():
+            shape = () if name == "step" else tuple(parameters[index].shape)
+            if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
+                raise ValueError(f"the optimiser's {name} has another shape or type, or no real numbers")
+    for group, mine in zip(state["param_groups"], optimizer.state_dict()["param_groups"], strict=True):
+        for key in mine.keys() | group.keys():
+            value = tuple(group[key]) if isinstance(group[key], list) else group[key]
+            present = tuple(mine[key]) if isinstance(mine[key], list) else mine[key]
+            if key == "lr" and not (isinstance(value, float) and 0.0 <= value < 1e3):
+                raise ValueError("the optimiser's lr is no learning rate")
+            if key != "lr" and (value != present or type(value) is not type(present)):
+                raise ValueError(f"the optimiser's {key} is not what the config says")
 
 
 def _tensors(tree: Any) -> Any:
@@ -264,8 +319,8 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
         raise InputError(
             f"agent {config.agent} does not learn; try it with `python -m tb2rl.evaluate --agent {config.agent}`"
         )
+    _check_device(config.train.device)
     try:
-        get_device(config.train.device)  # a table has no use for one, and yet it should exist
         return import_object(agent.algorithm)(
             agent.policy,
             env,
@@ -274,8 +329,17 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
             **algorithm_arguments(config.agent_settings),
             **arguments,
         )
-    except (AssertionError, TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"agent {config.agent} refuses its settings: {error}") from None
+    except _FOREIGN as error:
+        raise InputError(one_line(f"agent {config.agent} refuses its settings: {error}")) from None
+
+
+def _check_device(name: str) -> None:
+    try:  # a table has no use for one, and yet it should exist
+        kind = get_device(name).type
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise InputError(one_line(f"train.device {name!r} cannot be used: {error}")) from None
+    if kind not in ("cpu", "cuda", "mps"):
+        raise InputError(f"train.device {name!r} cannot be used: take cpu, cuda or auto")
 
 
 def make_baseline(config: Config) -> BasePolicy:

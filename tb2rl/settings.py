@@ -6,6 +6,7 @@ The checking itself is pydantic's; this module turns its reports into one line t
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -15,14 +16,15 @@ from annotated_types import Ge, Gt, Le
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 import tb2rl
-from tb2rl.errors import InputError, unknown
+from tb2rl.errors import InputError, one_line, unknown
 
 T = TypeVar("T")
 
 Positive = Annotated[float, Gt(0)]
 NonNegative = Annotated[float, Ge(0)]
 Fraction = Annotated[float, Ge(0), Le(1)]
-Count = Annotated[int, Ge(1)]
+Count = Annotated[int, Ge(1), Le(2**31 - 1)]
+CountOrNone = Annotated[int, Ge(0), Le(2**31 - 1)]  # 0: none
 Point = tuple[float, float]
 Pose = tuple[float, float, float]  # x [m], y [m], yaw [rad]
 
@@ -65,7 +67,7 @@ def checked(kind: Any, value: Any, where: str) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join([where, *map(str, first["loc"])])
-        raise InputError(f"{place}: {first['msg']}, got {first['input']!r}") from None
+        raise InputError(one_line(f"{place}: {first['msg']}, got {one_line(repr(first['input']), 200)}")) from None
 
 
 def read_text(path: Path) -> str:
@@ -78,12 +80,23 @@ def read_text(path: Path) -> str:
 
 def read_yaml(path: Path) -> Any:
     """The content of a YAML file; an empty file is an empty mapping."""
-    text = read_text(path)
-    try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(" ".join(f"{path} is not YAML: {error}".split())) from None
+    content = parse_yaml(read_text(path), str(path))
     return {} if content is None else content
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """The plain value that a YAML text means; aliases, which can blow a few lines up to gigabytes, are refused."""
+    try:
+        return yaml.load(text, _PlainLoader)
+    except (yaml.YAMLError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(one_line(f"{where} is not YAML: {error}")) from None
+
+
+class _PlainLoader(yaml.SafeLoader):
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it uses an alias (*name); write the value out")
+        return super().compose_node(parent, index)
 
 
 def room(name: str) -> Path:
@@ -95,8 +108,8 @@ def find_file(name: str, folder: Path, kind: str, suffixes: tuple[str, ...] = ("
     """The file that a user means: a path, or the name of a built-in one in `folder`."""
     path = Path(name)
     if path.suffix in suffixes or path.parent != Path():
-        if not path.is_file():
-            raise InputError(f"there is no {kind} file {name}")
+        if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+            raise InputError(one_line(f"there is no {kind} file {name}"))
         return path
     built_in = {file.stem: file for file in folder.glob("*.yaml")}
     if name not in built_in:

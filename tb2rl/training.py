@@ -143,6 +143,7 @@ def _train(
         watching: list[BaseCallback] = [*remembering, stop, *([callbacks.EpisodeLines()] if verbose else [])]
         done = _restore(algorithm, run, *resumed, remembering) if resumed else 0
         algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done)]))
+        resources.callback(algorithm.logger.close)
         started = time.monotonic()
         with stop:
             algorithm.learn(

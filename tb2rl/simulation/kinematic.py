@@ -254,6 +254,8 @@ class KinematicSimulation:
         return KinematicState(*(array.copy() for array in now))
 
     def restore(self, state: KinematicState) -> Reading:
+        if not (np.abs(state.rims) <= 2.0 * robot.MAX_SPEED + robot.WHEEL_SEPARATION * robot.MAX_TURN_RATE).all():
+            raise ValueError("the wheels turn faster than they can")
         self._poses, self._rims = state.poses.copy(), state.rims.copy()
         self._keys, self._steps, self._bumped = state.keys.copy(), state.steps.copy(), state.bumped.copy()
         ranges = np.empty((self.robots, self._beams[0].size))
