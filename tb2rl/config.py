@@ -19,7 +19,7 @@ import torch as th
 from annotated_types import Ge, Gt, Le
 from stable_baselines3.common.utils import LinearSchedule
 
-from tb2rl.errors import InputError, unknown
+from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.observations import prepare
 from tb2rl.registry import Agent, find_agent, find_task, import_object
 from tb2rl.settings import Count, CountOrNone, build, checked, find_file, parse_yaml, read_yaml, room
@@ -30,6 +30,8 @@ _GIVEN_BY_TRAIN = {
     "self", "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
     "observation_space", "action_space",
 }  # fmt: skip
+_GIVEN = {"self", "observation_space", "action_space", "lr_schedule", "params"}  # to policies and what they are made of
+_MOST_LAYERS, _WIDEST = 32, 16_384
 
 
 @dataclass(frozen=True)
@@ -162,22 +164,50 @@ def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
 
 
 def check_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of an agent's algorithm (of its policy, if it does not learn), held against the signature."""
-    constructor = import_object(agent.algorithm or agent.policy).__init__
+    """The arguments of an agent's algorithm (of its policy, if it does not learn), held against the signatures."""
+    algorithm = import_object(agent.algorithm or agent.policy)
+    fitting = _fitting(algorithm, arguments, "agent", _GIVEN_BY_TRAIN)
+    if agent.algorithm and fitting.get("policy_kwargs") is not None:
+        policy = algorithm.policy_aliases.get(agent.policy) or import_object(agent.policy)
+        where, inner = "agent.policy_kwargs", _fitting(policy, fitting["policy_kwargs"], "agent.policy_kwargs", _GIVEN)
+        for part in ("features_extractor", "optimizer"):
+            if inner.get(f"{part}_kwargs") is not None:
+                kind = inner.get(f"{part}_class") or inspect.signature(policy).parameters[f"{part}_class"].default
+                kind = _network_class(kind, f"{where}.{part}_class") if isinstance(kind, str) else kind
+                inner[f"{part}_kwargs"] = _fitting(kind, inner[f"{part}_kwargs"], f"{where}.{part}_kwargs", _GIVEN)
+        fitting["policy_kwargs"] = inner
+    return fitting
+
+
+def _fitting(kind: Any, arguments: Mapping[str, Any], where: str, given: set[str]) -> dict[str, Any]:
+    """The arguments of a class, held against its constructor's signature; those in `given` are not for users."""
+    constructor = kind.__init__
     parameters = inspect.signature(constructor).parameters.values()
-    known = {parameter.name for parameter in parameters if parameter.kind is parameter.POSITIONAL_OR_KEYWORD}
-    known -= _GIVEN_BY_TRAIN
-    fitting = {}
+    known = {parameter.name for parameter in parameters if parameter.kind is parameter.POSITIONAL_OR_KEYWORD} - given
+    known |= {parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
+    fitting: dict[str, Any] = {}
     for key, value in arguments.items():
         if key not in known:
-            raise unknown("key of agent", key, known)
-        kind = _parameter_type(constructor, key)
-        if isinstance(value, Mapping) and _takes_schedule(kind):
-            _schedule(value, key)
+            raise unknown(f"key of {where}", key, known)
+        wanted = _parameter_type(constructor, key)
+        if isinstance(value, Mapping) and _takes_schedule(wanted):
+            _schedule(value, f"{where}.{key}")
+            fitting[key] = value
+        elif isinstance(value, str) and get_origin(wanted) is type:
+            _network_class(value, f"{where}.{key}")
             fitting[key] = value
         else:
-            fitting[key] = checked(kind, value, f"agent.{key}")
+            fitting[key] = checked(wanted, value, f"{where}.{key}")
+            _check_widths(fitting[key], f"{where}.{key}") if key == "net_arch" else None
     return fitting
+
+
+def _check_widths(layers: Any, where: str) -> None:
+    for widths in layers.values() if isinstance(layers, Mapping) else (layers or [],):
+        if len(widths) > _MOST_LAYERS or any(not 1 <= width <= _WIDEST for width in widths):
+            raise InputError(
+                f"{where}: at most {_MOST_LAYERS} layers of 1 to {_WIDEST} units, got {len(widths)} layers"
+            )
 
 
 def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -187,20 +217,23 @@ def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
     class is "module:Class".
     """
     made: dict[str, Any] = {
-        key: _schedule(value, key) if _is_schedule(value) else value for key, value in settings.items()
+        key: _schedule(value, f"agent.{key}") if _is_schedule(value) else value for key, value in settings.items()
     }
     if made.get("policy_kwargs") is not None:
         made["policy_kwargs"] = {
-            key: _network_class(value) if isinstance(value, str) and ":" in value else value
+            key: _network_class(value, f"agent.policy_kwargs.{key}") if isinstance(value, str) else value
             for key, value in made["policy_kwargs"].items()
         }
     return made
 
 
-def _network_class(reference: str) -> type:
-    found = import_object(reference)
+def _network_class(reference: str, where: str) -> type:
+    try:
+        found = import_object(reference)
+    except InputError as error:
+        raise InputError(one_line(f"{where}: {error}")) from None
     if not (isinstance(found, type) and issubclass(found, th.nn.Module | th.optim.Optimizer)):
-        raise InputError(f"agent.policy_kwargs: {reference!r} is neither a torch module nor an optimiser")
+        raise InputError(one_line(f"{where}: {reference!r} is neither a torch module nor an optimiser"))
     return found
 
 
@@ -228,8 +261,8 @@ def _is_schedule(value: Any) -> bool:
     return isinstance(value, Mapping) and {"start", "end"} <= value.keys()
 
 
-def _schedule(value: Mapping[str, Any], key: str) -> LinearSchedule:
-    line = build(_Linear, value, f"agent.{key}")
+def _schedule(value: Mapping[str, Any], where: str) -> LinearSchedule:
+    line = build(_Linear, value, where)
     return LinearSchedule(line.start, line.end, line.fraction)
 
 

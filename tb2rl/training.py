@@ -121,7 +121,7 @@ def _train(
     config: Config, folder: Path, resumed: tuple[Path, dict[str, Any]] | None, progress_bar: bool, verbose: int
 ) -> Training:
     settings = config.train
-    with ExitStack() as resources:
+    with _troubles_named(folder), ExitStack() as resources:
         th.set_num_threads(settings.torch_threads)
         env = make_vec_env(config)
         resources.callback(env.close)
@@ -129,7 +129,6 @@ def _train(
         evaluator = resources.enter_context(_evaluator(config)) if settings.eval_freq else None
         run = Run(folder, config) if resumed else Run.create(folder, config)
         resources.enter_context(run.lock())
-        resources.enter_context(_disk_troubles_named(run))
         statistics, stop = callbacks.Statistics(config.to_dict()), callbacks.StopOnInterrupt()
         checkpoints = callbacks.Checkpoints(run, settings.save_freq, settings.keep)
         watcher = Watcher(settings.total_timesteps, config.task_settings.control_period)
@@ -146,9 +145,9 @@ def _train(
         resources.callback(algorithm.logger.close)
         started = time.monotonic()
         with stop:
-            algorithm.learn(
-                settings.total_timesteps - done, watching, reset_num_timesteps=not resumed, progress_bar=progress_bar
-            )
+            with _divergence_named(algorithm):
+                left = settings.total_timesteps - done
+                algorithm.learn(left, watching, reset_num_timesteps=not resumed, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
             if not stop.interrupted:
                 checkpoints.save()
@@ -165,14 +164,32 @@ def _evaluator(config: Config) -> Evaluator:
 
 
 @contextmanager
-def _disk_troubles_named(run: Run) -> Iterator[None]:
-    """Say in one line that the disk is full, or that the folder cannot be written any more."""
+def _troubles_named(folder: Path) -> Iterator[None]:
+    """Say in one line that the disk is full, the folder cannot be written any more, or the memory is too small."""
     try:
         yield
     except OSError as error:
         if error.errno not in _DISK_TROUBLES:
             raise
-        raise InputError(f"cannot write into {run.folder}: {error.strerror}; its last checkpoint stands") from None
+        raise InputError(f"cannot write into {folder}: {error.strerror}; its last checkpoint stands") from None
+    except MemoryError:
+        raise InputError(
+            "not enough memory: take fewer train.n_envs or task.beams, or a smaller agent.buffer_size, n_steps, "
+            "batch_size or train.eval_episodes"
+        ) from None
+
+
+@contextmanager
+def _divergence_named(algorithm: BaseAlgorithm) -> Iterator[None]:
+    """Say in one line that what torch stumbles over is weights that are no numbers any more."""
+    try:
+        yield
+    except (ValueError, RuntimeError):
+        if all(bool(th.isfinite(parameter).all()) for parameter in algorithm.policy.parameters()):
+            raise
+        raise InputError(
+            "the training diverged (weights that are no numbers); try a smaller agent.learning_rate"
+        ) from None
 
 
 def _restore(

@@ -95,7 +95,7 @@ def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
         ("--episodes 0", ["train.episodes", "greater than or equal to 1"]),
         ("--n-envs -1", ["train.n_envs", "greater than or equal to 1"]),
         ("--seed -1", ["train.seed", "greater than or equal to 0"]),
-        ("--seed 99999999999", ["Seed", "2**32"]),
+        ("--seed 99999999999", ["train.seed", "4294967295"]),
         ("--device gpu", ["cpu", "cuda"]),
         ("--name taken", ["taken", "exists already", "--name"]),
         ("--name ../up", ["--name", "../up"]),
