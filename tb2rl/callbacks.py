@@ -38,9 +38,9 @@ class Statistics(BaseCallback):
         return {"ended": self._ended, "distances": self._distances, "lengths": self.lengths}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        self._ended.extend(state["ended"])
-        self._distances.extend(state["distances"])
-        self.lengths.extend(state["lengths"])
+        self._ended.extend(map(str, state["ended"]))
+        self._distances.extend(map(float, state["distances"]))
+        self.lengths.extend(map(int, state["lengths"]))
 
     def _on_training_start(self) -> None:
         metrics = {"rollout/ep_rew_mean": 0.0, "rollout/ep_len_mean": 0.0, "rollout/crash_rate": 0.0, "eval/score": 0.0}

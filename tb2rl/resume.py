@@ -64,6 +64,9 @@ def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Seque
     try:
         _begin(algorithm)
         _set_attributes(algorithm, state["algorithm"], may_change=_counters(algorithm))
+        for observation in algorithm._last_obs:  # type: ignore[union-attr]
+            if not algorithm.observation_space.contains(observation):
+                raise ValueError("the last observation is none")
         if state["replay_buffer"] is not None:
             _refill(algorithm.replay_buffer, state["replay_buffer"], algorithm)  # type: ignore[attr-defined]
         restore_worlds(algorithm.env, state["worlds"])

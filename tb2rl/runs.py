@@ -45,11 +45,12 @@ from tb2rl.config import Config, algorithm_arguments, config_from
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.observations import prepare
 from tb2rl.registry import find_agent, import_object
-from tb2rl.settings import checked, read_yaml, room
+from tb2rl.settings import read_yaml, room
 
 _FOREIGN = (  # what values that fit no better than their types allow lead to, in torch and Stable-Baselines3
     ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError,
 )  # fmt: skip
+_LARGEST = 1e9  # of any weight, or moment of one
 _PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
 
 
@@ -205,12 +206,12 @@ def content_config(content: Mapping[str, Any], file: Path) -> Config:
         InputError: If it is none, or asks for networks that the file's own arrays are too small for.
     """
     try:
-        timesteps = checked(int, content["timesteps"], "timesteps")
+        timesteps = content["timesteps"]
         if type(timesteps) is not int or timesteps < 0:
             raise InputError(f"timesteps is {timesteps!r}")
         config = config_from(content["config"])
         _check_network(config, content["policy"])
-    except (*_FOREIGN, InputError) as error:
+    except (*_FOREIGN, ImportError, InputError) as error:
         raise InputError(one_line(f"{file} does not hold a config that fits: {error}")) from None
     return config
 
@@ -238,6 +239,8 @@ def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: 
     """
     try:
         algorithm.num_timesteps = int(content["timesteps"])
+        if not all(_are_plausible(array) for array in content["policy"].values()):
+            raise ValueError("its weights are no numbers that learning leads to")
         algorithm.policy.load_state_dict(_tensors(content["policy"]))
         if content.get("training"):
             optimizers = content["training"]["optimizers"]
@@ -246,6 +249,10 @@ def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: 
             algorithm.set_parameters(_tensors({"policy": content["policy"], **optimizers}), exact_match=True)
     except _FOREIGN as error:
         raise InputError(one_line(f"{file} does not fit its config: {error or type(error).__name__}")) from None
+
+
+def _are_plausible(array: np.ndarray) -> bool:
+    return array.dtype.kind != "f" or bool((np.abs(array) < _LARGEST).all())
 
 
 def _optimizers(algorithm: BaseAlgorithm) -> dict[str, th.optim.Optimizer]:
@@ -259,7 +266,7 @@ def _check_optimizer(state: Mapping[str, Any], optimizer: th.optim.Optimizer) ->
     for index, values in state["state"].items():
         for name, array in values.items():
             shape = () if name == "step" else tuple(parameters[index].shape)
-            if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
+            if array.shape != shape or array.dtype != np.float32 or not _are_plausible(array):
                 raise ValueError(f"the optimiser's {name} has another shape or type, or no real numbers")
     for group, mine in zip(state["param_groups"], optimizer.state_dict()["param_groups"], strict=True):
         for key in mine.keys() | group.keys():
