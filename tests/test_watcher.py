@@ -7,6 +7,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tb2rl.config import resolve
+from tb2rl.errors import InputError
 from tb2rl.training import resume, train_config
 from tb2rl.watcher import ADVICE
 
@@ -29,6 +30,10 @@ def test_a_problem_is_named_once_with_what_to_try(problem, tmp_path, capsys):
     events = EventAccumulator(str(run.folder / "tensorboard"))
     events.Reload()
     assert max(event.value for event in events.Scalars(f"watch/{problem}")) == 1.0
+    if problem == "values":
+        with pytest.raises(InputError, match="weights are no numbers"):
+            resume(run.folder, 41_000)
+        return
     resume(run.folder, 41_000)
     assert ADVICE[problem] not in capsys.readouterr().err, "once is enough, resumed or not"
 
