@@ -150,9 +150,9 @@ def _train(
                 algorithm.learn(left, watching, reset_num_timesteps=not resumed, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
             if not stop.interrupted:
-                checkpoints.save()
                 if evaluator:
                     evaluation.evaluate()
+                checkpoints.save()  # it knows the best score, should more steps be asked
         seconds = time.monotonic() - started
     return Training(run, algorithm.num_timesteps - done, seconds, statistics.lengths, stop.interrupted)
 

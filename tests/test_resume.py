@@ -108,6 +108,14 @@ def test_a_finished_run_goes_on_when_more_is_asked(tmp_path):
     assert load(tmp_path / "run").num_timesteps == 128
 
 
+def test_a_run_that_goes_on_keeps_its_best_score(tmp_path):
+    settings = {"train.total_timesteps": 64, "train.n_envs": 1, "train.eval_freq": 64, "train.eval_episodes": 2}
+    run = train_config(resolve("qlearn", settings={**settings, "train.eval_steps": 20}), tmp_path / "run").run
+    remembered = read_checkpoint(run.checkpoints[0])["training"]["callbacks"]
+    noted = json.loads((run.folder / "evaluations.jsonl").read_text().splitlines()[-1])
+    assert [state["best"] for state in remembered if "best" in state] == [[noted["success_rate"], noted["mean_return"]]]
+
+
 def test_old_checkpoints_are_pruned_but_never_the_last(tmp_path):
     settings = {"train.total_timesteps": 64, "train.n_envs": 1, "train.eval_freq": 0, "train.save_freq": 10}
     run = train_config(resolve("qlearn", settings={**settings, "train.keep": 3}), tmp_path / "run").run
