@@ -76,20 +76,15 @@ def test_bad_input_is_refused_before_anything_is_measured(line, named, capsys, t
     assert [part for part in named if part not in message] == []
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor has nothing to share")
-def test_two_threads_do_more_than_one():
+def test_threads_share_the_work_of_a_batch():
     """They did not while two compilations of one function shared an entry of the cache."""
     simulation, rng = KinematicSimulation(load_maze("loop"), Laser(36), 4096), np.random.default_rng(0)
     simulation.reset(simulation.maze.random_poses(rng, 4096, 0.6), rng)
-    commands, taken = np.tile([0.05, 1.0], (4096, 1)), {1: float("inf"), 2: float("inf")}
-    try:
-        for _ in range(20):
-            for threads in taken:
-                numba.set_num_threads(threads)
-                start = time.perf_counter()
-                simulation.step(commands, 0.2)
-                taken[threads] = min(taken[threads], time.perf_counter() - start)
-    finally:
-        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-    assert taken[1] > 1.3 * taken[2]
+    commands = np.tile([0.05, 1.0], (4096, 1))
+    simulation.step(commands, 0.2)  # starts the threads
+    mine, all_of_us = time.thread_time(), time.process_time()
+    for _ in range(50):
+        simulation.step(commands, 0.2)
+    mine, all_of_us = time.thread_time() - mine, time.process_time() - all_of_us
+    assert mine < 0.8 * all_of_us  # of processor time, however busy the machine is
