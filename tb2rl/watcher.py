@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 _EPISODES = 100  # that count as the latest
 _ENOUGH = 20  # episodes to judge by
+_EARLIEST = 10_000  # control steps: before, nobody has learned anything
 _LOOKS = 100  # in a training
 _AT_ONCE = 15  # [control steps] a crash before this gives nothing to learn from
 _SLOW = 0.08  # [m/s] the tutorial's robot makes 0.05 while it turns
@@ -65,7 +66,7 @@ class Watcher(BaseCallback):
 
     def _look(self) -> None:
         seen = {"values": self._values_diverge()}
-        if len(self._latest) >= _ENOUGH:
+        if len(self._latest) >= _ENOUGH and self.num_timesteps >= _EARLIEST:
             returns, lengths, distances, endings = zip(*self._latest, strict=True)
             self._history.append((self.num_timesteps, float(np.mean(returns))))
             crashes = endings.count("crash") / len(endings)
