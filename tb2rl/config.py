@@ -198,7 +198,8 @@ def _fitting(kind: Any, arguments: Mapping[str, Any], where: str, given: set[str
             fitting[key] = value
         else:
             fitting[key] = checked(wanted, value, f"{where}.{key}")
-            _check_widths(fitting[key], f"{where}.{key}") if key == "net_arch" else None
+        if key == "net_arch":
+            _check_widths(value, f"{where}.{key}")
     return fitting
 
 
