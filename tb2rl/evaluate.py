@@ -16,7 +16,7 @@ from typing import Any
 
 from tb2rl.config import parse_settings, resolve
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluation import EPISODES, SEED, STEPS, Policy, evaluate, report, save, with_task
+from tb2rl.evaluation import EPISODES, SEED, STEPS, Policy, evaluate, keep, report, save, with_task
 from tb2rl.runs import checkpoint_file, config_of, load, make_baseline
 
 
@@ -75,7 +75,7 @@ def main(arguments: list[str] | None = None) -> None:
     if options.json:
         save(evaluation, summary, config, name, options.json)
     elif options.policy and standard and Path(options.policy).is_dir():
-        save(evaluation, summary, config, name, Path(options.policy) / "evaluation.json")
+        keep(evaluation, summary, config, name, Path(options.policy))
     else:
         print("not written: only the standard evaluation of a run folder is kept there; --json FILE keeps any")
 

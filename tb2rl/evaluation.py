@@ -19,19 +19,22 @@ import torch as th
 from rich.console import Console
 from rich.table import Table
 
+from tb2rl.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.config import Config, config_from
 from tb2rl.envs import TurtleBot2Env
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, one_line
 from tb2rl.maze import load_maze
 from tb2rl.observations import prepare
 from tb2rl.processes import main_hidden, process_context, processors
 from tb2rl.runs import config_of, load, versions, write
+from tb2rl.settings import read_text
 from tb2rl.tasks import Task
 
 EPISODES, STEPS = 100, 1500
 SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
 TRAINING_SEED = 20_190_000  # of the evaluations while training
 PASSED = 0.95  # success rate from which a training counts as one that has learned
+_WAYS = f"episodes{SUFFIX}"  # paths and actions of the episodes in evaluation.json
 
 
 class Policy(Protocol):
@@ -52,7 +55,12 @@ class Episode:
     length: int  # control steps
     distance: float  # [m]
     episode_return: float
-    path: np.ndarray  # x, y [m] after each step, shape (length + 1, 2), float32
+    path: np.ndarray  # x, y [m] at the start and after each step, shape (length + 1, 2), float32
+    actions: np.ndarray  # of each step, shape (length,), uint8
+
+
+_ARRAYS = ("path", "actions")
+_FIGURES = tuple(field.name for field in dataclasses.fields(Episode) if field.name not in _ARRAYS)
 
 
 @dataclass(frozen=True)
@@ -162,10 +170,11 @@ def drive(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Ep
     with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whoever drives the episode
         th.manual_seed(seed)
         observation, info = env.reset(seed=seed, options={"pose": tuple(pose)})
-        path, total, touched, over = [info["pose"][:2]], 0.0, False, False
+        path, actions, total, touched, over = [info["pose"][:2]], [], 0.0, False, False
         while not over:
             action, _ = policy.predict(observation, deterministic=True)
-            observation, reward, terminated, truncated, info = env.step(int(action))
+            actions.append(int(action))
+            observation, reward, terminated, truncated, info = env.step(actions[-1])
             path.append(info["pose"][:2])
             total += float(reward)
             touched = touched or info["bumped"]
@@ -175,10 +184,11 @@ def drive(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Ep
         ended=info["ended"],
         success=info["is_success"],
         touched=touched,
-        length=len(path) - 1,
+        length=len(actions),
         distance=info["distance"],
         episode_return=total,
         path=np.array(path, dtype=np.float32),
+        actions=np.array(actions, dtype=np.uint8),
     )
 
 
@@ -266,15 +276,48 @@ def report(evaluation: Evaluation, title: str) -> dict[str, Any]:
 
 def save(evaluation: Evaluation, summary: Mapping[str, Any], config: Config, policy: str, path: Path) -> None:
     """Write an evaluation as JSON: its figures, its conditions, and every episode."""
-    episodes = [
-        {field.name: getattr(episode, field.name) for field in dataclasses.fields(episode) if field.name != "path"}
-        for episode in evaluation.episodes
-    ]
+    episodes = [{name: getattr(episode, name) for name in _FIGURES} for episode in evaluation.episodes]
     tree = {**summary, "policy": policy, "config": config.to_dict(), "versions": versions(), "each": episodes}
     try:
         write(path, json.dumps(tree, indent=1) + "\n")
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}") from None
+
+
+def keep(evaluation: Evaluation, summary: Mapping[str, Any], config: Config, policy: str, folder: Path) -> None:
+    """Put the standard evaluation into a run folder: `save` it, and beside it the way of every episode."""
+    try:
+        write_checkpoint(
+            folder / _WAYS, {name: [getattr(episode, name) for episode in evaluation.episodes] for name in _ARRAYS}
+        )
+    except OSError as error:
+        raise InputError(f"cannot write {folder / _WAYS}: {error.strerror}") from None
+    save(evaluation, summary, config, policy, folder / "evaluation.json")
+
+
+def kept(folder: Path) -> Evaluation:
+    """The evaluation that `keep` put into a run folder.
+
+    Raises:
+        InputError: If there is none, or its files are damaged or do not belong together.
+    """
+    file = folder / "evaluation.json"
+    if not (file.is_file() and (folder / _WAYS).is_file()):
+        raise InputError(f"{folder} has no standard evaluation: run `python -m tb2rl.evaluate {folder}`")
+    ways = read_checkpoint(folder / _WAYS)
+    try:
+        tree = json.loads(read_text(file))
+        columns = [ways[name] for name in _ARRAYS]
+        episodes = [
+            Episode(**{**each, "start": tuple(each["start"])}, **dict(zip(_ARRAYS, arrays, strict=True)))
+            for each, *arrays in zip(tree["each"], *columns, strict=True)
+        ]
+        if any((len(e.path), len(e.actions)) != (e.length + 1, e.length) for e in episodes):
+            raise ValueError("its episodes have other lengths than their paths")
+        task = replace(config_from(tree["config"]).task_settings, episode_steps=tree["steps"])
+        return Evaluation(episodes, task, tree["steps"], tree["seed"])
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise InputError(one_line(f"{file} is not an evaluation with {_WAYS} beside it: {error}")) from None
 
 
 _world: TurtleBot2Env  # of a worker process

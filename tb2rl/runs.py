@@ -6,7 +6,7 @@
         best/policy         the best in an evaluation while training
         final/policy        the last
         evaluations.jsonl   a line for each evaluation while training
-        evaluation.json     the standard evaluation
+        evaluation.json     the standard evaluation; episodes.safetensors: where each of its episodes went
         tensorboard/        event files
 
 A checkpoint holds arrays and plain values only (`tb2rl.checkpoint`): the algorithm is rebuilt from its config through

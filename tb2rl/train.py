@@ -21,7 +21,7 @@ from typing import Any
 from tb2rl.callbacks import tutorial_scores
 from tb2rl.config import Config, parse_settings, resolve
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluation import PASSED, bootstrap_interval, evaluate, report, save
+from tb2rl.evaluation import PASSED, bootstrap_interval, evaluate, keep, report
 from tb2rl.registry import agent_names, task_names
 from tb2rl.runs import load, write
 from tb2rl.training import Training, default_folder, resume, train_config
@@ -128,7 +128,7 @@ def _judge(training: Training, options: argparse.Namespace) -> dict[str, Any] | 
     folder = training.run.folder
     evaluation = evaluate(load(folder))
     summary = report(evaluation, f"{folder} in {evaluation.task.maze}")
-    save(evaluation, summary, training.run.config, str(folder), folder / "evaluation.json")
+    keep(evaluation, summary, training.run.config, str(folder), folder)
     return summary
 
 

@@ -12,7 +12,7 @@ from tb2rl import evaluate, load, train
 from tb2rl.config import resolve
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError
-from tb2rl.evaluation import SEED, TRAINING_SEED, Episode, Evaluation, Evaluator, wilson_interval
+from tb2rl.evaluation import SEED, TRAINING_SEED, Episode, Evaluation, Evaluator, kept, wilson_interval
 from tb2rl.maze import load_maze
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs import make_baseline
@@ -139,7 +139,8 @@ def test_the_wilson_interval_has_the_values_of_the_tables(count, total, interval
 
 def test_the_summary_counts_what_happened():
     def episode(ended: str, success: bool, length: int, distance: float, total: float) -> Episode:
-        return Episode((0.0, 0.0, 0.0), ended, success, ended == "crash", length, distance, total, np.zeros((1, 2)))
+        nowhere = np.zeros((1, 2)), np.zeros(0)
+        return Episode((0.0, 0.0, 0.0), ended, success, ended == "crash", length, distance, total, *nowhere)
 
     episodes = [episode("crash", False, 10, 1.0, -150.0), episode("time limit", True, 30, 3.0, 150.0)]
     evaluation = Evaluation(episodes * 2, Wander(control_period=0.5), steps=30, seed=1)
@@ -156,7 +157,7 @@ def test_the_summary_counts_what_happened():
 
 def test_a_policy_that_succeeds_more_often_scores_higher_whatever_its_return():
     def score(success: bool, total: float) -> tuple[float, float]:
-        episode = Episode((0.0, 0.0, 0.0), "", success, False, 1, 1.0, total, np.zeros((1, 2)))
+        episode = Episode((0.0, 0.0, 0.0), "", success, False, 1, 1.0, total, np.zeros((1, 2)), np.zeros(0))
         return Evaluation([episode], Wander(), 1, 0).score
 
     assert score(True, -9.0) > score(False, 9.0) > score(False, 8.0)
@@ -175,7 +176,24 @@ def test_the_standard_evaluation_lands_in_the_run_folder(run, short, capsys):
     shown = capsys.readouterr().out
     assert f"{100 * written['crash_free_rate']:.1f} %" in shown
     assert f"{written['mean_return']:.1f}" in shown
+    back = kept(run)
+    assert outcomes(back) == outcomes(evaluate(run, episodes=2, steps=5, workers=1))
+    assert [len(episode.actions) for episode in back.episodes] == [episode.length for episode in back.episodes]
+    assert json.loads(json.dumps(back.summary())).items() <= written.items()
     (run / "evaluation.json").unlink()
+
+
+@pytest.mark.parametrize("damage", ["{", "[]", '{"each": []}', None])
+def test_a_kept_evaluation_that_is_damaged_is_refused_in_one_line(run, short, damage):
+    command.main([str(run), *short])
+    file = run / "evaluation.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "each": []}) if damage is None else damage)
+    with pytest.raises(InputError, match=r"evaluation\.json is not an evaluation"):
+        kept(run)
+    (run / "episodes.safetensors").unlink()
+    with pytest.raises(InputError, match="no standard evaluation: run"):
+        kept(run)
+    file.unlink()
 
 
 @pytest.mark.parametrize(
