@@ -28,10 +28,27 @@ from tb2rl.tasks import Task
 DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
 _GIVEN_BY_TRAIN = {
     "self", "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
-    "observation_space", "action_space",
+    "observation_space", "action_space", "replay_buffer_class", "replay_buffer_kwargs", "rollout_buffer_class",
+    "rollout_buffer_kwargs",
 }  # fmt: skip
-_GIVEN = {"self", "observation_space", "action_space", "lr_schedule", "params"}  # to policies and what they are made of
+_GIVEN = {  # to policies and what they are made of; the last two are for CUDA graphs and for gradients of gradients
+    "self", "observation_space", "action_space", "lr_schedule", "params", "capturable", "differentiable",
+}  # fmt: skip
 _MOST_LAYERS, _WIDEST = 32, 16_384
+_LARGEST = 1e12  # of any number
+_SHARE, _COUNT, _WEIGHT = (0.0, 1.0), (1, 10**8), (-1e6, 1e6)
+_LIMITS = {  # of arguments as Stable-Baselines3 names them, schedules of them too; it checks hardly any itself
+    "learning_rate": (0.0, 10.0),
+    **dict.fromkeys(("gamma", "gae_lambda", "tau"), _SHARE),
+    **dict.fromkeys(("exploration_fraction", "exploration_initial_eps", "exploration_final_eps"), _SHARE),
+    **dict.fromkeys(("buffer_size", "batch_size", "n_steps", "n_epochs", "train_freq", "stats_window_size"), _COUNT),
+    **dict.fromkeys(("target_update_interval", "n_quantiles"), _COUNT),
+    "learning_starts": (0, 10**8),
+    "gradient_steps": (-1, 10**8),  # -1: as many as control steps
+    "sde_sample_freq": (-1, 10**8),  # -1: at the start of a rollout
+    **dict.fromkeys(("clip_range", "clip_range_vf", "max_grad_norm", "target_kl"), (0.0, 1e6)),
+    **dict.fromkeys(("ent_coef", "vf_coef"), _WEIGHT),
+}
 
 
 @dataclass(frozen=True)
@@ -129,6 +146,7 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     Raises:
         InputError: For any name, key or value that does not fit.
     """
+    _check_plain(tree, "")
     sections = {name: dict(values) for name, values in _sections(tree, "config").items()}
     for name in ("agent", "task"):
         if "name" not in sections.get(name, {}):
@@ -142,14 +160,29 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     prepare(task, observation)  # says what does not fit together
     if Path(task.maze).is_file():  # the run is to be found again from another folder
         task = dataclasses.replace(task, maze=str(Path(task.maze).resolve()))
-    return Config(
-        agent=agent_name,
-        agent_settings=check_arguments(agent, sections["agent"]),
-        task=task_name,
-        task_settings=task,
-        observation=observation,
-        train=build(TrainSettings, sections.get("train", {}), "train"),
-    )
+    agent_settings = check_arguments(agent, sections["agent"])
+    train = build(TrainSettings, sections.get("train", {}), "train")
+    if "episode" in str(agent_settings.get("train_freq")) and train.n_envs > 1:
+        raise InputError(f"agent.train_freq counts episodes only with train.n_envs=1, got {train.n_envs}")
+    return Config(agent_name, agent_settings, task_name, task, observation, train)
+
+
+def _check_plain(value: Any, where: str) -> None:
+    """Raise an `InputError` for what the config of a run cannot hold, or no computation survives."""
+    if isinstance(value, Mapping | list | tuple):
+        for key, part in value.items() if isinstance(value, Mapping) else enumerate(value):
+            if isinstance(value, Mapping) and not isinstance(key, str):
+                raise InputError(one_line(f"{where or 'config'}: a key must be text, got {key!r}"))
+            _check_plain(part, f"{where}.{key}".lstrip("."))
+    elif isinstance(value, str):
+        if not value.isprintable():
+            raise InputError(one_line(f"{where}: text must be printable, got {value!r}"))
+    elif isinstance(value, int | float):
+        if not abs(value) <= _LARGEST:
+            shown = value if isinstance(value, float) else f"an integer of {value.bit_length()} bits"
+            raise InputError(f"{where}: numbers must be finite, within {_LARGEST:g} of 0, got {shown}")
+    elif value is not None:
+        raise InputError(one_line(f"{where}: expected plain numbers, text, lists and mappings, got {value!r}"))
 
 
 def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
@@ -198,9 +231,19 @@ def _fitting(kind: Any, arguments: Mapping[str, Any], where: str, given: set[str
             fitting[key] = value
         else:
             fitting[key] = checked(wanted, value, f"{where}.{key}")
+        if key in _LIMITS:
+            _check_limits(value, *_LIMITS[key], f"{where}.{key}")
         if key == "net_arch":
             _check_widths(value, f"{where}.{key}")
     return fitting
+
+
+def _check_limits(value: Any, low: float, high: float, where: str) -> None:
+    if isinstance(value, Mapping | list | tuple):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            _check_limits(part, low, high, where)
+    elif isinstance(value, int | float) and not low <= value <= high:
+        raise InputError(f"{where}: must be from {low:g} to {high:g}, got {value:g}")
 
 
 def _check_widths(layers: Any, where: str) -> None:
@@ -235,6 +278,8 @@ def _network_class(reference: str, where: str) -> type:
         raise InputError(one_line(f"{where}: {error}")) from None
     if not (isinstance(found, type) and issubclass(found, th.nn.Module | th.optim.Optimizer)):
         raise InputError(one_line(f"{where}: {reference!r} is neither a torch module nor an optimiser"))
+    if issubclass(found, th.nn.Module) and found.forward is th.nn.Module.forward:
+        raise InputError(f"{where}: {reference} has no forward of its own")
     return found
 
 

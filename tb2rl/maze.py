@@ -111,7 +111,7 @@ class Maze:
             if not rooms:
                 raise InputError(
                     f"maze {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to "
-                    "one, so there is no free space around it"
+                    "one, so there is no free space around it; move it or lower task.start_clearance"
                 )
             self._free[clearance] = rooms[0]
         return self._free[clearance]

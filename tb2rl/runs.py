@@ -337,7 +337,9 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
             **arguments,
         )
     except _FOREIGN as error:
-        raise InputError(one_line(f"agent {config.agent} refuses its settings: {error}")) from None
+        given = ", ".join(config.agent_settings)
+        refused = f"agent {config.agent} with {config.observation} observations refuses its settings ({given}): {error}"
+        raise InputError(one_line(refused)) from None
 
 
 def _check_device(name: str) -> None:

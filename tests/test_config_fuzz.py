@@ -32,6 +32,7 @@ SECONDS = 20.0  # that a few steps may take; the first case of a process has imp
 MEMORY = 4 * 2**30  # [B] of addresses that the cases of a process may take
 ATTEMPTS = 250  # cases of a process: what each leaves behind must not be what another one fails for
 STEPS = 8
+SHARES = 6  # of the extremes, one for each key; with `-m fuzz` each key has all
 NAN, INF = float("nan"), float("inf")
 LINE = {"start": 0.1, "end": 0.1, "fraction": 1.0}
 
@@ -103,6 +104,9 @@ class Case:
     key: str
     value: Any = None
     in_file: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.agent}-{self.task}-{self.key}"
 
     def settings(self) -> dict[str, Any]:
         small = {f"train.{key}": value for key, value in SMALL_TRAINING.items()}
@@ -187,7 +191,7 @@ def agent_keys(agent: str) -> list[str]:
             f"policy_kwargs.{place}.{key}"
             for place, cls in kwargs.items()
             for key in signature(cls).parameters
-            if key not in ("observation_space", "params", "lr")
+            if key not in ("observation_space", "params", "lr", "capturable", "differentiable")
         ]
     return [f"agent.{key}" for key in ["name", *keys]]
 
@@ -319,7 +323,7 @@ def worker() -> Iterator[Worker]:
 def check(worker: Worker, case: Case) -> None:
     if case.in_file and case.value == 10**5000:
         return  # Python writes no such number; what it makes of one that is written: see the preset files below
-    assert not (wrong := worker.attempt(case)), f"{case.agent} {case.task} {case.key}={_shown(case.value)}: {wrong}"
+    assert not (wrong := worker.attempt(case)), f"{case}={_shown(case.value)}: {wrong}"
 
 
 def _shown(value: Any) -> str:
@@ -349,8 +353,15 @@ def test_a_value_trains_or_is_refused_in_one_line(worker, case, value, in_file):
     check(worker, dataclasses.replace(case, value=value, in_file=in_file))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("index", range(len(KEYS)), ids=lambda index: str(KEYS[index]))
+def test_an_extreme_trains_or_is_refused_in_one_line(worker, index):
+    for i in range(index % SHARES, len(EXTREMES), SHARES):  # another share for the next key
+        check(worker, dataclasses.replace(KEYS[index], value=EXTREMES[i], in_file=bool(i // SHARES % 2)))
+
+
 @pytest.mark.fuzz
-@pytest.mark.parametrize("case", KEYS, ids=lambda case: f"{case.agent}-{case.task}-{case.key}")
+@pytest.mark.parametrize("case", KEYS, ids=str)
 @with_extremes
 @settings(fuzz, max_examples=25)
 @given(value=VALUES, in_file=st.booleans())

@@ -9,10 +9,13 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import signal
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -237,10 +240,21 @@ class BulletSimulation:
         x, y, yaw = self._pose()
         ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
         eye = np.array([x, y, 0.0]) + robot.CAMERA_POSITION[0] * ahead + (0.0, 0.0, robot.CAMERA_POSITION[2])
-        near, far = robot.CAMERA_RANGE
-        view = pybullet.computeViewMatrix(eye, eye + ahead, (0.0, 0.0, 1.0))
-        angle = math.degrees(robot.CAMERA_FIELD_OF_VIEW)
-        projection = pybullet.computeProjectionMatrixFOV(angle, width / height, near, far)
+        return self._picture(eye, eye + ahead, robot.CAMERA_FIELD_OF_VIEW, robot.CAMERA_RANGE, width, height)
+
+    def _picture(
+        self,
+        eye: np.ndarray,
+        target: np.ndarray,
+        field_of_view: float,
+        reach: tuple[float, float],
+        width: int,
+        height: int,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What is seen from `eye` (3,) towards `target` (3,), from `reach[0]` to `reach[1]` [m]; see `camera`."""
+        near, far = reach
+        view = pybullet.computeViewMatrix(eye, target, (0.0, 0.0, 1.0))
+        projection = pybullet.computeProjectionMatrixFOV(math.degrees(field_of_view), width / height, near, far)
         _, _, rgba, buffer, _ = pybullet.getCameraImage(
             width, height, view, projection, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=self._client
         )
@@ -267,8 +281,8 @@ class BulletSimulation:
 
     def _build_floor(self) -> None:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
-        floor = pybullet.createMultiBody(0.0, plane, physicsClientId=self._client)
-        pybullet.changeDynamics(floor, -1, lateralFriction=FLOOR_FRICTION, physicsClientId=self._client)
+        self._floor = pybullet.createMultiBody(0.0, plane, physicsClientId=self._client)
+        pybullet.changeDynamics(self._floor, -1, lateralFriction=FLOOR_FRICTION, physicsClientId=self._client)
 
     def _build_walls(self) -> int:
         """All walls as one body: a fixed base without a shape, and a fixed link for each box and post."""
@@ -321,6 +335,129 @@ class BulletSimulation:
         self._centre_x, _, self._centre_z = pybullet.getDynamicsInfo(self._robot, -1, self._client)[3]
 
 
+class Stage(BulletSimulation):
+    """A maze and a robot to look at, not to drive: what is filmed or shown stays undisturbed.
+
+    Args:
+        maze: As in `BulletSimulation`.
+        goal: x and y [m] of a disc on the floor.
+        window: As in `BulletSimulation`; without it, `chase` takes the pictures.
+    """
+
+    def __init__(self, maze: Maze, goal: tuple[float, float] | None = None, window: bool = False) -> None:
+        super().__init__(maze, robot.Laser(beams=1), window)
+        if goal is not None:
+            self._build_disc(goal)
+        if window:
+            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
+            self._look_at_all()
+        else:  # the renderer spends most of its time on a floor; `_tiles` takes a tenth of it
+            pybullet.changeVisualShape(self._floor, -1, rgbaColor=(0.0, 0.0, 0.0, 0.0), physicsClientId=self._client)
+
+    def place(self, pose: np.ndarray) -> None:
+        """Put the robot at a pose (3,)."""
+        x, y, yaw = map(float, pose)
+        position = (x + self._centre_x * math.cos(yaw), y + self._centre_x * math.sin(yaw), self._centre_z)
+        turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+        pybullet.resetBasePositionAndOrientation(self._robot, position, turn, self._client)
+
+    def follow(self) -> None:
+        """Turn the window's view to look over the robot's shoulder."""
+        x, y, yaw = self._pose()
+        distance = math.dist(_CHASE_EYE, _CHASE_TARGET)
+        slope = math.degrees(math.asin((_CHASE_TARGET[2] - _CHASE_EYE[2]) / distance))
+        target = (x + _CHASE_TARGET[0] * math.cos(yaw), y + _CHASE_TARGET[0] * math.sin(yaw), _CHASE_TARGET[2])
+        pybullet.resetDebugVisualizerCamera(
+            distance, math.degrees(yaw) - 90.0, slope, target, physicsClientId=self._client
+        )
+
+    def chase(self, width: int, height: int) -> np.ndarray:
+        """The robot and what lies ahead of it, from behind and above, shape (height, width, 3), uint8."""
+        x, y, yaw = self._pose()
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        turn = np.array([(cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)])
+        here = np.array([x, y, 0.0])
+        eye, target = here + turn @ _CHASE_EYE, here + turn @ _CHASE_TARGET
+        colours, depth = self._picture(eye, target, _CHASE_FIELD_OF_VIEW, _CHASE_RANGE, width, height)
+        return np.where(np.isfinite(depth)[..., None], colours, _tiles(x, y, cos, sin, width, height))
+
+    def _look_at_all(self) -> None:
+        x0, y0, x1, y1 = self.maze.bounds
+        middle, distance = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), max(x1 - x0, y1 - y0)
+        pybullet.resetDebugVisualizerCamera(distance, 0.0, -60.0, middle, physicsClientId=self._client)
+
+    def _build_disc(self, place: tuple[float, float]) -> None:
+        disc = pybullet.createVisualShape(
+            pybullet.GEOM_CYLINDER, radius=0.2, length=0.01, rgbaColor=_GOAL_COLOUR, physicsClientId=self._client
+        )
+        pybullet.createMultiBody(
+            0.0, baseVisualShapeIndex=disc, basePosition=(*place, 0.005), physicsClientId=self._client
+        )
+
+
+def _tiles(x: float, y: float, cos: float, sin: float, width: int, height: int) -> np.ndarray:
+    """The floor and the sky as the chase camera sees them, behind all else, shape (height, width, 3), uint8."""
+    ahead, left, contrast, sky = _seen_floor(width, height)
+    east, north = x + cos * ahead - sin * left, y + sin * ahead + cos * left
+    dark = (np.floor(east) + np.floor(north)) % 2 * contrast
+    colours = (_FLOOR_COLOUR - dark[..., None] * _TILE_CONTRAST).astype(np.uint8)
+    colours[:sky] = _SKY_COLOUR
+    return colours
+
+
+@lru_cache(maxsize=4)
+def _seen_floor(width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Where in the robot's frame the chase camera's pixels see the floor.
+
+    Returns:
+        Metres ahead and to the left, and the contrast of the tiles there, each of shape (height, width), float32;
+        the number of rows above the horizon.
+    """
+    eye, target = np.array(_CHASE_EYE), np.array(_CHASE_TARGET)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.array([0.0, -1.0, 0.0])
+    up = np.cross(right, forward)
+    reach = math.tan(_CHASE_FIELD_OF_VIEW / 2)
+    across = (np.arange(width) + 0.5 - width / 2) * 2 * reach / height
+    upward = (height / 2 - np.arange(height) - 0.5) * 2 * reach / height
+    rays = forward + upward[:, None, None] * up + across[None, :, None] * right
+    sky = int((rays[:, 0, 2] > -1e-3).sum())
+    distance = eye[2] / np.maximum(-rays[..., 2], 1e-3)
+    ahead, left = eye[0] + distance * rays[..., 0], distance * rays[..., 1]
+    contrast = 1.0 / (1.0 + (distance / 5.0) ** 2)  # tiles far away are smaller than a pixel and would flicker
+    return ahead.astype(np.float32), left.astype(np.float32), contrast.astype(np.float32), sky
+
+
+def show(connection: Connection, maze: Maze, goal: tuple[float, float] | None, follow: bool) -> None:
+    """Show a `Stage` in a window: the body of a process of its own, which ends with the window.
+
+    PyBullet ends its whole process where a window cannot be opened, and where one is closed.
+
+    Args:
+        connection: Sends True once the window is open, then receives poses (3,), and None to close it.
+        maze: As in `Stage`.
+        goal: As in `Stage`.
+        follow: Look over the robot's shoulder instead of at the whole maze.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that opened this decides
+    with _quiet(), suppress(EOFError, OSError, pybullet.error), closing(Stage(maze, goal, window=True)) as stage:
+        connection.send(True)
+        pose = connection.recv()
+        while pose is not None and pybullet.isConnected(stage._client):
+            stage.place(pose)
+            if follow:
+                stage.follow()
+            pose = connection.recv()
+            while connection.poll() and pose is not None:  # the window may be slower than what it shows
+                pose = connection.recv()
+
+
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
+_GOAL_COLOUR = (0.42, 0.75, 0.29, 1.0)
+_FLOOR_COLOUR, _SKY_COLOUR = np.float32((244, 241, 234)), np.uint8((255, 255, 255))
+_TILE_CONTRAST = 34.0  # of 255
+_CHASE_EYE, _CHASE_TARGET = (-1.4, 0.0, 1.3), (0.5, 0.0, 0.1)  # [m] in the robot's frame
+_CHASE_FIELD_OF_VIEW = math.radians(55.0)  # [rad] vertical
+_CHASE_RANGE = (0.05, 30.0)  # [m]
 _WALL_GROUP = 2
 _EVERYTHING = -1
