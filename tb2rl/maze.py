@@ -96,7 +96,7 @@ class Maze:
         return shapely.union_all([*map(box_shape, self.boxes), *map(post_shape, self.posts)])
 
     def free_space(self, clearance: float) -> BaseGeometry:
-        """Where a robot from the start can get its centre to, `clearance` [m] away from every obstacle.
+        """Where a robot from the start can get its centre to, `clearance` [m] from every obstacle and the bounds.
 
         Raises:
             InputError: If the start itself has no such clearance.
@@ -105,7 +105,8 @@ class Maze:
             x, y = self.start[:2]
             if not shapely.box(*self.bounds).covers(shapely.Point(x, y)):
                 raise InputError(f"maze {self.name}: the start ({x:g}, {y:g}) is outside its bounds")
-            open_space = shapely.box(*self.bounds).difference(self.obstacles.buffer(clearance, quad_segs=32))
+            inside = shapely.box(*self.bounds).buffer(-clearance)
+            open_space = inside.difference(self.obstacles.buffer(clearance, quad_segs=32))
             start = shapely.Point(self.start[:2])
             rooms = [room for room in shapely.get_parts(open_space) if room.intersects(start)]
             if not rooms:

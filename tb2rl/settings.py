@@ -8,12 +8,13 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
-from annotated_types import Ge, Gt, Le
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from annotated_types import Ge, Gt, Le, Len
+from pydantic import AfterValidator, ConfigDict, TypeAdapter, ValidationError
 
 import tb2rl
 from tb2rl.errors import InputError, one_line, unknown
@@ -26,7 +27,17 @@ Fraction = Annotated[float, Ge(0), Le(1)]
 Count = Annotated[int, Ge(1), Le(2**31 - 1)]
 CountOrNone = Annotated[int, Ge(0), Le(2**31 - 1)]  # 0: none
 Point = tuple[float, float]
+
 Pose = tuple[float, float, float]  # x [m], y [m], yaw [rad]
+
+
+def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
+    if any(after <= before for before, after in pairwise(values)):
+        raise ValueError("must strictly increase")
+    return values
+
+
+Edges = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_increasing)]  # borders of classes
 
 _CHECKS = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 

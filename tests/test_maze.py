@@ -111,6 +111,12 @@ def test_free_space_is_only_what_can_be_reached_from_the_start():
     assert maze.random_poses(np.random.default_rng(0), 200, 0.2)[:, 0].max() < 0.7
 
 
+def test_a_random_start_keeps_its_clearance_to_open_bounds_too():
+    poses = load_maze("wall").random_poses(np.random.default_rng(0), 500, 0.6)
+    assert (poses[:, :2].min(axis=0) >= (-0.4, -2.4)).all()
+    assert (poses[:, :2].max(axis=0) <= (5.4, 2.4)).all()
+
+
 # ---- drawings
 
 DRAWING = """

@@ -16,7 +16,7 @@ from annotated_types import Ge, Gt, Le, Len
 
 from tb2rl import robot
 from tb2rl.maze import Maze
-from tb2rl.settings import Count, NonNegative, Positive
+from tb2rl.settings import Count, Edges, NonNegative
 from tb2rl.simulation import Reading
 
 
@@ -73,13 +73,15 @@ class Task(ABC):
 
     maze: str = "loop"  # a built-in name, or the path of a YAML file or a text drawing
     start: Literal["fixed", "random"] = "random"
-    start_clearance: Annotated[float, Ge(robot.BASE_RADIUS), Le(100)] = 0.6  # [m] to walls, of a random start
+    start_clearance: Annotated[float, Ge(robot.BASE_RADIUS), Le(100)] = (
+        0.6  # [m] to walls and the bounds, of a random start
+    )
     control_period: Annotated[float, Gt(0), Le(60)] = 0.2  # [s] an action lasts
     episode_steps: Count = 1500  # control steps until the time limit truncates
     beams: Annotated[int, Ge(1), Le(100_000)] | None = None  # over 180 degrees, ends included; None: the observation's
     kept: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # beams to read; None: all
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; `robot.LASER_NOISE` is realistic
-    edges: Annotated[tuple[Positive, ...], Len(1, 1000)] = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
+    edges: Edges = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
 
     @property
     @abstractmethod

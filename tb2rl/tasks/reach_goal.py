@@ -10,7 +10,7 @@ import numpy as np
 
 from tb2rl.errors import InputError
 from tb2rl.maze import Maze
-from tb2rl.settings import Point, Positive
+from tb2rl.settings import Edges, Point, Positive
 from tb2rl.simulation import Reading
 from tb2rl.tasks import Outcome, Sense
 from tb2rl.tasks.wander import Wander
@@ -31,8 +31,8 @@ class ReachGoal(Wander):
     closer_reward: float = 5.0  # on top of the step's reward
     goal_reward: float = 200.0  # replaces the step's reward
     bounds: tuple[float, float, float, float] | None = None  # x from, y from, x to, y to [m]; None: the maze's
-    distance_edges: tuple[Positive, ...] = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
-    bearing_edges: tuple[float, ...] = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
+    distance_edges: Edges = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
+    bearing_edges: Edges = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
 
     def placed(self, maze: Maze) -> Self:
         goal = self.goal or (maze.goal and maze.goal[:2])
