@@ -122,6 +122,7 @@ def resolve(
     """
     chosen = _sections(read_yaml(find_file(preset, room("configs"), "preset")), f"preset {preset}") if preset else {}
     single = _nest(settings or {})
+    _check_plain(chosen, ""), _check_plain(single, "")
     agent = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
     if isinstance(task, type):
         task = f"{task.__module__}:{task.__qualname__}"
