@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
         name = options.agent
     else:
         policy, name = load(options.policy), str(checkpoint_file(options.policy))
-        config = with_task(config_of(policy), _task_settings(settings))
+        config = with_task(config_of(policy), task_settings(settings))
     evaluation = evaluate(policy, config, **conditions)
     summary = report(evaluation, f"{name} in {evaluation.task.maze}")
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not settings
@@ -80,7 +80,12 @@ def main(arguments: list[str] | None = None) -> None:
         print("not written: only the standard evaluation of a run folder is kept there; --json FILE keeps any")
 
 
-def _task_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+def task_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes to the task of a trained policy by the names of its fields, from dotted keys.
+
+    Raises:
+        InputError: If one is no setting of a task.
+    """
     for key in settings:
         if not key.startswith("task."):
             raise InputError(f"only the task of a trained policy can be changed (task.KEY=VALUE), got {key!r}")

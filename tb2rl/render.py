@@ -21,6 +21,7 @@ _MARGIN = 0.3  # [m] around the maze
 FLOOR, WALL, PATH, BEAM = "#f4f1ea", "#a85c45", "#2f6fb0", "#f0a63c"
 BODY, WHEEL, NOSE, GOAL, CRASH, START = "#2b2d31", "#77797d", "#6cc04a", "#6cc04a", "#d62728", "#2ca02c"
 STRIP, LABEL = "#ffffff", "#77797d"  # of a caption
+_COLOURS = (FLOOR, WALL, PATH, BEAM, BODY, WHEEL, NOSE, CRASH, STRIP)
 _STRIP_HEIGHT = 48  # [px]
 _LABEL_SIZE, _VALUE_SIZE = 13, 19  # [px]
 
@@ -138,6 +139,12 @@ def _even(pixels: float) -> int:
     return 2 * max(1, round(pixels / 2))
 
 
+def with_colours(picture: np.ndarray) -> np.ndarray:
+    """The picture beside a sample of each colour that drawings have: what a palette for them is made from."""
+    samples = [np.full((len(picture), 8, 3), ImageColor.getrgb(colour), dtype=np.uint8) for colour in _COLOURS]
+    return np.hstack([picture, *samples])
+
+
 @lru_cache(maxsize=256)
 def _font(text: str, size: int, width: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """The font in which a text of that size [px] stays within a width [px]."""
@@ -148,6 +155,8 @@ def _font(text: str, size: int, width: float) -> ImageFont.FreeTypeFont | ImageF
 
 def _widened(picture: np.ndarray, width: int, colour: str) -> np.ndarray:
     height, present, _ = picture.shape
+    if present == width:
+        return picture
     wide = np.full((height, width, 3), ImageColor.getrgb(colour), dtype=np.uint8)
     left = (width - present) // 2
     wide[:, left : left + present] = picture

@@ -57,6 +57,13 @@ FLOOR_FRICTION = 1.0  # rubber on a dry floor
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
 TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
 _SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
+_GOAL_COLOUR = (0.42, 0.75, 0.29, 1.0)
+_FLOOR_COLOUR = np.array((244, 241, 234), dtype=np.float32)
+_SKY_COLOUR = (255, 255, 255)
+_TILE_CONTRAST = 34.0  # of 255
+_CHASE_EYE, _CHASE_TARGET = (-1.4, 0.0, 1.3), (0.5, 0.0, 0.1)  # [m] in the robot's frame
+_CHASE_FIELD_OF_VIEW = math.radians(55.0)  # [rad] vertical
+_CHASE_RANGE = (0.05, 30.0)  # [m]
 
 
 @dataclass(frozen=True)
@@ -383,7 +390,7 @@ class Stage(BulletSimulation):
 
     def _look_at_all(self) -> None:
         x0, y0, x1, y1 = self.maze.bounds
-        middle, distance = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), max(x1 - x0, y1 - y0)
+        middle, distance = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), 0.8 * max(x1 - x0, y1 - y0)
         pybullet.resetDebugVisualizerCamera(distance, 0.0, -60.0, middle, physicsClientId=self._client)
 
     def _build_disc(self, place: tuple[float, float]) -> None:
@@ -453,11 +460,5 @@ def show(connection: Connection, maze: Maze, goal: tuple[float, float] | None, f
 
 
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
-_GOAL_COLOUR = (0.42, 0.75, 0.29, 1.0)
-_FLOOR_COLOUR, _SKY_COLOUR = np.float32((244, 241, 234)), np.uint8((255, 255, 255))
-_TILE_CONTRAST = 34.0  # of 255
-_CHASE_EYE, _CHASE_TARGET = (-1.4, 0.0, 1.3), (0.5, 0.0, 0.1)  # [m] in the robot's frame
-_CHASE_FIELD_OF_VIEW = math.radians(55.0)  # [rad] vertical
-_CHASE_RANGE = (0.05, 30.0)  # [m]
 _WALL_GROUP = 2
 _EVERYTHING = -1
