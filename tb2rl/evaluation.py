@@ -226,12 +226,12 @@ def evaluate(
     if config is None:
         config = config_of(policy)
     config = with_task(config, settings or {})
-    _check_observes(policy, config)
+    check_observes(policy, config)
     with Evaluator(config.task_settings, config.observation, **conditions) as evaluator:
         return evaluator.run(getattr(policy, "policy", policy))
 
 
-def _check_observes(policy: Any, config: Config) -> None:
+def check_observes(policy: Any, config: Config) -> None:
     """Raise an `InputError` where a policy would get other observations or actions than it knows."""
     _, task, observe, _ = prepare(config.task_settings, config.observation)
     known = getattr(policy, "observation_space", observe.space)
@@ -295,6 +295,11 @@ def keep(evaluation: Evaluation, summary: Mapping[str, Any], config: Config, pol
     save(evaluation, summary, config, policy, folder / "evaluation.json")
 
 
+def has_kept(folder: Path) -> bool:
+    """Whether `keep` put an evaluation into a run folder."""
+    return (folder / "evaluation.json").is_file() and (folder / _WAYS).is_file()
+
+
 def kept(folder: Path) -> Evaluation:
     """The evaluation that `keep` put into a run folder.
 
@@ -302,7 +307,7 @@ def kept(folder: Path) -> Evaluation:
         InputError: If there is none, or its files are damaged or do not belong together.
     """
     file = folder / "evaluation.json"
-    if not (file.is_file() and (folder / _WAYS).is_file()):
+    if not has_kept(folder):
         raise InputError(f"{folder} has no standard evaluation: run `python -m tb2rl.evaluate {folder}`")
     ways = read_checkpoint(folder / _WAYS)
     try:
@@ -312,7 +317,7 @@ def kept(folder: Path) -> Evaluation:
             Episode(**{**each, "start": tuple(each["start"])}, **dict(zip(_ARRAYS, arrays, strict=True)))
             for each, *arrays in zip(tree["each"], *columns, strict=True)
         ]
-        if any((len(e.path), len(e.actions)) != (e.length + 1, e.length) for e in episodes):
+        if not episodes or any((e.path.shape, e.actions.shape) != ((e.length + 1, 2), (e.length,)) for e in episodes):
             raise ValueError("its episodes have other lengths than their paths")
         task = replace(config_from(tree["config"]).task_settings, episode_steps=tree["steps"])
         return Evaluation(episodes, task, tree["steps"], tree["seed"])

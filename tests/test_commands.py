@@ -14,7 +14,7 @@ import pytest
 from tb2rl import train
 from tb2rl.registry import agent_names, task_names
 
-COMMANDS = {name: import_module(f"tb2rl.{name}") for name in ("train", "evaluate")}
+COMMANDS = {name: import_module(f"tb2rl.{name}") for name in ("train", "evaluate", "play", "report")}
 FILES = {
     "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",
     "inside.yaml": "boxes: [{centre: [0, 0], size: [1, 1]}]\nstart: [0.3, 0, 0]\nbounds: [-9, -9, 9, 9]\n",
@@ -160,7 +160,15 @@ def test_a_run_folder_below_a_file_is_refused(tmp_path, monkeypatch, capsys):
     assert_refused("train", f"{QUICK} --name it", ["runs/maze/qlearn/it"], capsys)
 
 
-@pytest.mark.parametrize(("name", "shown"), [("train", [*agent_names(), *task_names()]), ("evaluate", ["zoo:NAME"])])
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("train", [*agent_names(), *task_names()]),
+        ("evaluate", ["zoo:NAME"]),
+        ("play", ["--video", "--teleop"]),
+        ("report", ["zoo:NAME", "--out"]),
+    ],
+)
 def test_help_is_shown(name, shown, capsys):
     with pytest.raises(SystemExit) as stopped:
         COMMANDS[name].main(["--help"])
