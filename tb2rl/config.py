@@ -1,8 +1,9 @@
 """What a training is: an agent, a task and how to train, resolved from presets and overrides.
 
 Later layers win: the defaults of the signatures, `configs/tasks/TASK.yaml`, `configs/agents/AGENT.yaml`, what differs
-for the agent in the fast twin (`configs/kinematic/AGENT.yaml`), a preset that the user names, single settings
-(`agent.gamma=0.9`). Each layer is a tree of three mappings, `agent`, `task`, `train`.
+for the agent in the fast twin (`configs/kinematic/AGENT.yaml`) and at this task (`configs/tasks/TASK-AGENT.yaml`), a
+preset that the user names, single settings (`agent.gamma=0.9`). Each layer is a tree of three mappings, `agent`,
+`task`, `train`.
 """
 
 from __future__ import annotations
@@ -122,7 +123,8 @@ def resolve(
     """
     chosen = _sections(read_yaml(find_file(preset, room("configs"), "preset")), f"preset {preset}") if preset else {}
     single = _nest(settings or {})
-    _check_plain(chosen, ""), _check_plain(single, "")
+    for layer in (chosen, single):
+        _check_plain(layer, "")
     agent = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
     if isinstance(task, type):
         task = f"{task.__module__}:{task.__qualname__}"
@@ -133,6 +135,7 @@ def resolve(
         _built_in("tasks", task),
         _built_in("agents", agent),
         _built_in("kinematic", agent) if simulation == "kinematic" else {},
+        _built_in("tasks", f"{task}-{agent}"),
     ]
     tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
     for layer in (*built_in, chosen, single):

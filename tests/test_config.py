@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,10 @@ def test_every_shipped_config_resolves(file):
         assert file.stem in agent_names(), "a preset that nobody reads"
         fast, slow = (resolve(file.stem, settings={"train.simulation": name}) for name in ("kinematic", "bullet"))
         assert fast.train.n_envs > slow.train.n_envs
+    elif file.parent.name == "tasks" and file.stem not in task_names():
+        task, _, agent = file.stem.rpartition("-")
+        assert (task, agent) in product(task_names(), agent_names()), "a preset that nobody reads"
+        assert resolve(agent, task).agent_settings["gamma"] != resolve(agent).agent_settings.get("gamma")
     elif file.parent.name in ("agents", "tasks"):
         kind = file.parent.name.removesuffix("s")
         assert file.stem in (agent_names() if kind == "agent" else task_names()), "a preset that nobody reads"
