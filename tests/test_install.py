@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -19,7 +20,8 @@ from tb2rl.registry import agent_names, find_agent, task_names
 from tb2rl.settings import room
 
 print(tb2rl.__file__)
-print(*agent_names(), *task_names(), *maze_names(), *sorted(entry.name for entry in room("zoo").iterdir()))
+print(*agent_names(), *task_names(), *maze_names())
+print(*sorted(file.parent.name for file in room("zoo").glob("*/config.yaml")))
 for name in maze_names():
     load_maze(name)
 for name in agent_names():
@@ -31,37 +33,63 @@ for _ in range(5):
 """
 
 
-def use(code: str, folder: Path, *flags: str) -> list[str]:
+PIP = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
+
+
+def use(code: str, folder: Path) -> list[str]:
     """Run code with the site-packages of this Python, but without the .pth files in them: nothing editable is seen."""
     start = f"import sys; sys.path.append({sysconfig.get_path('purelib')!r})"
-    arguments = [sys.executable, "-S", *flags, "-c", f"{start}\n{code}"]
-    done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, check=False)
+    return run([sys.executable, "-S", "-c", f"{start}\n{code}"], folder)
+
+
+def run(command: list[str], folder: Path) -> list[str]:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
 
-@pytest.mark.slow
-def test_a_wheel_has_everything_that_the_checkout_has(tmp_path):
-    source, target = tmp_path / "source", tmp_path / "target"
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """The Python of an empty environment into which a wheel was installed as the README says; its source is gone."""
+    folder = tmp_path_factory.mktemp("installed")
+    source, environment = folder / "source", folder / "environment"
     away = shutil.ignore_patterns(".*", "runs", "build", "dist", "*.egg-info", "__pycache__", "*.nb?")
     shutil.copytree(CHECKOUT, source, ignore=away)
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
-    wheel = ["wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(source)]
-    subprocess.run([*pip, *wheel], check=True)
-    (built,) = tmp_path.glob("tb2rl-*.whl")
-    subprocess.run([*pip, "install", "--no-deps", "--target", str(target), str(built)], check=True)
+    wheel = ["wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(source)]
+    subprocess.run([sys.executable, *PIP, *wheel], check=True)
+    (built,) = folder.glob("tb2rl-*.whl")
     shutil.rmtree(source)
+    subprocess.run([sys.executable, "-m", "venv", str(environment)], check=True)
+    python = str(environment / "bin" / "python")
+    for what in ("torch", str(built)):
+        subprocess.run([python, *PIP, "install", "--constraint", str(CHECKOUT / "constraints.txt"), what], check=True)
+    return python
 
-    where, names = use(f"sys.path.insert(0, {str(target)!r})\n{USE}", tmp_path, "-I")
-    assert Path(where).is_relative_to(target)
-    assert [names] == use(USE, CHECKOUT)[1:]
-    installed = {str(file.relative_to(target / "tb2rl")) for file in (target / "tb2rl").rglob("*")}
-    assert {"assets/turtlebot2.urdf", "py.typed", "configs/mazes/loop.yaml"} <= installed
+
+@pytest.mark.slow
+def test_a_wheel_has_everything_that_the_checkout_has(installed, tmp_path):
+    where, *names = run([installed, "-I", "-c", USE], tmp_path)
+    package = Path(where).parent
+    assert package.is_relative_to(Path(installed).parent.parent)
+    assert names == use(USE, CHECKOUT)[1:]
+    there = {str(file.relative_to(package)) for file in package.rglob("*")}
+    assert {"assets/turtlebot2.urdf", "assets/card.md", "py.typed", "configs/mazes/loop.yaml"} <= there
     zoo = {str(file.relative_to(CHECKOUT)) for file in (CHECKOUT / "zoo").rglob("*") if "__pycache__" not in file.parts}
-    assert zoo <= installed
+    assert zoo <= there
+
+
+@pytest.mark.slow
+def test_an_installed_policy_drives_in_the_first_cell_of_the_notebook(installed, tmp_path):
+    cells = json.loads((CHECKOUT / "zoo" / "quickstart.ipynb").read_text(encoding="utf-8"))["cells"]
+    first = next("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert "zoo:" in first
+    *_, steps, distance = run([installed, "-I", "-c", f"{first}\nprint(env._steps, info['distance'])"], tmp_path)[
+        -1
+    ].split()
+    assert (int(steps), float(distance) > 10.0) == (200, True)
 
 
 @pytest.mark.slow
 def test_a_checkout_works_without_an_install():
-    where, _ = use(USE, CHECKOUT)
+    where, *_ = use(USE, CHECKOUT)
     assert Path(where).parent == CHECKOUT / "tb2rl"
