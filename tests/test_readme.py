@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -53,3 +54,8 @@ def test_every_picture_of_the_readme_is_there():
 @pytest.mark.parametrize("link", re.findall(r"[^!]\[[^\]]+\]\((?!http)([^)]+)\)", README.read_text(encoding="utf-8")))
 def test_every_link_of_the_readme_leads_somewhere(link):
     assert (README.parent / link).exists()
+
+
+def test_the_results_of_the_readme_are_those_of_the_zoo():
+    keeper = import_module("tb2rl.zoo.__main__")
+    assert keeper.overview(keeper.entries()) in README.read_text(encoding="utf-8")
