@@ -387,7 +387,7 @@ def test_several_seeds_are_trained_judged_and_summed_up(tmp_path, monkeypatch, c
     summary = {"mean_distance": 10.0}
     monkeypatch.setattr(command, "evaluate", lambda policy: SimpleNamespace(task=SimpleNamespace(maze="loop")))
     monkeypatch.setattr(command, "report", lambda *_: {**summary, "success_rate": next(rates)})
-    monkeypatch.setattr(command, "save", lambda *_: None)
+    monkeypatch.setattr(command, "keep", lambda *_: None)
     quick = ["--total-timesteps", "8", "--n-envs", "1", "--eval-freq", "0"]
     command.main(["--seeds", "3..5", "--name", "it", *quick])
     folder = tmp_path / "runs" / "maze" / "qlearn" / "it"

@@ -39,7 +39,7 @@ def test_a_problem_is_named_once_with_what_to_try(problem, tmp_path, capsys):
 
 
 def test_a_network_whose_values_run_away_is_named(tmp_path, capsys):
-    settings = {"agent.learning_rate": 100.0, "agent.learning_starts": 100, "train.total_timesteps": 3000}
+    settings = {"agent.learning_rate": 10.0, "agent.learning_starts": 100, "train.total_timesteps": 3000}
     train_config(resolve("dqn", settings={**FAST, "train.n_envs": 8, **settings}), tmp_path / "run")
     assert ADVICE["values"] in capsys.readouterr().err
 
