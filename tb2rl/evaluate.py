@@ -23,6 +23,17 @@ from tb2rl.runs import checkpoint_file, config_of, load, make_baseline
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = ArgumentParser(prog="python -m tb2rl.evaluate", description=(__doc__ or "").splitlines()[0])
+    add_policy_arguments(parser)
+    parser.add_argument("--episodes", type=int, default=EPISODES)
+    parser.add_argument("--steps", type=int, default=STEPS, help="control steps at most in an episode")
+    parser.add_argument("--seed", type=int, default=SEED, help="of the start poses")
+    parser.add_argument("--workers", type=int, help="processes (default: one for each processor)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here, not into the run folder")
+    return parser.parse_args(arguments)
+
+
+def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
+    """What names a policy on a command line, and the task that it drives at."""
     parser.add_argument("policy", nargs="?", help="run folder, checkpoint in it, or zoo:NAME")
     parser.add_argument("--agent", help="instead: an agent that does not learn, such as random or wallfollower")
     parser.add_argument("--task", help="its task (default: maze)")
@@ -34,12 +45,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         metavar="KEY=VALUE",
         help="change the task, e.g. task.maze=circuit",
     )
-    parser.add_argument("--episodes", type=int, default=EPISODES)
-    parser.add_argument("--steps", type=int, default=STEPS, help="control steps at most in an episode")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the start poses")
-    parser.add_argument("--workers", type=int, help="processes (default: one for each processor)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here, not into the run folder")
-    return parser.parse_args(arguments)
 
 
 @command

@@ -25,7 +25,7 @@ from tb2rl.checkpoint import SUFFIX
 from tb2rl.config import Config, parse_settings, resolve
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluate import task_settings
+from tb2rl.evaluate import add_policy_arguments, task_settings
 from tb2rl.evaluation import Policy, with_task
 from tb2rl.film import CAMERAS, STEPS, Moment, check_film, check_numbers, drive_all, film, goal_of, open_world, shots
 from tb2rl.maze import Maze
@@ -107,18 +107,8 @@ def watch(env: TurtleBot2Env, drives: Iterable[Iterator[Moment]], window: Window
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = ArgumentParser(prog="python -m tb2rl.play", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("policy", nargs="?", help="run folder, checkpoint in it, or zoo:NAME")
-    parser.add_argument("--agent", help="instead: an agent that does not learn, such as random or wallfollower")
+    add_policy_arguments(parser)
     parser.add_argument("--teleop", action="store_true", help="instead: drive it yourself, by the terminal's keys")
-    parser.add_argument("--task", help="its task (default: maze)")
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        default=[],
-        action="extend",
-        metavar="KEY=VALUE",
-        help="change the task, e.g. task.maze=circuit",
-    )
     parser.add_argument("--episodes", type=int, default=1)
     parser.add_argument("--steps", type=int, default=STEPS, help=f"control steps at most in an episode ({STEPS})")
     parser.add_argument("--seed", type=int, default=0, help="of the first start pose")
