@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
@@ -89,6 +90,40 @@ class QTable(BasePolicy):
             "action_space": self.action_space,
             "initial_value": self.initial_value,
         }
+
+    def _save_to_state_dict(self, destination: dict[str, Any], prefix: str, keep_vars: bool) -> None:
+        """Only the pairs that were tried, often one in a hundred: all others have the initial value and no visits."""
+        pairs = self.visits.flatten().nonzero().flatten()
+        destination[f"{prefix}pairs"] = pairs
+        destination[f"{prefix}q"] = self.q.flatten()[pairs]
+        destination[f"{prefix}visits"] = self.visits.flatten()[pairs]
+
+    def _load_from_state_dict(
+        self,
+        state_dict: Mapping[str, th.Tensor],
+        prefix: str,
+        local_metadata: Mapping[str, Any],
+        strict: bool,
+        missing_keys: list[str],
+        unexpected_keys: list[str],
+        error_msgs: list[str],
+    ) -> None:
+        names = [f"{prefix}{name}" for name in ("pairs", "q", "visits")]
+        missing_keys += [name for name in names if name not in state_dict]
+        unexpected_keys += [name for name in state_dict if name not in names]
+        if missing_keys:
+            return
+        pairs, q, visits = (state_dict[name] for name in names)
+        limits = th.cat([th.tensor([-1]), pairs.flatten(), th.tensor([self.q.numel()])])
+        if (pairs.dtype, q.dtype, visits.dtype) != (th.int64, th.float64, th.int64):
+            error_msgs.append("the table's pairs, q and visits have another type")
+        elif not pairs.shape == q.shape == visits.shape == (pairs.numel(),):
+            error_msgs.append("the table's pairs, q and visits are not equally many")
+        elif not (limits[1:] > limits[:-1]).all() or not (visits > 0).all():
+            error_msgs.append("the table's pairs are not in order, not in the table, or not visited")
+        else:
+            for values, initial, tried in ((self.q, self.initial_value, q), (self.visits, 0, visits)):
+                values.fill_(initial).view(-1)[pairs] = tried
 
     def states(self, observations: np.ndarray) -> np.ndarray:
         """The row of the table of each observation, shape (robots,)."""

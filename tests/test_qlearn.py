@@ -7,6 +7,7 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch as th
 from stable_baselines3.common.callbacks import (
     CheckpointCallback,
     EvalCallback,
@@ -310,3 +311,55 @@ def test_a_saved_table_acts_the_same(tmp_path):
     policy.save(tmp_path / "table")
     again = QTable.load(tmp_path / "table")
     assert [again.predict(state)[0] for state in range(16)] == [policy.predict(state)[0] for state in range(16)]
+
+
+def test_a_saved_table_holds_the_tried_pairs_only_and_the_others_come_back_as_they_were():
+    settings = {"policy_kwargs": {"initial_value": 2.5}, "seed": 0}
+    model = QLearning("QTable", frozen_lake(), **settings).learn(100)
+    state = model.policy.state_dict()
+    tried = int((model.policy.visits > 0).sum())
+    assert {name: len(values) for name, values in state.items()} == {"pairs": tried, "q": tried, "visits": tried}
+    assert tried < model.policy.q.numel()
+    other = QLearning("QTable", frozen_lake(), **{**settings, "seed": 1}).learn(300).policy
+    other.load_state_dict(state)
+    np.testing.assert_array_equal(other.q, model.policy.q)
+    np.testing.assert_array_equal(other.visits, model.policy.visits)
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        {"pairs": [1, 1]},
+        {"pairs": [2, 1]},
+        {"pairs": [-1, 1]},
+        {"pairs": [1, 64]},
+        {"pairs": [2**63 - 2, -(2**63)]},
+        {"pairs": [1]},
+        {"pairs": [[1, 2]]},
+        {"pairs": [1.0, 2.0]},
+        {"q": [1.0]},
+        {"q": [1, 2]},
+        {"visits": [1, 0]},
+        {"visits": [1, -1]},
+        {"visits": [1, 2, 3]},
+        {"visits": None},
+        {"more": [1]},
+    ],
+    ids=str,
+)
+def test_a_table_that_cannot_have_been_saved_is_refused(lie):
+    policy = QLearning("QTable", frozen_lake()).policy
+    saved = {"pairs": [1, 63], "q": [0.5, 1.5], "visits": [1, 2]}
+    policy.load_state_dict(tensors(saved))
+    assert policy.q[15, 3] == 1.5
+    with pytest.raises(RuntimeError, match=r"table's pairs|in state_dict"):
+        policy.load_state_dict(tensors({**saved, **lie}))
+    assert policy.q[15, 3] == 1.5, "nothing changed"
+
+
+def tensors(state: dict[str, list | None]) -> dict[str, th.Tensor]:
+    return {
+        name: th.tensor(values, dtype=th.float64 if isinstance(values[0], float) else th.int64)
+        for name, values in state.items()
+        if values is not None
+    }

@@ -244,6 +244,7 @@ def test_any_other_file_is_refused(content, tmp_path):
         {"policy": [1]},
         {"policy": {"q": "q"}},
         {"policy": {"q": np.zeros((2, 3)), "visits": np.zeros((2, 3))}},
+        {"policy": {"pairs": np.zeros((1, 1), dtype=int), "q": np.zeros((1, 1)), "visits": np.ones((1, 1), dtype=int)}},
     ],
     ids=str,
 )
