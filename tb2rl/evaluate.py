@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.config import parse_settings, resolve
+from tb2rl.driving import Policy
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluation import EPISODES, SEED, STEPS, Policy, evaluate, keep, report, save, with_task
+from tb2rl.evaluation import EPISODES, SEED, STEPS, evaluate, keep, report, save, with_task
 from tb2rl.runs import checkpoint_file, config_of, load, make_baseline
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cloudpickle
 import numpy as np
@@ -21,6 +21,7 @@ from rich.table import Table
 
 from tb2rl.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.config import Config, config_from
+from tb2rl.driving import Policy, drive
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError, one_line
 from tb2rl.maze import load_maze
@@ -35,13 +36,6 @@ SEED = 20_180_000  # of the standard start poses; trainings with small seeds nev
 TRAINING_SEED = 20_190_000  # of the evaluations while training
 PASSED = 0.95  # success rate from which a training counts as one that has learned
 _WAYS = f"episodes{SUFFIX}"  # paths and actions of the episodes in evaluation.json
-
-
-class Policy(Protocol):
-    """What is evaluated: anything with Stable-Baselines3's `predict`."""
-
-    def predict(self, observation: np.ndarray, *, deterministic: bool = False) -> tuple[np.ndarray, Any]:
-        """Action and state for an observation."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +138,7 @@ class Evaluator:
         """Drive all episodes."""
         if self._pool is None:
             env = TurtleBot2Env(self.task, self.observation)
-            episodes = [drive(env, policy, pose, self.seed + i) for i, pose in enumerate(self.poses)]
+            episodes = [judge(env, policy, pose, self.seed + i) for i, pose in enumerate(self.poses)]
             env.close()
         else:
             data = cloudpickle.dumps(policy)
@@ -165,30 +159,20 @@ class Evaluator:
         self.close()
 
 
-def drive(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Episode:
+def judge(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Episode:
     """One episode of the greedy policy from `pose` (x, y, yaw)."""
-    with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whoever drives the episode
-        th.manual_seed(seed)
-        observation, info = env.reset(seed=seed, options={"pose": tuple(pose)})
-        path, actions, total, touched, over = [info["pose"][:2]], [], 0.0, False, False
-        while not over:
-            action, _ = policy.predict(observation, deterministic=True)
-            actions.append(int(action))
-            observation, reward, terminated, truncated, info = env.step(actions[-1])
-            path.append(info["pose"][:2])
-            total += float(reward)
-            touched = touched or info["bumped"]
-            over = terminated or truncated
+    moments = list(drive(env, policy, seed, pose))
+    last = moments[-1]
     return Episode(
         start=tuple(pose.tolist()),
-        ended=info["ended"],
-        success=info["is_success"],
-        touched=touched,
-        length=len(actions),
-        distance=info["distance"],
-        episode_return=total,
-        path=np.array(path, dtype=np.float32),
-        actions=np.array(actions, dtype=np.uint8),
+        ended=last.info["ended"],
+        success=last.info["is_success"],
+        touched=any(moment.info["bumped"] for moment in moments),
+        length=last.step,
+        distance=last.info["distance"],
+        episode_return=last.total,
+        path=np.array([moments[0].before[:2], *(moment.pose[:2] for moment in moments)], dtype=np.float32),
+        actions=np.array([moment.action for moment in moments], dtype=np.uint8),
     )
 
 
@@ -336,4 +320,4 @@ def _open_world(task: bytes, observation: str) -> None:
 
 
 def _drive_one(policy: bytes, pose: np.ndarray, seed: int) -> Episode:
-    return drive(_world, pickle.loads(policy), pose, seed)
+    return judge(_world, pickle.loads(policy), pose, seed)

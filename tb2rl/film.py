@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain
@@ -13,15 +13,15 @@ from typing import Any, Protocol
 
 import av
 import numpy as np
-import torch as th
 from PIL import Image
 
 from tb2rl.actions import action_names
 from tb2rl.checkpoint import replacing
 from tb2rl.config import Config
+from tb2rl.driving import Moment, Policy, drive
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import InputError, unknown
-from tb2rl.evaluation import Policy, check_observes, with_task
+from tb2rl.evaluation import check_observes, with_task
 from tb2rl.laser import cast
 from tb2rl.maze import Maze
 from tb2rl.render import Scene, draw_caption, with_caption, with_colours
@@ -39,31 +39,6 @@ _GIF_COLOURS = 64
 _HOLD = 1.0  # [s] that the end of an episode stays to be seen
 
 
-@dataclass(frozen=True)
-class Moment:
-    """One control step of a drive.
-
-    Attributes:
-        path: Poses (3,) since the reset, up to the one that the step began at.
-        pose: The pose (3,) that it led to.
-        step: Its number in the episode, from 1.
-        action: What the policy chose.
-        reward: Of the step.
-        total: Of the episode so far.
-        distance: Driven since the reset [m].
-        ended: None, or why the episode is over.
-    """
-
-    path: tuple[np.ndarray, ...]
-    pose: np.ndarray
-    step: int
-    action: int
-    reward: float
-    total: float
-    distance: float
-    ended: str | None
-
-
 def open_world(
     policy: Policy | str | Path, config: Config | None, settings: Mapping[str, Any], steps: int
 ) -> tuple[Policy, TurtleBot2Env]:
@@ -79,34 +54,12 @@ def open_world(
     return policy, TurtleBot2Env(config.task_settings, config.observation)
 
 
-def drive(env: TurtleBot2Env, policy: Policy, seed: int) -> Iterator[Moment]:
-    """One episode of the greedy policy."""
-    with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whatever happened before
-        th.manual_seed(seed)
-        observation, info = env.reset(seed=seed)
-        path, total, ended = [info["pose"]], 0.0, None
-        while ended is None:
-            action, _ = policy.predict(observation, deterministic=True)
-            observation, reward, _, _, info = env.step(int(action))
-            total, ended = total + float(reward), info["ended"]
-            yield Moment(
-                path=tuple(path),
-                pose=info["pose"],
-                step=len(path),
-                action=int(action),
-                reward=float(reward),
-                total=total,
-                distance=info["distance"],
-                ended=ended,
-            )
-            path.append(info["pose"])
-
-
 @dataclass(frozen=True)
 class Shot:
     """An instant of a drive, to be shown."""
 
     moment: Moment  # the control step that it belongs to
+    path: Sequence[np.ndarray]  # poses (3,) since the reset, up to the one that the step began at
     pose: np.ndarray  # shape (3,)
     time: float  # since the reset [s]
     over: bool  # whether the episode is
@@ -118,14 +71,16 @@ def shots(moments: Iterable[Moment], period: float, rate: float, speed: float = 
     Between control steps, `period` [s] apart, the robot moves on a straight line.
     """
     count = 0
+    path: tuple[np.ndarray, ...] = ()
     for moment in moments:
+        path = (*path, moment.before)
         end = moment.step * period
         while (instant := count * speed / rate) < end - 1e-9:
             share = instant / period - (moment.step - 1)
-            yield Shot(moment, between(moment.path[-1], moment.pose, share), instant, over=False)
+            yield Shot(moment, path, between(moment.before, moment.pose, share), instant, over=False)
             count += 1
-        if moment.ended:
-            yield from [Shot(moment, moment.pose, end, over=True)] * round(_HOLD * rate)
+        if moment.info["ended"]:
+            yield from [Shot(moment, path, moment.pose, end, over=True)] * round(_HOLD * rate)
 
 
 def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
@@ -154,11 +109,12 @@ def drive_all(
 
 def _told(moments: Iterable[Moment], episode: int, period: float) -> Iterator[Moment]:
     for moment in moments:
-        if moment.ended:
+        ended, distance = moment.info["ended"], moment.info["distance"]
+        if ended:
             seconds = moment.step * period
             print(
-                f"episode {episode}: {moment.ended} after {moment.step} steps ({seconds:.1f} s), "
-                f"{moment.distance:.1f} m, {moment.distance / seconds:.3f} m/s, return {moment.total:g}",
+                f"episode {episode}: {ended} after {moment.step} steps ({seconds:.1f} s), "
+                f"{distance:.1f} m, {distance / seconds:.3f} m/s, return {moment.total:g}",
                 flush=True,
             )
         yield moment
@@ -193,7 +149,7 @@ class AboveCamera:
 
     def picture(self, shot: Shot) -> np.ndarray:
         cast(shot.pose[None], *self._beams, self._maze.boxes, self._maze.posts, self._ranges)
-        return self._scene.draw(shot.pose, self._ranges[0], [*shot.moment.path, shot.pose])
+        return self._scene.draw(shot.pose, self._ranges[0], [*shot.path, shot.pose])
 
     def close(self) -> None:
         pass
@@ -301,19 +257,19 @@ def check_numbers(episodes: int, steps: int, seed: int, speed: float) -> None:
 def _frame(shot: Shot, camera: Camera, task: Task) -> np.ndarray:
     picture = camera.picture(shot)
     width = max(_STRIP_WIDTH, picture.shape[1])
-    loud = "ended" if shot.moment.ended == "crash" else None
+    loud = "ended" if shot.moment.info["ended"] == "crash" else None
     return with_caption(picture, draw_caption(width, caption(shot, task), loud))
 
 
 def caption(shot: Shot, task: Task) -> dict[str, str]:
     """What a film says of an instant."""
     moment = shot.moment
-    v, w = speeds(moment.path[-1], moment.pose, task.control_period)
+    v, w = speeds(moment.before, moment.pose, task.control_period)
     return {
         "time [s]": f"{shot.time:.1f}",
         "v [m/s]": f"{v:z.2f}",
         "w [rad/s]": f"{w:+z.2f}",
-        **({"ended": moment.ended or ""} if shot.over else {"action": action_names(task.commands)[moment.action]}),
+        **({"ended": moment.info["ended"]} if shot.over else {"action": action_names(task.commands)[moment.action]}),
         "reward": f"{moment.reward:+g}",
         "return": f"{moment.total:g}",
     }

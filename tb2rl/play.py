@@ -23,11 +23,12 @@ import numpy as np
 
 from tb2rl.checkpoint import SUFFIX
 from tb2rl.config import Config, parse_settings, resolve
+from tb2rl.driving import Moment, Policy
 from tb2rl.envs import TurtleBot2Env
 from tb2rl.errors import ArgumentParser, InputError, command
 from tb2rl.evaluate import add_policy_arguments, task_settings
-from tb2rl.evaluation import Policy, with_task
-from tb2rl.film import CAMERAS, STEPS, Moment, check_film, check_numbers, drive_all, film, goal_of, open_world, shots
+from tb2rl.evaluation import with_task
+from tb2rl.film import CAMERAS, STEPS, check_film, check_numbers, drive_all, film, goal_of, open_world, shots
 from tb2rl.maze import Maze
 from tb2rl.processes import main_hidden
 from tb2rl.runs import config_of, load, make_baseline

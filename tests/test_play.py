@@ -20,8 +20,9 @@ from PIL import Image
 import tb2rl.play as play
 from tb2rl import train
 from tb2rl.config import resolve
+from tb2rl.driving import drive
 from tb2rl.errors import InputError
-from tb2rl.film import CAMERAS, WRITERS, between, caption, drive, film, open_world, shots, speeds
+from tb2rl.film import CAMERAS, WRITERS, between, caption, film, open_world, shots, speeds
 from tb2rl.maze import load_maze, maze_names
 from tb2rl.robot import MAX_SPEED, MAX_TURN_RATE, Laser
 from tb2rl.runs import make_baseline
@@ -175,9 +176,10 @@ def test_the_drive_is_the_one_of_the_environment():
         _, reward, terminated, truncated, info = env.step(Wander.FORWARD)
         total, steps, over = total + reward, steps + 1, terminated or truncated
     last = moments[-1]
-    assert (last.step, last.total, last.ended, last.distance) == (steps, total, info["ended"], info["distance"])
+    assert (last.step, last.total, last.info["ended"]) == (steps, total, info["ended"])
+    assert last.info["distance"] == info["distance"]
     assert (last.pose == info["pose"]).all()
-    assert [moment.ended for moment in moments[:-1]] == [None] * (steps - 1)
+    assert [moment.info["ended"] for moment in moments[:-1]] == [None] * (steps - 1)
     env.close()
 
 
