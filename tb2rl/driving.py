@@ -11,6 +11,8 @@ import torch as th
 
 from tb2rl.envs import TurtleBot2Env
 
+LARGEST_SEED = 2**32 - 1
+
 
 class Policy(Protocol):
     """What drives: anything with Stable-Baselines3's `predict`."""

@@ -36,7 +36,7 @@ class ArgumentParser(argparse.ArgumentParser):
 
 
 def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
-    """Let a command's `main` report an `InputError` as one line on stderr and exit with status 2."""
+    """Let a command's `main` report wrong input, or a file it cannot use, as one line on stderr with status 2."""
 
     @functools.wraps(main)
     def guarded(arguments: list[str] | None = None) -> None:
@@ -44,6 +44,10 @@ def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
             main(arguments)
         except InputError as error:
             _stop(f"error: {error}")
+        except OSError as error:
+            if error.filename is None:  # not about a file
+                raise
+            _stop(f"error: {error.strerror}: {error.filename}")
         except KeyboardInterrupt:
             raise SystemExit(130) from None  # as the shell counts it: 128 + SIGINT
         except BrokenPipeError:  # the reader of our output went away, for example `| head`

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.config import parse_settings, resolve
-from tb2rl.driving import Policy
+from tb2rl.driving import LARGEST_SEED, Policy
 from tb2rl.errors import ArgumentParser, InputError, command
 from tb2rl.evaluation import EPISODES, SEED, STEPS, evaluate, keep, report, save, with_task
 from tb2rl.runs import checkpoint_file, config_of, load, make_baseline
@@ -57,8 +57,8 @@ def main(arguments: list[str] | None = None) -> None:
     if options.policy and options.task:
         raise InputError("--task goes with --agent; a policy keeps the task that it was trained at")
     workers = 1 if options.workers is None else options.workers
-    if min(options.episodes, options.steps, workers) < 1 or options.seed < 0:
-        raise InputError("--episodes, --steps and --workers must be at least 1, and --seed at least 0")
+    if min(options.episodes, options.steps, workers) < 1 or not 0 <= options.seed <= LARGEST_SEED:
+        raise InputError(f"--episodes, --steps and --workers must be at least 1, and --seed from 0 to {LARGEST_SEED}")
     if options.json and not options.json.absolute().parent.is_dir():
         raise InputError(f"cannot write {options.json}: there is no folder {options.json.absolute().parent}")
     settings = parse_settings(options.set)
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
         "seed": options.seed,
         "workers": options.workers,
     }
-    if options.agent:
+    if options.agent is not None:
         config = resolve(options.agent, options.task, settings=settings)
         policy: Policy = make_baseline(config)
         name = options.agent

@@ -18,9 +18,9 @@ from PIL import Image
 from tb2rl.actions import action_names
 from tb2rl.checkpoint import replacing
 from tb2rl.config import Config
-from tb2rl.driving import Moment, Policy, drive
+from tb2rl.driving import LARGEST_SEED, Moment, Policy, drive
 from tb2rl.envs import TurtleBot2Env
-from tb2rl.errors import InputError, unknown
+from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.evaluation import check_observes, with_task
 from tb2rl.laser import cast
 from tb2rl.maze import Maze
@@ -31,7 +31,6 @@ from tb2rl.simulation.bullet import Stage
 from tb2rl.tasks import Task
 
 STEPS = 300  # control steps: a minute
-_LARGEST_SEED = 2**32 - 1
 _SLOWEST, _FASTEST = 0.1, 100.0
 _STRIP_WIDTH = 560  # [px] that a caption needs at least
 _CHASE_SIZE = (640, 360)  # [px]
@@ -222,8 +221,10 @@ def film(
         try:
             with replacing(path) as temporary:
                 write(temporary, frames, rate)
-        except OSError as error:
-            raise InputError(f"cannot write {path}: {error.strerror or error}") from None
+        except BrokenPipeError:  # not of the film: whoever reads what is printed went away
+            raise
+        except (OSError, av.error.FFmpegError) as error:
+            raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
     return path
 
 
@@ -248,8 +249,8 @@ def check_film(path: str | Path, camera: str) -> Path:
 
 def check_numbers(episodes: int, steps: int, seed: int, speed: float) -> None:
     """Raise an `InputError` where a number is out of its range."""
-    if min(episodes, steps) < 1 or not 0 <= seed <= _LARGEST_SEED:
-        raise InputError(f"episodes and steps must be at least 1, and the seed from 0 to {_LARGEST_SEED}")
+    if min(episodes, steps) < 1 or not 0 <= seed <= LARGEST_SEED:
+        raise InputError(f"episodes and steps must be at least 1, and the seed from 0 to {LARGEST_SEED}")
     if not _SLOWEST <= speed <= _FASTEST:
         raise InputError(f"the speed must be from {_SLOWEST} to {_FASTEST}, got {speed:g}")
 
@@ -277,7 +278,7 @@ def caption(shot: Shot, task: Task) -> dict[str, str]:
 
 def write_mp4(path: Path, frames: Iterator[np.ndarray], rate: int) -> None:
     """Write pictures of one size, with even sides, as H.264: what browsers and notebooks play."""
-    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
+    with av.open(str(path.absolute()), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = container.add_stream("libx264", rate=rate, options={"preset": "veryfast", "crf": "22"})
         stream.pix_fmt = "yuv420p"
         stream.thread_count = 2

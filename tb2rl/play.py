@@ -126,9 +126,9 @@ def main(arguments: list[str] | None = None) -> None:
     check(options)
     settings = parse_settings(options.set)
     if options.teleop:
-        drive_by_keyboard(resolve(None, options.task, settings=settings), options.seed, options.camera)
+        drive_by_keyboard(resolve("random", options.task, settings=settings), options.seed, options.camera)
         return
-    if options.agent:
+    if options.agent is not None:
         config = resolve(options.agent, options.task, settings=settings)
         policy: Policy = make_baseline(config)
         name = options.agent.replace(":", ".")

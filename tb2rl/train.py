@@ -63,7 +63,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def main(arguments: list[str] | None = None) -> None:
     """Train, say where the run is, evaluate."""
     options = parse(arguments)
-    flags = {f"train.{name}": getattr(options, name) for name in _FLAGS if getattr(options, name) is not None}
     if options.resume:
         others = {"agent", "task", "preset", "set", "name", "seeds", *_FLAGS} - {"total_timesteps"}
         if any(getattr(options, name) not in (None, []) for name in others):
@@ -71,8 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"resuming {options.resume}", flush=True)
         _judge(resume(options.resume, options.total_timesteps, _bar(options), options.verbose), options)
         return
-    settings = {**parse_settings(options.set), **flags}
-    config = resolve(options.agent, options.task, options.preset, settings)
+    config = requested(options)
     folder = _folder(config, options.name)
     if options.seeds is None:
         _train_and_judge(config, folder, options)
@@ -90,6 +88,12 @@ def main(arguments: list[str] | None = None) -> None:
             return
         judged[seed] = summary
     _report_seeds(judged, folder)
+
+
+def requested(options: argparse.Namespace) -> Config:
+    """The config that a command line asks for."""
+    flags = {f"train.{name}": getattr(options, name) for name in _FLAGS if getattr(options, name) is not None}
+    return resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
 
 
 def parse_seeds(text: str) -> list[int]:

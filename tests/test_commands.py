@@ -131,7 +131,9 @@ def test_train_says_what_is_wrong(line, named, place, capsys):
         ("--agent random --episodes few", ["--episodes", "'few'"]),
         ("--agent random --steps 0", ["--steps", "at least 1"]),
         ("--agent random --workers 0", ["--workers", "at least 1"]),
-        ("--agent random --seed -1", ["--seed", "at least 0"]),
+        ("--agent random --seed -1", ["--seed", "from 0 to 4294967295"]),
+        (f"--agent random --seed {2**64}", ["--seed", "from 0 to 4294967295"]),
+        (300 * "x", ["File name too long"]),
         ("--agent random --json missing/it.json", ["missing/it.json"]),
     ],
 )

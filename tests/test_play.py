@@ -276,6 +276,9 @@ def test_an_agent_that_does_not_learn_plays_too(alone, capsys):
         ("missing", ["missing", "run folder"]),
         ("zoo:missing", ["zoo", "'missing'"]),
         ("--agent qlearn", ["qlearn", "tb2rl.train"]),
+        ('--agent ""', ["qlearn learns"]),
+        (300 * "x", ["File name too long", 300 * "x"]),
+        (f"--agent random --video {300 * 'x'}.mp4", ["File name too long"]),
         ("--agent rando", ["did you mean 'random'"]),
         ("--agent random --task wal", ["did you mean 'wall'"]),
         ("--agent random --set task.maze=missing.yaml", ["missing.yaml"]),
@@ -307,6 +310,20 @@ def test_play_says_what_is_wrong(line, named, alone, run, capsys):
     assert message.count("\n") == 1, message
     assert [part for part in named if part not in message] == [], message
     assert sorted(alone.rglob("*")) == before, "it leaves nothing behind"
+
+
+def test_a_film_may_be_named_like_an_address(tmp_path):
+    path = film(Ahead(), tmp_path / "12:30.mp4", config(), steps=1)
+    assert len(frames(path)) > 1
+
+
+def test_a_reader_who_goes_away_is_no_error_of_the_disk(tmp_path, monkeypatch):
+    def away(path, pictures, rate):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setitem(WRITERS, ".mp4", (away, 15))
+    with pytest.raises(BrokenPipeError):
+        film(Ahead(), tmp_path / "drive.mp4", config(), steps=1)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root can write anywhere")

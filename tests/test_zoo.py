@@ -18,7 +18,7 @@ SMALL = "--agent qlearn --simulation kinematic --total-timesteps 2560 --set trai
 
 def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
-    assert {entry.name for entry in ENTRIES} == expected - {"wall-wall-qlearn"}  # a table of 51 MB
+    assert {entry.name for entry in ENTRIES} == expected
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
@@ -43,6 +43,7 @@ def test_a_card_is_what_its_files_say_and_tells_what_falls_short(entry):
     short = entry.figures[f"{entry.good}_rate"] < entry.promised or entry.speed_share < entry.promised_speed
     assert ("Falls short" in text) == short
     assert entry.figures["episodes"] == len(entry.figures["each"]) == 100
+    assert entry.config.to_dict() == entry.requested.to_dict(), "trained as its recipe says"
     assert all((entry.folder / name).is_file() for name in ("paths.png", "config.yaml", "best/policy.safetensors"))
 
 
@@ -62,10 +63,13 @@ def test_the_cards_hold(capsys):
 
 @pytest.fixture
 def own_zoo(tmp_path, monkeypatch):
-    """A zoo of one recipe, whose policy learns next to nothing."""
-    (tmp_path / "recipes.yaml").write_text(f"mine: {SMALL}\n")
-    monkeypatch.setattr(keeper, "room", lambda name: tmp_path)
-    return tmp_path
+    """A zoo of one recipe, whose policy learns next to nothing; trainings go beside it."""
+    zoo = tmp_path / "zoo"
+    zoo.mkdir()
+    (zoo / "recipes.yaml").write_text(f"mine: {SMALL}\n")
+    monkeypatch.setattr(keeper, "room", lambda name: zoo)
+    monkeypatch.chdir(tmp_path)
+    return zoo
 
 
 @pytest.mark.slow
@@ -80,14 +84,51 @@ def test_a_recipe_becomes_an_entry_that_holds_until_its_figures_are_touched(own_
     assert (own_zoo / "mine" / "best" / "policy.safetensors").stat().st_mtime_ns == before, "what is there stays"
 
     keeper.main(["check"])
+    assert "1 cards hold" in capsys.readouterr().out
     figures = own_zoo / "mine" / "evaluation.json"
-    figures.write_text(json.dumps({**json.loads(figures.read_text()), "crash_free_interval": [0.9, 1.0]}))
-    capsys.readouterr()
+    tree = json.loads(figures.read_text())
+    for each in tree["each"]:
+        each.update(ended="time limit", distance=2 * each["distance"])
+    figures.write_text(json.dumps(tree))
+    (own_zoo / "README.md").write_text("all is well")
     with pytest.raises(SystemExit, match="1"):
         keeper.main(["check", "--episodes", "10"])
     said = capsys.readouterr().out
+    assert "mine: 0 % good episodes, below the card's interval from 72.2 %" in said
+    assert "m/s, " in said
+    assert "when the card was written" in said
+    assert "the table in README.md is not what the files say" in said
+
+    (own_zoo / "recipes.yaml").write_text(f"mine: {SMALL} agent.gamma=0.5\n")
+    with pytest.raises(SystemExit, match="1"):
+        keeper.main(["check", "--episodes", "1"])
+    said = capsys.readouterr().out
+    assert "mine: it was not trained as its recipe says" in said
     assert "mine: its card is not what its files say" in said
-    assert "below the card's interval from 90.0 %" in said
+    keeper.main(["build"])
+    keeper.main(["check", "--episodes", "1"])
+    assert "agent.gamma=0.5" in (own_zoo / "mine" / "README.md").read_text()
+    assert sorted(file.name for file in own_zoo.iterdir()) == ["README.md", "mine", "recipes.yaml"]
+
+    figures.write_text("<<<<<<< HEAD")
+    with pytest.raises(SystemExit, match="2"):
+        keeper.main(["check", "--episodes", "1"])
+    assert "evaluation.json is not JSON" in capsys.readouterr().err
+
+
+def test_a_build_that_is_interrupted_keeps_what_was_trained(own_zoo, monkeypatch, capsys):
+    training = keeper.train
+
+    def interrupted(arguments: list[str]) -> None:
+        training([*arguments, "--no-evaluation"])  # as after Ctrl-C
+
+    monkeypatch.setattr(keeper, "train", interrupted)
+    with pytest.raises(SystemExit, match="2"):
+        keeper.main(["build"])
+    (folder,) = own_zoo.parent.glob("runs/maze/qlearn/mine-*")
+    assert f"{folder.name} has no standard evaluation" in capsys.readouterr().err
+    assert (folder / "best" / "policy.safetensors").is_file()
+    assert [file.name for file in own_zoo.iterdir()] == ["recipes.yaml"]
 
 
 @pytest.mark.parametrize(

@@ -1,23 +1,24 @@
 """Keeps the zoo: trains its policies, judges them, writes their cards and the table, checks that these hold.
 
-    python -m tb2rl.zoo build                          # what a recipe names and is not there yet, all cards, the table
+    python -m tb2rl.zoo build                          # what is not there yet as its recipe says, all cards, the table
     python -m tb2rl.zoo build maze-loop-dqn --again    # from scratch
     python -m tb2rl.zoo check [NAME ...]
 
-`recipes.yaml` holds the recipes: for each policy the arguments of `python -m tb2rl.train`. A policy is a run folder
-with a card (README.md), a picture of its paths, and what it does in mazes that it never saw (elsewhere.json).
+`recipes.yaml` holds the recipes: for each policy the arguments of `python -m tb2rl.train`. It is trained in `runs`, as
+any other; what the zoo takes of the run folder gets a card (README.md), a picture of its paths, and what it does in
+mazes that it never saw (elsewhere.json). `check` judges policies in their own mazes again.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import shlex
 import shutil
-import tempfile
 from collections.abc import Sequence
-from contextlib import chdir
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -28,14 +29,17 @@ import numpy as np
 from PIL import Image
 
 from tb2rl.config import Config
-from tb2rl.errors import ArgumentParser, InputError, command, unknown
-from tb2rl.evaluation import EPISODES, Evaluation, evaluate, kept
+from tb2rl.errors import ArgumentParser, InputError, command, one_line, unknown
+from tb2rl.evaluation import EPISODES, Evaluation, evaluate, kept, wilson_interval
 from tb2rl.maze import load_maze
 from tb2rl.observations import prepare
 from tb2rl.render import draw_paths
 from tb2rl.runs import Run, write
 from tb2rl.settings import read_text, read_yaml, room
 from tb2rl.train import main as train
+from tb2rl.train import parse as parse_training
+from tb2rl.train import requested
+from tb2rl.training import default_folder
 
 CLOSED_MAZES = ("loop", "circuit", "round", "maze")  # around `wall` is open floor: a robot that drives away is safe
 PROMISED, PROMISED_TABULAR = 0.99, 0.95  # share of good episodes
@@ -56,20 +60,25 @@ class Entry:
     def config(self) -> Config:
         return Run.open(self.folder).config
 
+    @property
+    def requested(self) -> Config:
+        """What the recipe asks for."""
+        return requested(parse_training(shlex.split(self.recipe)))
+
     @cached_property
     def figures(self) -> dict[str, Any]:
         """The standard evaluation, see `Evaluation.summary`, and every episode of it as `each`."""
-        return json.loads(read_text(self.folder / "evaluation.json"))
+        return _read(self.folder / "evaluation.json")[0]
 
     @cached_property
     def elsewhere(self) -> dict[str, dict[str, Any]]:
         """The same figures in each maze that it never saw."""
-        return json.loads(read_text(self.folder / "elsewhere.json"))
+        return _read(self.folder / "elsewhere.json")[0]
 
     @cached_property
     def notes(self) -> list[dict[str, Any]]:
         """The evaluations while training."""
-        return [json.loads(line) for line in read_text(self.folder / "evaluations.jsonl").splitlines()]
+        return _read(self.folder / "evaluations.jsonl", lines=True)
 
     @property
     def maze(self) -> str:
@@ -104,9 +113,23 @@ class Entry:
         return self.figures["mean_speed"] / float(np.abs(self.config.task_settings.commands[:, 0]).max())
 
     @property
+    def trained(self) -> int:
+        """Training steps."""
+        return self.notes[-1]["timesteps"]
+
+    @property
     def kept_after(self) -> int:
         """Training steps of the policy that was kept."""
         return next(note["timesteps"] for note in reversed(self.notes) if note["best"])
+
+
+def _read(file: Path, lines: bool = False) -> list[Any]:
+    """The JSON in a file, or in each line of it."""
+    text = read_text(file)
+    try:
+        return [json.loads(part) for part in (text.splitlines() if lines else [text])]
+    except ValueError as error:
+        raise InputError(one_line(f"{file} is not JSON: {error}")) from None
 
 
 def entries(names: Sequence[str] = ()) -> list[Entry]:
@@ -123,13 +146,17 @@ def entries(names: Sequence[str] = ()) -> list[Entry]:
 
 
 def build(entry: Entry, again: bool) -> None:
-    """Train and judge a policy, as far as it is not there yet."""
-    if again or not (entry.folder / "config.yaml").is_file():
-        with tempfile.TemporaryDirectory() as place, chdir(place):
-            train([*shlex.split(entry.recipe), "--name", entry.name, "--no-progress"])
-            (folder,) = Path(place).glob(f"runs/*/*/{entry.name}")
-            _draw(kept(folder), folder / "paths.png")
-            _take_over(folder, entry.folder)
+    """Train and judge a policy, as far as it is not there yet.
+
+    Raises:
+        InputError: If the training was interrupted: it has no evaluation.
+    """
+    there = (entry.folder / "config.yaml").is_file()
+    if again or not there or entry.config.to_dict() != entry.requested.to_dict():
+        folder = default_folder(entry.requested).with_name(f"{entry.name}-{datetime.now():%Y%m%d-%H%M%S}")
+        train([*shlex.split(entry.recipe), "--name", folder.name, "--no-progress"])
+        _draw(kept(folder), folder / "paths.png")
+        _take_over(folder, entry.folder)
     if not (entry.folder / "elsewhere.json").is_file():
         write(entry.folder / "elsewhere.json", json.dumps(_drive_elsewhere(entry), indent=1) + "\n")
 
@@ -146,15 +173,17 @@ def _draw(evaluation: Evaluation, file: Path) -> None:
 
 def _take_over(folder: Path, place: Path) -> None:
     """Put what others need of a run folder into the zoo, in the place of what is there."""
-    staging = place.with_name(f".{place.name}")
+    staging, old = place.with_name(f".{place.name}.new"), place.with_name(f".{place.name}.old")
     shutil.rmtree(staging, ignore_errors=True)
     (staging / "best").mkdir(parents=True)
     for name in ("config.yaml", "evaluations.jsonl", "evaluation.json", "paths.png"):
         shutil.copy(folder / name, staging / name)
     policy = Run.open(folder).policy_file
     shutil.copy(policy, staging / "best" / policy.name)
-    shutil.rmtree(place, ignore_errors=True)
+    if place.exists():
+        place.rename(old)
     staging.rename(place)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def _drive_elsewhere(entry: Entry) -> dict[str, dict[str, Any]]:
@@ -224,23 +253,30 @@ def _failures(entry: Entry) -> list[str]:
         lines.append(f"{episode['ended']} after {episode['length']} steps from ({x:.2f} m, {y:.2f} m, {yaw:.2f} rad)")
     for maze, figures in entry.elsewhere.items():
         endings = ", ".join(f"{ended} {count}" for ended, count in figures["endings"].items())
-        failing = _percent(1 - figures[f"{entry.good}_rate"])
-        lines.append(f"In `{maze}`, which it never saw: {failing} of the episodes ({endings}).")
+        failing, speed = _percent(1 - figures[f"{entry.good}_rate"]), figures["mean_speed"]
+        lines.append(f"In `{maze}`, which it never saw: {failing} of the episodes ({endings}), at {speed:.2f} m/s.")
     return lines
 
 
 def check(entry: Entry, episodes: int) -> list[str]:
-    """Judge a policy again; what its card and the new figures do not agree on."""
-    good, again = f"{entry.good}_rate", evaluate(entry.folder, episodes=episodes).summary()
-    print(f"{entry.name}: {_percent(again[good])} good episodes, {again['mean_speed']:.3f} m/s", flush=True)
-    lowest, slowest = entry.figures[f"{entry.good}_interval"][0], (1 - _TOLERANCE) * entry.figures["mean_speed"]
+    """Judge a policy again in its own maze; what its card and the new figures do not agree on."""
+    again = evaluate(entry.folder, episodes=episodes)
+    rate, speed = again.summary()[f"{entry.good}_rate"], again.summary()["mean_speed"]
+    print(f"{entry.name}: {_percent(rate)} good episodes, {speed:.3f} m/s", flush=True)
+    before = entry.figures["each"][:episodes]  # from the same start poses
+    good = [each["success"] if entry.good == "success" else each["ended"] != "crash" for each in before]
+    lowest, _ = wilson_interval(sum(good), len(good))
+    seconds = sum(each["length"] for each in before) * entry.config.task_settings.control_period
+    speed_before = sum(each["distance"] for each in before) / seconds
     wrong = []
+    if entry.config.to_dict() != entry.requested.to_dict():
+        wrong.append("it was not trained as its recipe says")
     if read_text(entry.folder / "README.md") != card(entry):
         wrong.append("its card is not what its files say")
-    if again[good] < lowest:
-        wrong.append(f"{_percent(again[good])} good episodes, below the card's interval from {100 * lowest:.1f} %")
-    if again["mean_speed"] < slowest:
-        wrong.append(f"{again['mean_speed']:.3f} m/s, the card says {entry.figures['mean_speed']:.3f}")
+    if rate < lowest:
+        wrong.append(f"{_percent(rate)} good episodes, below the card's interval from {100 * lowest:.1f} %")
+    if speed < (1 - _TOLERANCE) * speed_before:
+        wrong.append(f"{speed:.3f} m/s, {speed_before:.3f} when the card was written")
     return [f"{entry.name}: {line}" for line in wrong]
 
 
@@ -260,6 +296,8 @@ def main(arguments: list[str] | None = None) -> None:
     options = parse(arguments)
     chosen = entries(options.names)
     if options.what == "build":
+        if not os.access(room("zoo"), os.W_OK):
+            raise InputError(f"the zoo's folder {room('zoo')} is not writable")
         for entry in chosen:
             build(entry, options.again)
         there = [entry for entry in entries() if (entry.folder / "elsewhere.json").is_file()]
@@ -269,10 +307,17 @@ def main(arguments: list[str] | None = None) -> None:
         return
     if not 1 <= options.episodes <= EPISODES:
         raise InputError(f"--episodes must be from 1 to {EPISODES}, got {options.episodes}")
-    wrong = [line for entry in chosen for line in check(entry, options.episodes)]
-    print("\n".join(wrong) if wrong else f"{len(chosen)} cards hold")
+    wrong = 0
+    for entry in chosen:
+        for line in check(entry, options.episodes):
+            print(line, flush=True)
+            wrong += 1
+    if not options.names and read_text(room("zoo") / "README.md") != table(chosen):
+        print("the table in README.md is not what the files say")
+        wrong += 1
     if wrong:
         raise SystemExit(1)
+    print(f"{len(chosen)} cards hold")
 
 
 if __name__ == "__main__":
