@@ -17,6 +17,7 @@ from tb2rl.robot import BASE_RADIUS
 from tb2rl.simulation.kinematic import KinematicSimulation
 
 HEADINGS = 16
+UNMET, OVER = -1, -2  # in place of an action
 _PLACES = 900  # on a map, about
 
 
@@ -28,18 +29,16 @@ class ActionMap:
         maze: Which one.
         side: Of the square around each place [m].
         places: x, y [m], shape (places, 2).
-        actions: At each heading and place, shape (headings, places); -1 where training never met the state.
+        actions: At each heading and place, shape (headings, places); `UNMET` where training never met the state,
+            `OVER` where an episode ends at once.
+        known: Share of the states of a table, of those that the other poses lead to, that training met.
     """
 
     maze: Maze
     side: float
     places: np.ndarray
     actions: np.ndarray
-
-    @property
-    def known(self) -> float:
-        """Share of the poses whose state training met."""
-        return float((self.actions >= 0).mean())
+    known: float = 1.0
 
     @property
     def walls(self) -> list[list[tuple[float, ...]]]:
@@ -49,18 +48,21 @@ class ActionMap:
 
 def action_map(policy: BaseAlgorithm, config: Config) -> ActionMap:
     """What the greedy policy does, at rest, at places all over the free space and at headings all around."""
-    maze, _, observe, laser = prepare(replace(config.task_settings, noise=0.0), config.observation)
+    maze, task, observe, laser = prepare(replace(config.task_settings, noise=0.0), config.observation)
     places, side = _places(maze)
     headings = np.arange(HEADINGS) * math.tau / HEADINGS
     poses = np.column_stack([np.tile(places, (HEADINGS, 1)), np.repeat(headings, len(places))])
     reading = KinematicSimulation(maze, laser, len(poses)).reset(poses, np.random.default_rng(0))
     observations = observe(reading)
     actions = np.array(policy.predict(observations, deterministic=True)[0])
+    over, known = task.judge(reading, np.zeros_like(actions), reading).terminated, 1.0
     table: Any = policy.policy
     if hasattr(table, "visits"):
-        met = table.visits.numpy().any(axis=1)
-        actions[~met[table.states(observations)]] = -1
-    return ActionMap(maze, side, places, actions.reshape(HEADINGS, -1))
+        states, met = table.states(observations), table.visits.numpy().any(axis=1)
+        actions[~met[states]] = UNMET
+        known = float(met[np.unique(states[~over])].mean()) if not over.all() else 0.0
+    actions[over] = OVER
+    return ActionMap(maze, side, places, actions.reshape(HEADINGS, -1), known)
 
 
 def _places(maze: Maze) -> tuple[np.ndarray, float]:
@@ -69,8 +71,11 @@ def _places(maze: Maze) -> tuple[np.ndarray, float]:
     side = math.sqrt(free.area / _PLACES)
     x0, y0, x1, y1 = maze.bounds
     x, y = np.meshgrid(np.arange(x0 + side / 2, x1, side), np.arange(y0 + side / 2, y1, side))
-    inside = shapely.contains_xy(free, x.ravel(), y.ravel())
-    return np.column_stack([x.ravel(), y.ravel()])[inside], side
+    places = np.column_stack([x.ravel(), y.ravel()])
+    inside = places[shapely.contains_xy(free, *places.T)]
+    if not len(inside):  # narrower than a square
+        inside = np.array([free.representative_point().coords[0]])
+    return inside, side
 
 
 def action_names(commands: np.ndarray) -> list[str]:

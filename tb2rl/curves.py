@@ -14,9 +14,6 @@ from tensorboard.backend.event_processing.event_accumulator import (
     SCALARS,
     EventAccumulator,
 )
-from tensorboard.backend.event_processing.event_file_loader import (
-    RawEventFileLoader,
-)
 from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import masked_crc32c
 
 from tb2rl.errors import InputError, one_line
@@ -72,6 +69,11 @@ class Family:
         columns = self._values(self.mean.steps).T
         return np.array([bootstrap_interval(column) for column in columns]).reshape(-1, 2)
 
+    @property
+    def cut(self) -> bool:
+        """Whether some of them go on beyond the last step of `mean`."""
+        return len({curve.steps[-1] for curve in self.curves}) > 1
+
     def _values(self, steps: np.ndarray) -> np.ndarray:
         return np.array([np.interp(steps, curve.steps, curve.values) for curve in self.curves])
 
@@ -113,16 +115,15 @@ def _check_whole(file: Path) -> None:
         data = file.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}") from None
-    records = at = 0
+    number = at = 0
     while at + 12 <= len(data):  # a record: its length, a checksum of that, the event, a checksum of that
         length, checksum = struct.unpack_from("<QI", data, at)
-        if masked_crc32c(data[at : at + 8]) != checksum:
-            raise InputError(f"{file} is damaged after {records} events; remove it to go without")
-        at += length + 16
-        records += at <= len(data)
-    read = sum(1 for _ in RawEventFileLoader(str(file)).Load())
-    if read < records:
-        raise InputError(f"{file} is damaged after {read} events; remove it to go without")
+        sound, event, end = masked_crc32c(data[at : at + 8]) == checksum, at + 12, at + 12 + length
+        if sound and end + 4 <= len(data):
+            sound = masked_crc32c(data[event:end]) == struct.unpack_from("<I", data, end)[0]
+        if not sound:
+            raise InputError(f"{file} is damaged after {number} events; remove it to go without")
+        number, at = number + 1, end + 4
 
 
 def read_evaluations(file: Path) -> dict[str, Curve]:
@@ -137,7 +138,7 @@ def read_evaluations(file: Path) -> dict[str, Curve]:
         notes = [json.loads(line) for line in read_text(file).splitlines()]
         steps = [float(note["timesteps"]) for note in notes]
         curves = {key: _curve(steps, [float(note[key]) for note in notes]) for key in _NOTED}
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, OverflowError, TypeError, ValueError) as error:
         raise InputError(one_line(f"{file} is damaged: {error or type(error).__name__}")) from None
     return curves if notes else {}
 

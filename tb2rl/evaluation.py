@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cloudpickle
@@ -19,7 +20,7 @@ import torch as th
 from rich.console import Console
 from rich.table import Table
 
-from tb2rl.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
+from tb2rl.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.config import Config, config_from
 from tb2rl.driving import Policy, drive
 from tb2rl.envs import TurtleBot2Env
@@ -27,15 +28,14 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.maze import load_maze
 from tb2rl.observations import prepare
 from tb2rl.processes import main_hidden, process_context, processors
-from tb2rl.runs import config_of, load, versions, write
-from tb2rl.settings import read_text
+from tb2rl.runs import EVALUATION, WAYS, config_of, load, versions, write
+from tb2rl.settings import Count, checked, read_text, type_with_checks
 from tb2rl.tasks import Task
 
 EPISODES, STEPS = 100, 1500
 SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
 TRAINING_SEED = 20_190_000  # of the evaluations while training
 PASSED = 0.95  # success rate from which a training counts as one that has learned
-_WAYS = f"episodes{SUFFIX}"  # paths and actions of the episodes in evaluation.json
 
 
 @dataclass(frozen=True)
@@ -141,10 +141,16 @@ class Evaluator:
             episodes = [judge(env, policy, pose, self.seed + i) for i, pose in enumerate(self.poses)]
             env.close()
         else:
-            data = cloudpickle.dumps(policy)
-            with main_hidden():  # processes start as they are needed
-                jobs = [self._pool.submit(_drive_one, data, pose, self.seed + i) for i, pose in enumerate(self.poses)]
-            episodes = [job.result() for job in jobs]
+            with TemporaryDirectory() as folder:
+                file = Path(
+                    folder, "policy"
+                )  # a table can have millions of values: not through a pipe for each episode
+                file.write_bytes(cloudpickle.dumps(policy))
+                with main_hidden():  # processes start as they are needed
+                    jobs = [
+                        self._pool.submit(_drive_one, file, pose, self.seed + i) for i, pose in enumerate(self.poses)
+                    ]
+                episodes = [job.result() for job in jobs]
         return Evaluation(episodes, self.task, self.steps, self.seed)
 
     def close(self) -> None:
@@ -272,16 +278,16 @@ def keep(evaluation: Evaluation, summary: Mapping[str, Any], config: Config, pol
     """Put the standard evaluation into a run folder: `save` it, and beside it the way of every episode."""
     try:
         write_checkpoint(
-            folder / _WAYS, {name: [getattr(episode, name) for episode in evaluation.episodes] for name in _ARRAYS}
+            folder / WAYS, {name: [getattr(episode, name) for episode in evaluation.episodes] for name in _ARRAYS}
         )
     except OSError as error:
-        raise InputError(f"cannot write {folder / _WAYS}: {error.strerror}") from None
-    save(evaluation, summary, config, policy, folder / "evaluation.json")
+        raise InputError(f"cannot write {folder / WAYS}: {error.strerror}") from None
+    save(evaluation, summary, config, policy, folder / EVALUATION)
 
 
 def has_kept(folder: Path) -> bool:
     """Whether `keep` put an evaluation into a run folder."""
-    return (folder / "evaluation.json").is_file() and (folder / _WAYS).is_file()
+    return (folder / EVALUATION).is_file() and (folder / WAYS).is_file()
 
 
 def kept(folder: Path) -> Evaluation:
@@ -290,23 +296,24 @@ def kept(folder: Path) -> Evaluation:
     Raises:
         InputError: If there is none, or its files are damaged or do not belong together.
     """
-    file = folder / "evaluation.json"
+    file = folder / EVALUATION
     if not has_kept(folder):
         raise InputError(f"{folder} has no standard evaluation: run `python -m tb2rl.evaluate {folder}`")
-    ways = read_checkpoint(folder / _WAYS)
+    ways = read_checkpoint(folder / WAYS)
     try:
         tree = json.loads(read_text(file))
         columns = [ways[name] for name in _ARRAYS]
-        episodes = [
-            Episode(**{**each, "start": tuple(each["start"])}, **dict(zip(_ARRAYS, arrays, strict=True)))
+        trees = [
+            {**each, **dict(zip(_ARRAYS, arrays, strict=True))}
             for each, *arrays in zip(tree["each"], *columns, strict=True)
         ]
+        episodes = checked(list[type_with_checks(Episode)], trees, "each")  # type: ignore[misc]
         if not episodes or any((e.path.shape, e.actions.shape) != ((e.length + 1, 2), (e.length,)) for e in episodes):
             raise ValueError("its episodes have other lengths than their paths")
-        task = replace(config_from(tree["config"]).task_settings, episode_steps=tree["steps"])
-        return Evaluation(episodes, task, tree["steps"], tree["seed"])
+        task = replace(config_from(tree["config"]).task_settings, episode_steps=checked(Count, tree["steps"], "steps"))
+        return Evaluation(episodes, task, task.episode_steps, checked(int, tree["seed"], "seed"))
     except (AttributeError, LookupError, TypeError, ValueError) as error:
-        raise InputError(one_line(f"{file} is not an evaluation with {_WAYS} beside it: {error}")) from None
+        raise InputError(one_line(f"{file} is not an evaluation with {WAYS} beside it: {error}")) from None
 
 
 _world: TurtleBot2Env  # of a worker process
@@ -319,5 +326,5 @@ def _open_world(task: bytes, observation: str) -> None:
     _world = TurtleBot2Env(pickle.loads(task), observation)
 
 
-def _drive_one(policy: bytes, pose: np.ndarray, seed: int) -> Episode:
-    return judge(_world, pickle.loads(policy), pose, seed)
+def _drive_one(policy: Path, pose: np.ndarray, seed: int) -> Episode:
+    return judge(_world, pickle.loads(policy.read_bytes()), pose, seed)

@@ -23,6 +23,8 @@ from typing import Any
 import jinja2
 import numpy as np
 from markupsafe import Markup
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from tb2rl.actions import HEADINGS, ActionMap, action_map, action_names
@@ -33,7 +35,7 @@ from tb2rl.errors import ArgumentParser, InputError, command, one_line
 from tb2rl.evaluation import EPISODES, Evaluation, bootstrap_interval, evaluate, has_kept, kept
 from tb2rl.maze import Maze, load_maze
 from tb2rl.render import CRASH, FLOOR, GOAL, START, WALL
-from tb2rl.runs import Run, checkpoint_file, load, write
+from tb2rl.runs import Run, checkpoint_file, config_of, load, write
 from tb2rl.settings import read_yaml, room
 
 _HERE = 20  # episodes of an evaluation that is made for the page
@@ -57,7 +59,7 @@ class Subject:
         name: What the page calls it.
         config: What it was trained to do.
         versions: Of what trained it.
-        policy: Its best one.
+        policy: The one that stands for it.
         curves: Figures over its training, by the tags of `_CURVES`; those that it has.
         evaluation: The standard one, or a shorter one.
         kept: Whether the evaluation is the one in the run folder.
@@ -70,6 +72,11 @@ class Subject:
     curves: Mapping[str, Curve]
     evaluation: Evaluation
     kept: bool
+
+    @property
+    def trained(self) -> int:
+        """Control steps of the training, as far as its files tell; an unfinished one has fewer than its config."""
+        return int(max([self.policy.num_timesteps, *(curve.steps[-1] for curve in self.curves.values())]))
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -140,9 +147,19 @@ class Group:
         return [subject.config.train.seed for subject in self.subjects]
 
     @property
+    def trained(self) -> list[int]:
+        """Control steps of the shortest and of the longest training, once if they are equal."""
+        steps = [subject.trained for subject in self.subjects]
+        return sorted({min(steps), max(steps)})
+
+    @property
     def settings(self) -> dict[str, str]:
-        """Everything that was decided, by dotted key."""
-        return _flat(self.config.to_dict())
+        """Everything that was decided, and the versions that ran it, by dotted key."""
+        return {
+            **_flat(self.config.to_dict()),
+            "train.seed": ", ".join(map(str, self.seeds)),
+            **_flat({"version": self.subjects[0].versions}),
+        }
 
     def mean(self, figure: str) -> tuple[float, tuple[float, float]]:
         """Mean and 95 % bootstrap interval of a figure of `Evaluation.summary` over the runs."""
@@ -190,9 +207,18 @@ def read_subject(folder: Path, name: str) -> Subject:
     if not config.task_settings.goal_task:  # without a goal, to succeed is not to crash
         curves.pop("success_rate", None)
     policy = load(folder)
+    if _untrained(config_of(policy)) != _untrained(config):
+        raise InputError(f"{folder}: config.yaml is not what its policy was trained with")
     found = has_kept(folder)
     evaluation = kept(folder) if found else evaluate(policy, episodes=_HERE)
+    if replace(evaluation.task, episode_steps=config.task_settings.episode_steps) != config.task_settings:
+        raise InputError(f"{folder}: evaluation.json is not of the task in config.yaml")
     return Subject(name, config, _versions(folder), policy, curves, evaluation, found)
+
+
+def _untrained(config: Config) -> dict[str, Any]:
+    """What resuming a training cannot change."""
+    return {key: value for key, value in config.to_dict().items() if key != "train"}
 
 
 def _versions(folder: Path) -> dict[str, str]:
@@ -201,27 +227,46 @@ def _versions(folder: Path) -> dict[str, str]:
 
 
 def grouped(subjects: Iterable[Subject]) -> list[Group]:
-    """Put runs that differ in nothing but their seed together, in the order of their seeds."""
-    together: dict[str, list[Subject]] = {}
+    """Put runs that differ in nothing but their seed together, in the order of their seeds.
+
+    Raises:
+        InputError: If two do not even differ in that: their mean would count one training twice.
+    """
+    together: dict[str, dict[int, Subject]] = {}
     for subject in subjects:
-        unseeded = replace(subject.config, train=replace(subject.config.train, seed=0))
-        together.setdefault(json.dumps(unseeded.to_dict(), sort_keys=True), []).append(subject)
-    groups = []
-    for i, members in enumerate(together.values()):
-        members.sort(key=lambda subject: subject.config.train.seed)
-        groups.append(Group(_name([m.name for m in members]), _COLOURS[i % len(_COLOURS)], members))
-    return groups
+        seed, unseeded = subject.config.train.seed, replace(subject.config.train, seed=0)
+        settings = {**replace(subject.config, train=unseeded).to_dict(), "versions": subject.versions}
+        seeds = together.setdefault(json.dumps(settings, sort_keys=True), {})
+        if seed in seeds:
+            raise InputError(f"{seeds[seed].name} and {subject.name} are the same training: name one of them")
+        seeds[seed] = subject
+    palette = colours(len(together), _COLOURS)
+    names = [subject.name for seeds in together.values() for subject in seeds.values()]
+    return [
+        Group(
+            _name([subject.name for subject in seeds.values()], names), colour, [seeds[seed] for seed in sorted(seeds)]
+        )
+        for colour, seeds in zip(palette, together.values(), strict=True)
+    ]
 
 
-def _name(names: Sequence[str]) -> str:
-    """What the names of runs have in common."""
+def _name(names: Sequence[str], everyone: Sequence[str]) -> str:
+    """What the names of some runs have in common, and those of no others."""
     shared = os.path.commonpath(names)
-    return shared or f"{names[0]} and {len(names) - 1} more"
+    if shared and [name for name in everyone if os.path.commonpath([shared, name]) == shared] == list(names):
+        return shared
+    return f"{names[0]} and {len(names) - 1} more"
+
+
+def colours(count: int, first: Sequence[str]) -> Sequence[str]:
+    """So many colours: the first ones, or hues all around if these are too few."""
+    hues = colormaps["turbo"](np.linspace(0, 1, count))
+    return first[:count] if count <= len(first) else [to_hex(hue) for hue in hues]
 
 
 def differences(groups: Sequence[Group]) -> dict[str, list[str]]:
     """The settings in which groups differ, by dotted key, with the value in each group."""
-    trees = [{**group.settings, **_flat({"version": group.subjects[0].versions})} for group in groups]
+    trees = [group.settings for group in groups]
     keys = sorted({key for tree in trees for key in tree} - {"train.seed"})
     rows = {key: [tree.get(key, "") for tree in trees] for key in keys}
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
@@ -268,17 +313,18 @@ def page(groups: Sequence[Group]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    numbers = itertools.count()
+    numbers, actions = itertools.count(), max(len(s.action_names) for group in groups for s in group.subjects)
     environment.filters.update(
         spaced=_spaced, percent=_percent, plain=_plain, own=lambda picture: with_own_ids(picture, next(numbers))
     )
     return environment.get_template("report.html").render(
         title=title(groups),
         groups=groups,
+        rows=[(group, subject) for group in groups for subject in group.subjects],
         subjects=[subject for group in groups for subject in group.subjects],
         charts=charts(groups),
         differences=differences(groups),
-        action_colours=_ACTION_COLOURS,
+        action_colours=colours(actions, _ACTION_COLOURS),
         colours={"start": START, "crash": CRASH, "goal": GOAL, "wall": WALL, "floor": FLOOR},
         headings=HEADINGS,
         standard_episodes=EPISODES,

@@ -50,6 +50,7 @@ from tb2rl.settings import read_yaml, room
 _FOREIGN = (  # what values that fit no better than their types allow lead to, in torch and Stable-Baselines3
     ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError,
 )  # fmt: skip
+EVALUATION, WAYS = "evaluation.json", f"episodes{SUFFIX}"  # files of the standard evaluation
 _LARGEST = 1e9  # of any weight, or moment of one
 _PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
 
@@ -120,6 +121,8 @@ class Run:
     def save(self, algorithm: BaseAlgorithm, place: str, **more: Any) -> Path:
         """Write a checkpoint at `place` within the folder, for example "best/policy".
 
+        If it stands for the run now, then the evaluation of what did so before goes.
+
         Raises:
             InputError: If it cannot be written; what was there before stays.
         """
@@ -134,6 +137,9 @@ class Run:
         try:
             path.parent.mkdir(exist_ok=True)
             write_checkpoint(path, content)
+            if path == self.policy_file:
+                for file in (EVALUATION, WAYS):
+                    (self.folder / file).unlink(missing_ok=True)
         except OSError as error:
             raise InputError(f"cannot write {path}: {error.strerror or error}") from None
         return path
