@@ -138,6 +138,8 @@ def read_evaluations(file: Path) -> dict[str, Curve]:
         notes = [json.loads(line) for line in read_text(file).splitlines()]
         steps = [float(note["timesteps"]) for note in notes]
         curves = {key: _curve(steps, [float(note[key]) for note in notes]) for key in _NOTED}
+        if not all(np.isfinite([*curve.steps, *curve.values]).all() for curve in curves.values()):
+            raise ValueError("there are numbers in it that are none")
     except (LookupError, OverflowError, TypeError, ValueError) as error:
         raise InputError(one_line(f"{file} is damaged: {error or type(error).__name__}")) from None
     return curves if notes else {}

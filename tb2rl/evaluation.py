@@ -314,6 +314,10 @@ def kept(folder: Path) -> Evaluation:
         if not episodes or any((e.path.shape, e.actions.shape) != ((e.length + 1, 2), (e.length,)) for e in episodes):
             raise ValueError("its episodes have other lengths than their paths")
         task = replace(config_from(tree["config"]).task_settings, episode_steps=checked(Count, tree["steps"], "steps"))
+        if not all(np.isfinite(e.path).all() and e.actions.dtype == np.uint8 for e in episodes):
+            raise ValueError("its paths or actions are none")
+        if max(e.actions.max() for e in episodes) >= len(task.commands):
+            raise ValueError("its actions are not the task's")
         return Evaluation(episodes, task, task.episode_steps, checked(int, tree["seed"], "seed"))
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(one_line(f"{file} is not an evaluation with {WAYS} beside it: {error}")) from None

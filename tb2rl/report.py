@@ -253,9 +253,8 @@ def grouped(subjects: Iterable[Subject]) -> list[Group]:
 def _name(names: Sequence[str], everyone: Sequence[str]) -> str:
     """What the names of some runs have in common, and those of no others."""
     shared = os.path.commonpath(names)
-    if shared and [name for name in everyone if os.path.commonpath([shared, name]) == shared] == list(names):
-        return shared
-    return f"{names[0]} and {len(names) - 1} more"
+    theirs = [name for name in everyone if shared and os.path.commonpath([shared, name]) == shared]
+    return shared if len(names) == 1 or theirs == list(names) else f"{names[0]} and {len(names) - 1} more"
 
 
 def colours(count: int, first: Sequence[str]) -> Sequence[str]:

@@ -20,7 +20,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-from tb2rl import evaluate, load, report, train
+from tb2rl import evaluate, report, train
 from tb2rl.evaluation import keep
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
@@ -49,12 +49,13 @@ SMALLEST = 9  # [px] of text in a chart
 PATIENCE = 30  # [s]
 
 OVERLAPS = """
+const picture = (element) => element.ownerSVGElement ?? null;
 const shown = [...document.querySelectorAll(arguments[0])].filter((element) => element.getClientRects().length);
 const boxes = shown.map((element) => element.getBoundingClientRect());
 const found = [];
 for (let i = 0; i < shown.length; i++) {
   for (let j = i + 1; j < shown.length; j++) {
-    if (shown[i].contains(shown[j]) || shown[i].ownerSVGElement !== shown[j].ownerSVGElement) continue;
+    if (shown[i].contains(shown[j]) || picture(shown[i]) !== picture(shown[j])) continue;
     const wide = Math.min(boxes[i].right, boxes[j].right) - Math.max(boxes[i].left, boxes[j].left);
     const high = Math.min(boxes[i].bottom, boxes[j].bottom) - Math.max(boxes[i].top, boxes[j].top);
     if (wide > 1 && high > 1) found.push([shown[i].outerHTML.slice(0, 90), shown[j].outerHTML.slice(0, 90)]);
@@ -68,7 +69,10 @@ return [...document.querySelectorAll("figure svg text")].map((text) => {
   return parseFloat(getComputedStyle(text).fontSize) * Math.hypot(scale.a, scale.b);
 });
 """
-BLOCKS = "h1, h2, h3, p, figure, figcaption, figure > svg, .scroll, .bar, .chooser > *, details"
+BLOCKS = "h1, h2, h3, p, figure, figcaption, figure > svg, .scroll, .bar, .chooser > *, details, .together"
+LINES = "[id*='mean-'] > path, [id*='seed-'] > path"
+STAR = "#paths [id$='-goal'] use"
+LARGEST = 3_000_000  # bytes of a page
 
 TEXT = """
 function text(node) {
@@ -91,20 +95,33 @@ return pictures(document).map((picture) => picture.naturalWidth);
 def seeds(tmp_path_factory) -> Path:
     """A folder of runs of two seeds, each with a standard evaluation that is a short one."""
     folder = tmp_path_factory.mktemp("runs") / "seeds"
-    short = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 50, "save_freq": 0}
     for seed in (0, 1):
-        run = folder / f"seed-{seed}"
-        train("qlearn", total_timesteps=24_000, eval_freq=6000, seed=seed, folder=run, **short)
-        evaluation = evaluate(run, episodes=8, steps=300, workers=1)
-        keep(evaluation, evaluation.summary(), load(run).trained_with, str(run), run)
+        trained("maze", folder / f"seed-{seed}", episodes=8, seed=seed)
     return folder
 
 
 @pytest.fixture(scope="module")
-def page(seeds) -> str:
-    """The address of their report."""
-    report.main([str(seeds)])
-    return (seeds / "report.html").as_uri()
+def goal_run(tmp_path_factory) -> Path:
+    """A run at a task with a goal, beside them."""
+    return trained("wall", tmp_path_factory.mktemp("runs") / "goal", episodes=4)
+
+
+def trained(task: str, run: Path, episodes: int, **settings: Any) -> Path:
+    short = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 50, "save_freq": 0, **settings}
+    beams = {"task.beams": 5}  # a small table
+    policy = train("qlearn", task, settings=beams, total_timesteps=24_000, eval_freq=6000, folder=run, **short)
+    evaluation = evaluate(policy, episodes=episodes, steps=300, workers=1)
+    keep(evaluation, evaluation.summary(), policy.trained_with, str(run), run)
+    return run
+
+
+@pytest.fixture(scope="module")
+def page(seeds, goal_run) -> str:
+    """The address of a report of two groups: the seeds, and the run with a goal."""
+    file = seeds / "report.html"
+    report.main([str(seeds), str(goal_run), "--out", str(file)])
+    assert file.stat().st_size < LARGEST
+    return file.as_uri()
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +168,7 @@ def test_the_report_opens_without_a_word_and_fits_its_window(width, open_page):
     browser = open_page(width)
     assert browser.get_log("browser") == []
     assert browser.execute_script("return document.documentElement.scrollWidth") == width
-    assert "qlearn at maze in loop" in browser.title
+    assert browser.title == "qlearn at maze in loop, qlearn at wall in wall: 3 runs"
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -159,8 +176,11 @@ def test_nothing_overlaps(width, open_page):
     browser = open_page(width)
     for details in browser.find_elements(By.TAG_NAME, "summary"):
         details.click()
+    assert len(browser.find_elements(By.CSS_SELECTOR, STAR)) == 1
+    shown = browser.find_element(By.TAG_NAME, "body").text
+    assert [part for part in ("What differs", "task.goal_tolerance", "goal reached") if part not in shown] == []
     assert browser.execute_script(OVERLAPS, BLOCKS) == []
-    assert browser.execute_script(OVERLAPS, "figure svg text") == []
+    assert browser.execute_script(OVERLAPS, f"figure svg text, {STAR}") == []
     assert browser.execute_script(OVERLAPS, "th, td") == []
 
 
@@ -175,14 +195,11 @@ def test_text_in_charts_is_large_enough_to_read(width, open_page):
 def test_curves_and_pictures_are_drawn(width, open_page):
     browser = open_page(width)
     curves = browser.find_elements(By.CSS_SELECTOR, "#curves figure")
-    assert len(curves) == 4
-    for curve in curves:
-        boxes = [
-            line.rect for line in curve.find_elements(By.CSS_SELECTOR, "[id*='mean-'] > path, [id*='seed-'] > path")
-        ]
-        assert len(boxes) >= 3, "the mean and each seed"
-        assert all(box["width"] > width / 20 for box in boxes)
+    lines = [curve.find_elements(By.CSS_SELECTOR, LINES) for curve in curves]
+    assert [len(each) for each in lines] == [4, 4, 4, 4, 1], "a mean, two seeds, the other run; only that has a goal"
+    assert all(line.rect["width"] > width / 20 for each in lines for line in each)
     for figure in browser.find_elements(By.TAG_NAME, "figure"):
+        browser.execute_script("arguments[0].scrollIntoView()", figure)
         assert coloured(figure.screenshot_as_png) > 300, figure.text
 
 
