@@ -141,10 +141,8 @@ class Evaluator:
             episodes = [judge(env, policy, pose, self.seed + i) for i, pose in enumerate(self.poses)]
             env.close()
         else:
-            with TemporaryDirectory() as folder:
-                file = Path(
-                    folder, "policy"
-                )  # a table can have millions of values: not through a pipe for each episode
+            with TemporaryDirectory() as folder:  # a table can have millions of values: through no pipe, each time
+                file = Path(folder, "policy")
                 file.write_bytes(cloudpickle.dumps(policy))
                 with main_hidden():  # processes start as they are needed
                     jobs = [
