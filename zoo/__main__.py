@@ -181,6 +181,7 @@ def _take_over(folder: Path, place: Path) -> None:
     policy = Run.open(folder).policy_file
     shutil.copy(policy, staging / "best" / policy.name)
     if place.exists():
+        shutil.rmtree(old, ignore_errors=True)
         place.rename(old)
     staging.rename(place)
     shutil.rmtree(old, ignore_errors=True)
