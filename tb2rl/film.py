@@ -281,7 +281,7 @@ def write_mp4(path: Path, frames: Iterator[np.ndarray], rate: int) -> None:
     with av.open(str(path.absolute()), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = container.add_stream("libx264", rate=rate, options={"preset": "veryfast", "crf": "22"})
         stream.pix_fmt = "yuv420p"
-        stream.thread_count = 2
+        stream.thread_count, stream.thread_type = 2, "FRAME"  # encodes while the next picture is drawn
         for number, frame in enumerate(frames):
             if number == 0:
                 stream.height, stream.width, _ = frame.shape
