@@ -85,8 +85,10 @@ class Watcher(BaseCallback):
         since = self.num_timesteps - self.total / 3
         means = [mean for timesteps, mean in self._history if timesteps >= since]
         half = len(means) // 2
+        if self._history[0][0] > since or not half:  # too early, or there are no two looks to compare
+            return False
         spread = float(np.std([latest[0] for latest in self._latest]))
-        return self._history[0][0] <= since and float(np.mean(means[half:]) - np.mean(means[:half])) < 0.1 * spread
+        return float(np.mean(means[half:]) - np.mean(means[:half])) < 0.1 * spread
 
     def _values_diverge(self) -> bool:
         policy = self.model.policy

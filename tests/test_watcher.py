@@ -9,7 +9,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tb2rl.config import resolve
 from tb2rl.errors import InputError
 from tb2rl.training import resume, train_config
-from tb2rl.watcher import ADVICE
+from tb2rl.watcher import ADVICE, Watcher
 
 TROUBLES = {
     "crashing": {"task.crash_range": 1.5, "agent.exploration_fraction": 0.1},
@@ -49,3 +49,20 @@ def test_a_training_that_learns_is_left_alone(agent, tmp_path, capsys):
     training = train_config(resolve(agent, settings={**FAST, "train.total_timesteps": 150_000}), tmp_path / "run")
     assert np.mean(training.lengths[-50:]) > 150
     assert capsys.readouterr().err == ""
+
+
+def test_a_return_is_not_flat_after_a_single_look():
+    watcher = Watcher(total_timesteps=900, control_period=0.2)
+    watcher.restore(
+        {
+            "_next": 0,
+            "_latest": [(1.0, 10, 1.0, "crash"), (3.0, 10, 1.0, "crash")],
+            "_history": [(100, 2.0), (900, 2.0)],
+            "_largest_reward": 5.0,
+            "warned": [],
+        }
+    )
+    watcher.num_timesteps = 900
+    assert not watcher._return_is_flat(), "of the last third there is one look only"
+    watcher._history.insert(1, (700, 2.0))
+    assert watcher._return_is_flat()
