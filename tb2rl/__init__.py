@@ -27,11 +27,11 @@ if (Path(__file__).parent.parent / "pyproject.toml").is_file():
     __path__.append(str(Path(__file__).parent.parent))
 
 if TYPE_CHECKING:
-    from tb2rl.envs import make_env
+    from tb2rl.envs.make import make_env
     from tb2rl.errors import InputError
-    from tb2rl.evaluation import evaluate
-    from tb2rl.runs import load
-    from tb2rl.training import train
+    from tb2rl.judging.evaluator import evaluate
+    from tb2rl.learning.training import train
+    from tb2rl.runs.loading import load
 
 __all__ = ["InputError", "evaluate", "load", "make_env", "train"]
 
@@ -42,9 +42,15 @@ except PackageNotFoundError:  # a checkout that is not installed
 
 GYM_IDS = {"TurtleBot2Maze-v0": "maze", "MyTurtleBot2Maze-v0": "my-maze", "TurtleBot2Wall-v0": "wall"}
 for _id, _task in GYM_IDS.items():
-    gymnasium.register(_id, entry_point="tb2rl.envs:TurtleBot2Env", kwargs={"task": _task})
+    gymnasium.register(_id, entry_point="tb2rl.envs.make:make_for_gymnasium", kwargs={"task": _task})
 
-_HOMES = {"InputError": "errors", "evaluate": "evaluation", "load": "runs", "make_env": "envs", "train": "training"}
+_HOMES = {
+    "InputError": "errors",
+    "evaluate": "judging.evaluator",
+    "load": "runs.loading",
+    "make_env": "envs.make",
+    "train": "learning.training",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""The project's table: how fast the worlds are, what is left of that while agents learn, how soon they have learned.
+"""The project's table: how fast the simulations are, what is left of that while agents learn, how soon they learn.
 
     python -m tb2rl.benchmark
     python -m tb2rl.benchmark trained --seeds 5 --json trained.json
@@ -8,7 +8,7 @@
 | physics | the environment's step in PyBullet, and what it costs on top of the physics in it |
 | twin | robot-steps a second of the fast twin, by robots and beams, and the VecEnv's step over the bare kernel |
 | training | control steps a second of each agent that learns, with its own preset, no evaluations |
-| trained | seconds until an evaluation in PyBullet first passes 95 % crash-free, then the standard evaluation |
+| trained | seconds until an evaluation in PyBullet first passes 95 % failure-free, then the standard evaluation |
 
 Both sides of a ratio run in turn over the very same motion, from the same state. So ratios hold on a noisy machine,
 where rates do not.
@@ -31,22 +31,25 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tb2rl.config import resolve
-from tb2rl.envs import TurtleBot2Env
+from tb2rl.envs.batch import BatchVecEnv
+from tb2rl.envs.processes import ProcessVecEnv, processors
+from tb2rl.envs.scene import make_scene
+from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import ArgumentParser, InputError, command, unknown
-from tb2rl.evaluation import PASSED, evaluate
-from tb2rl.processes import ProcessVecEnv, processors
+from tb2rl.files import write_text
+from tb2rl.judging.evaluator import PASSED, evaluate
+from tb2rl.learning.training import Training, train_config
 from tb2rl.registry import agent_names, find_agent
-from tb2rl.runs import load, write
+from tb2rl.runs.folder import EVALUATIONS
+from tb2rl.runs.layers import resolve
+from tb2rl.runs.loading import load
 from tb2rl.simulation import SIMULATIONS
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.tasks.wander import Wander
-from tb2rl.training import Training, train_config
-from tb2rl.vec_env import BatchVecEnv
 
 BEAMS = (6, 36, 720)
 ROBOTS = (1, 64, 1024, 4096)
-WORLDS = 16  # as in the presets
+ENVIRONMENTS = 16  # as in the presets
 _BLOCK = 50  # control steps between the two sides of a ratio
 _STEPS = 50_000  # of a training in PyBullet whose rate is measured
 
@@ -70,27 +73,28 @@ class Conditions:
 
 
 def measure_physics(conditions: Conditions) -> list[Figure]:
-    """The environment's step in one world and in several."""
+    """The environment's step, alone and in parallel processes."""
     figures = [figure for beams in BEAMS for figure in measure_step(beams, conditions.seconds)]
-    return [*figures, measure_worlds(WORLDS, conditions.seconds)]
+    return [*figures, measure_processes(ENVIRONMENTS, conditions.seconds)]
 
 
 def measure_step(beams: int, seconds: float) -> list[Figure]:
     """The environment's step with raw ranges of so many beams, and the bare stepping in it."""
-    env = TurtleBot2Env(observation="raw", beams=beams)
+    scene = make_scene(Wander(beams=beams), "raw")
+    env = TurtleBot2Env(scene)
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     assert isinstance(env.simulation, BulletSimulation)
     whole, bare = [], []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
-        actions = rng.integers(len(env.task.commands), size=_BLOCK)
+        actions = rng.integers(len(scene.actions.names), size=_BLOCK)
         before = env.simulation.state()
         times, over = _time_steps(env, actions)
         after = env.simulation.state()
         env.simulation.restore(before)
         whole.append(np.mean(times))
-        bare.append(_time_bare(env.simulation, env.task.commands[actions[: len(times)]]))
+        bare.append(_time_bare(env.simulation, scene.actions.commands(actions[: len(times)])))
         env.simulation.restore(after)
         if over:
             env.reset()
@@ -103,19 +107,19 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     ]
 
 
-def measure_worlds(worlds: int, seconds: float) -> Figure:
-    """Worlds in parallel processes, stepped at random."""
-    env = ProcessVecEnv([partial(gym.make, "tb2rl:TurtleBot2Maze-v0")] * worlds)
+def measure_processes(environments: int, seconds: float) -> Figure:
+    """Environments in parallel processes, stepped at random."""
+    env = ProcessVecEnv([partial(gym.make, "tb2rl:TurtleBot2Maze-v0")] * environments)
     env.seed(0)
     env.reset()
     rng = np.random.default_rng(0)
     steps, start = 0, time.perf_counter()
     while time.perf_counter() < start + seconds:
-        env.step(rng.integers(3, size=worlds))
-        steps += worlds
+        env.step(rng.integers(3, size=environments))
+        steps += environments
     rate = steps / (time.perf_counter() - start)
     env.close()
-    return Figure(f"PyBullet, {worlds} worlds in parallel processes", rate, "steps/s")
+    return Figure(f"PyBullet, {environments} worlds in parallel processes", rate, "steps/s")
 
 
 def measure_twin(conditions: Conditions) -> list[Figure]:
@@ -130,21 +134,22 @@ def measure_twin(conditions: Conditions) -> list[Figure]:
 
 def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
     """The VecEnv's own step, everything included, and the twin's compiled kernel alone over the same commands."""
-    env = BatchVecEnv(Wander(beams=beams), "raw", robots)
+    scene = make_scene(Wander(beams=beams), "raw")
+    env = BatchVecEnv(scene, robots)
     env.seed(0)
     env.reset()
-    simulation, period, rng = env.simulation, env.task.control_period, np.random.default_rng(0)
-    room = np.empty((robots, 2)), np.empty(robots, dtype=bool), np.empty((robots, beams))
+    simulation, period, rng = env.simulation, scene.task.control_period, np.random.default_rng(0)
+    results = np.empty((robots, 2)), np.empty(robots, dtype=bool), np.empty((robots, beams))
     whole: list[float] = []
     bare: list[float] = []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or len(whole) < 3:  # the first ones start the threads
-        action = rng.integers(len(env.task.commands), size=robots)
-        commands, state = env.task.commands[action], simulation.state()
+        action = rng.integers(len(scene.actions.names), size=robots)
+        commands, state = scene.actions.commands(action), simulation.state()
         start = time.perf_counter()
         env.step(action)
         between = time.perf_counter()
-        simulation.advance(state.poses, state.rims, commands, period, *room)
+        simulation.advance(state["poses"], state["rims"], commands, period, *results)
         whole.append(between - start)
         bare.append(time.perf_counter() - between)
     name = f"twin, {robots} robots, {beams} beams"
@@ -155,7 +160,7 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
 
 
 def measure_training(conditions: Conditions) -> list[Figure]:
-    """What is left of the worlds' rates while each agent learns in them."""
+    """What is left of the simulations' rates while each agent learns in them."""
     figures = []
     for simulation in SIMULATIONS:
         for agent in learners():
@@ -182,16 +187,16 @@ def measure_trained(conditions: Conditions) -> list[Figure]:
 
 
 def measure_one_trained(agent: str, simulation: str, seed: int) -> list[Figure]:
-    """Seconds of learning, with the evaluations on the way, until one passes (inf: none did)."""
+    """Seconds of learning, with the evaluations on the way, until one passes (inf: not one did)."""
     with tempfile.TemporaryDirectory() as folder:
         training = _train(agent, simulation, seed, Path(folder))
-        lines = (training.run.folder / "evaluations.jsonl").read_text().splitlines()
-        passed = [e["elapsed"] for e in map(json.loads, lines) if e["crash_free_rate"] >= PASSED]
-        judged = evaluate(load(training.run.folder)).summary()["crash_free_rate"]
+        lines = (training.run.folder / EVALUATIONS).read_text().splitlines()
+        passed = [e["elapsed"] for e in map(json.loads, lines) if e["failure_free_rate"] >= PASSED]
+        rate = evaluate(load(training.run.folder)).summary()["failure_free_rate"]
     name = f"{agent} in {simulation}, seed {seed}"
     return [
         Figure(f"{name}: trained after", min(passed, default=float("inf")), "s"),
-        Figure(f"{name}: crash-free, standard evaluation", 100 * judged, "%"),
+        Figure(f"{name}: failure-free, standard evaluation", 100 * rate, "%"),
     ]
 
 
@@ -232,7 +237,7 @@ def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], b
 def _time_bare(simulation: BulletSimulation, commands: np.ndarray) -> float:
     total = 0.0
     for told in commands:
-        simulation.drive(told[None])
+        simulation.set_wheel_speeds(told[None])
         start = time.perf_counter()
         simulation.advance()
         total += time.perf_counter() - start
@@ -272,7 +277,7 @@ def main(arguments: list[str] | None = None) -> None:
     if options.json:
         tree = {"machine": machine(), "figures": [asdict(figure) for figure in figures]}
         try:
-            write(options.json, json.dumps(tree, indent=1) + "\n")
+            write_text(options.json, json.dumps(tree, indent=1) + "\n")
         except OSError as error:
             raise InputError(f"cannot write {options.json}: {error.strerror}") from None
 

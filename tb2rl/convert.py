@@ -16,11 +16,15 @@ from typing import Any
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.checkpoint import SUFFIX
-from tb2rl.config import config_from, parse_settings, resolve
-from tb2rl.errors import ArgumentParser, InputError, command
+from tb2rl.errors import ArgumentParser, InputError, command, one_line
 from tb2rl.registry import find_agent, import_object
-from tb2rl.runs import Run, Spaces, load, load_parameters, make_algorithm
+from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.runs.checkpoint import SUFFIX
+from tb2rl.runs.config import config_from
+from tb2rl.runs.folder import Run
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.runs.loading import load
+from tb2rl.runs.parameters import load_parameters
 
 
 def export_policy(reference: str | Path, file: Path) -> None:
@@ -49,11 +53,11 @@ def import_policy(
         file: The zip.
         folder: The run folder to make.
         agent: The agent whose algorithm wrote it.
-        task: What it was trained at.
+        task: What it was trained at; None: the task `maze`.
         settings: Of the task, by dotted key.
 
     Raises:
-        InputError: If it is no such zip, or its spaces are not those of the task.
+        InputError: If it is not such a zip, or its spaces are not those of the task.
     """
     algorithm = find_agent(agent).algorithm
     if algorithm is None:
@@ -66,15 +70,16 @@ def import_policy(
         raise InputError(f"{file} is not a zip of {algorithm} ({type(error).__name__})") from None
     tree = resolve(agent, task, settings=settings).to_dict()
     tree["agent"] = {"name": agent, "policy_kwargs": _plain(theirs.policy_kwargs)}
+    if theirs.use_sde:
+        tree["agent"]["use_sde"] = True
     config = config_from(tree)
-    spaces = Spaces(config)
+    ours = make_algorithm(config, Spaces.vectorised(config))
     for kind, mine, their in (
-        ("observations", spaces.observation_space, theirs.observation_space),
-        ("actions", spaces.action_space, theirs.action_space),
+        ("observations", ours.observation_space, theirs.observation_space),
+        ("actions", ours.action_space, theirs.action_space),
     ):
         if mine != their:
-            raise InputError(f"{file} knows other {kind} than the task: {their}, not {mine}")
-    ours = make_algorithm(config, spaces.vectorised(config))
+            raise InputError(one_line(f"{file} knows other {kind} than the task: {their}, not {mine}"))
     content = {"timesteps": theirs.num_timesteps, "policy": _arrays(theirs.policy.state_dict())}
     load_parameters(ours, content, file)
     run = Run.create(folder, config)
@@ -111,7 +116,7 @@ def main(arguments: list[str] | None = None) -> None:
             raise InputError("--trust needs --agent: the one whose algorithm wrote the zip")
         settings = parse_settings(options.set)
         run = import_policy(Path(options.source), options.target, options.agent, options.task, settings)
-        print(f"made {run.folder}; judge it with: python -m tb2rl.evaluate {run.folder}")
+        print(f"made {run.folder}; evaluate it with: python -m tb2rl.evaluate {run.folder}")
         return
     if options.agent or options.task or options.set:
         raise InputError("--agent, --task and --set go with --trust")

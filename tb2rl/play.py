@@ -2,7 +2,7 @@
 
     python -m tb2rl.play runs/maze/dqn/NAME
     python -m tb2rl.play zoo:maze-loop-ppo --video drive.mp4 --camera chase
-    python -m tb2rl.play --agent wallfollower --set task.maze=circuit
+    python -m tb2rl.play --agent wallfollower --set task.world=circuit
     python -m tb2rl.play --teleop --task wall
 
 The window shows the drive as fast as it would happen. Without a display there is a film instead.
@@ -11,98 +11,24 @@ The window shows the drive as fast as it would happen. Without a display there i
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import os
 import sys
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
 
-import numpy as np
-
-from tb2rl.checkpoint import SUFFIX
-from tb2rl.config import Config, parse_settings, resolve
-from tb2rl.driving import Moment, Policy
-from tb2rl.envs import TurtleBot2Env
+from tb2rl.envs.scene import Scene
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluate import add_policy_arguments, task_settings
-from tb2rl.evaluation import with_task
-from tb2rl.film import CAMERAS, STEPS, check_film, check_numbers, drive_all, film, goal_of, open_world, shots
-from tb2rl.maze import Maze
-from tb2rl.processes import main_hidden
-from tb2rl.runs import config_of, load, make_baseline
-from tb2rl.simulation.bullet import show
-from tb2rl.tasks import Task
-from tb2rl.teleop import Teleop, steer_in_terminal
-
-_WINDOW_RATE = 30  # poses a second
-_OPENING = 60.0  # [s] that a window may take to open
-
-
-class Window:
-    """PyBullet's window in a process of its own, which PyBullet ends as it likes.
-
-    Args:
-        maze: The maze to show.
-        task: Its goal is shown, if it has one.
-        camera: "above" looks at the whole maze, "chase" over the robot's shoulder.
-
-    Raises:
-        InputError: If the window cannot be opened.
-    """
-
-    def __init__(self, maze: Maze, task: Task, camera: str = "above") -> None:
-        context = multiprocessing.get_context("spawn")  # clean, and without torch: it opens in a second
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=show, args=(theirs, maze, goal_of(task), camera == "chase"), daemon=True)
-        with main_hidden():
-            self._process.start()
-        theirs.close()
-        if not self._has_opened():
-            self.close()
-            raise InputError(
-                "PyBullet's window does not open on this display, it needs OpenGL; --video FILE.mp4 writes a film, "
-                "and without the variable DISPLAY nothing asks for a window"
-            )
-
-    def show(self, pose: np.ndarray) -> bool:
-        """Show the robot at a pose (3,); False once the user has closed the window."""
-        try:
-            self._pipe.send(pose)
-        except OSError:
-            return False
-        return True
-
-    def close(self) -> None:
-        """Close the window."""
-        with suppress(OSError):
-            self._pipe.send(None)
-        self._process.join(timeout=5.0)
-        self._process.kill()
-        self._pipe.close()
-
-    def _has_opened(self) -> bool:
-        try:
-            return self._pipe.poll(_OPENING) and self._pipe.recv()
-        except (EOFError, OSError):  # the process has ended
-            return False
-
-
-def has_display() -> bool:
-    """Whether windows can be expected to open; only on Linux a variable tells."""
-    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
-
-
-def watch(env: TurtleBot2Env, drives: Iterable[Iterator[Moment]], window: Window, speed: float) -> None:
-    """Show episodes in a window, `speed` times as fast as they happened, until the user closes it."""
-    for moments in drives:
-        due = time.monotonic()
-        for shot in shots(moments, env.task.control_period, _WINDOW_RATE, speed):
-            if not window.show(shot.pose):
-                return
-            due += 1 / _WINDOW_RATE
-            time.sleep(max(0.0, due - time.monotonic()))
+from tb2rl.evaluate import add_policy_arguments, chosen_policy
+from tb2rl.judging.progress import say
+from tb2rl.judging.rollout import Moment, Policy
+from tb2rl.runs.checkpoint import SUFFIX
+from tb2rl.runs.config import Config
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.showing.cameras import CAMERAS
+from tb2rl.showing.film import STEPS, check_film, check_numbers, drives, film, open_env
+from tb2rl.showing.keyboard import Teleop
+from tb2rl.showing.terminal import steer_in_terminal
+from tb2rl.showing.window import Window, has_display, watch
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -124,40 +50,15 @@ def main(arguments: list[str] | None = None) -> None:
     """Play, and say how the episodes went."""
     options = parse(arguments)
     check(options)
-    settings = parse_settings(options.set)
     if options.teleop:
-        drive_by_keyboard(resolve("random", options.task, settings=settings), options.seed, options.camera)
+        config = resolve("random", options.task, settings=parse_settings(options.set))
+        drive_by_keyboard(config.scene, options.seed, options.camera)
         return
-    if options.agent is not None:
-        config = resolve(options.agent, options.task, settings=settings)
-        policy: Policy = make_baseline(config)
-        name = options.agent.replace(":", ".")
-    else:
-        policy, name = load(options.policy), film_name(options.policy)
-        config = with_task(config_of(policy), task_settings(settings))
-    conditions = {"episodes": options.episodes, "seed": options.seed}
+    policy, config = chosen_policy(options)
     if options.video or not has_display():
-        video = options.video or Path(f"{name}.mp4")
-        film(
-            policy,
-            video,
-            config,
-            steps=options.steps,
-            camera=options.camera,
-            speed=options.speed,
-            tell=True,
-            **conditions,
-        )
-        print(f"wrote {video} ({video.stat().st_size / 1e6:.1f} MB)")
-        return
-    policy, env = open_world(policy, config, {}, options.steps)
-    with closing(env), closing(Window(env.maze, env.task, options.camera)) as window, suppress(KeyboardInterrupt):
-        watch(env, drive_all(env, policy, **conditions), window, options.speed)
-
-
-def film_name(reference: str) -> str:
-    """What a film is called after the policy that a reference means."""
-    return Path(reference.removeprefix("zoo:")).resolve().name.removesuffix(SUFFIX)
+        _film(policy, config, options)
+    else:
+        _show(policy, config, options)
 
 
 def check(options: argparse.Namespace) -> None:
@@ -173,16 +74,59 @@ def check(options: argparse.Namespace) -> None:
         check_film(options.video, options.camera)
 
 
-def drive_by_keyboard(config: Config, seed: int, camera: str = "above") -> None:
+def _film(policy: Policy, config: Config, options: argparse.Namespace) -> None:
+    path = film(
+        policy,
+        options.video or f"{_film_name(options)}.mp4",
+        config,
+        episodes=options.episodes,
+        steps=options.steps,
+        seed=options.seed,
+        camera=options.camera,
+        speed=options.speed,
+        listener=_teller(config.scene),
+        progress=True,
+    )
+    print(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+
+
+def _film_name(options: argparse.Namespace) -> str:
+    """What a film is called after its policy."""
+    if options.agent is not None:
+        return options.agent.replace(":", ".")
+    return Path(options.policy.removeprefix("zoo:")).resolve().name.removesuffix(SUFFIX)
+
+
+def _show(policy: Policy, config: Config, options: argparse.Namespace) -> None:
+    policy, env = open_env(policy, config, {}, options.steps)
+    with closing(env), closing(Window(env.scene, options.camera)) as window, suppress(KeyboardInterrupt):
+        driven = drives(env, policy, options.episodes, options.seed, _teller(env.scene))
+        watch(driven, env.scene.task.control_period, window, options.speed)
+
+
+def _teller(scene: Scene) -> Callable[[int, Moment], None]:
+    """What prints a line at the end of each episode."""
+
+    def tell(episode: int, last: Moment) -> None:
+        seconds, distance = last.step * scene.task.control_period, last.info["distance"]
+        say(
+            f"episode {episode}: {last.info['ended']} after {last.step} steps ({seconds:.1f} s), "
+            f"{distance:.1f} m, {distance / seconds:.3f} m/s, return {last.total:g}"
+        )
+
+    return tell
+
+
+def drive_by_keyboard(scene: Scene, seed: int, camera: str = "above") -> None:
     """Let the user drive, in the terminal, and in the window if there is a display."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise InputError("--teleop reads keys from a terminal and draws on it; here stdin or stdout is none")
-    with closing(Teleop(config, seed)) as teleop:
+        raise InputError("--teleop reads keys from a terminal and draws on it, and here stdin or stdout is not one")
+    with closing(Teleop(scene, seed)) as teleop:
         if has_display():
-            with closing(Window(teleop.env.maze, teleop.env.task, camera)) as window:
+            with closing(Window(scene, camera)) as window:
                 steer_in_terminal(teleop, window.show)
         else:
-            steer_in_terminal(teleop, lambda pose: True)
+            steer_in_terminal(teleop, lambda start, pose: True)
 
 
 if __name__ == "__main__":

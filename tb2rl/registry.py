@@ -1,4 +1,4 @@
-"""Agents and tasks by name: built-in ones, those of other packages, and `module:Class` without either.
+"""What a name means: agents, tasks, robots and worlds, built-in ones, those of other packages, and `module:Name`.
 
 Nothing is imported before it is asked for, so that a list of names costs no torch.
 """
@@ -7,15 +7,20 @@ from __future__ import annotations
 
 import inspect
 import pkgutil
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
-from tb2rl.errors import InputError, unknown
-from tb2rl.settings import room
+from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.files import find_file, top_folder
+from tb2rl.robots import Robot
 from tb2rl.tasks import Task
+from tb2rl.worlds import World
+from tb2rl.worlds.readers import READERS, Reader, read_world
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,8 @@ TASKS = {
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }
+ROBOTS = {"turtlebot2": "tb2rl.robots.turtlebot2:ROBOT"}
+_MADE_BY_CODE = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(.+))?")  # module:WORLD, or module:reader:path
 
 
 def agent_names() -> list[str]:
@@ -50,6 +57,16 @@ def agent_names() -> list[str]:
 def task_names() -> list[str]:
     """Every task that has a name: the built-in ones and the entry points of `tb2rl.tasks`."""
     return sorted({*TASKS, *_plugins("tasks")})
+
+
+def robot_names() -> list[str]:
+    """Every robot that has a name: the built-in ones and the entry points of `tb2rl.robots`."""
+    return sorted({*ROBOTS, *_plugins("robots")})
+
+
+def world_names() -> list[str]:
+    """The built-in worlds."""
+    return sorted(file.stem for file in _worlds_folder().glob("*.yaml"))
 
 
 def find_agent(name: str) -> Agent:
@@ -78,11 +95,67 @@ def find_task(name: str | type[Task]) -> type[Task]:
     """
     found = name if isinstance(name, type) else _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
     if not (isinstance(found, type) and issubclass(found, Task)) or inspect.isabstract(found):
-        raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task with commands and judge")
+        raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task with actions and judge")
     settings = [key for key, kind in found.__annotations__.items() if not str(kind).startswith("ClassVar")]
     if settings and "__dataclass_fields__" not in vars(found):
         raise InputError(f"task {name!r} has the settings {', '.join(settings)}, so it needs @dataclass(frozen=True)")
     return found
+
+
+def find_robot(name: str) -> Robot:
+    """The robot of a name, or of "module:ROBOT".
+
+    Raises:
+        InputError: If there is none; the message lists the known ones.
+    """
+    found = _find(name, "robot", {**_plugins("robots"), **ROBOTS}, robot_names)
+    if not isinstance(found, Robot):
+        raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
+    return found
+
+
+def find_world(reference: str) -> World:
+    """The world of a built-in name, of a file's path, of "module:reader:path" or of "module:WORLD".
+
+    A reader is a function from a path to a `World`; WORLD is a `World`, or a function without arguments that makes one.
+    A package's entry points in the group `tb2rl.worlds` name readers by the ending of the files that they read.
+
+    Raises:
+        InputError: If there is none, or its file does not describe a world.
+    """
+    code = _MADE_BY_CODE.fullmatch(reference)
+    if code is None:
+        readers = READERS | {f".{ending}": import_object(found) for ending, found in _plugins("worlds").items()}
+        path = find_file(reference, _worlds_folder(), "world", suffixes=readers)
+        if path.suffix not in readers:
+            raise unknown(f"ending of the world file {one_line(reference, 100)}:", path.suffix, readers)
+        found: Any = read_world(path, readers[path.suffix])
+    else:
+        found = _made_by_code(import_object(code[1]), code[2])
+    if not isinstance(found, World):
+        raise InputError(one_line(f"world {reference!r} is not a tb2rl.worlds.World but {type(found).__name__}"))
+    return found
+
+
+def _made_by_code(found: Any, file: str | None) -> Any:
+    if file is None:
+        return found() if callable(found) else found
+    if not Path(file).is_file():
+        raise InputError(one_line(f"there is no world file {file}"))
+    reader: Reader = found
+    return read_world(Path(file), reader)
+
+
+def absolute_world(reference: str) -> str:
+    """The reference with an absolute path, if a file is meant: so that a run finds its world from any folder."""
+    code = _MADE_BY_CODE.fullmatch(reference)
+    if code is not None:
+        return reference if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
+    return str(Path(reference).resolve()) if Path(reference).is_file() else reference
+
+
+def _worlds_folder() -> Path:
+    return top_folder("configs") / "worlds"
 
 
 def import_object(reference: str) -> Any:
@@ -105,7 +178,7 @@ def import_object(reference: str) -> Any:
     return getattr(module, attribute)
 
 
-def _find(name: str, kind: str, references: dict[str, str], names: Callable[[], list[str]]) -> Any:
+def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[], list[str]]) -> Any:
     if ":" in name:
         return import_object(name)
     if name not in references:
@@ -114,7 +187,7 @@ def _find(name: str, kind: str, references: dict[str, str], names: Callable[[], 
 
 
 def _agent_files() -> list[str]:
-    return [module.name for module in pkgutil.iter_modules([str(room("agents"))]) if not module.name.startswith("_")]
+    return [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))]) if not module.name.startswith("_")]
 
 
 def _plugins(kind: str) -> dict[str, str]:

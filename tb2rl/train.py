@@ -1,7 +1,7 @@
 """Train an agent at a task: one command, one run folder.
 
     python -m tb2rl.train --agent qlearn
-    python -m tb2rl.train --agent dqn --set task.maze=circuit agent.gamma=0.97 --name mine
+    python -m tb2rl.train --agent dqn --set task.world=circuit agent.gamma=0.97 --name mine
     python -m tb2rl.train --agent ppo --simulation kinematic --seeds 0..4
     python -m tb2rl.train --resume runs/maze/dqn/mine
 
@@ -18,13 +18,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tb2rl.callbacks import tutorial_scores
-from tb2rl.config import Config, parse_settings, resolve
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluation import PASSED, bootstrap_interval, evaluate, keep, report
+from tb2rl.files import write_text
+from tb2rl.judging.evaluator import EPISODES, PASSED, evaluate
+from tb2rl.judging.statistics import bootstrap_interval
+from tb2rl.learning.statistics import tutorial_scores
+from tb2rl.learning.training import Training, default_folder, resume, train_config
 from tb2rl.registry import agent_names, task_names
-from tb2rl.runs import load, write
-from tb2rl.training import Training, default_folder, resume, train_config
+from tb2rl.runs.config import Config
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.runs.loading import load
+from tb2rl.showing.table import print_evaluation
 
 _FLAGS = (
     "total_timesteps", "episodes", "seed", "simulation", "n_envs", "device", "eval_freq", "save_freq", "keep",
@@ -42,14 +46,14 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         "--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9"
     )
     parser.add_argument("--name", help="of the run folder runs/TASK/AGENT/NAME (default: date and time)")
-    parser.add_argument("--total-timesteps", type=int, help="control steps, over all worlds")
+    parser.add_argument("--total-timesteps", type=int, help="control steps, over all environments")
     parser.add_argument("--episodes", type=int, help="stop after so many, if that comes before --total-timesteps")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--seeds", metavar="A..B", help="train once with each of these seeds, say what they come to")
     parser.add_argument("--simulation", help="what to train in: bullet (default), or its fast twin kinematic")
-    parser.add_argument("--n-envs", type=int, help="worlds, in parallel processes or in one batch")
+    parser.add_argument("--n-envs", type=int, help="environments, in parallel processes or in one batch")
     parser.add_argument("--device", help="of the networks: cpu, cuda, auto")
-    parser.add_argument("--eval-freq", type=int, help="control steps between evaluations; 0: none")
+    parser.add_argument("--eval-freq", type=int, help="control steps between evaluations; 0: no evaluations")
     parser.add_argument("--save-freq", type=int, help="control steps between checkpoints; 0: only the last")
     parser.add_argument("--keep", type=int, help="checkpoints of the training to keep, the latest")
     parser.add_argument("--resume", type=Path, metavar="FOLDER", help="go on with a run; takes --total-timesteps")
@@ -68,26 +72,26 @@ def main(arguments: list[str] | None = None) -> None:
         if any(getattr(options, name) not in (None, []) for name in others):
             raise InputError("--resume goes on with what the run's config says; only --total-timesteps can be raised")
         print(f"resuming {options.resume}", flush=True)
-        _judge(resume(options.resume, options.total_timesteps, _bar(options), options.verbose), options)
+        _finish(resume(options.resume, options.total_timesteps, _bar(options), options.verbose), options)
         return
     config = requested(options)
     folder = _folder(config, options.name)
     if options.seeds is None:
-        _train_and_judge(config, folder, options)
+        _train_and_evaluate(config, folder, options)
         return
     if options.seed is not None or options.no_evaluation:
         raise InputError("--seeds goes neither with --seed nor with --no-evaluation")
     seeds = parse_seeds(options.seeds)
     if folder.exists():
         raise InputError(f"{folder} exists already; choose another --name")
-    judged = {}
+    summaries = {}
     for seed in seeds:
         seeded = replace(config, train=replace(config.train, seed=seed))
-        summary = _train_and_judge(seeded, folder / f"seed-{seed}", options)
+        summary = _train_and_evaluate(seeded, folder / f"seed-{seed}", options)
         if summary is None:  # interrupted
             return
-        judged[seed] = summary
-    _report_seeds(judged, folder)
+        summaries[seed] = summary
+    _print_seeds(summaries, folder)
 
 
 def requested(options: argparse.Namespace) -> Config:
@@ -112,45 +116,47 @@ def parse_seeds(text: str) -> list[int]:
     return seeds
 
 
-def _train_and_judge(config: Config, folder: Path, options: argparse.Namespace) -> dict[str, Any] | None:
+def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespace) -> dict[str, Any] | None:
     settings = config.train
     print(
-        f"training {config.agent} at {config.task} in {config.task_settings.maze}: {settings.total_timesteps} steps, "
-        f"{settings.n_envs} worlds, seed {settings.seed}\nrun folder: {folder} (watch it: tensorboard --logdir runs)",
+        f"training {config.agent_name} at {config.task_name} in {config.task.world}: {settings.total_timesteps} steps, "
+        f"{settings.n_envs} environments, seed {settings.seed}\n"
+        f"run folder: {folder} (watch it: tensorboard --logdir runs)",
         flush=True,
     )
-    return _judge(train_config(config, folder, _bar(options), options.verbose), options)
+    return _finish(train_config(config, folder, _bar(options), options.verbose), options)
 
 
-def _judge(training: Training, options: argparse.Namespace) -> dict[str, Any] | None:
+def _finish(training: Training, options: argparse.Namespace) -> dict[str, Any] | None:
     """Say how a training went, and give the summary of its standard evaluation; None if it was interrupted."""
     rate = training.timesteps / training.seconds
     print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
     print(tutorial_scores(training.lengths))
     if options.no_evaluation or training.interrupted:
         return None
-    folder = training.run.folder
-    evaluation = evaluate(load(folder))
-    summary = report(evaluation, f"{folder} in {evaluation.task.maze}")
-    keep(evaluation, summary, training.run.config, str(folder), folder)
+    run = training.run
+    print(f"standard evaluation of its best policy in PyBullet: {EPISODES} episodes, about half a minute", flush=True)
+    evaluation = evaluate(load(run.folder), progress=True)
+    summary = print_evaluation(evaluation, f"{run.folder} in {evaluation.task.world}")
+    run.write_evaluation(*evaluation.tree(run.config, str(run.folder)))
     return summary
 
 
-def _report_seeds(judged: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
+def _print_seeds(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
     """Print what several seeds came to, and keep it as `seeds.json`."""
-    rates = [summary["success_rate"] for summary in judged.values()]
-    distances = [summary["mean_distance"] for summary in judged.values()]
-    failed = [seed for seed, summary in judged.items() if summary["success_rate"] < PASSED]
-    figures: dict[str, Any] = {"seeds": list(judged), "failed": failed, "passed_from": PASSED}
-    print(f"{len(judged)} seeds in {folder}")
+    rates = [summary["success_rate"] for summary in summaries.values()]
+    distances = [summary["mean_distance"] for summary in summaries.values()]
+    failed = [seed for seed, summary in summaries.items() if summary["success_rate"] < PASSED]
+    figures: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "passed_from": PASSED}
+    print(f"{len(summaries)} seeds in {folder}")
     for name, values, scale, unit in (("success", rates, 100, "%"), ("distance", distances, 1, "m")):
         low, high = bootstrap_interval(values)
         mean = sum(values) / len(values)
         figures[name] = {"each": values, "mean": mean, "interval": [low, high]}
         print(f"  {name}: mean {scale * mean:.1f} {unit}, 95 % interval {scale * low:.1f} to {scale * high:.1f} {unit}")
     named = f": {', '.join(map(str, failed))}" if failed else ""
-    print(f"  failed (success below {100 * PASSED:.0f} %): {len(failed)} of {len(judged)}{named}")
-    write(folder / "seeds.json", json.dumps(figures, indent=1) + "\n")
+    print(f"  failed (success below {100 * PASSED:.0f} %): {len(failed)} of {len(summaries)}{named}")
+    write_text(folder / "seeds.json", json.dumps(figures, indent=1) + "\n")
 
 
 def _bar(options: argparse.Namespace) -> bool:

@@ -1,0 +1,175 @@
+"""From a reading to what an agent observes: classes for tables, numbers and images for networks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium import spaces
+from numba import njit
+
+from tb2rl.errors import InputError
+from tb2rl.sensors import Sensor
+from tb2rl.sensors.laser import LaserRanges
+from tb2rl.simulation import Reading
+
+BEAMS = {"discrete": 7, "raw": 36}  # of the laser where the task sets no number: 30 and 5 degrees apart
+NUMBERS = "numbers"  # the key of all numbers in an observation that has images beside them
+
+Observations = Any  # an array (robots, ...), or a mapping of names to such arrays
+
+
+class Encoding(Protocol):
+    """From a reading to the observations of all robots."""
+
+    space: spaces.Space
+
+    def __call__(self, reading: Reading) -> Observations:
+        """What the robots observe: an array (robots, ...), or a mapping of such arrays."""
+
+
+class Numbers(spaces.Box):
+    """A box of numbers that have units.
+
+    Args:
+        sensors: What the numbers are, one sensor after the other.
+
+    Attributes:
+        units: Of each number, such as "m" or "rad".
+        names: The sensor of each number.
+    """
+
+    def __init__(self, sensors: Sequence[Sensor]) -> None:
+        low = np.concatenate([np.full(sensor.shape, sensor.low, np.float32) for sensor in sensors])
+        high = np.concatenate([np.full(sensor.shape, sensor.high, np.float32) for sensor in sensors])
+        super().__init__(low, high, dtype=np.float32)
+        self.units = tuple(sensor.unit for sensor in sensors for _ in range(sensor.shape[0]))
+        self.names = tuple(sensor.name for sensor in sensors for _ in range(sensor.shape[0]))
+
+
+class Classes:
+    """The class of every number, `MultiDiscrete`: for tabular learners."""
+
+    def __init__(self, sensors: Sequence[Sensor]) -> None:
+        self._sensors = [(sensor, _increasing(sensor)) for sensor in sensors]
+        counts = [len(edges) + 1 for sensor, edges in self._sensors for _ in range(sensor.shape[0])]
+        self.space = spaces.MultiDiscrete(counts)
+
+    def __call__(self, reading: Reading) -> np.ndarray:
+        classes = [ranges_to_bins(sensor.read(reading), edges) for sensor, edges in self._sensors]
+        return classes[0] if len(classes) == 1 else np.column_stack(classes)
+
+
+class Raw:
+    """Every number as it is, cut to its limits, float32 (of a laser that hit nothing: the longest range)."""
+
+    def __init__(self, sensors: Sequence[Sensor]) -> None:
+        self._sensors = sensors
+        self._only_laser = len(sensors) == 1 and isinstance(sensors[0], LaserRanges)
+        self.space = Numbers(sensors)
+
+    def __call__(self, reading: Reading) -> np.ndarray:
+        values = [sensor.read(reading) for sensor in self._sensors]
+        joined = values[0] if len(values) == 1 else np.column_stack(values)
+        if not self._only_laser:  # which reads nothing below its shortest range; this pass costs more than the other
+            joined = np.maximum(joined, self.space.low)
+        return np.minimum(joined, self.space.high).astype(np.float32)
+
+
+class Image:
+    """One image of uint8, for convolutional networks."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self.space = spaces.Box(0, 255, sensor.shape, np.uint8)
+
+    def __call__(self, reading: Reading) -> np.ndarray:
+        return self._sensor.read(reading)
+
+
+class Mixed:
+    """Images by their sensors' names, and all numbers together under "numbers": for networks of several inputs."""
+
+    def __init__(self, numbers: Sequence[Sensor], images: Sequence[Sensor]) -> None:
+        self._parts: dict[str, Encoding] = {sensor.name: Image(sensor) for sensor in images}
+        if numbers:
+            self._parts[NUMBERS] = Raw(numbers)
+        self.space = spaces.Dict({name: part.space for name, part in self._parts.items()})
+
+    def __call__(self, reading: Reading) -> dict[str, np.ndarray]:
+        return {name: part(reading) for name, part in self._parts.items()}
+
+
+def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
+    """The encoding of a mode, "discrete" or "raw", for some sensors.
+
+    Raises:
+        InputError: If a sensor cannot be observed so.
+    """
+    images = [sensor for sensor in sensors if len(sensor.shape) == 3]
+    numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
+    if len(images) + len(numbers) < len(sensors) or not sensors:
+        raise InputError("a task needs sensors, each with a shape of (n,), or (height, width, channels) for an image")
+    if mode == "discrete":
+        if images:
+            raise InputError(f"sensor {images[0].name} is an image, which has no classes; take observation=raw")
+        return Classes(numbers)
+    if not images:
+        return Raw(numbers)
+    return Image(images[0]) if len(images) == 1 and not numbers else Mixed(numbers, images)
+
+
+def row(observations: Observations, robot: int) -> Observations:
+    """The observation of one robot."""
+    if isinstance(observations, Mapping):
+        return {name: values[robot] for name, values in observations.items()}
+    return observations[robot]
+
+
+def copied_row(observations: Observations, robot: int) -> Observations:
+    """The observation of one robot, in arrays of its own."""
+    if isinstance(observations, Mapping):
+        return {name: values[robot].copy() for name, values in observations.items()}
+    return observations[robot].copy()
+
+
+def put_rows(observations: Observations, robots: np.ndarray, some: Observations) -> None:
+    """Overwrite the observations of some robots, in place."""
+    if isinstance(observations, Mapping):
+        for name, values in observations.items():
+            values[robots] = some[name]
+    else:
+        observations[robots] = some
+
+
+def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Sort laser ranges, or any other numbers, into classes.
+
+    Args:
+        ranges: Distances to the nearest obstacle [m], shape (robots, beams), right to left; inf where nothing was hit.
+        edges: Strictly increasing class borders [m], shape (bins - 1,).
+
+    Returns:
+        Class of each beam, shape (robots, beams), integers in [0, bins); 0 is nearest, and what NaN becomes.
+    """
+    bins = np.zeros(np.shape(ranges), dtype=np.int64)
+    _count_edges(np.asarray(ranges, dtype=float).ravel(), np.asarray(edges, dtype=float), bins.reshape(-1))
+    return bins
+
+
+@njit(cache=True)
+def _count_edges(ranges, edges, bins):
+    """Add to each of `bins` (n,) how many of `edges` are not above the number in `ranges` (n,)."""
+    for i in range(ranges.size):
+        for edge in edges:
+            bins[i] += ranges[i] >= edge
+
+
+def _increasing(sensor: Sensor) -> np.ndarray:
+    edges = np.asarray(sensor.edges, dtype=float)
+    if not len(edges):
+        raise InputError(f"sensor {sensor.name} has no edges of classes; set them, or take observation=raw")
+    if not (np.diff(edges) > 0).all():
+        raise InputError(f"the edges of sensor {sensor.name} must strictly increase, got {list(sensor.edges)}")
+    return edges

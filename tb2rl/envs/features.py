@@ -1,0 +1,37 @@
+"""What networks make of raw observations before they learn from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+_NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
+
+
+class Nearness(BaseFeaturesExtractor):
+    """Distances as nearness 1 / (offset + d), so that a metre counts where it matters; all else scaled to [-1, 1].
+
+    The observation space says which numbers are distances by their unit, "m" (see `tb2rl.envs.encodings.Numbers`); of a
+    plain `Box` all are.
+
+    Args:
+        observation_space: Raw observations.
+        middle: Nearness that becomes 0.
+        spread: Factor on the difference to it.
+        offset: [m] Small: the last decimetres before a wall stand out.
+    """
+
+    def __init__(
+        self, observation_space: spaces.Box, middle: float = 0.0, spread: float = 1.0, offset: float = 1.0
+    ) -> None:
+        super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
+        self.middle, self.spread, self.offset = middle, spread, offset
+        units = getattr(observation_space, "units", ("m",) * observation_space.shape[0])
+        self.register_buffer("_is_distance", th.tensor([unit == "m" for unit in units]))
+        self.register_buffer("_largest", th.as_tensor(observation_space.high))
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        nearness = self.spread * (1.0 / (self.offset + observations.clamp(min=_NEAREST)) - self.middle)
+        return th.where(self._is_distance, nearness, observations / self._largest)

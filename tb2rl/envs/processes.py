@@ -1,0 +1,197 @@
+"""Environments in parallel processes, several in each.
+
+Stable-Baselines3's `SubprocVecEnv` gives every environment a process and every step a message of its own; a step of
+this physics is so short that the messages cost more than it does. Here each process serves a `DummyVecEnv`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import chain
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+# Imported once, in the server that new processes are forked from.
+PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet", "stable_baselines3.common.monitor", "cloudpickle"]
+
+
+def process_context() -> Any:
+    """How processes start: from a clean server (a plain fork would copy torch's threads), or anew without one."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    return context
+
+
+@contextmanager
+def main_hidden() -> Iterator[None]:
+    """Start processes during the block without the user's script: they would run it again, from its first line."""
+    main = sys.modules["__main__"]
+    kept = {name: getattr(main, name) for name in ("__spec__", "__file__") if hasattr(main, name)}
+    for name in kept:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(main, name, value)
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class ProcessVecEnv(VecEnv):
+    """A `VecEnv` over environments in other processes.
+
+    Args:
+        makers: Functions that make the environments, called in the processes.
+        processes: Among how many processes to share them out; None: one for each processor.
+    """
+
+    def __init__(self, makers: Sequence[Callable[[], gym.Env]], processes: int | None = None) -> None:
+        context = process_context()
+        shares = np.array_split(np.arange(len(makers)), min(processes or processors(), len(makers)))
+        self._parts = [slice(int(share[0]), int(share[-1]) + 1) for share in shares]
+        self._pipes: list[Connection] = []
+        self._processes = []
+        for part in self._parts:
+            ours, theirs = context.Pipe()
+            pickled = cloudpickle.dumps(list(makers[part]))
+            process = context.Process(target=_serve, args=(theirs, pickled), daemon=True)
+            with main_hidden():
+                process.start()
+            theirs.close()
+            self._pipes.append(ours)
+            self._processes.append(process)
+        try:
+            observation_space, action_space, render_mode = self._ask("spaces")[0]
+        except Exception:
+            self.close()
+            raise
+        self._render_mode = render_mode
+        super().__init__(len(makers), observation_space, action_space)
+
+    def reset(self) -> VecEnvObs:
+        return _joined(self._ask("reset"))
+
+    def step_async(self, actions: np.ndarray) -> None:
+        for pipe, part in zip(self._pipes, self._parts, strict=True):
+            pipe.send(("step", (actions[part],)))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = zip(*self._answers(), strict=True)
+        return _joined(observations), np.concatenate(rewards), np.concatenate(dones), list(chain(*infos))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the environments with `seed`, `seed` + 1, ... from their next reset on."""
+        if seed is None:
+            seed = int(np.random.default_rng().integers(2**31))
+        for pipe, part in zip(self._pipes, self._parts, strict=True):
+            pipe.send(("seed", (seed + part.start,)))
+        return list(chain(*self._answers()))
+
+    def close(self) -> None:
+        for pipe in self._pipes:
+            pipe.close()  # the process sees the end and leaves
+        for process in self._processes:
+            process.join(timeout=5)
+            process.terminate()
+        self._pipes, self._processes = [], []
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        if attr_name == "render_mode":  # asked for before the base class is ready
+            return [self._render_mode] * sum(part.stop - part.start for part in self._parts)
+        return self._ask_some("get_attr", (attr_name,), indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        self._ask_some("set_attr", (attr_name, value), indices)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
+    ) -> list[Any]:
+        return self._ask_some("env_method", (method_name, *method_args), indices, method_kwargs)
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper], indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
+        return self._ask_some("env_is_wrapped", (wrapper_class,), indices)
+
+    def _ask(self, method: str, *arguments: Any) -> list[Any]:
+        for pipe in self._pipes:
+            pipe.send((method, arguments))
+        return self._answers()
+
+    def _ask_some(
+        self, method: str, arguments: tuple, indices: int | Iterable[int] | None, named: Any = None
+    ) -> list[Any]:
+        """Call a method of the environments with `indices`; the answers in their order."""
+        wanted = list(self._get_indices(indices))
+        asked = []
+        for pipe, part in zip(self._pipes, self._parts, strict=True):
+            here = [i for i in wanted if part.start <= i < part.stop]
+            if here:
+                pipe.send((method, arguments, {**(named or {}), "indices": [i - part.start for i in here]}))
+                asked.append((pipe, here))
+        answers = _unless_failed([pipe.recv() for pipe, _ in asked])
+        found: dict[int, Any] = {}
+        for (_, here), answer in zip(asked, answers, strict=True):
+            found.update(zip(here, answer or [None] * len(here), strict=True))
+        return [found[i] for i in wanted]
+
+    def _answers(self) -> list[Any]:
+        return _unless_failed([pipe.recv() for pipe in self._pipes])
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    """The observations of all processes as one."""
+    if isinstance(parts[0], Mapping):
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return np.concatenate(parts)
+
+
+def _unless_failed(answers: list[Any]) -> list[Any]:
+    for answer in answers:
+        if isinstance(answer, Exception):
+            raise answer
+    return answers
+
+
+def _serve(pipe: Connection, pickled: bytes) -> None:
+    """The life of a process: answer calls of its environments' methods until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the training decides what it means
+    env = None
+    while True:
+        answer: Any
+        try:
+            method, arguments, *named = pipe.recv()
+        except (EOFError, OSError):
+            break
+        try:
+            env = env or DummyVecEnv(pickle.loads(pickled))
+            if method == "spaces":
+                answer = (env.observation_space, env.action_space, env.render_mode)
+            else:
+                answer = getattr(env, method)(*arguments, **(named[0] if named else {}))
+        except Exception as error:  # it is raised again where it was asked for
+            answer = error
+        try:
+            pipe.send(answer)
+        except OSError:  # nobody listens any more
+            break
+    if env is not None:
+        env.close()

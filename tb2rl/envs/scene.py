@@ -1,0 +1,107 @@
+"""Names become objects, once: a task's settings name a robot and a world, and a scene holds what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from tb2rl.envs.encodings import BEAMS, Encoding, encode
+from tb2rl.errors import InputError, unknown
+from tb2rl.registry import find_robot, find_world
+from tb2rl.robots import Laser, Robot
+from tb2rl.simulation import Setup
+from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.tasks import Actions, Task
+from tb2rl.worlds import World
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that an environment is made of; made by `make_scene`.
+
+    Attributes:
+        task: The task.
+        observation: How it is observed, "discrete" or "raw".
+        setup: The robot, its laser and the worlds.
+        encoding: From a reading to what a learner observes.
+        actions: What the robot can be told to do.
+    """
+
+    task: Task
+    observation: str
+    setup: Setup
+    encoding: Encoding
+    actions: Actions
+
+    @property
+    def robot(self) -> Robot:
+        """What drives."""
+        return self.setup.robot
+
+    @property
+    def laser(self) -> Laser:
+        """The laser with the beams that the task reads."""
+        return self.setup.laser
+
+    @property
+    def world(self) -> World:
+        """The first of the worlds: the one that pictures and reports show."""
+        return self.setup.worlds[0]
+
+    @property
+    def observation_space(self) -> spaces.Space:
+        """What a learner observes."""
+        return self.encoding.space
+
+    @property
+    def action_space(self) -> spaces.Space:
+        """What a learner does."""
+        return self.actions.space
+
+    @cached_property
+    def goal(self) -> tuple[float, float] | None:
+        """Where an episode is to get, x and y [m], for pictures; None for a task without a goal."""
+        x, y = self.task.begin(self.setup, GeneratorDraws(np.random.default_rng(0))).goal[0].tolist()
+        return (x, y) if self.task.goal_task else None
+
+    def changed(self, **settings: Any) -> Scene:
+        """The scene with other settings of its task (not another robot or world).
+
+        Raises:
+            InputError: If they do not fit.
+        """
+        return _assemble(replace(self.task, **settings), self.observation, self.robot, self.setup.worlds)
+
+
+def make_scene(task: Task, observation: str) -> Scene:
+    """The scene that a task's settings describe.
+
+    Args:
+        task: The task.
+        observation: "discrete" or "raw".
+
+    Raises:
+        InputError: For an unknown name, or settings that do not fit together.
+    """
+    if observation not in BEAMS:
+        raise unknown("observation", observation, BEAMS)
+    return _assemble(task, observation, find_robot(task.robot), (find_world(task.world),))
+
+
+def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, ...]) -> Scene:
+    beams = task.beams or BEAMS[observation]
+    if task.beam_indices is not None and max(task.beam_indices) >= beams:
+        named = max(task.beam_indices)
+        raise InputError(f"task.beam_indices names beam {named}, but the laser has {beams} beams, counted from 0")
+    if task.start_clearance < robot.radius:
+        raise InputError(f"task.start_clearance must be at least {robot.name}'s radius, {robot.radius:g} m")
+    laser = replace(robot.laser, beams=beams, indices=task.beam_indices, noise=task.noise)
+    setup = Setup(robot, laser, worlds)
+    for world in worlds:
+        world.free_space(robot.radius)  # says that there is no room at the start
+    task.begin(setup, GeneratorDraws(np.random.default_rng(0)))  # says that a start or a goal cannot be
+    return Scene(task, observation, setup, encode(observation, task.sensors(setup)), task.actions)

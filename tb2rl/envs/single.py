@@ -1,0 +1,176 @@
+"""Tasks as Gymnasium environments: glue between a simulation, a task and an encoding, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+
+from tb2rl.envs.encodings import row
+from tb2rl.envs.scene import Scene
+from tb2rl.errors import InputError, unknown
+from tb2rl.simulation import Reading, Start, simulate
+from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.tasks import TIME_LIMIT, Ending
+from tb2rl.values import Pose, checked
+
+_RENDER_MODES = ("rgb_array", "human")
+
+
+class TurtleBot2Env(gym.Env[Any, Any]):
+    """One robot in one world.
+
+    | | |
+    |---|---|
+    | action | of the task's `actions`, held for `control_period`: `Discrete` commands, or a `Box` of speeds |
+    | observation "discrete" | `MultiDiscrete`: the class of each number of the task's sensors, first the laser's beams |
+    | observation "raw" | `Box`, float32: these numbers as they are; with images a `Dict`, or one image alone |
+    | reward, termination | the task's; a crash terminates |
+    | truncation | after `episode_steps` control steps |
+
+    `info` of a step:
+
+    | key | meaning |
+    |---|---|
+    | `pose` | true x [m], y [m], yaw [rad], shape (3,) |
+    | `distance` | driven since the reset [m] |
+    | `min_range` | shortest laser range [m] |
+    | `bumped` | whether the base touched a wall |
+    | `is_success` | goal reached; for a task without a goal: the time limit reached |
+    | `ended` | None, or why the episode is over: "crash", "goal", ..., "time limit" |
+    | `failed` | whether it is over and counts as failed |
+
+    Args:
+        scene: The task, its robot and world, and how it is observed; see `make_env` for one by names.
+        render_mode: None, "rgb_array" (seen from above, no window) or "human" (PyBullet's window).
+        simulation: "bullet" or "kinematic".
+
+    Raises:
+        InputError: For an unknown render mode or simulation, or a window that cannot be.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(_RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (as Gymnasium declares it)
+
+    def __init__(self, scene: Scene, render_mode: str | None = None, simulation: str = "bullet") -> None:
+        if render_mode is not None and render_mode not in _RENDER_MODES:
+            raise unknown("render_mode", render_mode, _RENDER_MODES)
+        self.scene, self.task, self.render_mode = scene, scene.task, render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.task.control_period))}
+        self.observation_space, self.action_space = scene.observation_space, scene.action_space
+        self._observe, self._actions = scene.encoding, scene.actions
+        self.simulation = simulate(simulation, scene.setup, window=render_mode == "human")
+        self._reading: Reading | None = None
+        self.path: list[np.ndarray] = []  # poses since the reset, for pictures: only with a render_mode
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode; `options={"pose": (x, y, yaw)}` says where, else the task does.
+
+        Raises:
+            InputError: If that pose is inside a wall.
+        """
+        super().reset(seed=seed)
+        self._reading = self.simulation.reset(self._start(options or {}), self.np_random)
+        self._steps, self._distance = 0, 0.0
+        self.path = [self._reading.pose[0]]
+        return row(self._observe(self._reading), 0), info_of(self._reading, 0, 0.0, None)
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Hold an action for a control period.
+
+        Raises:
+            InputError: If it is not an action, or nothing was reset yet.
+        """
+        if self._reading is None:
+            raise InputError("step needs a reset first")
+        actions = self._actions.checked(action)
+        before = self._reading
+        after = self.simulation.step(self._actions.commands(actions), self.task.control_period)
+        outcome = self.task.judge(before, actions, after)
+        self._reading = after
+        self._steps += 1
+        dx, dy, _ = (after.pose - before.pose)[0].tolist()
+        self._distance += (dx * dx + dy * dy) ** 0.5
+        if self.render_mode is not None:
+            self.path.append(after.pose[0])
+        truncated = self._steps >= self.task.episode_steps
+        ending = outcome.ending(0, truncated)
+        terminated = ending is not None and ending.name != TIME_LIMIT
+        info = info_of(after, 0, self._distance, ending)
+        return row(self._observe(after), 0), float(outcome.reward[0]), terminated, truncated, info
+
+    def render(self) -> np.ndarray | None:
+        """The picture of the moment, seen from above, shape (height, width, 3), uint8; None for the window."""
+        if self.render_mode != "rgb_array" or self._reading is None:
+            return None
+        from tb2rl.pictures.above import WorldPicture  # drawing is not needed to train
+
+        scene, reading = self.scene, self._reading
+        world = scene.setup.worlds[int(reading.start.world[0])]
+        picture = WorldPicture(world, scene.robot, scene.laser, reading.goal[0])
+        return picture.draw(reading.pose[0], reading.ranges[0], self.path)
+
+    def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
+        """Colours and depth [m] that the camera on the robot's front sees, see `BulletSimulation.camera`.
+
+        Raises:
+            InputError: If the simulation has no camera.
+        """
+        if not hasattr(self.simulation, "camera"):
+            raise InputError("only simulation 'bullet' has a camera")
+        return self.simulation.camera(width, height)
+
+    def state(self) -> dict[str, Any]:
+        """All that the rest of the episode and later ones depend on, in plain values and arrays."""
+        if self._reading is None:
+            raise InputError("state needs a reset first")
+        return {
+            "simulation": self.simulation.state(),
+            "reading": self._reading.state(),
+            "steps": self._steps,
+            "distance": self._distance,
+            "generator": self.np_random.bit_generator.state,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a `state` as if nothing had happened since."""
+        if self._reading is None:  # the simulation learns where its noise comes from
+            self.simulation.reset(Start.proposed(self.scene.setup, 1), self.np_random)
+        self.simulation.restore(state["simulation"])
+        self._reading = Reading.from_state(state["reading"])
+        self._steps, self._distance = int(state["steps"]), float(state["distance"])
+        self.np_random.bit_generator.state = state["generator"]
+        self.path = [self._reading.pose[0]]
+
+    def close(self) -> None:
+        self.simulation.close()
+
+    def _start(self, options: dict[str, Any]) -> Start:
+        setup = self.scene.setup
+        if "pose" not in options:
+            return self.task.begin(setup, GeneratorDraws(self.np_random))
+        x, y, yaw = checked(Pose, options["pose"], "options.pose")
+        # What the task draws for the rest of the start is thrown away: the noise is that of any other episode.
+        start = self.task.begin(setup, GeneratorDraws(deepcopy(self.np_random)))
+        world = setup.worlds[int(start.world[0])]
+        if not world.contains((x, y)):
+            raise InputError(f"the start ({x:g}, {y:g}) is outside world {world.name}")
+        if world.clearance(x, y) < setup.robot.radius:
+            raise InputError(f"the start ({x:g}, {y:g}) is inside a wall of world {world.name}")
+        start.pose[:] = x, y, yaw
+        return start
+
+
+def info_of(reading: Reading, robot: int, distance: float, ending: Ending | None) -> dict[str, Any]:
+    """The `info` of one robot, see `TurtleBot2Env`; `ending` is None while its episode goes on."""
+    return {
+        "pose": reading.pose[robot],
+        "distance": distance,
+        "min_range": float(reading.nearest[robot]),
+        "bumped": bool(reading.bumped[robot]),
+        "is_success": ending is not None and ending.success,
+        "ended": ending and ending.name,
+        "failed": ending is not None and ending.failed,
+    }

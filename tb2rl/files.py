@@ -1,0 +1,104 @@
+"""Files: found by name, read as text or YAML, replaced in one step."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import tb2rl
+from tb2rl.errors import InputError, one_line, unknown
+
+
+def top_folder(name: str) -> Path:
+    """The folder `agents`, `configs` or `zoo`: beside the package in a checkout, inside it when installed."""
+    return next(folder for place in tb2rl.__path__ if (folder := Path(place, name)).is_dir())
+
+
+def find_file(name: str, folder: Path, kind: str, suffixes: Iterable[str] = (".yaml",)) -> Path:
+    """The file that a user means: a path, or the name of a built-in YAML file in `folder`.
+
+    Args:
+        name: What the user wrote.
+        folder: Where the built-in files are.
+        kind: What the file is, for the message: "world", "preset".
+        suffixes: The endings by which a name without a folder is taken for a path.
+
+    Raises:
+        InputError: If there is no such file.
+    """
+    path = Path(name)
+    if path.suffix in suffixes or path.parent != Path():
+        if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+            raise InputError(one_line(f"there is no {kind} file {name}"))
+        return path
+    built_in = {file.stem: file for file in folder.glob("*.yaml")}
+    if name not in built_in:
+        raise unknown(kind, name, built_in)
+    return built_in[name]
+
+
+def read_text(path: Path) -> str:
+    """The content of a text file in UTF-8.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read {path}: {error}") from None
+
+
+def read_yaml(path: Path) -> Any:
+    """The content of a YAML file; an empty file is an empty mapping.
+
+    Raises:
+        InputError: If it cannot be read, or is not YAML.
+    """
+    content = parse_yaml(read_text(path), str(path))
+    return {} if content is None else content
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """The plain value that a YAML text means; aliases, which can blow a few lines up to gigabytes, are refused.
+
+    Raises:
+        InputError: If it is not YAML; the message begins with `where` it stands.
+    """
+    try:
+        return yaml.load(text, _PlainLoader)
+    except (yaml.YAMLError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(one_line(f"{where} is not YAML: {error}")) from None
+
+
+class _PlainLoader(yaml.SafeLoader):
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it uses an alias (*name); write the value out")
+        return super().compose_node(parent, index)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place when the block ends well; else nothing of it is left."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in one step: a reader sees the old or the new one, never half of it.
+
+    Raises:
+        OSError: If it cannot be written; the old file stands.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,142 @@
+"""What a policy did from many start poses: the episodes, and the figures that say how good that is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from tb2rl.envs.scene import Scene
+from tb2rl.errors import InputError, one_line
+from tb2rl.judging.statistics import wilson_interval
+from tb2rl.runs.config import Config, config_from
+from tb2rl.runs.folder import EVALUATION, Run, versions
+from tb2rl.tasks import Task
+from tb2rl.values import Count, checked, type_with_checks
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One evaluated episode; the return and the distance are sums over its steps."""
+
+    start: tuple[float, float, float]  # x [m], y [m], yaw [rad]
+    ended: str  # "crash", "goal", ..., "time limit"
+    failed: bool  # whether that ending counts as failed
+    success: bool
+    touched: bool  # whether the bumper fired
+    length: int  # control steps
+    distance: float  # [m]
+    episode_return: float
+    path: np.ndarray  # x, y [m] at the start and after each step, shape (length + 1, 2), float32
+    actions: np.ndarray  # of each step: shape (length,), whole numbers, or (length, 2), float32
+
+
+_ARRAYS = ("path", "actions")
+_FIGURES = tuple(field.name for field in fields(Episode) if field.name not in _ARRAYS)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a policy did, and what it was asked to do.
+
+    Attributes:
+        episodes: At least one.
+        scene: Where and at which task; its time limit is that of the episodes.
+        seed: Of the start poses and of all noise.
+    """
+
+    episodes: Sequence[Episode]
+    scene: Scene
+    seed: int
+
+    @property
+    def task(self) -> Task:
+        """What the policy was asked to do."""
+        return self.scene.task
+
+    @property
+    def steps(self) -> int:
+        """Control steps at most in an episode."""
+        return self.task.episode_steps
+
+    def summary(self) -> dict[str, Any]:
+        """The figures, for a table or a JSON file; speeds in m/s, distances in m, rates with 95 % intervals."""
+        lengths, distances = self._each("length"), self._each("distance")
+        return {
+            "episodes": len(self.episodes),
+            "steps": self.steps,
+            "seed": self.seed,
+            **_rate("failure_free", [not failed for failed in self._each("failed")]),
+            **_rate("success", self._each("success")),
+            "touch_free_rate": float(np.mean([not touched for touched in self._each("touched")])),
+            **_mean("distance", distances),
+            **_mean("return", self._each("episode_return")),
+            **_mean("length", lengths),
+            "mean_speed": sum(distances) / (sum(lengths) * self.task.control_period),
+            "endings": dict(sorted(Counter(self._each("ended")).items())),
+        }
+
+    @property
+    def score(self) -> tuple[float, float]:
+        """What makes one evaluation better than another: the success rate, then the mean return."""
+        return float(np.mean(self._each("success"))), float(np.mean(self._each("episode_return")))
+
+    def tree(self, config: Config, policy: str) -> tuple[dict[str, Any], dict[str, list[np.ndarray]]]:
+        """All of it as a run folder keeps it, see `Run.write_evaluation` and `kept_evaluation`.
+
+        Args:
+            config: What the policy was trained to do.
+            policy: Its name, or that of its file.
+
+        Returns:
+            Plain values: the figures, the conditions, and every episode as "each"; and the arrays of the episodes.
+        """
+        each = [{name: getattr(episode, name) for name in _FIGURES} for episode in self.episodes]
+        about = {"policy": policy, "config": config.to_dict(), "versions": versions()}
+        return {**self.summary(), **about, "each": each}, {name: self._each(name) for name in _ARRAYS}
+
+    def _each(self, name: str) -> list[Any]:
+        return [getattr(episode, name) for episode in self.episodes]
+
+
+def _rate(name: str, counted: Sequence[bool]) -> dict[str, Any]:
+    interval = wilson_interval(sum(counted), len(counted))
+    return {f"{name}_rate": float(np.mean(counted)), f"{name}_interval": interval}
+
+
+def _mean(name: str, values: Sequence[float]) -> dict[str, float]:
+    return {f"mean_{name}": float(np.mean(values)), f"std_{name}": float(np.std(values))}
+
+
+def kept_evaluation(run: Run) -> Evaluation:
+    """The standard evaluation that a run folder keeps.
+
+    Raises:
+        InputError: If there is none, its files are damaged or do not belong together, or it is not of the run's task.
+    """
+    tree, arrays = run.read_evaluation()
+    try:
+        episodes = _episodes_from(tree["each"], arrays)
+        steps, seed = checked(Count, tree["steps"], "steps"), checked(int, tree["seed"], "seed")
+        task = config_from(tree["config"]).task
+    except (LookupError, TypeError, ValueError) as error:  # an InputError is a ValueError
+        raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation: {error!s}")) from None
+    if task != run.config.task:
+        raise InputError(f"{run.folder}: {EVALUATION} is not of the task in config.yaml")
+    space = run.config.scene.action_space
+    if any(episode.actions.shape[1:] != space.shape for episode in episodes):
+        raise InputError(f"{run.folder}: {EVALUATION} has other actions than the task in config.yaml")
+    return Evaluation(episodes, run.config.scene.changed(episode_steps=steps), seed)
+
+
+def _episodes_from(each: Sequence[Mapping[str, Any]], arrays: Mapping[str, Sequence[np.ndarray]]) -> list[Episode]:
+    columns = [arrays[name] for name in _ARRAYS]
+    trees = [{**figures, **dict(zip(_ARRAYS, row, strict=True))} for figures, *row in zip(each, *columns, strict=True)]
+    episodes: list[Episode] = checked(list[type_with_checks(Episode)], trees, "each")  # type: ignore[misc]
+    fits = [(e.path.shape, len(e.actions)) == ((e.length + 1, 2), e.length) for e in episodes]
+    if not episodes or not all(fits):
+        raise ValueError("its episodes have other lengths than their paths and actions")
+    return episodes

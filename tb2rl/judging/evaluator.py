@@ -1,0 +1,175 @@
+"""Driving the episodes of an evaluation, spread over processes; the standard one is the judge of every policy."""
+
+from __future__ import annotations
+
+import pickle
+import signal
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import torch as th
+
+from tb2rl.envs.processes import main_hidden, process_context, processors
+from tb2rl.envs.scene import Scene
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.errors import InputError
+from tb2rl.judging.evaluation import Episode, Evaluation
+from tb2rl.judging.progress import progress as progress_bar
+from tb2rl.judging.rollout import Policy, roll_out
+from tb2rl.runs.config import Config
+from tb2rl.runs.loading import config_of, load
+from tb2rl.simulation.streams import GeneratorDraws
+
+EPISODES, STEPS = 100, 1500
+SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
+TRAINING_SEED = 20_190_000  # of the evaluations while training
+PASSED = 0.95  # success rate from which a training counts as one that has learned
+
+
+class Evaluator:
+    """Environments that stand ready to evaluate policies, spread over processes.
+
+    Args:
+        scene: Where and what to do; its start poses and time limit are replaced.
+        episodes: How many, each from a start pose of its own.
+        steps: Control steps at most in an episode.
+        seed: Of the start poses and of all noise.
+        workers: Processes; None: one for each processor, 1: this one alone.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        episodes: int = EPISODES,
+        steps: int = STEPS,
+        seed: int = SEED,
+        workers: int | None = None,
+    ) -> None:
+        self.scene, self.seed = scene.changed(episode_steps=steps), seed
+        draws = GeneratorDraws(np.random.default_rng(seed), episodes)
+        self.poses = scene.changed(start="random").task.begin(scene.setup, draws).pose
+        workers = min(workers or processors(), episodes)
+        self._pool = None
+        if workers > 1:
+            pickled = (cloudpickle.dumps(self.scene),)
+            self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_open_env, initargs=pickled)
+
+    def run(self, policy: Policy, progress: bool = False) -> Evaluation:
+        """Drive all episodes.
+
+        Args:
+            policy: What drives.
+            progress: Whether to draw a bar, where there is a terminal.
+        """
+        episodes = self._drive_here(policy) if self._pool is None else self._drive_in(self._pool, policy)
+        shown = progress_bar(episodes, "evaluating", "episode", total=len(self.poses), shown=progress)
+        return Evaluation(list(shown), self.scene, self.seed)
+
+    def _drive_here(self, policy: Policy) -> Iterator[Episode]:
+        with closing(TurtleBot2Env(self.scene)) as env:
+            for i, pose in enumerate(self.poses):
+                yield evaluate_episode(env, policy, pose, self.seed + i)
+
+    def _drive_in(self, pool: ProcessPoolExecutor, policy: Policy) -> Iterator[Episode]:
+        with TemporaryDirectory() as folder:  # a table can have millions of values: through no pipe, each time
+            file = Path(folder, "policy")
+            file.write_bytes(cloudpickle.dumps(policy))
+            with main_hidden():  # processes start as they are needed
+                jobs = [pool.submit(_drive_one, file, pose, self.seed + i) for i, pose in enumerate(self.poses)]
+            for job in jobs:
+                yield job.result()
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> Evaluator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Episode:
+    """One episode of the greedy policy from a pose x [m], y [m], yaw [rad], shape (3,); see `roll_out`."""
+    moments = list(roll_out(env, policy, seed, pose))
+    last = moments[-1]
+    places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
+    return Episode(
+        start=tuple(pose.tolist()),
+        ended=last.info["ended"],
+        failed=last.info["failed"],
+        success=last.info["is_success"],
+        touched=any(moment.info["bumped"] for moment in moments),
+        length=last.step,
+        distance=last.info["distance"],
+        episode_return=last.total,
+        path=np.array(places, dtype=np.float32),
+        actions=np.array([moment.action for moment in moments], dtype=_smallest_type(env.action_space)),
+    )
+
+
+def _smallest_type(space: gym.Space) -> np.dtype:
+    """What keeps actions: the smallest integers that hold all named commands, or the type of the velocities."""
+    return np.min_scalar_type(int(space.n) - 1) if isinstance(space, gym.spaces.Discrete) else np.dtype(space.dtype)
+
+
+def evaluate(
+    policy: Policy | str | Path,
+    config: Config | None = None,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    progress: bool = False,
+    **conditions: Any,
+) -> Evaluation:
+    """Evaluate a policy; the standard evaluation unless `conditions` say otherwise.
+
+    Args:
+        policy: A loaded policy, a reference that `load` takes, or anything with `predict`.
+        config: What it is to do; None: what it was trained to do.
+        settings: Changes to the task by name, for example {"world": "circuit"}.
+        progress: Whether to draw a bar, where there is a terminal.
+        conditions: Arguments of `Evaluator`: episodes, steps, seed, workers.
+
+    Raises:
+        InputError: If there is no such policy, a setting does not fit, or the policy knows other observations or
+            actions than the task has.
+    """
+    if isinstance(policy, str | Path):
+        policy = load(policy)
+    config = (config or config_of(policy)).with_task(settings or {})
+    check_observes(policy, config.scene)
+    with Evaluator(config.scene, **conditions) as evaluator:
+        return evaluator.run(getattr(policy, "policy", policy), progress)
+
+
+def check_observes(policy: Any, scene: Scene) -> None:
+    """Raise an `InputError` where a policy would get other observations or actions than it knows."""
+    known = getattr(policy, "observation_space", scene.observation_space)
+    if known != scene.observation_space:
+        raise InputError(f"the policy knows the observation {known}, but this task gives {scene.observation_space}")
+    known = getattr(policy, "action_space", scene.action_space)
+    if known != scene.action_space:
+        raise InputError(f"the policy knows the actions {known}, but this task has {scene.action_space}")
+
+
+_env: TurtleBot2Env  # of a worker process
+
+
+def _open_env(scene: bytes) -> None:
+    global _env
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that asked decides
+    th.set_num_threads(1)
+    _env = TurtleBot2Env(pickle.loads(scene))
+
+
+def _drive_one(policy: Path, pose: np.ndarray, seed: int) -> Episode:
+    return evaluate_episode(_env, pickle.loads(policy.read_bytes()), pose, seed)

@@ -1,0 +1,63 @@
+"""A policy drives an episode, step by step: what films show, and what evaluations are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch as th
+
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.simulation import Start
+
+LARGEST_SEED = 2**32 - 1
+
+
+class Policy(Protocol):
+    """What drives: anything with Stable-Baselines3's `predict`."""
+
+    def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[np.ndarray, Any]:
+        """The action for an observation, and what a recurrent policy remembers until the next call, else None."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One control step of an episode."""
+
+    step: int  # its number, from 1
+    before: np.ndarray  # the pose that it began at: x [m], y [m], yaw [rad], shape (3,)
+    pose: np.ndarray  # the pose that it led to, shape (3,)
+    action: np.ndarray  # as the policy gave it: shape () for a named command, (2,) for velocities
+    reward: float
+    total: float  # rewards since the reset
+    info: Mapping[str, Any]  # of `TurtleBot2Env.step`; its "ended" says whether the episode is over, and why
+    start: Start  # how the episode began: one robot's world, goal and bounds
+
+
+def roll_out(env: TurtleBot2Env, policy: Policy, seed: int, pose: np.ndarray | None = None) -> Iterator[Moment]:
+    """One episode of the greedy policy.
+
+    Args:
+        env: Where it drives.
+        policy: What drives.
+        seed: Of the noise, of the start pose unless one is given, and of a policy that draws.
+        pose: Where it starts: x [m], y [m], yaw [rad], shape (3,); None: where the task says.
+
+    Raises:
+        InputError: If the pose is inside a wall, or the policy gives an action that does not exist.
+    """
+    with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whatever happened before
+        th.manual_seed(seed)
+        observation, info = env.reset(seed=seed, options=None if pose is None else {"pose": tuple(pose)})
+        step, total, over, memory = 0, 0.0, False, None
+        while not over:
+            before, step = info["pose"], step + 1
+            remembered = {} if memory is None else {"state": memory}  # only recurrent policies know the argument
+            action, memory = policy.predict(observation, deterministic=True, **remembered)
+            observation, reward, terminated, truncated, info = env.step(action)
+            total += float(reward)
+            over = terminated or truncated
+            start = env.reading.start
+            yield Moment(step, before, info["pose"], np.asarray(action), float(reward), total, info, start)

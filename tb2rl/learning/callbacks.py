@@ -1,0 +1,162 @@
+"""What happens beside a training: evaluations, checkpoints, stopping. Stable-Baselines3 callbacks all."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Image
+
+from tb2rl.judging.evaluator import Evaluator
+from tb2rl.learning.state import Stateful, capture
+from tb2rl.runs.folder import Run
+from tb2rl.showing.pictures import draw_paths
+
+_PATHS_DRAWN = 5
+_LOGGED = ("failure_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "mean_speed")
+
+
+class Evaluate(BaseCallback):
+    """Evaluates the greedy policy now and then, keeps the best one, draws the paths of a few episodes.
+
+    Args:
+        run: Gets the best policy, and a line for each evaluation.
+        evaluator: Drives the episodes.
+        freq: Control steps between evaluations.
+    """
+
+    def __init__(self, run: Run, evaluator: Evaluator, freq: int) -> None:
+        super().__init__()
+        self.run, self.evaluator, self.freq = run, evaluator, freq
+        self._next = freq
+        self._best = (-np.inf, -np.inf)
+        self._elapsed_before = 0.0
+
+    def state(self) -> dict[str, Any]:
+        return {"next": self._next, "best": self._best, "elapsed": self._elapsed()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._next, self._elapsed_before = int(state["next"]), float(state["elapsed"])
+        success, mean_return = map(float, state["best"])
+        self._best = (success, mean_return)
+
+    def _elapsed(self) -> float:
+        """Seconds since the training began."""
+        return round(self._elapsed_before + time.monotonic() - self._started, 3)
+
+    def _on_training_start(self) -> None:
+        self._started = time.monotonic()
+
+    def _on_step(self) -> bool:
+        if self._next <= self.num_timesteps < self.locals["total_timesteps"]:  # the end has an evaluation of its own
+            self._next = (self.num_timesteps // self.freq + 1) * self.freq
+            self.evaluate()
+        return True
+
+    def evaluate(self, progress: bool = False) -> None:
+        """Evaluate the policy as it is now; with `progress`, a bar on a terminal says how far this is."""
+        started = time.monotonic()
+        evaluation = self.evaluator.run(self.model.policy, progress)
+        summary = {"timesteps": self.num_timesteps, **evaluation.summary()}
+        summary["seconds"] = round(time.monotonic() - started, 3)
+        summary["elapsed"] = self._elapsed()
+        summary["best"] = evaluation.score > self._best
+        if summary["best"]:
+            self._best = evaluation.score
+            self.run.save(self.model, "best/policy")
+        self.run.note_evaluation(summary)
+        for key in _LOGGED:
+            self.logger.record(f"eval/{key}", summary[key])
+        self.logger.record("eval/score", evaluation.score[0])
+        few = evaluation.episodes[:_PATHS_DRAWN]
+        picture = draw_paths(evaluation.scene, [episode.path for episode in few], [episode.failed for episode in few])
+        self.logger.record("eval/paths", Image(picture, "HWC"))
+        self.logger.dump(self.num_timesteps)
+
+
+class Checkpoints(BaseCallback):
+    """Saves everything that the rest of the training depends on, now and then, and keeps the last few of these.
+
+    Args:
+        run: Gets the checkpoints.
+        freq: Control steps between checkpoints; 0: only the last.
+        keep: How many stay.
+
+    Attributes:
+        others: The callbacks that remember, this one among them.
+    """
+
+    def __init__(self, run: Run, freq: int, keep: int) -> None:
+        super().__init__()
+        self.run, self.freq, self.keep = run, freq, keep
+        self._next = freq
+        self.others: Sequence[Stateful] = ()
+
+    def state(self) -> dict[str, Any]:
+        return {"next": self._next}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self._next = int(state["next"])
+
+    def _on_rollout_start(self) -> None:
+        if self.freq and self.num_timesteps >= self._next:
+            self._next = (self.num_timesteps // self.freq + 1) * self.freq
+            self.save(in_rollout=True)
+
+    def save(self, in_rollout: bool = False) -> None:
+        """Save the training as it is now, where a rollout starts (`in_rollout`) or the training ends."""
+        self.run.save_training(self.model, capture(self.model, self.others, in_rollout))
+        self.run.prune(self.keep)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class StopAfterEpisodes(BaseCallback):
+    """Stops once so many episodes have ended, over all environments together."""
+
+    def __init__(self, episodes: int) -> None:
+        super().__init__()
+        self.left = episodes
+
+    def state(self) -> dict[str, Any]:
+        return {"left": self.left}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.left = int(state["left"])
+
+    def _on_step(self) -> bool:
+        self.left -= int(self.locals["dones"].sum())
+        return self.left > 0
+
+
+class StopOnInterrupt(BaseCallback):
+    """The first Ctrl-C ends the training as if its time were up; a second one stops at once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.interrupted = False
+
+    def __enter__(self) -> StopOnInterrupt:
+        if threading.current_thread() is threading.main_thread():  # elsewhere Python takes no signals
+            self._previous = signal.signal(signal.SIGINT, self._on_signal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, self._previous)
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        if self.interrupted:
+            raise KeyboardInterrupt
+        self.interrupted = True
+        print("\nstopping: this saves the policy; Ctrl-C again stops at once", flush=True)
+
+    def _on_step(self) -> bool:
+        return not self.interrupted

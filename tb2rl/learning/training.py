@@ -1,0 +1,195 @@
+"""One training, from a config to a run folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+
+from tb2rl.errors import InputError
+from tb2rl.judging.evaluator import TRAINING_SEED, Evaluator
+from tb2rl.learning import state
+from tb2rl.learning.callbacks import Checkpoints, Evaluate, StopAfterEpisodes, StopOnInterrupt
+from tb2rl.learning.environments import make_vec_env
+from tb2rl.learning.statistics import EpisodeLines, Statistics, TensorBoard
+from tb2rl.learning.troubles import learning_troubles_named, machine_troubles_named
+from tb2rl.learning.watcher import Watcher
+from tb2rl.runs.algorithm import make_algorithm
+from tb2rl.runs.checkpoint import read_checkpoint
+from tb2rl.runs.config import Config
+from tb2rl.runs.folder import Run
+from tb2rl.runs.layers import resolve
+from tb2rl.runs.loading import content_config, load
+from tb2rl.runs.parameters import load_parameters
+from tb2rl.tasks import Task
+
+
+def train(
+    agent: str | None = None,
+    task: str | type[Task] | None = None,
+    *,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    folder: str | Path | None = None,
+    progress_bar: bool = False,
+    verbose: int = 0,
+    **train_settings: Any,
+) -> BaseAlgorithm:
+    """Train an agent and leave a run folder.
+
+    Args:
+        agent: Its name in the registry, or "module:Class".
+        task: The task's name, or "module:Class".
+        preset: The name of a file in `configs`, or the path of one.
+        settings: Single settings by dotted key, such as {"task.world": "circuit"}.
+        folder: The run folder; None: `runs/<task>/<agent>/<date and time>`.
+        progress_bar: Whether to show the rate and the remaining time.
+        verbose: 1: a line for each episode.
+        train_settings: Fields of `tb2rl.runs.config.TrainSettings`, such as total_timesteps, seed or n_envs.
+
+    Returns:
+        The run's best policy, as `load` gives it.
+
+    Raises:
+        InputError: For anything in the arguments that does not fit.
+    """
+    given = {f"train.{key}": value for key, value in train_settings.items() if value is not None}
+    config = resolve(agent, task, preset, {**(settings or {}), **given})
+    return load(train_config(config, folder or default_folder(config), progress_bar, verbose).run.folder)
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a training went."""
+
+    run: Run
+    timesteps: int  # control steps; of a resumed training those since
+    seconds: float  # of learning them, evaluations included
+    lengths: Sequence[int]  # control steps of each episode
+    interrupted: bool
+
+
+@dataclass(frozen=True)
+class _Checkpoint:
+    """Where a resumed training goes on."""
+
+    file: Path
+    content: Mapping[str, Any]
+
+
+def train_config(config: Config, folder: str | Path, progress_bar: bool = False, verbose: int = 0) -> Training:
+    """`train` for a resolved config."""
+    return _train(config, Path(folder), None, progress_bar, verbose)
+
+
+def resume(
+    folder: str | Path, total_timesteps: int | None = None, progress_bar: bool = False, verbose: int = 0
+) -> Training:
+    """Go on with the training of a run folder from its last checkpoint, as if nothing had happened.
+
+    Args:
+        folder: The run folder.
+        total_timesteps: A larger total than the run was begun with; schedules then stretch over it.
+        progress_bar, verbose: As in `train`.
+
+    Raises:
+        InputError: If there is nothing to resume, or it does not fit.
+    """
+    run = Run.open(Path(folder))
+    if not run.checkpoints:
+        raise InputError(f"{folder} has no checkpoint of its training to go on from")
+    file = run.checkpoints[0]
+    content = read_checkpoint(file)
+    config = run.config
+    if content_config(content, file) != config or "training" not in content:
+        raise InputError(f"{file} is not a checkpoint of the training that {folder} describes")
+    if total_timesteps is not None:
+        if total_timesteps < config.train.total_timesteps:
+            raise InputError(f"the run was begun with {config.train.total_timesteps} steps; ask for more, not for less")
+        config = replace(config, train=replace(config.train, total_timesteps=total_timesteps))
+    if content["timesteps"] >= config.train.total_timesteps:
+        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; raise --total-timesteps to go on")
+    return _train(config, run.folder, _Checkpoint(file, content), progress_bar, verbose)
+
+
+def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progress_bar: bool, verbose: int) -> Training:
+    settings = config.train
+    with machine_troubles_named(folder), ExitStack() as resources:
+        th.set_num_threads(settings.torch_threads)
+        env = make_vec_env(config)
+        resources.callback(env.close)
+        algorithm = make_algorithm(config, env)
+        evaluator = resources.enter_context(_evaluator(config)) if settings.eval_freq else None
+        run = Run(folder, config) if checkpoint else Run.create(folder, config)
+        resources.enter_context(run.lock())
+        statistics, stop = Statistics(config.to_dict()), StopOnInterrupt()
+        checkpoints = Checkpoints(run, settings.save_freq, settings.keep)
+        remembering: list[Any] = [
+            statistics,
+            checkpoints,
+            Watcher(settings.total_timesteps, config.task.control_period),
+        ]
+        if evaluator:
+            evaluation = Evaluate(run, evaluator, settings.eval_freq)
+            remembering.append(evaluation)
+        if settings.episodes:
+            remembering.append(StopAfterEpisodes(settings.episodes))
+        checkpoints.others = remembering
+        watching: list[BaseCallback] = [*remembering, stop, *([EpisodeLines()] if verbose else [])]
+        if checkpoint:
+            watching.insert(0, _restore(algorithm, run, checkpoint, remembering))
+        done = algorithm.num_timesteps
+        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done)]))
+        resources.callback(algorithm.logger.close)
+        started = time.monotonic()
+        with stop:
+            with learning_troubles_named(algorithm, folder):
+                left = settings.total_timesteps - done
+                algorithm.learn(left, watching, reset_num_timesteps=checkpoint is None, progress_bar=progress_bar)
+            run.save(algorithm, "final/policy")
+            if not stop.interrupted:
+                if evaluator:
+                    evaluation.evaluate(progress_bar)
+                checkpoints.save()  # it knows the best score, should more steps be asked
+        seconds = time.monotonic() - started
+    return Training(run, algorithm.num_timesteps - done, seconds, statistics.lengths, stop.interrupted)
+
+
+def _evaluator(config: Config) -> Evaluator:
+    settings = config.train
+    return Evaluator(config.scene, settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
+
+
+def _restore(
+    algorithm: BaseAlgorithm, run: Run, checkpoint: _Checkpoint, remembering: Sequence[state.Stateful]
+) -> BaseCallback:
+    """Put a checkpoint into a training, and undo what was noted after it; see `state.restore`."""
+    load_parameters(algorithm, checkpoint.content, checkpoint.file)
+    try:
+        first = state.restore(checkpoint.content["training"], algorithm, remembering)
+    except InputError as error:
+        raise InputError(f"{checkpoint.file}: {error}") from None
+    run.write_config()
+    run.forget_evaluations(after=algorithm.num_timesteps)
+    return first
+
+
+def default_folder(config: Config) -> Path:
+    """`runs/<task>/<agent>/<date and time>`, with a number where that is taken."""
+    folder = Path("runs") / _file_name(config.task_name) / _file_name(config.agent_name)
+    name = datetime.now().strftime("%Y%m%d-%H%M%S")
+    names = [name, *(f"{name}-{i}" for i in range(2, 1000))]
+    return next(folder / name for name in names if not (folder / name).exists())
+
+
+def _file_name(name: str) -> str:
+    return name.rpartition(":")[2]

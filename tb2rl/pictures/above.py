@@ -1,0 +1,73 @@
+"""A robot in its world, seen from above, with its beams and its path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tb2rl.pictures.canvas import Canvas
+from tb2rl.pictures.colours import BEAM, BODY, GOAL, NOSE, PATH, WHEEL
+from tb2rl.robots import Laser, Robot
+from tb2rl.worlds import World
+
+GOAL_RADIUS = 0.2  # [m] of what marks a goal
+_NOSE = ((150 / 178, 0.0), (50 / 178, 60 / 178), (50 / 178, -60 / 178))  # in the robot's frame, shares of its radius
+
+
+class WorldPicture:
+    """A world and a robot, to draw many pictures of: what stands still is drawn only once.
+
+    Args:
+        world: Its walls.
+        robot: Its size and its wheels.
+        laser: The directions of its beams.
+        goal: x, y [m]; None or NaN: there is none.
+    """
+
+    def __init__(
+        self, world: World, robot: Robot, laser: Laser, goal: Sequence[float] | np.ndarray | None = None
+    ) -> None:
+        self._robot, self._laser = robot, laser
+        self._empty = Canvas(world)
+        draw_goal(self._empty, goal)
+
+    def draw(self, pose: np.ndarray, ranges: np.ndarray, path: Sequence[np.ndarray]) -> np.ndarray:
+        """The robot with its beams and its path.
+
+        Args:
+            pose: x [m], y [m], yaw [rad], shape (3,).
+            ranges: Along the laser's beams [m], shape (beams,).
+            path: Where it was since the reset, poses (3,) or points (2,).
+
+        Returns:
+            Shape (height, width, 3), uint8.
+        """
+        canvas = self._empty.copy()
+        x, y, yaw = pose
+        for angle, distance in zip(self._laser.angles + yaw, ranges, strict=True):
+            reach = min(distance, self._laser.max_range)
+            canvas.line([(x, y), (x + reach * math.cos(angle), y + reach * math.sin(angle))], BEAM, 0.015)
+        if len(path) > 1:
+            canvas.line(path, PATH, 0.04)
+        _draw_robot(canvas, self._robot, x, y, yaw)
+        return canvas.array()
+
+
+def draw_goal(canvas: Canvas, goal: Sequence[float] | np.ndarray | None) -> None:
+    """A ring around a goal x, y [m]; nothing for None or NaN."""
+    if goal is not None and np.isfinite(goal).all():
+        canvas.disc(goal[0], goal[1], GOAL_RADIUS, None, outline=GOAL)
+
+
+def _draw_robot(canvas: Canvas, robot: Robot, x: float, y: float, yaw: float) -> None:
+    cos, sin = math.cos(yaw), math.sin(yaw)
+
+    def at(forward: float, left: float) -> tuple[float, float]:
+        return x + forward * cos - left * sin, y + forward * sin + left * cos
+
+    canvas.disc(x, y, robot.radius, BODY)
+    for side in (robot.wheel_separation / 2, -robot.wheel_separation / 2):
+        canvas.line([at(-robot.wheel_radius, side), at(robot.wheel_radius, side)], WHEEL, 0.03)
+    canvas.polygon([at(forward * robot.radius, left * robot.radius) for forward, left in _NOSE], NOSE)

@@ -1,0 +1,8 @@
+"""What drives: a robot is a value, its dimensions, limits, laser and camera, with a URDF file for the physics.
+
+A robot is one file here: `turtlebot2.py` is the one to copy (see README.md). Nothing else of tb2rl is imported.
+"""
+
+from tb2rl.robots.robot import Camera, Laser, Robot
+
+__all__ = ["Camera", "Laser", "Robot"]

@@ -1,0 +1,96 @@
+"""A robot with two driven wheels, a laser scanner and a camera, as plain numbers.
+
+Frames follow REP 103: x forward, y left, angles counter-clockwise, metres, radians and seconds throughout. The origin
+of the robot's frame lies on the floor under the middle of the axle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+# The columns of a robot's parameters, which the compiled kernels read: one row for each robot.
+RADIUS, WHEEL_SEPARATION, MAX_SPEED, MAX_TURN_RATE, WHEEL_ACCELERATION, WHEEL_COUPLING = range(6)
+
+
+@dataclass(frozen=True)
+class Laser:
+    """A planar laser scanner above the middle of the axle; its beams sweep from right to left, both ends included."""
+
+    beams: int = 720
+    indices: tuple[int, ...] | None = None  # the beams that are read, counted from the right; None: all
+    noise: float = 0.0  # [m] standard deviation of the Gaussian on every finite reading
+    field_of_view: float = math.pi  # [rad]
+    min_range: float = 0.1  # [m]
+    max_range: float = 30.0  # [m] nothing within: the reading is inf (REP 117)
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Directions of the beams that are read, in the robot's frame [rad], shape (beams,), ascending."""
+        half = self.field_of_view / 2
+        angles = np.linspace(-half, half, self.beams) if self.beams > 1 else np.zeros(1)
+        return angles if self.indices is None else angles[list(self.indices)]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A colour and depth camera that looks along x."""
+
+    position: tuple[float, float, float]  # [m] in the robot's frame
+    field_of_view: float  # [rad] vertical
+    range: tuple[float, float]  # [m] nearest and farthest depth
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A differential drive.
+
+    Both simulations drive it: PyBullet by its URDF file, the fast twin by the numbers alone. So the numbers must be
+    those of the file.
+
+    Attributes:
+        name: What it is called.
+        urdf: Its description for the physics; the base link's frame is the robot's frame.
+        wheel_joints: The names of the left and the right wheel's joint in the file.
+        radius: Of the round base [m]; what counts as touching a wall.
+        wheel_radius: [m]
+        wheel_separation: Between the wheels' middles, across the robot [m].
+        wheel_torque: Largest torque of a wheel's motor [N m].
+        max_speed: Fastest forward speed [m/s].
+        max_turn_rate: Fastest turn [rad/s].
+        wheel_acceleration: Of a wheel's rim whose motor pushes alone [m/s^2]; `tb2rl.simulation.measure_motors`
+            measures this and the next one in PyBullet.
+        wheel_coupling: What a rim gains where both motors push the same way, and loses where they push against each
+            other [m/s^2].
+        laser: Its laser scanner.
+        camera: Its camera.
+    """
+
+    name: str
+    urdf: Path
+    wheel_joints: tuple[str, str]
+    radius: float
+    wheel_radius: float
+    wheel_separation: float
+    wheel_torque: float
+    max_speed: float
+    max_turn_rate: float
+    wheel_acceleration: float
+    wheel_coupling: float
+    laser: Laser
+    camera: Camera
+
+    @cached_property
+    def parameters(self) -> np.ndarray:
+        """The numbers that the compiled kernels need, in the order of the columns named above, shape (6,)."""
+        speeds = (self.max_speed, self.max_turn_rate, self.wheel_acceleration, self.wheel_coupling)
+        return np.array([self.radius, self.wheel_separation, *speeds])
+
+    def within_limits(self, commands: np.ndarray) -> np.ndarray:
+        """Commands (v [m/s], w [rad/s]) cut to what the base can do, shape (..., 2)."""
+        fastest = (self.max_speed, self.max_turn_rate)
+        return np.clip(commands, np.negative(fastest), fastest)

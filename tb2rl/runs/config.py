@@ -1,0 +1,119 @@
+"""What a training is: an agent, a task and how to train, as plain values that a run folder keeps.
+
+A config is a tree of three mappings, `agent`, `task` and `train`, see `Config.to_dict`. Where its values come from is
+told in `tb2rl.runs.layers`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from tb2rl.envs.scene import Scene, make_scene
+from tb2rl.errors import InputError
+from tb2rl.registry import find_agent, find_task
+from tb2rl.runs.arguments import agent_for, check_arguments
+from tb2rl.runs.plain import check_plain, check_sections, plain
+from tb2rl.tasks import Task
+from tb2rl.values import Count, CountOrZero, build
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How long to train, in how many environments, and what to note on the way."""
+
+    total_timesteps: Count = 500_000  # control steps, over all environments
+    episodes: Count | None = None  # stop after so many, over all environments, if that comes first
+    episode_steps: Count | None = None  # time limit while training, more starts if it is short; None: the task's
+    seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
+    simulation: Literal["bullet", "kinematic"] = "bullet"  # what it trains in; evaluations always drive in PyBullet
+    n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # environments, shared out among parallel processes
+    device: str = "cpu"
+    torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # two: 15 % for ppo in the twin, nothing for dqn
+    reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # of what the agent sees; logs are unscaled
+    eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
+    eval_episodes: Annotated[int, Ge(1), Le(100_000)] = 20
+    eval_steps: Count = 1000  # control steps at most in an episode of these
+    save_freq: CountOrZero = 50_000  # control steps between checkpoints; 0: only the last
+    keep: Count = 2  # of these checkpoints, the latest
+
+
+@dataclass(frozen=True)
+class Config:
+    """A resolved training.
+
+    Attributes:
+        agent_name: The agent's name in the registry.
+        agent_arguments: Arguments of its algorithm, by name.
+        task_name: The task's name in the registry.
+        task: The task itself.
+        observation: "discrete" or "raw".
+        train: The rest.
+    """
+
+    agent_name: str
+    agent_arguments: Mapping[str, Any]
+    task_name: str
+    task: Task
+    observation: str
+    train: TrainSettings = field(default_factory=TrainSettings)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """What the task's settings describe.
+
+        Raises:
+            InputError: If something in them is unknown or does not fit together; `config_from` has found that out.
+        """
+        return make_scene(self.task, self.observation)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The tree of plain values that `config_from` reads back."""
+        task = {"name": self.task_name, "observation": self.observation, **dataclasses.asdict(self.task)}
+        agent = {"name": self.agent_name, **self.agent_arguments}
+        return plain({"agent": agent, "task": task, "train": dataclasses.asdict(self.train)})
+
+    def with_task(self, settings: Mapping[str, Any]) -> Config:
+        """The config with some settings of its task changed, for example {"world": "circuit"}, all checked again.
+
+        Raises:
+            InputError: For a key or a value that does not fit.
+        """
+        if not settings:
+            return self
+        tree = self.to_dict()
+        tree["task"].update(settings)
+        return config_from(tree)
+
+
+def config_from(tree: Mapping[str, Any]) -> Config:
+    """The checked config of a tree as `Config.to_dict` gives it.
+
+    Raises:
+        InputError: For any name, key or value that does not fit.
+    """
+    check_plain(tree, "")
+    sections = {name: dict(values) for name, values in check_sections(tree, "config").items()}
+    for name in ("agent", "task"):
+        if "name" not in sections.get(name, {}):
+            raise InputError(f"the config does not say {name}.name")
+    agent_name, task_name = str(sections["agent"].pop("name")), str(sections["task"].pop("name"))
+    agent = find_agent(agent_name)
+    observation = str(sections["task"].pop("observation", agent.observation))
+    if agent.only and observation != agent.observation:
+        raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
+    task = build(find_task(task_name), sections["task"], "task")
+    if Path(task.world).is_file():  # the run is to be found again from another folder
+        task = dataclasses.replace(task, world=str(Path(task.world).resolve()))
+    scene = make_scene(task, observation)  # says what of the task does not fit together
+    arguments = check_arguments(agent_for(agent_name, scene.observation_space), sections["agent"])
+    train = build(TrainSettings, sections.get("train", {}), "train")
+    config = Config(agent_name, arguments, task_name, task, observation, train)
+    vars(config)["scene"] = scene  # so that it is not made again
+    return config

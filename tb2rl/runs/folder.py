@@ -1,0 +1,226 @@
+"""The run folder: everything about one training.
+
+    runs/<task>/<agent>/<name>/
+        config.yaml         the resolved config, and the versions of what trained it
+        checkpoints/        step-<timesteps>, the last few: policy, and all that `--resume` needs
+        best/policy         the best in an evaluation while training
+        final/policy        the last
+        evaluations.jsonl   a line for each evaluation while training
+        evaluation.json     the standard evaluation; episodes.safetensors: where each of its episodes went
+        tensorboard/        event files
+
+Files are written beside and renamed, so a folder is valid at every instant.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import yaml
+from filelock import FileLock, Timeout
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from tb2rl.errors import InputError, one_line
+from tb2rl.files import read_text, read_yaml, write_text
+from tb2rl.runs.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
+from tb2rl.runs.config import Config, config_from
+
+EVALUATIONS = "evaluations.jsonl"
+EVALUATION, PATHS = "evaluation.json", f"episodes{SUFFIX}"  # files of the standard evaluation
+_PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder that exists."""
+
+    folder: Path
+    config: Config
+
+    @classmethod
+    def create(cls, folder: Path, config: Config) -> Run:
+        """Make the folder and write its config.
+
+        Raises:
+            InputError: If there is one already, or it cannot be written.
+        """
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder} exists already; choose another --name")
+        staging = folder.absolute().with_name(f".{folder.name}.{os.getpid()}")  # it appears with its config in it
+        try:
+            staging.mkdir(parents=True)
+            cls(staging, config).write_config()
+            staging.replace(folder)
+        except OSError as error:
+            raise InputError(f"cannot write the run folder {folder}: {error.strerror}") from None
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+        return cls(folder, config)
+
+    @classmethod
+    def open(cls, folder: Path) -> Run:
+        """The run of an existing folder.
+
+        Raises:
+            InputError: If it is not a run folder, or its config does not fit.
+        """
+        if not (folder / "config.yaml").is_file():
+            raise InputError(f"{folder} is not a run folder: it has no config.yaml")
+        tree = read_yaml(folder / "config.yaml")
+        try:
+            return cls(folder, config_from({key: value for key, value in tree.items() if key != "versions"}))
+        except (AttributeError, InputError) as error:
+            raise InputError(f"{folder / 'config.yaml'} is not a run's config: {error}") from None
+
+    def write_config(self) -> None:
+        """Write the config, and the versions of what trains it.
+
+        Raises:
+            InputError: If it cannot be written; what was there before stays.
+        """
+        text = yaml.safe_dump({**self.config.to_dict(), "versions": versions()}, sort_keys=False)
+        with _writing(f"the run folder {self.folder}"):
+            write_text(self.folder / "config.yaml", text)
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other processes from training in this folder; a process that dies holds no lock.
+
+        Raises:
+            InputError: If another process does.
+        """
+        try:
+            with FileLock(self.folder / ".lock", timeout=0):
+                yield
+        except Timeout:
+            raise InputError(f"another process is training in {self.folder}") from None
+
+    # ---- checkpoints
+
+    def save(self, algorithm: BaseAlgorithm, place: str, **more: Any) -> Path:
+        """Write a checkpoint at `place` within the folder, for example "best/policy".
+
+        If it stands for the run now, then the evaluation of what did so before goes.
+
+        Raises:
+            InputError: If it cannot be written; what was there before stays.
+        """
+        path = self.folder / f"{place}{SUFFIX}"
+        content = {
+            "timesteps": algorithm.num_timesteps,
+            "versions": versions(),
+            "config": self.config.to_dict(),
+            "policy": algorithm.policy.state_dict(),
+            **more,
+        }
+        with _writing(path):
+            path.parent.mkdir(exist_ok=True)
+            write_checkpoint(path, content)
+            if path == self.policy_file:
+                for file in (EVALUATION, PATHS):
+                    (self.folder / file).unlink(missing_ok=True)
+        return path
+
+    def save_training(self, algorithm: BaseAlgorithm, state: Mapping[str, Any]) -> Path:
+        """Write a checkpoint that a training can go on from; `state` is all that the policy is not."""
+        return self.save(algorithm, f"checkpoints/step-{algorithm.num_timesteps:010d}", training=state)
+
+    @property
+    def checkpoints(self) -> list[Path]:
+        """The checkpoints of the training itself, latest first."""
+        return sorted((self.folder / "checkpoints").glob(f"step-*{SUFFIX}"), reverse=True)
+
+    def prune(self, keep: int) -> None:
+        """Remove all but the last `keep` checkpoints of the training."""
+        for file in self.checkpoints[keep:]:
+            file.unlink(missing_ok=True)
+
+    @property
+    def policy_file(self) -> Path:
+        """The checkpoint that stands for the run: the best, else the final, else the latest one.
+
+        Raises:
+            InputError: If there is none yet.
+        """
+        places = (self.folder / place / f"policy{SUFFIX}" for place in ("best", "final"))
+        for file in (*places, *self.checkpoints):
+            if file.is_file():
+                return file
+        raise InputError(f"{self.folder} holds no checkpoint yet")
+
+    # ---- evaluations, as plain values
+
+    def note_evaluation(self, entry: Mapping[str, Any]) -> None:
+        """Append an evaluation while training, which says its "timesteps"."""
+        with (self.folder / EVALUATIONS).open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(entry) + "\n")
+
+    def forget_evaluations(self, after: int) -> None:
+        """Drop the evaluations while training at more than `after` timesteps."""
+        path = self.folder / EVALUATIONS
+        if path.is_file():
+            lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+            write_text(path, "".join(line for line in lines if json.loads(line)["timesteps"] <= after))
+
+    def write_evaluation(self, tree: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+        """Put the standard evaluation into the folder.
+
+        Args:
+            tree: Plain values, for `evaluation.json`.
+            arrays: By name, or lists of them, for the file beside it.
+
+        Raises:
+            InputError: If it cannot be written.
+        """
+        with _writing(self.folder / PATHS):
+            write_checkpoint(self.folder / PATHS, arrays)
+        with _writing(self.folder / EVALUATION):
+            write_text(self.folder / EVALUATION, json.dumps(tree, indent=1) + "\n")
+
+    @property
+    def has_evaluation(self) -> bool:
+        """Whether the standard evaluation is in the folder."""
+        return all((self.folder / file).is_file() for file in (EVALUATION, PATHS))
+
+    def read_evaluation(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The tree and the arrays that `write_evaluation` wrote.
+
+        Raises:
+            InputError: If there is none, or its files are damaged.
+        """
+        if not self.has_evaluation:
+            raise InputError(f"{self.folder} has no standard evaluation: run `python -m tb2rl.evaluate {self.folder}`")
+        file = self.folder / EVALUATION
+        try:
+            return dict(json.loads(read_text(file))), read_checkpoint(self.folder / PATHS)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise InputError(one_line(f"{file} is not an evaluation: {error}")) from None
+
+
+@contextmanager
+def _writing(what: object) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write {what}: {error.strerror or error}") from None
+
+
+def versions() -> dict[str, str]:
+    """The versions of what a result depends on."""
+    return {"python": platform.python_version(), **{package: _version(package) for package in _PACKAGES}}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # a checkout that is not installed
+        return "unknown"

@@ -1,0 +1,47 @@
+"""Where the goal is, as the robot believes by its wheels' odometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tb2rl.sensors.sensor import Sensor
+from tb2rl.simulation.reading import Reading
+
+
+class GoalDistance(Sensor):
+    """How far the goal is [m].
+
+    Args:
+        edges: Borders of the distance classes [m].
+    """
+
+    name, unit = "goal distance", "m"
+    low, high = 0.0, 100.0
+
+    def __init__(self, edges: tuple[float, ...] = ()) -> None:
+        self.edges = edges
+
+    def read(self, reading: Reading) -> np.ndarray:
+        east, north = (reading.goal - reading.odometry[:, :2]).T
+        return np.hypot(east, north)[:, None]
+
+
+class GoalBearing(Sensor):
+    """In which direction the goal is, counted from straight ahead [rad].
+
+    Args:
+        edges: Borders of the classes of angles [rad].
+    """
+
+    name, unit = "goal bearing", "rad"
+    low, high = -math.pi, math.pi
+
+    def __init__(self, edges: tuple[float, ...] = ()) -> None:
+        self.edges = edges
+
+    def read(self, reading: Reading) -> np.ndarray:
+        east, north = (reading.goal - reading.odometry[:, :2]).T
+        bearing = np.arctan2(north, east) - reading.odometry[:, 2]
+        return (np.remainder(bearing + math.pi, math.tau) - math.pi)[:, None]

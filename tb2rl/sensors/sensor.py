@@ -1,0 +1,41 @@
+"""What every sensor says of itself."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from tb2rl.simulation.reading import Reading
+
+
+class Sensor(ABC):
+    """Some numbers, or one image, that a learner observes.
+
+        class Compass(Sensor):
+            name, unit = "compass", "rad"
+            low, high = -math.pi, math.pi
+            edges = (-1.57, 0.0, 1.57)
+
+            def read(self, reading):
+                return reading.pose[:, 2:]
+
+    Attributes:
+        name: What it is called; an image stands under this name in the observation.
+        unit: Of its numbers: "m", "rad", "m/s", ...; "" for a plain number.
+        low, high: The smallest and the largest value; what is read is cut to them.
+        edges: Strictly increasing borders of the classes that tabular learners see; empty: it has none, and can only
+            be observed raw.
+        shape: Of what it reads for one robot: (n,) for n numbers, (height, width, channels) for an image of uint8.
+    """
+
+    name: str
+    unit: str = ""
+    low: float
+    high: float
+    edges: tuple[float, ...] = ()
+    shape: tuple[int, ...] = (1,)
+
+    @abstractmethod
+    def read(self, reading: Reading) -> np.ndarray:
+        """The values, shape (robots, *shape)."""

@@ -1,0 +1,77 @@
+"""The cameras of a film: the world from above, and the robot in 3D from behind."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from tb2rl.envs.scene import Scene
+from tb2rl.pictures.above import WorldPicture
+from tb2rl.showing.pictures import goal_of
+from tb2rl.showing.shots import Shot
+from tb2rl.showing.stage import Stage
+from tb2rl.simulation import Start
+from tb2rl.worlds.geometry import cast
+
+_CHASE_SIZE = (640, 360)  # [px]
+
+
+class Camera(Protocol):
+    """What films a drive."""
+
+    rate: int  # pictures a second, at most
+
+    def picture(self, shot: Shot) -> np.ndarray:
+        """The world at an instant, shape (height, width, 3), uint8, with even sides."""
+
+    def close(self) -> None:
+        """Free what the camera holds."""
+
+
+class AboveCamera:
+    """The world from above, with the robot's beams and its path."""
+
+    rate = 15
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._beams = np.cos(scene.laser.angles), np.sin(scene.laser.angles)
+        self._ranges = np.empty((1, len(scene.laser.angles)))
+        self._start: Start | None = None
+
+    def picture(self, shot: Shot) -> np.ndarray:
+        if shot.moment.start is not self._start:
+            self._begin(shot.moment.start)
+        cast(shot.pose[None], *self._beams, self._world.boxes, self._world.posts, self._ranges)
+        return self._picture.draw(shot.pose, self._ranges[0], [*shot.path, shot.pose])
+
+    def _begin(self, start: Start) -> None:
+        """Draw what stands still in an episode."""
+        scene = self._scene
+        self._start, self._world = start, scene.setup.worlds[int(start.world[0])]
+        self._picture = WorldPicture(self._world, scene.robot, scene.laser, goal_of(scene.task, start))
+
+    def close(self) -> None:
+        pass
+
+
+class ChaseCamera:
+    """The robot in 3D, from behind and above."""
+
+    rate = 10  # a picture takes several times as long as one from above
+
+    def __init__(self, scene: Scene) -> None:
+        self._task, self._stage = scene.task, Stage(scene.setup)
+
+    def picture(self, shot: Shot) -> np.ndarray:
+        start = shot.moment.start
+        self._stage.begin(int(start.world[0]), goal_of(self._task, start))
+        self._stage.place(shot.pose)
+        return self._stage.chase(*_CHASE_SIZE)
+
+    def close(self) -> None:
+        self._stage.close()
+
+
+CAMERAS: dict[str, type[AboveCamera] | type[ChaseCamera]] = {"above": AboveCamera, "chase": ChaseCamera}

@@ -1,0 +1,157 @@
+"""The report's charts: learning curves, and what happened where in a world; SVG in which text is text.
+
+Nothing that a user named stands in a chart: names belong to the page around it, which escapes them.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
+
+from tb2rl.judging.evaluation import Evaluation
+from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, PATH, START, WALL
+from tb2rl.showing.curves import Curve, Family
+from tb2rl.worlds import World
+from tb2rl.worlds.world import box_shape
+
+WIDTH = 4.2  # [in] a phone shows it nearly as large, so its text stays readable
+_DOTS = 120  # [1/in] of what is drawn as pixels: thousands of path segments would be megabytes as SVG
+_FEW = 30  # points that are marked one by one
+_CELL, _CELLS = 0.1, 150  # [m] side of a cell of the heat map, and how many stand beside each other at most
+_STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "tb2rl",  # the same chart gives the same file
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.use_mathtext": False,
+    "text.parse_math": False,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "grid.color": "#dddddd",
+}
+
+
+@matplotlib.rc_context(_STYLE)
+def draw_curves(families: Sequence[Family], label: str, rate: bool) -> Markup:
+    """Learning curves: of several seeds thin lines, their mean and its interval; `rate` for values from 0 to 1."""
+    figure = Figure(figsize=(WIDTH, 0.62 * WIDTH), layout="constrained")
+    axes = figure.add_subplot(xlabel="control steps", ylabel=label)
+    for i, family in enumerate(families):
+        _draw_family(axes, family, i)
+    axes.grid(axis="y")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.set_xlim(left=0)
+    if rate:
+        axes.set_ylim(-0.03, 1.03)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    return _svg(figure)
+
+
+def _draw_family(axes: Axes, family: Family, number: int) -> None:
+    mean, colour = family.mean, family.colour
+    if len(family.curves) > 1:
+        for j, curve in enumerate(map(Curve.thinned, family.curves)):
+            axes.plot(curve.steps, curve.values, color=colour, linewidth=0.7, alpha=0.5, gid=f"seed-{number}-{j}")
+        low, high = family.interval.T
+        axes.fill_between(mean.steps, low, high, color=colour, alpha=0.2, linewidth=0, gid=f"interval-{number}")
+    marker = "." if len(mean.steps) <= _FEW else ""
+    axes.plot(mean.steps, mean.values, color=colour, linewidth=1.8, marker=marker, gid=f"mean-{number}")
+
+
+@matplotlib.rc_context(_STYLE)
+def draw_ways(evaluation: Evaluation) -> Markup:
+    """The paths of all episodes, a dot at each start and a cross at the end of each that failed."""
+    figure, axes = _world_figure(evaluation.scene.world)
+    paths = [episode.path for episode in evaluation.episodes]
+    axes.add_collection(LineCollection(paths, colors=PATH, linewidths=0.6, alpha=0.3, rasterized=True))
+    _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid="starts")
+    failures = [episode.path[-1] for episode in evaluation.episodes if episode.failed]
+    _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid="failures")
+    if evaluation.scene.goal is not None:
+        goal = evaluation.scene.goal
+        _mark(axes, [goal], s=90, color=GOAL, marker="*", edgecolors="black", linewidths=0.5, zorder=5, gid="goal")
+    return _svg(figure)
+
+
+@matplotlib.rc_context(_STYLE)
+def draw_time(evaluation: Evaluation) -> Markup:
+    """How much of the time of all episodes was spent in each cell of the world."""
+    figure, axes = _world_figure(evaluation.scene.world)
+    shares, (left, right, bottom, top) = time_shares(evaluation)
+    largest = shares.max() or 1.0  # 0: the robots were out of the world's bounds at all times
+    image = axes.imshow(
+        np.ma.masked_equal(shares, 0.0).T,
+        origin="lower",
+        extent=(left, right, bottom, top),
+        cmap="YlGnBu",
+        norm=LogNorm(largest / 1000, largest),
+        interpolation="nearest",
+    )
+    figure.set_figheight(figure.get_figheight() + 0.5)
+    bar = figure.colorbar(image, ax=axes, location="bottom", aspect=40, shrink=0.9, format=FuncFormatter(_as_percent))
+    bar.outline.set_visible(False)
+    return _svg(figure)
+
+
+def time_shares(evaluation: Evaluation) -> tuple[np.ndarray, tuple[float, float, float, float]]:
+    """Share of the time in each cell, shape (columns, rows), and the rectangle that the cells fill.
+
+    The rectangle is x from, x to, y from, y to [m].
+    """
+    x0, y0, x1, y1 = evaluation.scene.world.bounds
+    points = np.concatenate([episode.path[1:] for episode in evaluation.episodes])
+    side = max(_CELL, (x1 - x0) / _CELLS, (y1 - y0) / _CELLS)
+    columns, rows = int(np.ceil((x1 - x0) / side)), int(np.ceil((y1 - y0) / side))
+    right, top = x0 + columns * side, y0 + rows * side
+    counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=(columns, rows), range=[(x0, right), (y0, top)])
+    return counts / len(points), (x0, right, y0, top)
+
+
+def _as_percent(share: float, _: int | None) -> str:
+    return f"{100 * share:g} %"
+
+
+def _world_figure(world: World) -> tuple[Figure, Axes]:
+    x0, y0, x1, y1 = world.bounds
+    height = WIDTH * min((y1 - y0) / (x1 - x0), 1.4)
+    figure = Figure(figsize=(WIDTH, max(height, 0.4 * WIDTH)), layout="constrained")
+    axes = figure.add_subplot(xlabel="x [m]", ylabel="y [m]", aspect="equal", facecolor=FLOOR)
+    axes.set(xlim=(x0, x1), ylim=(y0, y1))
+    axes.spines[:].set_visible(False)
+    walls = [Polygon(np.array(box_shape(row).exterior.coords)) for row in world.boxes]
+    posts = [Circle((x, y), radius) for x, y, radius in world.posts]
+    axes.add_collection(PatchCollection([*walls, *posts], facecolor=WALL, linewidth=0, zorder=2))
+    return figure, axes
+
+
+def _mark(axes: Axes, points: Sequence[Any], **look: Any) -> None:
+    """A mark at each point (x, y) [m]."""
+    x, y = np.reshape(points, (-1, 2)).T
+    axes.scatter(x, y, **look)
+
+
+def _svg(figure: Figure) -> Markup:
+    """The figure as an element of a page: without the header of a file."""
+    buffer = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(buffer, format="svg", dpi=_DOTS, metadata=nothing)
+    text = buffer.getvalue()
+    return Markup(text[text.index("<svg") :])
+
+
+def with_own_ids(picture: Markup, number: int) -> Markup:
+    """The picture with ids that no other `number` has: on a page they would be those of all charts."""
+    return Markup(re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>chart-{number}-", str(picture)))

@@ -1,0 +1,212 @@
+"""The compiled motion of the fast twin.
+
+Arrays of all robots: poses (robots, 3) x [m], y [m], yaw [rad]; rims (robots, 2), speeds of the left and the right
+wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 16), the columns of
+`tb2rl.simulation.setup`, of which the last are each robot's parameters. The worlds' `boxes` and `posts` stand one after the other in one table each; those of world k are
+the rows from `parts[k]` up to `parts[k + 1]`, first column for boxes, second for posts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from tb2rl.robots import robot
+from tb2rl.simulation.setup import PARAMETERS, PHYSICS_RATE, WORLD
+from tb2rl.simulation.streams import normal
+from tb2rl.worlds.geometry import cast_one, clearance_one, limit_ranges
+
+PHYSICS_STEP = 1.0 / PHYSICS_RATE  # [s] PyBullet moves with the speed at the end of a step, along the heading at its start
+CONTACT = 1.0e-4  # [m] a gap below this is contact
+# The columns of a robot's parameters in a table of starts.
+RADIUS, WHEEL_SEPARATION = PARAMETERS.start + robot.RADIUS, PARAMETERS.start + robot.WHEEL_SEPARATION
+MAX_SPEED, MAX_TURN_RATE = PARAMETERS.start + robot.MAX_SPEED, PARAMETERS.start + robot.MAX_TURN_RATE
+ACCELERATION, COUPLING = PARAMETERS.start + robot.WHEEL_ACCELERATION, PARAMETERS.start + robot.WHEEL_COUPLING
+BLOCK = 64  # robots that a thread takes at a time
+_NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched
+
+
+@njit(cache=True, error_model="numpy")
+def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts):
+    """Move a robot along an arc, up to where an obstacle stops it; it turns all the same.
+
+    Conservative advancement (Mirtich 1996): no step is longer than the gap to the nearest obstacle, so none is jumped
+    over, however fast the robot is.
+
+    Args:
+        x, y, yaw: Pose [m, m, rad].
+        length: Of the arc [m], negative backwards.
+        turn: From its start to its end [rad].
+        radius: Of the robot [m].
+        boxes, posts: As in `World`.
+
+    Returns:
+        The pose after it, and whether an obstacle was touched.
+    """
+    whole = abs(length)
+    left, bumped = whole, False
+    while left > 0.0:
+        gap = clearance_one(x, y, boxes, posts) - radius
+        if gap < CONTACT:
+            nudge = math.copysign(_NUDGE, length)
+            off = clearance_one(x + nudge * math.cos(yaw), y + nudge * math.sin(yaw), boxes, posts)
+            if off - radius <= gap:
+                bumped = True
+                break
+            gap = _NUDGE
+        part = min(gap, left)
+        x, y, yaw = along_arc(x, y, yaw, math.copysign(part, length), turn * part / whole)
+        left -= part
+    if left > 0.0 or whole == 0.0:
+        yaw += turn * left / whole if whole > 0.0 else turn
+    return x, y, yaw, bumped
+
+
+@njit(cache=True, error_model="numpy")
+def along_arc(x, y, yaw, length, turn):
+    """The pose at the end of an arc of `length` [m] and `turn` [rad]: its chord, at half the turn."""
+    half = 0.5 * turn
+    chord = length * (math.sin(half) / half if abs(half) > 1e-6 else 1.0)
+    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn
+
+
+@njit(cache=True, error_model="numpy")
+def rim_speed(start, change, together, clock, acceleration, coupling):
+    """Speed of a rim on its way to `start` + `change` [m/s], `clock` [s] after both motors began to push.
+
+    Until `together` [s] both push, and push each other along (positive) or back (negative); after that the one that is
+    left pushes alone. `acceleration` and `coupling` are the robot's [m/s^2].
+    """
+    both = acceleration + math.copysign(coupling, together)
+    early = min(clock, abs(together))
+    gained = min(both * early + acceleration * (clock - early), abs(change))
+    return start + math.copysign(gained, change)
+
+
+@njit(cache=True, error_model="numpy")
+def move(pose, rims, v, w, duration, starts, i, boxes, posts):
+    """One robot's control step: both rims speed up, then one, then none.
+
+    Args:
+        pose: Shape (3,); changed in place.
+        rims: Shape (2,) [m/s]; changed in place.
+        v, w: What it is told [m/s, rad/s].
+        duration: Of the step [s].
+        starts, i: Of all robots, shape (robots, 16), and which one it is: a row of its own would cost a tenth more.
+        boxes, posts: Of its world.
+
+    Returns:
+        Whether it touched an obstacle.
+    """
+    radius, separation = starts[i, RADIUS], starts[i, WHEEL_SEPARATION]
+    acceleration, coupling = starts[i, ACCELERATION], starts[i, COUPLING]
+    reach = 0.5 * separation * min(max(w, -starts[i, MAX_TURN_RATE]), starts[i, MAX_TURN_RATE])
+    v = min(max(v, -starts[i, MAX_SPEED]), starts[i, MAX_SPEED])
+    left, right = rims[0], rims[1]
+    change_left, change_right = v - reach - left, v + reach - right
+    sense_of_both = math.copysign(1.0, change_left * change_right)
+    fewer, more = min(abs(change_left), abs(change_right)), max(abs(change_left), abs(change_right))
+    first = fewer / (acceleration + sense_of_both * coupling)
+    second = first + (more - fewer) / acceleration
+    together = math.copysign(first, sense_of_both)
+
+    x, y, yaw = pose[0], pose[1], pose[2]
+    # Far from walls nothing needs to be looked at on the way.
+    longest = max(abs(left), abs(right), abs(v) + abs(reach)) * duration
+    free = clearance_one(x, y, boxes, posts) > radius + longest
+    bumped = False
+    clock, end = 0.5 * PHYSICS_STEP, duration + 0.5 * PHYSICS_STEP
+    last_left = rim_speed(left, change_left, together, clock, acceleration, coupling)
+    last_right = rim_speed(right, change_right, together, clock, acceleration, coupling)
+    for phase in range(3):
+        until = min(first if phase == 0 else second if phase == 1 else end, end)
+        if until <= clock:
+            continue
+        next_left = rim_speed(left, change_left, together, until, acceleration, coupling)
+        next_right = rim_speed(right, change_right, together, until, acceleration, coupling)
+        mean_left, mean_right = 0.5 * (last_left + next_left), 0.5 * (last_right + next_right)
+        length = 0.5 * (mean_left + mean_right) * (until - clock)
+        rate = (mean_right - mean_left) / separation
+        lag = 0.5 * rate * PHYSICS_STEP
+        if free:
+            x, y, yaw = along_arc(x, y, yaw - lag, length, rate * (until - clock))
+        else:
+            x, y, yaw, hit = move_along_arc(x, y, yaw - lag, length, rate * (until - clock), radius, boxes, posts)
+            bumped = bumped or hit
+        yaw += lag
+        last_left, last_right, clock = next_left, next_right, until
+    pose[0], pose[1] = x, y
+    pose[2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
+    rims[0] = rim_speed(left, change_left, together, duration, acceleration, coupling)
+    rims[1] = rim_speed(right, change_right, together, duration, acceleration, coupling)
+    return bumped
+
+
+@njit(cache=True, error_model="numpy")
+def sense(pose, cos_beams, sin_beams, boxes, posts, limits, key, count, scratch, ranges):
+    """One robot's laser.
+
+    Args:
+        pose: Shape (3,).
+        cos_beams, sin_beams: Of each beam's direction, shape (beams,).
+        boxes, posts: Of its world.
+        limits: The laser's noise, shortest and longest range [m], shape (3,).
+        key, count: Of its stream of random numbers, and how often it has read so far, uint64.
+        scratch: Room to calculate in, shape (2, beams).
+        ranges: Result [m], shape (beams,).
+    """
+    cast_one(pose[0], pose[1], pose[2], cos_beams, sin_beams, boxes, posts, scratch, ranges)
+    if limits[0] > 0.0:
+        for beam in range(ranges.size):
+            ranges[beam] += limits[0] * normal(key, count * np.uint64(ranges.size) + np.uint64(beam))
+    limit_ranges(ranges, limits[1], limits[2])
+
+
+@njit(cache=True, error_model="numpy")
+def step_block(
+    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, beams, limits, streams,
+    twists, bumped, ranges,
+):  # fmt: skip
+    """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
+
+    `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
+    Results are `twists` (robots, 2) v and w [m/s, rad/s], `bumped` (robots,) and `ranges` (robots, beams) [m].
+    """
+    scratch = np.empty((2, beams.shape[1]))
+    cos_beams, sin_beams = beams[0], beams[1]
+    k, here, there = -1, boxes, posts
+    for i in range(first, last):
+        if starts[i, WORLD] != k:  # to cut a part out of a table costs as much as a beam
+            k = int(starts[i, WORLD])
+            here, there = boxes[parts[k, 0] : parts[k + 1, 0]], posts[parts[k, 1] : parts[k + 1, 1]]
+        bumped[i] = move(poses[i], rims[i], commands[i, 0], commands[i, 1], duration, starts, i, here, there)
+        twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
+        twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
+        streams[i, 1] += np.uint64(1)
+        sense(poses[i], cos_beams, sin_beams, here, there, limits, streams[i, 0], streams[i, 1], scratch, ranges[i])
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def step_in_threads(
+    poses, rims, commands, duration, starts, boxes, posts, parts, beams, limits, streams, twists, bumped, ranges
+):  # fmt: skip
+    """`step_block` for all robots, block by block in parallel."""
+    robots = poses.shape[0]
+    for block in prange((robots + BLOCK - 1) // BLOCK):
+        step_block(
+            block * BLOCK, min((block + 1) * BLOCK, robots), poses, rims, commands, duration, starts,
+            boxes, posts, parts, beams, limits, streams, twists, bumped, ranges,
+        )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def sense_some(robots, poses, starts, boxes, posts, parts, beams, limits, streams, ranges):
+    """The laser of the robots with the indices `robots` (n,), into their rows of `ranges` (robots, beams)."""
+    scratch = np.empty((2, beams.shape[1]))
+    cos_beams, sin_beams = beams[0], beams[1]
+    for i in robots:
+        k = int(starts[i, WORLD])
+        here, there = boxes[parts[k, 0] : parts[k + 1, 0]], posts[parts[k, 1] : parts[k + 1, 1]]
+        sense(poses[i], cos_beams, sin_beams, here, there, limits, streams[i, 0], streams[i, 1], scratch, ranges[i])

@@ -1,0 +1,54 @@
+"""What a task makes of one control step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+TIME_LIMIT = "time limit"  # the ending of an episode whose steps are used up
+
+
+class Ending(NamedTuple):
+    """Why an episode is over."""
+
+    name: str
+    failed: bool
+    success: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Rewards, and which episodes end here.
+
+    An ending says by its place whether it counts as failed or as a success. Of several, the first counts, failed ones
+    before the others.
+
+    Attributes:
+        reward: Shape (robots,).
+        failed: Endings that count as failed, by name, each with its robots, bool, shape (robots,).
+        succeeded: Endings at the goal, likewise; None for a task without a goal, where an episode succeeds that
+            reaches its time limit.
+    """
+
+    reward: np.ndarray
+    failed: Mapping[str, np.ndarray] = field(default_factory=dict)
+    succeeded: Mapping[str, np.ndarray] | None = None
+
+    @property
+    def terminated(self) -> np.ndarray:
+        """Whether an episode ends here, bool, shape (robots,)."""
+        masks = [*self.failed.values(), *self.succeeded.values()] if self.succeeded else list(self.failed.values())
+        if len(masks) == 1:  # as in most tasks; the general way takes longer than a robot's step
+            return masks[0]
+        return np.logical_or.reduce(masks) if masks else np.zeros(len(self.reward), dtype=bool)
+
+    def ending(self, robot: int, timed_out: bool) -> Ending | None:
+        """Why the episode of a robot is over, None if it is not; `timed_out` says that its steps are used up."""
+        for name, where in chain(self.failed.items(), (self.succeeded or {}).items()):
+            if where[robot]:
+                return Ending(name, failed=name in self.failed, success=name not in self.failed)
+        return Ending(TIME_LIMIT, failed=False, success=self.succeeded is None) if timed_out else None

@@ -1,0 +1,70 @@
+"""What every task is: settings, and the four things that it defines."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Len
+
+from tb2rl.sensors import Sensor
+from tb2rl.sensors.laser import LaserRanges
+from tb2rl.simulation import Draws, Reading, Setup, Start
+from tb2rl.tasks.actions import Actions
+from tb2rl.tasks.outcome import Outcome
+from tb2rl.values import Count, Edges, NonNegative, Positive
+
+
+@dataclass(frozen=True)
+class Task(ABC):
+    """A task over any simulation and any number of robots.
+
+    Its fields are its settings, for YAML (`task.world: circuit`), the command line (`--set task.world=circuit`) and
+    `gymnasium.make(id, world="circuit")` alike. It defines `actions` and `judge`, and where it needs to `sensors` and
+    `begin`. All of them work on all robots at once: arrays have a leading robot axis.
+    """
+
+    goal_task: ClassVar[bool] = False  # whether its episodes succeed at a goal, and not by lasting
+
+    robot: str = "turtlebot2"  # a built-in name, or "module:ROBOT"
+    world: str = "loop"  # a built-in name, the path of a file, "module:reader:path" or "module:WORLD"
+    start: Literal["fixed", "random"] = "random"
+    start_clearance: Annotated[Positive, Le(100)] = 0.6  # [m] to walls and the bounds, of a random start
+    control_period: Annotated[float, Gt(0), Le(60)] = 0.2  # [s] an action lasts
+    episode_steps: Count = 1500  # control steps until the time limit truncates
+    beams: Annotated[int, Ge(1), Le(100_000)] | None = None  # of the laser, ends included; None: the observation's
+    beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # to read; None: all
+    noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
+    edges: Edges = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
+
+    @property
+    @abstractmethod
+    def actions(self) -> Actions:
+        """What the robot can be told to do."""
+
+    @abstractmethod
+    def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
+        """Reward and ending of the step that led from one reading to the next.
+
+        Args:
+            before, after: Of all robots.
+            action: Shape (robots,), or (robots, 2) of `Velocities`.
+        """
+
+    def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
+        """What a learner observes, in this order."""
+        return (LaserRanges(setup.laser, self.edges),)
+
+    def begin(self, setup: Setup, draws: Draws) -> Start:
+        """How the episodes of some robots begin: at the world's start pose, or anywhere in its free space.
+
+        Args:
+            setup: The robot, and the worlds to begin in.
+            draws: Random numbers for the robots whose episodes begin.
+        """
+        start = Start.proposed(setup, draws.robots)
+        if self.start == "random":
+            start.pose[:] = setup.worlds[0].poses_from(draws.uniform(4), self.start_clearance)
+        return start

@@ -1,0 +1,94 @@
+"""Worlds as YAML files: walls, boxes and posts in metres, or a drawing; `configs/worlds` holds the built-in ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+from annotated_types import MinLen
+
+from tb2rl.errors import InputError
+from tb2rl.files import read_yaml
+from tb2rl.values import Point, Pose, Positive, build
+from tb2rl.worlds.drawing import read_drawing
+from tb2rl.worlds.world import Bounds, BoxShape, World
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall along a path of points; corners are filled."""
+
+    path: Annotated[tuple[Point, ...], MinLen(2)]
+    thickness: Positive = 0.2  # [m]
+    closed: bool = False  # joins the last point to the first
+
+
+@dataclass(frozen=True)
+class Box:
+    """A solid box, turned by `yaw` [rad] about its centre."""
+
+    centre: Point
+    size: tuple[Positive, Positive]  # [m] along and across
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
+class Post:
+    """A round post."""
+
+    centre: Point
+    radius: Positive  # [m]
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a world's YAML file may say."""
+
+    description: str = ""
+    walls: tuple[Wall, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    posts: tuple[Post, ...] = ()
+    drawing: str = ""  # `#` wall, `S` start, `G` goal, anything else free
+    cell: Positive = 2.0  # [m] side of a character of the drawing: a corridor with room to turn
+    start: Pose | None = None
+    goal: Pose | None = None
+    bounds: Bounds | None = None  # None: around the obstacles
+
+
+def read_description(path: Path) -> World:
+    """The world of a YAML file.
+
+    Raises:
+        InputError: If the file does not fit `Description`, or does not make a world.
+    """
+    return world_from(read_yaml(path), path.stem)
+
+
+def world_from(content: Any, name: str) -> World:
+    """The world that the content of a YAML file describes, see `Description`.
+
+    Raises:
+        InputError: If it does not fit.
+    """
+    said = build(Description, content, f"world {name}")
+    drawn = read_drawing(said.drawing, said.cell)
+    start, goal = said.start or drawn.start, said.goal or drawn.goal
+    if start is None:
+        raise InputError(f"world {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")
+    boxes = [*_wall_boxes(said.walls), *((*box.centre, *box.size, box.yaw) for box in said.boxes), *drawn.boxes]
+    posts = [(*post.centre, post.radius) for post in said.posts]
+    return World.from_shapes(
+        name, boxes, posts, start=start, goal=goal, bounds=said.bounds, description=said.description
+    )
+
+
+def _wall_boxes(walls: Sequence[Wall]) -> Iterator[BoxShape]:
+    for wall in walls:
+        points = [*wall.path, wall.path[0]] if wall.closed else wall.path
+        for (x0, y0), (x1, y1) in pairwise(points):
+            length = math.hypot(x1 - x0, y1 - y0) + wall.thickness
+            yield (x0 + x1) / 2, (y0 + y1) / 2, length, wall.thickness, math.atan2(y1 - y0, x1 - x0)

@@ -1,0 +1,51 @@
+"""Worlds as text drawings: `#` for a wall, `S` for the start, `G` for the goal, anything else is free floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tb2rl.values import Pose
+from tb2rl.worlds.world import BoxShape
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a drawing shows; its lower left corner is the origin."""
+
+    boxes: Sequence[BoxShape]
+    start: Pose | None
+    goal: Pose | None
+
+
+def read_drawing(text: str, cell: float) -> Drawing:
+    """Read a drawing whose characters are squares with sides of `cell` [m].
+
+    Runs of `#` become one box, and equal runs above each other one larger box.
+    """
+    lines = text.rstrip().splitlines()[::-1]
+    marks: dict[str, Pose] = {}
+    runs: dict[tuple[int, int], list[int]] = {}  # (first, last column) -> rows, to stack equal runs into one box
+    for row, line in enumerate(lines):
+        for column, mark in enumerate(line):
+            if mark in "SG":
+                marks[mark] = ((column + 0.5) * cell, (row + 0.5) * cell, 0.0)
+        for run in _stretches([column for column, mark in enumerate(line) if mark == "#"]):
+            runs.setdefault(run, []).append(row)
+    boxes: list[BoxShape] = []
+    for (first, last), rows in runs.items():
+        for bottom, top in _stretches(rows):
+            length, width = (last - first + 1) * cell, (top - bottom + 1) * cell
+            boxes.append(((first + last + 1) / 2 * cell, (bottom + top + 1) / 2 * cell, length, width, 0.0))
+    return Drawing(boxes, marks.get("S"), marks.get("G"))
+
+
+def _stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last of each stretch of consecutive ascending integers."""
+    stretches: list[tuple[int, int]] = []
+    for number in numbers:
+        if stretches and number == stretches[-1][1] + 1:
+            stretches[-1] = (stretches[-1][0], number)
+        else:
+            stretches.append((number, number))
+    return stretches

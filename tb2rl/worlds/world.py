@@ -1,0 +1,185 @@
+"""A world: obstacles, the free space between them, and start and goal poses.
+
+Every obstacle is an oriented box or a round post: laser, physics and pictures all read the same two tables.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from tb2rl.errors import InputError
+from tb2rl.values import Point, Pose
+from tb2rl.worlds.geometry import clearance_one
+
+WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
+
+BoxShape = tuple[float, float, float, float, float]  # x, y, length, width [m], yaw [rad]
+PostShape = tuple[float, float, float]  # x, y, radius [m]
+Bounds = tuple[float, float, float, float]  # x from, y from, x to, y to [m]
+Triangles = tuple[np.ndarray, np.ndarray]  # corners [m], shape (triangles, 3, 2); summed shares of the area
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Obstacles, and where a robot may be among them; made by `from_shapes`.
+
+    Attributes:
+        name: What it is called.
+        boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
+        posts: Rows of x, y, radius [m], shape (posts, 3).
+        start: The fixed start pose x [m], y [m], yaw [rad].
+        goal: The goal pose, or None.
+        bounds: The rectangle that counts as the world.
+        description: One line for people.
+    """
+
+    name: str
+    boxes: np.ndarray
+    posts: np.ndarray
+    start: Pose
+    goal: Pose | None
+    bounds: Bounds
+    description: str = ""
+    _free_spaces: dict[float, BaseGeometry] = field(default_factory=dict, repr=False)
+    _triangles: dict[float, Triangles] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def from_shapes(
+        cls,
+        name: str,
+        boxes: Iterable[BoxShape] = (),
+        posts: Iterable[PostShape] = (),
+        *,
+        start: Pose,
+        goal: Pose | None = None,
+        bounds: Bounds | None = None,
+        description: str = "",
+    ) -> World:
+        """A world from the shapes in it; what a reader of a file format ends with.
+
+        Args:
+            name: What it is called.
+            boxes: x, y of the centre, length, width [m] and yaw [rad] of each box.
+            posts: x, y and radius [m] of each post.
+            start: The fixed start pose x [m], y [m], yaw [rad].
+            goal: The goal pose, if there is one.
+            bounds: The rectangle that counts as the world; None: around the obstacles.
+            description: One line for people.
+
+        Raises:
+            InputError: If there is neither an obstacle nor a rectangle, or the rectangle is empty.
+        """
+        box_rows, post_rows = _box_rows(boxes), np.array(list(posts), dtype=float).reshape(-1, 3)
+        bounds = bounds or _extent(box_rows, post_rows, name)
+        if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
+            raise InputError(f"world {name}: bounds must be x from, y from, x to, y to, got {list(bounds)}")
+        return cls(name, box_rows, post_rows, start, goal, bounds, description)
+
+    @property
+    def obstacles(self) -> BaseGeometry:
+        """All obstacles as one shape."""
+        return shapely.union_all([*map(box_shape, self.boxes), *map(post_shape, self.posts)])
+
+    def free_space(self, clearance: float) -> BaseGeometry:
+        """Where a robot from the start can get its centre to, `clearance` [m] from every obstacle and the bounds.
+
+        Raises:
+            InputError: If the start itself has no such clearance.
+        """
+        if clearance not in self._free_spaces:
+            self._free_spaces[clearance] = self._find_free_space(clearance)
+        return self._free_spaces[clearance]
+
+    def _find_free_space(self, clearance: float) -> BaseGeometry:
+        start = shapely.Point(self.start[:2])
+        x, y = self.start[:2]
+        if not shapely.box(*self.bounds).covers(start):
+            raise InputError(f"world {self.name}: the start ({x:g}, {y:g}) is outside its bounds")
+        inside = shapely.box(*self.bounds).buffer(-clearance)
+        open_space = inside.difference(self.obstacles.buffer(clearance, quad_segs=32))
+        reachable = [part for part in shapely.get_parts(open_space) if part.intersects(start)]
+        if not reachable:
+            raise InputError(
+                f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to "
+                "one, so there is no free space around it; move it or lower task.start_clearance"
+            )
+        return reachable[0]
+
+    def clearance(self, x: float, y: float) -> float:
+        """Distance from a point to the nearest obstacle [m]; 0 inside one."""
+        return clearance_one(x, y, self.boxes, self.posts)
+
+    def contains(self, point: Point) -> bool:
+        """Whether a point [m] is within the bounds."""
+        x0, y0, x1, y1 = self.bounds
+        return x0 <= point[0] <= x1 and y0 <= point[1] <= y1
+
+    def random_poses(self, rng: np.random.Generator, count: int, clearance: float) -> np.ndarray:
+        """Poses spread evenly over the free space, headings over the circle, shape (count, 3)."""
+        return self.poses_from(rng.random((count, 4)), clearance)
+
+    def poses_from(self, draws: np.ndarray, clearance: float) -> np.ndarray:
+        """The poses that four random numbers in [0, 1) each mean, (count, 4) to (count, 3); see `random_poses`.
+
+        Points come from the triangles of the free space: no rejection, whatever the world.
+        """
+        corners, shares = self._free_triangles(clearance)
+        found = np.searchsorted(shares, draws[:, 0], side="right")
+        triangle = corners[np.minimum(found, len(shares) - 1)]
+        root = np.sqrt(draws[:, 1:2])  # Osada et al. 2002, "Shape distributions", section 4.2
+        along = draws[:, 2:3]
+        poses = np.empty((len(draws), 3))
+        poses[:, :2] = (1 - root) * triangle[:, 0] + root * ((1 - along) * triangle[:, 1] + along * triangle[:, 2])
+        poses[:, 2] = math.tau * draws[:, 3] - math.pi
+        return poses
+
+    def _free_triangles(self, clearance: float) -> Triangles:
+        if clearance not in self._triangles:
+            parts = shapely.get_parts(shapely.constrained_delaunay_triangles(self.free_space(clearance)))
+            corners = np.array([part.exterior.coords[:3] for part in parts])
+            self._triangles[clearance] = corners, np.cumsum(shapely.area(parts)) / shapely.area(parts).sum()
+        return self._triangles[clearance]
+
+
+def box_shape(row: np.ndarray) -> BaseGeometry:
+    """The polygon of one row of `World.boxes`."""
+    x, y, half_length, half_width, cos, sin = row
+    along, across = half_length * np.array([cos, sin]), half_width * np.array([-sin, cos])
+    corners = [along + across, across - along, -along - across, along - across]
+    return shapely.Polygon([corner + (x, y) for corner in corners])
+
+
+def post_shape(row: np.ndarray) -> BaseGeometry:
+    """A polygon around one row of `World.posts`, off by less than 1 mm per metre of radius."""
+    return shapely.Point(row[:2]).buffer(row[2], quad_segs=32)
+
+
+def _box_rows(boxes: Iterable[BoxShape]) -> np.ndarray:
+    """The rows of `World.boxes`: turned by 45 degrees at most, those of one orientation together.
+
+    A box turned by a quarter is the same box with its sides swapped: so the walls of a square maze share one
+    orientation, and the laser needs the beams' directions in it only once.
+    """
+    rows = []
+    for x, y, length, width, yaw in boxes:
+        quarters = round(yaw / (math.pi / 2))
+        yaw -= quarters * math.pi / 2
+        yaw = yaw if abs(yaw) > 1e-12 else 0.0
+        along, across = (width, length) if quarters % 2 else (length, width)
+        rows.append((yaw, x, y, along / 2, across / 2))
+    table = np.array(sorted(rows), dtype=float).reshape(-1, 5)
+    return np.column_stack([table[:, 1:], np.cos(table[:, 0]), np.sin(table[:, 0])])
+
+
+def _extent(boxes: np.ndarray, posts: np.ndarray, name: str) -> Bounds:
+    shapes = [*map(box_shape, boxes), *map(post_shape, posts)]
+    if not shapes:
+        raise InputError(f"world {name}: without obstacles it needs `bounds: [x from, y from, x to, y to]`")
+    x0, y0, x1, y1 = shapely.union_all(shapes).bounds
+    return x0, y0, x1, y1
