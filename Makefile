@@ -1,5 +1,7 @@
 # The two commands that do everything: `make train` and `make test`.
-PYTHON ?= python3
+PYTHONS := python3.11 python3 python
+IS_3_11 := -c "import sys; sys.exit(sys.version_info[:2] != (3, 11))"
+PYTHON ?= $(firstword $(foreach name,$(PYTHONS),$(shell $(name) $(IS_3_11) 2>/dev/null && echo $(name))))
 VENV := .venv
 BIN := $(VENV)/bin
 
@@ -14,17 +16,19 @@ test: $(VENV)/installed  ## set up, run the fast tests
 slow: $(VENV)/installed  ## the tests that take longer
 	$(BIN)/python -m pytest -m slow
 
-check: $(VENV)/installed  ## format, lint, types, fast tests
+check: $(VENV)/installed  ## format, lint, rooms, types, fast tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2
 
 $(VENV)/installed: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "error: install Python 3.11: PyBullet has wheels for it, and for newer ones must be compiled" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

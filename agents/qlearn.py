@@ -6,147 +6,23 @@ as they do for DQN and PPO. One step of n environments makes n updates, in compi
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from numba import njit
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
-from tb2rl.errors import InputError
+from tb2rl.agents._qtable import QTable, update_table
 from tb2rl.registry import Agent
 
 AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True)
 
-LARGEST = 50_000_000  # values in a table; 800 MB with their visits
-
 Self = TypeVar("Self", bound="QLearning")
-
-
-@njit(cache=True)
-def update_table(q, visits, states, actions, targets_of, terminated, rewards, learning_rate, gamma, plain_first):
-    """Textbook updates, one after the other in the order of the robots, so that robots which share a pair all count.
-
-    Args:
-        q: Action values, shape (states, actions); changed in place.
-        visits: Updates of each pair so far, same shape; changed in place.
-        states, actions: The pairs to update, shape (robots,).
-        targets_of: States after the step, shape (robots,).
-        terminated: Whether the future ends there, shape (robots,), bool.
-        rewards: Shape (robots,).
-        plain_first: Whether the first visit of a pair stores the plain reward, as the tutorial does.
-    """
-    for i in range(states.size):
-        s, a = states[i], actions[i]
-        future = 0.0 if terminated[i] else gamma * q[targets_of[i]].max()
-        if plain_first and visits[s, a] == 0:
-            q[s, a] = rewards[i]
-        else:
-            q[s, a] += learning_rate * (rewards[i] + future - q[s, a])
-        visits[s, a] += 1
-
-
-class QTable(BasePolicy):
-    """Action values of every discrete state; the greedy action is the first of the best ones.
-
-    Args:
-        observation_space: `MultiDiscrete` or `Discrete`.
-        action_space: `Discrete`.
-        lr_schedule: Unused; Stable-Baselines3 hands it to every policy.
-        initial_value: Of every pair; above the true values it drives exploration.
-    """
-
-    def __init__(
-        self,
-        observation_space: spaces.Space,
-        action_space: spaces.Discrete,
-        lr_schedule: Schedule | None = None,
-        initial_value: float = 0.0,
-    ) -> None:
-        super().__init__(observation_space, action_space)
-        self.initial_value = initial_value
-        if isinstance(observation_space, spaces.MultiDiscrete):
-            self.shape = tuple(int(n) for n in observation_space.nvec)
-        elif isinstance(observation_space, spaces.Discrete):
-            self.shape = (int(observation_space.n),)
-        else:
-            raise InputError("a Q-table needs observation=discrete: distance classes, not raw ranges")
-        states, actions = math.prod(self.shape), int(action_space.n)
-        if states * actions > LARGEST:
-            raise InputError(f"a table of {states} states is too large; take fewer task.beams or task.edges")
-        self.q = th.nn.Parameter(th.full((states, actions), initial_value, dtype=th.float64), requires_grad=False)
-        self.visits = th.nn.Parameter(th.zeros((states, actions), dtype=th.int64), requires_grad=False)
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {
-            "observation_space": self.observation_space,
-            "action_space": self.action_space,
-            "initial_value": self.initial_value,
-        }
-
-    def _save_to_state_dict(self, destination: dict[str, Any], prefix: str, keep_vars: bool) -> None:
-        """Only the pairs that were tried, often one in a hundred: all others have the initial value and no visits."""
-        pairs = self.visits.flatten().nonzero().flatten()
-        destination[f"{prefix}pairs"] = pairs
-        destination[f"{prefix}q"] = self.q.flatten()[pairs]
-        destination[f"{prefix}visits"] = self.visits.flatten()[pairs]
-
-    def _load_from_state_dict(
-        self,
-        state_dict: Mapping[str, th.Tensor],
-        prefix: str,
-        local_metadata: Mapping[str, Any],
-        strict: bool,
-        missing_keys: list[str],
-        unexpected_keys: list[str],
-        error_msgs: list[str],
-    ) -> None:
-        names = [f"{prefix}{name}" for name in ("pairs", "q", "visits")]
-        missing_keys += [name for name in names if name not in state_dict]
-        unexpected_keys += [name for name in state_dict if name not in names]
-        if missing_keys:
-            return
-        pairs, q, visits = (state_dict[name] for name in names)
-        limits = th.cat([th.tensor([-1]), pairs.flatten(), th.tensor([self.q.numel()])])
-        if (pairs.dtype, q.dtype, visits.dtype) != (th.int64, th.float64, th.int64):
-            error_msgs.append("the table's pairs, q and visits have another type")
-        elif not pairs.shape == q.shape == visits.shape == (pairs.numel(),):
-            error_msgs.append("the table's pairs, q and visits are not equally many")
-        elif not (limits[1:] > limits[:-1]).all() or not (visits > 0).all():
-            error_msgs.append("the table's pairs are not in order, not in the table, or not visited")
-        else:
-            for values, initial, tried in ((self.q, self.initial_value, q), (self.visits, 0, visits)):
-                values.fill_(initial).view(-1)[pairs] = tried
-
-    def states(self, observations: np.ndarray) -> np.ndarray:
-        """The row of the table of each observation, shape (robots,)."""
-        columns = np.asarray(observations).reshape(-1, len(self.shape)).T
-        return np.ravel_multi_index(tuple(columns), self.shape)
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[np.ndarray, Any]:
-        """The greedy actions (a table has no distribution to sample from); shortcut past torch for speed."""
-        observation = np.asarray(observation)
-        actions = self.q.detach().numpy()[self.states(observation)].argmax(axis=1)
-        return (actions if observation.ndim == len(self.observation_space.shape) + 1 else actions[0]), state
-
-    def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        return th.as_tensor(self.q.detach().numpy()[self.states(observation.cpu().numpy())].argmax(axis=1))
-
-    def forward(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        return self._predict(observation, deterministic)
 
 
 class QLearning(BaseAlgorithm):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
 from tb2rl.registry import Agent
@@ -11,7 +12,11 @@ AGENT = Agent(algorithm=None, policy="tb2rl.agents.random:RandomPolicy", observa
 
 
 class RandomPolicy(BasePolicy):
-    """Each action as likely as any other, from torch's random stream; it knows no greedy mode."""
+    """Each action as likely as any other, from torch's random stream; it has no greedy mode."""
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        return th.randint(int(self.action_space.n), (len(observation),))
+        robots = len(next(iter(observation.values())) if isinstance(observation, dict) else observation)
+        if isinstance(self.action_space, spaces.Discrete):
+            return th.randint(int(self.action_space.n), (robots,))
+        low, high = th.as_tensor(self.action_space.low), th.as_tensor(self.action_space.high)
+        return low + (high - low) * th.rand((robots, *self.action_space.shape))

@@ -21,13 +21,14 @@ class WallFollower(BasePolicy):
     """Two beams on the right give the angle and the distance of the wall there, looked ahead by a bit.
 
     Args:
-        observation_space: Ranges of beams from -90 to +90 degrees, at least five.
+        observation_space: `tb2rl.envs.encodings.Numbers`: first the laser's ranges, at least five beams from -90 to +90
+            degrees.
         action_space: Forward, left, right, and whatever else: unused.
         side: Distance to keep from the wall [m], give or take `tolerance`.
         ahead: Free way to keep ahead [m].
         guard: No beam may read less than this without a turn away [m].
         tolerance: See `side` [m].
-        lost: A wall further than `side` by this is none to turn to [m].
+        lost: A wall further than `side` by this is not turned to [m].
         look_ahead: How far down the way the distance counts [m].
     """
 
@@ -44,7 +45,7 @@ class WallFollower(BasePolicy):
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
-        beams = int((observation_space.high == observation_space.high[0]).sum())  # the task's own senses follow them
+        beams = sum(name == "laser" for name in getattr(observation_space, "names", ()))
         if beams < 5:
             raise InputError(f"the wall follower needs at least 5 beams over 180 degrees, got {beams}")
         self.side, self.ahead, self.guard = side, ahead, guard

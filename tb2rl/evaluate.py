@@ -11,20 +11,17 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from tb2rl.errors import ArgumentParser, InputError, command
 from tb2rl.files import write_text
 from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, evaluate
-from tb2rl.judging.rollout import LARGEST_SEED, Policy
-from tb2rl.runs.algorithm import make_baseline
+from tb2rl.judging.rollout import LARGEST_SEED
+from tb2rl.policy_arguments import add_policy_arguments, chosen_policy
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import parse_settings, resolve
-from tb2rl.runs.loading import checkpoint_file, config_of, load
+from tb2rl.runs.loading import checkpoint_file
 from tb2rl.showing.table import print_evaluation
 
 
@@ -38,43 +35,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--workers", type=int, help="processes (default: one for each processor)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here, not into the run folder")
     return parser.parse_args(arguments)
-
-
-def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
-    """What names a policy on a command line, and the task that it drives at."""
-    parser.add_argument("policy", nargs="?", help="run folder, checkpoint in it, or zoo:NAME")
-    parser.add_argument("--agent", help="instead: an agent that does not learn, such as random or wallfollower")
-    parser.add_argument("--task", help="its task (default: maze)")
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        default=[],
-        action="extend",
-        metavar="KEY=VALUE",
-        help="change the task, e.g. task.world=circuit",
-    )
-
-
-def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
-    """The policy that the arguments of `add_policy_arguments` name, and what it is to do.
-
-    Raises:
-        InputError: If there is no such policy, or a setting does not fit.
-    """
-    settings = parse_settings(options.set)
-    if options.agent is not None:
-        config = resolve(options.agent, options.task, settings=settings)
-        return make_baseline(config), config
-    policy = load(options.policy)
-    return policy, config_of(policy).with_task(_task_settings(settings))
-
-
-def _task_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Changes to the task of a trained policy by the names of its fields, from dotted keys."""
-    for key in settings:
-        if not key.startswith("task."):
-            raise InputError(f"only the task of a trained policy can be changed (task.KEY=VALUE), got {key!r}")
-    return {key.removeprefix("task."): value for key, value in settings.items()}
 
 
 @command

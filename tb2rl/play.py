@@ -18,9 +18,9 @@ from pathlib import Path
 
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.evaluate import add_policy_arguments, chosen_policy
 from tb2rl.judging.progress import say
 from tb2rl.judging.rollout import Moment, Policy
+from tb2rl.policy_arguments import add_policy_arguments, chosen_policy
 from tb2rl.runs.checkpoint import SUFFIX
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve

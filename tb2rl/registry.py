@@ -187,7 +187,8 @@ def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[
 
 
 def _agent_files() -> list[str]:
-    return [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))]) if not module.name.startswith("_")]
+    names = [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))])]
+    return [name for name in names if not name.startswith("_")]
 
 
 def _plugins(kind: str) -> dict[str, str]:

@@ -23,7 +23,9 @@ Observations = Any  # an array (robots, ...), or a mapping of names to such arra
 class Encoding(Protocol):
     """From a reading to the observations of all robots."""
 
-    space: spaces.Space
+    @property
+    def space(self) -> spaces.Space:
+        """Of one robot's observation."""
 
     def __call__(self, reading: Reading) -> Observations:
         """What the robots observe: an array (robots, ...), or a mapping of such arrays."""
@@ -110,7 +112,7 @@ def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
     images = [sensor for sensor in sensors if len(sensor.shape) == 3]
     numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
     if len(images) + len(numbers) < len(sensors) or not sensors:
-        raise InputError("a task needs sensors, each with a shape of (n,), or (height, width, channels) for an image")
+        raise InputError("a task needs sensors, each with a shape of (n,), or (channels, height, width) for an image")
     if mode == "discrete":
         if images:
             raise InputError(f"sensor {images[0].name} is an image, which has no classes; take observation=raw")

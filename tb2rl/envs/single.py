@@ -26,7 +26,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     | | |
     |---|---|
     | action | of the task's `actions`, held for `control_period`: `Discrete` commands, or a `Box` of speeds |
-    | observation "discrete" | `MultiDiscrete`: the class of each number of the task's sensors, first the laser's beams |
+    | observation "discrete" | `MultiDiscrete`: the class of each of the sensors' numbers, the laser's beams first |
     | observation "raw" | `Box`, float32: these numbers as they are; with images a `Dict`, or one image alone |
     | reward, termination | the task's; a crash terminates |
     | truncation | after `episode_steps` control steps |
@@ -62,7 +62,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.observation_space, self.action_space = scene.observation_space, scene.action_space
         self._observe, self._actions = scene.encoding, scene.actions
         self.simulation = simulate(simulation, scene.setup, window=render_mode == "human")
-        self._reading: Reading | None = None
+        self.reading: Reading | None = None  # the latest; None before the first reset
         self.path: list[np.ndarray] = []  # poses since the reset, for pictures: only with a render_mode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -72,10 +72,10 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             InputError: If that pose is inside a wall.
         """
         super().reset(seed=seed)
-        self._reading = self.simulation.reset(self._start(options or {}), self.np_random)
+        self.reading = self.simulation.reset(self._start(options or {}), self.np_random)
         self._steps, self._distance = 0, 0.0
-        self.path = [self._reading.pose[0]]
-        return row(self._observe(self._reading), 0), info_of(self._reading, 0, 0.0, None)
+        self.path = [self.reading.pose[0]]
+        return row(self._observe(self.reading), 0), info_of(self.reading, 0, 0.0, None)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Hold an action for a control period.
@@ -83,13 +83,13 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         Raises:
             InputError: If it is not an action, or nothing was reset yet.
         """
-        if self._reading is None:
+        if self.reading is None:
             raise InputError("step needs a reset first")
         actions = self._actions.checked(action)
-        before = self._reading
+        before = self.reading
         after = self.simulation.step(self._actions.commands(actions), self.task.control_period)
         outcome = self.task.judge(before, actions, after)
-        self._reading = after
+        self.reading = after
         self._steps += 1
         dx, dy, _ = (after.pose - before.pose)[0].tolist()
         self._distance += (dx * dx + dy * dy) ** 0.5
@@ -103,13 +103,13 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     def render(self) -> np.ndarray | None:
         """The picture of the moment, seen from above, shape (height, width, 3), uint8; None for the window."""
-        if self.render_mode != "rgb_array" or self._reading is None:
+        if self.render_mode != "rgb_array" or self.reading is None:
             return None
         from tb2rl.pictures.above import WorldPicture  # drawing is not needed to train
 
-        scene, reading = self.scene, self._reading
+        scene, reading = self.scene, self.reading
         world = scene.setup.worlds[int(reading.start.world[0])]
-        picture = WorldPicture(world, scene.robot, scene.laser, reading.goal[0])
+        picture = WorldPicture(world, scene.robot, scene.laser, reading.goal[0] if self.task.goal_task else None)
         return picture.draw(reading.pose[0], reading.ranges[0], self.path)
 
     def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
@@ -124,11 +124,11 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     def state(self) -> dict[str, Any]:
         """All that the rest of the episode and later ones depend on, in plain values and arrays."""
-        if self._reading is None:
+        if self.reading is None:
             raise InputError("state needs a reset first")
         return {
             "simulation": self.simulation.state(),
-            "reading": self._reading.state(),
+            "reading": self.reading.state(),
             "steps": self._steps,
             "distance": self._distance,
             "generator": self.np_random.bit_generator.state,
@@ -136,13 +136,13 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a `state` as if nothing had happened since."""
-        if self._reading is None:  # the simulation learns where its noise comes from
+        if self.reading is None:  # the simulation learns where its noise comes from
             self.simulation.reset(Start.proposed(self.scene.setup, 1), self.np_random)
         self.simulation.restore(state["simulation"])
-        self._reading = Reading.from_state(state["reading"])
+        self.reading = Reading.from_state(state["reading"])
         self._steps, self._distance = int(state["steps"]), float(state["distance"])
         self.np_random.bit_generator.state = state["generator"]
-        self.path = [self._reading.pose[0]]
+        self.path = [self.reading.pose[0]]
 
     def close(self) -> None:
         self.simulation.close()

@@ -12,17 +12,17 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import cloudpickle
-import gymnasium as gym
 import numpy as np
 import torch as th
+from gymnasium import spaces
 
 from tb2rl.envs.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import Scene
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.errors import InputError
 from tb2rl.judging.evaluation import Episode, Evaluation
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import Policy, roll_out
+from tb2rl.judging.spaces import check_observes
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
 from tb2rl.simulation.streams import GeneratorDraws
@@ -117,9 +117,9 @@ def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed:
     )
 
 
-def _smallest_type(space: gym.Space) -> np.dtype:
+def _smallest_type(space: spaces.Space) -> np.dtype:
     """What keeps actions: the smallest integers that hold all named commands, or the type of the velocities."""
-    return np.min_scalar_type(int(space.n) - 1) if isinstance(space, gym.spaces.Discrete) else np.dtype(space.dtype)
+    return np.min_scalar_type(int(space.n) - 1) if isinstance(space, spaces.Discrete) else np.dtype(space.dtype)
 
 
 def evaluate(
@@ -149,16 +149,6 @@ def evaluate(
     check_observes(policy, config.scene)
     with Evaluator(config.scene, **conditions) as evaluator:
         return evaluator.run(getattr(policy, "policy", policy), progress)
-
-
-def check_observes(policy: Any, scene: Scene) -> None:
-    """Raise an `InputError` where a policy would get other observations or actions than it knows."""
-    known = getattr(policy, "observation_space", scene.observation_space)
-    if known != scene.observation_space:
-        raise InputError(f"the policy knows the observation {known}, but this task gives {scene.observation_space}")
-    known = getattr(policy, "action_space", scene.action_space)
-    if known != scene.action_space:
-        raise InputError(f"the policy knows the actions {known}, but this task has {scene.action_space}")
 
 
 _env: TurtleBot2Env  # of a worker process

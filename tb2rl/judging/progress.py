@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
-from tqdm import tqdm
+from tqdm import tqdm  # type: ignore[import-untyped]
 
 T = TypeVar("T")
 
@@ -25,7 +25,7 @@ def progress(things: Iterable[T] | None, what: str, unit: str, total: int | None
         The bar: an iterable over `things`, and a context manager that removes it.
     """
     hidden = None if shown else True  # None: tqdm hides the bar where stderr is not a terminal
-    return tqdm(things, desc=what, unit=unit, total=total, file=sys.stderr, leave=False, disable=hidden)
+    return tqdm(things, desc=what, unit=f" {unit}", total=total, file=sys.stderr, leave=False, disable=hidden)
 
 
 def say(line: Any) -> None:

@@ -51,13 +51,14 @@ def roll_out(env: TurtleBot2Env, policy: Policy, seed: int, pose: np.ndarray | N
     with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whatever happened before
         th.manual_seed(seed)
         observation, info = env.reset(seed=seed, options=None if pose is None else {"pose": tuple(pose)})
-        step, total, over, memory = 0, 0.0, False, None
+        step, total, over = 0, 0.0, False
+        remembered: dict[str, Any] = {}  # by a recurrent policy; others do not know the argument
         while not over:
             before, step = info["pose"], step + 1
-            remembered = {} if memory is None else {"state": memory}  # only recurrent policies know the argument
             action, memory = policy.predict(observation, deterministic=True, **remembered)
+            remembered = {} if memory is None else {"state": memory}
             observation, reward, terminated, truncated, info = env.step(action)
             total += float(reward)
             over = terminated or truncated
-            start = env.reading.start
+            start = env.reading.start  # type: ignore[union-attr]
             yield Moment(step, before, info["pose"], np.asarray(action), float(reward), total, info, start)

@@ -13,7 +13,7 @@ from tb2rl.envs.batch import BatchVecEnv
 from tb2rl.envs.processes import ProcessVecEnv
 from tb2rl.envs.scene import Scene
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.learning.trees import like
+from tb2rl.learning.trees import fill
 from tb2rl.runs.config import Config
 
 
@@ -39,7 +39,7 @@ def restore(env: VecEnv, state: Any) -> None:
     Raises:
         ValueError: If it is not one of such environments.
     """
-    state = like(state_of(env), state, "environments")
+    state = fill(state_of(env), state, "environments")
     if hasattr(env, "restore"):
         env.restore(state)
         return

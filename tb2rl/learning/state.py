@@ -6,7 +6,7 @@ Taken where a rollout starts: there an on-policy buffer is empty, and what has b
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,13 +18,13 @@ from tb2rl.envs.encodings import row
 from tb2rl.errors import InputError, one_line
 from tb2rl.learning import environments
 from tb2rl.learning.randomness import PutBack, generators_of, noise_of, set_generators
-from tb2rl.learning.trees import is_value, like
+from tb2rl.learning.trees import fill, is_value
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.parameters import parameters_of
 
-_OF_THE_PROCESS = {  # not of the training; the last one is set anew before it is read
+_NOT_HERE = {  # of the process, not of the training; the last two: saved elsewhere, and set anew before it is read
     "verbose", "start_time", "_total_timesteps", "_num_timesteps_at_start", "tensorboard_log", "n_envs",
-    "_last_original_obs",
+    "num_timesteps", "_last_original_obs",
 }  # fmt: skip
 
 
@@ -79,6 +79,8 @@ def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Seque
         _begin(algorithm)
         for name, value in _checked(algorithm, state["algorithm"], _values(algorithm)).items():
             setattr(algorithm, name, value)
+        algorithm.ep_info_buffer = _queue(algorithm.ep_info_buffer, _episode)
+        algorithm.ep_success_buffer = _queue(algorithm.ep_success_buffer, bool)
         for i in range(algorithm.env.num_envs):
             if not algorithm.observation_space.contains(row(algorithm._last_obs, i)):
                 raise ValueError("the last observation lies outside the observation space")
@@ -102,6 +104,15 @@ def _begin(algorithm: BaseAlgorithm) -> None:
     algorithm.ep_success_buffer = deque(maxlen=algorithm._stats_window_size)
 
 
+def _queue(queue: deque | None, kind: Callable[[Any], Any]) -> deque:
+    assert queue is not None
+    return deque(map(kind, queue), maxlen=queue.maxlen)
+
+
+def _episode(info: Mapping[str, Any]) -> dict[str, float]:
+    return {"r": float(info["r"]), "l": int(info["l"]), "t": float(info["t"])}
+
+
 def _values(what: Any) -> dict[str, Any]:
     """The attributes of an algorithm or a buffer that can be saved: whatever it counts, without a list of names.
 
@@ -110,12 +121,12 @@ def _values(what: Any) -> dict[str, Any]:
     return {
         name: value
         for name, value in vars(what).items()
-        if is_value(value) and name not in _OF_THE_PROCESS and not getattr(value, "requires_grad", False)
+        if is_value(value) and name not in _NOT_HERE and not getattr(value, "requires_grad", False)
     }
 
 
 def _checked(what: Any, values: Mapping[str, Any], present: Mapping[str, Any]) -> dict[str, Any]:
-    """Saved attributes in the form of the present ones.
+    """Saved attributes in the form of the present ones, whose arrays are written into.
 
     Raises:
         ValueError: If they are others, or say something else than the config does.
@@ -124,7 +135,7 @@ def _checked(what: Any, values: Mapping[str, Any], present: Mapping[str, Any]) -
         raise ValueError(f"other attributes: {', '.join(sorted(values.keys() ^ present.keys()))}")
     kinds: tuple[Any, ...] = type(what).__mro__
     arguments = {name for kind in kinds for name in getattr(kind.__init__, "__annotations__", ())}
-    checked = {name: like(mine, values[name], name) for name, mine in present.items()}
+    checked = {name: fill(mine, values[name], name) for name, mine in present.items()}
     for name in arguments & checked.keys():
         if isinstance(present[name], bool | int | float) and checked[name] != present[name]:
             raise ValueError(f"{name} is {checked[name]!r}, and the config says {present[name]!r}")
@@ -148,16 +159,5 @@ def _refill(buffer: BaseBuffer, values: Mapping[str, Any]) -> None:
         raise ValueError("the replay buffer's position is outside it")
     present = _first_rows(_values(buffer), buffer, buffer.buffer_size if full else position)
     for name, value in _checked(buffer, values, present).items():
-        if isinstance(present[name], np.ndarray | Mapping):
-            _write_into(present[name], value)
-        else:
+        if not isinstance(value, np.ndarray | Mapping):
             setattr(buffer, name, value)
-
-
-def _write_into(place: Any, value: Any) -> None:
-    """Write an array, or every array in a mapping, into the present ones."""
-    if isinstance(place, Mapping):
-        for name, part in place.items():
-            _write_into(part, value[name])
-    elif isinstance(place, np.ndarray):
-        place[...] = value

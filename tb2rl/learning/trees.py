@@ -24,8 +24,10 @@ def is_value(value: Any) -> bool:
     return isinstance(value, bool | int | float | np.ndarray | np.generic | th.Tensor | deque)
 
 
-def like(example: Any, value: Any, where: str) -> Any:
-    """A tree from a checkpoint in the form of an example: tuples where it has tuples, tensors where it has tensors.
+def fill(example: Any, value: Any, where: str) -> Any:
+    """A tree from a checkpoint in the form of an example: tuples where it has tuples, and its own arrays, written into.
+
+    They keep how they lie in memory, on which rounding in a network can depend.
 
     Args:
         example: Of the present training.
@@ -36,30 +38,28 @@ def like(example: Any, value: Any, where: str) -> Any:
         ValueError: If it has other names, shapes or types than the example, or a number that is not finite.
     """
     if isinstance(example, th.Tensor):
-        return th.from_numpy(like(example.detach().cpu().numpy(), value, where)).to(example.device)
-    if isinstance(example, np.generic):
-        example = example.item()
+        return th.from_numpy(fill(example.detach().cpu().numpy(), value, where)).to(example.device)
     if isinstance(example, np.ndarray):
-        fits = isinstance(value, np.ndarray) and (value.shape, value.dtype) == (example.shape, example.dtype)
+        if isinstance(value, np.ndarray) and (value.shape, value.dtype) == (example.shape, example.dtype):
+            example[...] = value
+            return example
     elif isinstance(example, Mapping):
         if isinstance(value, Mapping) and value.keys() == example.keys():
-            return {key: like(part, value[key], f"{where}.{key}") for key, part in example.items()}
-        fits = False
+            return {key: fill(part, value[key], f"{where}.{key}") for key, part in example.items()}
     elif isinstance(example, deque):
         if isinstance(value, list):
             return deque(value, maxlen=example.maxlen)
-        fits = False
     elif isinstance(example, list | tuple):
         if isinstance(value, list) and len(value) == len(example):
-            parts = [
-                like(part, other, f"{where}.{i}") for i, (part, other) in enumerate(zip(example, value, strict=True))
-            ]
+            parts = [fill(part, value[i], f"{where}.{i}") for i, part in enumerate(example)]
             return type(example)(*parts) if hasattr(example, "_fields") else type(example)(parts)
-        fits = False
-    elif isinstance(example, float):
-        fits = type(value) in (int, float) and math.isfinite(value)
-    else:
-        fits = type(value) is type(example)
-    if not fits:
-        raise ValueError(f"{where} has another form, or is not a finite number")
-    return value
+    elif _fits(value, example.item() if isinstance(example, np.generic) else example):
+        return value
+    raise ValueError(f"{where} has another form, or is not a finite number")
+
+
+def _fits(value: Any, example: Any) -> bool:
+    """Whether a plain value is of the example's kind; a float may come as an integer."""
+    if isinstance(example, float):
+        return type(value) in (int, float) and math.isfinite(value)
+    return type(value) is type(example)

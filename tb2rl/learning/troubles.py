@@ -57,7 +57,9 @@ def learning_troubles_named(algorithm: BaseAlgorithm, folder: Path) -> Iterator[
         raise
     except LIBRARY_ERRORS as error:
         if not all(bool(th.isfinite(parameter).all()) for parameter in algorithm.policy.parameters()):
-            message = "the training diverged (its weights are not finite); try a smaller agent.learning_rate"
+            message = (
+                f"the training in {folder} diverged (its weights are not finite); try a smaller agent.learning_rate"
+            )
         elif _arose_in_libraries(error):
             cause = f"{type(error).__name__}: {error}"
             message = f"{type(algorithm).__name__} cannot learn with its settings, or its state, in {folder} ({cause})"

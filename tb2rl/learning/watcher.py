@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Mapping
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,7 @@ class Watcher(BaseCallback):
         return self._largest_value() > _DIVERGED * self._largest_reward / (1.0 - gamma)
 
     def _largest_value(self) -> float:
-        """The largest value that the policy now expects, 0 where it has none."""
+        """The largest value that the policy now expects, 0 where it has no values, or none without a memory."""
         policy: Any = self.model.policy
         if hasattr(policy, "q"):
             return float(policy.q.abs().max())
@@ -113,6 +114,6 @@ class Watcher(BaseCallback):
             observations = policy.obs_to_tensor(self.model._last_obs)[0]
             if hasattr(policy, "q_net"):
                 return float(policy.q_net(observations).abs().max())
-            if hasattr(policy, "predict_values"):
+            if hasattr(policy, "predict_values") and len(signature(policy.predict_values).parameters) == 1:
                 return float(policy.predict_values(observations).abs().max())
         return 0.0

@@ -26,7 +26,7 @@ class Sensor(ABC):
         low, high: The smallest and the largest value; what is read is cut to them.
         edges: Strictly increasing borders of the classes that tabular learners see; empty: it has none, and can only
             be observed raw.
-        shape: Of what it reads for one robot: (n,) for n numbers, (height, width, channels) for an image of uint8.
+        shape: Of what it reads for one robot: (n,) for n numbers, (channels, height, width) for an image of uint8.
     """
 
     name: str

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,8 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap:
         policy: What drives.
         scene: What it was trained to do; its laser is taken without noise.
     """
-    scene, table = scene.changed(noise=0.0), policy.policy
+    table: Any = policy.policy
+    scene = scene.changed(noise=0.0)
     places, side = _places(scene.world, scene.robot.radius)
     simulation = KinematicSimulation(scene.setup, len(places))
     actions, states = [], []
@@ -72,11 +74,12 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap:
     return ActionMap(scene.world, side, places, shown, known)
 
 
-def _starts(scene: Scene, places: np.ndarray) -> list[Start]:
-    """A start of a robot at each place (places, 2), for each heading."""
-    start = scene.task.begin(scene.setup, GeneratorDraws(np.random.default_rng(0), len(places)))
-    headings = np.arange(HEADINGS) * math.tau / HEADINGS
-    return [replace(start, pose=np.column_stack([places, np.full(len(places), yaw)])) for yaw in headings]
+def _starts(scene: Scene, places: np.ndarray) -> Iterator[Start]:
+    """For each heading the start of a robot at each of the places (places, 2)."""
+    for heading in range(HEADINGS):
+        start = scene.task.begin(scene.setup, GeneratorDraws(np.random.default_rng(0), len(places)))
+        start.pose[:, :2], start.pose[:, 2] = places, heading * math.tau / HEADINGS
+        yield start
 
 
 def _leave_out_unmet(actions: np.ndarray, states: np.ndarray, table: Any) -> float:

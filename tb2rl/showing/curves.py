@@ -119,7 +119,7 @@ def _check_whole(file: Path) -> None:
         return
     except DataLossError as error:
         if "truncated" not in str(error):
-            raise InputError(one_line(f"{file} is damaged ({error}); remove it to go without it")) from None
+            raise InputError(f"{file} is damaged; remove it to go without its curves") from None
 
 
 def read_evaluations(file: Path) -> dict[str, Curve]:

@@ -15,9 +15,9 @@ from tb2rl.envs.scene import Scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import replacing
-from tb2rl.judging.evaluator import check_observes
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import LARGEST_SEED, Moment, Policy, roll_out
+from tb2rl.judging.spaces import check_observes
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
 from tb2rl.showing.cameras import CAMERAS, Camera

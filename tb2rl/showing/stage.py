@@ -44,7 +44,7 @@ class Stage:
             self._robot = add_robot(self._client, setup.robot)
         if window:
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
-            self._look_at_all(setup.bounds)
+            self._look_at_all(setup.worlds[0].bounds)
         else:  # the renderer spends most of its time on a floor; `draw_floor` takes a tenth of it
             pybullet.changeVisualShape(floor, -1, rgbaColor=(0.0, 0.0, 0.0, 0.0), physicsClientId=self._client)
 
@@ -93,8 +93,8 @@ class Stage:
             pybullet.disconnect(self._client)
             self._client = -1
 
-    def _look_at_all(self, bounds: np.ndarray) -> None:
-        (x0, y0), (x1, y1) = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+    def _look_at_all(self, bounds: tuple[float, float, float, float]) -> None:
+        x0, y0, x1, y1 = bounds
         middle, distance = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), 0.8 * max(x1 - x0, y1 - y0)
         pybullet.resetDebugVisualizerCamera(distance, 0.0, -60.0, middle, physicsClientId=self._client)
 

@@ -2,8 +2,9 @@
 
 Arrays of all robots: poses (robots, 3) x [m], y [m], yaw [rad]; rims (robots, 2), speeds of the left and the right
 wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 16), the columns of
-`tb2rl.simulation.setup`, of which the last are each robot's parameters. The worlds' `boxes` and `posts` stand one after the other in one table each; those of world k are
-the rows from `parts[k]` up to `parts[k + 1]`, first column for boxes, second for posts.
+`tb2rl.simulation.setup`, of which the last are each robot's parameters. The `boxes` and `posts` of all worlds stand in
+one table each, world after world; those of world k are the rows from `parts[k]` up to `parts[k + 1]`, its first column
+for boxes, its second for posts.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from tb2rl.simulation.setup import PARAMETERS, PHYSICS_RATE, WORLD
 from tb2rl.simulation.streams import normal
 from tb2rl.worlds.geometry import cast_one, clearance_one, limit_ranges
 
-PHYSICS_STEP = 1.0 / PHYSICS_RATE  # [s] PyBullet moves with the speed at the end of a step, along the heading at its start
+PHYSICS_STEP = 1.0 / PHYSICS_RATE  # [s] PyBullet moves with the speed at a step's end, along the heading at its start
 CONTACT = 1.0e-4  # [m] a gap below this is contact
 # The columns of a robot's parameters in a table of starts.
 RADIUS, WHEEL_SEPARATION = PARAMETERS.start + robot.RADIUS, PARAMETERS.start + robot.WHEEL_SEPARATION
@@ -79,7 +80,7 @@ def rim_speed(start, change, together, clock, acceleration, coupling):
     Until `together` [s] both push, and push each other along (positive) or back (negative); after that the one that is
     left pushes alone. `acceleration` and `coupling` are the robot's [m/s^2].
     """
-    both = acceleration + math.copysign(coupling, together)
+    both = acceleration + math.copysign(1.0, together) * coupling
     early = min(clock, abs(together))
     gained = min(both * early + acceleration * (clock - early), abs(change))
     return start + math.copysign(gained, change)

@@ -114,7 +114,7 @@ class KinematicSimulation:
         if not np.isin(start.world, range(len(self.setup.worlds))).all():
             raise ValueError("a robot is in a world that is not there")
         robot = self.setup.robot
-        if not (np.abs(start.parameters) <= _LARGEST_VARIATION * robot.parameters).all():
+        if not (np.abs(start.parameters) <= _LARGEST_VARIATION * np.abs(robot.parameters)).all():
             raise ValueError("a robot's parameters are far from what it is")
         if not (np.abs(state["rims"]) <= 2.0 * robot.max_speed + robot.wheel_separation * robot.max_turn_rate).all():
             raise ValueError("the wheels turn faster than they can")

@@ -34,7 +34,7 @@ class Start:
 
     @property
     def pose(self) -> np.ndarray:
-        """x [m], y [m], yaw [rad], shape (robots, 3); to be overwritten in place, like all that follow."""
+        """Where: x [m], y [m], yaw [rad], shape (robots, 3); to be overwritten in place, like all that follow."""
         return self.table[:, POSE]
 
     @property
@@ -44,7 +44,7 @@ class Start:
 
     @property
     def goal(self) -> np.ndarray:
-        """x, y [m], shape (robots, 2); NaN for a robot without a goal."""
+        """Where to get: x, y [m], shape (robots, 2); NaN for a robot without a goal."""
         return self.table[:, GOAL]
 
     @property
@@ -56,7 +56,6 @@ class Start:
     def parameters(self) -> np.ndarray:
         """A row of `Robot.parameters` for each robot, shape (robots, 6).
 
-        The twin takes all of them; PyBullet takes the speeds and the acceleration, while the robot's shape there is that
-        of its URDF file.
+        The twin takes all of them; PyBullet takes the speeds and the acceleration, and the shape from the URDF file.
         """
         return self.table[:, PARAMETERS]

@@ -44,7 +44,9 @@ def uniforms(keys, counts, numbers):
 class Draws(Protocol):
     """A source of random numbers for robots whose episodes begin."""
 
-    robots: int  # how many robots draw
+    @property
+    def robots(self) -> int:
+        """How many robots draw."""
 
     def uniform(self, count: int) -> np.ndarray:
         """The next `count` numbers in [0, 1) of each robot, shape (robots, count)."""

@@ -1,0 +1,68 @@
+"""What the tests of several rooms need: setups by the names of worlds, and readings made by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tb2rl.registry import find_world
+from tb2rl.robots import Robot
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.worlds import World
+
+FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.0, 9.0))
+
+
+def _setup(*worlds: World | str, robot: Robot = ROBOT, **laser) -> Setup:
+    """The robot in some worlds (an open floor if none is given); `laser` changes fields of its laser."""
+    found = tuple(find_world(world) if isinstance(world, str) else world for world in worlds)
+    return Setup(robot, replace(robot.laser, **laser), found or (FLOOR,))
+
+
+def _reading(
+    nearest=3.0,
+    ranges=None,
+    bumped=False,
+    pose=(0.0, 0.0, 0.0),
+    odometry=None,
+    twist=(0.0, 0.0),
+    goal=(math.nan, math.nan),
+    bounds=(-9.0, -9.0, 9.0, 9.0),
+) -> Reading:
+    """A reading of as many robots as the longest argument has; a single value is the same for all.
+
+    `ranges` are (robots, beams) or (beams,); without them each robot has three beams, the middle one of `nearest` [m].
+    """
+    pose, twist = np.atleast_2d(np.array(pose, float)), np.atleast_2d(np.array(twist, float))
+    ranges = None if ranges is None else np.atleast_2d(np.array(ranges, float))
+    robots = max(len(pose), len(twist), np.size(nearest), np.size(bumped), 0 if ranges is None else len(ranges))
+    if ranges is None:
+        ranges = np.full((robots, 3), math.inf)
+        ranges[:, 1] = nearest
+    start = Start.proposed(_setup(), robots)
+    start.goal[:], start.bounds[:] = goal, bounds
+    pose = np.broadcast_to(pose, (robots, 3))
+    return Reading(
+        pose=pose,
+        twist=np.broadcast_to(twist, (robots, 2)),
+        odometry=pose if odometry is None else np.broadcast_to(np.array(odometry, float), (robots, 3)),
+        ranges=np.broadcast_to(ranges, (robots, ranges.shape[1])),
+        bumped=np.broadcast_to(np.array(bumped), robots),
+        start=start,
+    )
+
+
+@pytest.fixture
+def make_setup():
+    """The function `_setup`."""
+    return _setup
+
+
+@pytest.fixture
+def make_reading():
+    """The function `_reading`."""
+    return _reading

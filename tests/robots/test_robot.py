@@ -1,0 +1,112 @@
+"""A robot's numbers: the URDF file that the physics reads must state the same ones."""
+
+import math
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from tb2rl.files import read_yaml, top_folder
+from tb2rl.registry import find_robot, robot_names
+from tb2rl.robots import Laser
+from tb2rl.robots import robot as columns
+from tb2rl.robots.turtlebot2 import ROBOT
+
+TUTORIAL = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]
+
+
+def numbers(path, attribute, robot=ROBOT):
+    """All numbers of an attribute of the one element at a path of a robot's URDF."""
+    (element,) = ElementTree.parse(robot.urdf).getroot().findall(path)
+    return [float(number) for number in element.get(attribute).split()]
+
+
+# ---- every robot
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_every_robots_urdf_has_its_driven_wheels_on_the_axle_with_their_torque(name):
+    robot = find_robot(name)
+    for joint, side in zip(robot.wheel_joints, (1, -1), strict=True):
+        place = [0, side * robot.wheel_separation / 2, robot.wheel_radius]
+        assert numbers(f"joint[@name='{joint}']/origin", "xyz", robot) == place
+        assert numbers(f"joint[@name='{joint}']/axis", "xyz", robot) == [0, 1, 0]
+        assert numbers(f"joint[@name='{joint}']/limit", "effort", robot) == [robot.wheel_torque]
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_every_robot_tells_the_kernels_its_numbers_in_the_order_of_their_columns(name):
+    robot = find_robot(name)
+    assert robot.parameters[columns.RADIUS] == robot.radius
+    assert robot.parameters[columns.WHEEL_SEPARATION] == robot.wheel_separation
+    assert robot.parameters[columns.MAX_SPEED] == robot.max_speed
+    assert robot.parameters[columns.MAX_TURN_RATE] == robot.max_turn_rate
+    assert robot.parameters[columns.WHEEL_ACCELERATION] == robot.wheel_acceleration
+    assert robot.parameters[columns.WHEEL_COUPLING] == robot.wheel_coupling
+    assert robot.parameters.shape == (6,)
+
+
+# ---- the TurtleBot2
+
+
+def test_the_urdf_has_the_radius_of_the_base():
+    assert numbers("link[@name='base']/collision/geometry/cylinder", "radius") == [ROBOT.radius]
+
+
+@pytest.mark.parametrize("wheel", ROBOT.wheel_joints)
+def test_the_urdf_has_the_radius_of_the_wheels(wheel):
+    assert numbers(f"link[@name='{wheel}']/collision/geometry/sphere", "radius") == [ROBOT.wheel_radius]
+
+
+@pytest.mark.parametrize(("caster", "x"), [("caster_front", 0.115), ("caster_back", -0.135)])
+def test_the_casters_stand_on_the_floor_inside_the_base(caster, x):
+    (radius,) = numbers(f"link[@name='{caster}']/collision/geometry/sphere", "radius")
+    assert numbers(f"joint[@name='{caster}']/origin", "xyz") == [x, 0, radius]
+    assert abs(x) + radius < ROBOT.radius
+
+
+def test_a_whole_turtlebot2_weighs_6_3_kg():
+    masses = ElementTree.parse(ROBOT.urdf).getroot().iter("mass")
+    assert sum(float(mass.get("value")) for mass in masses) == pytest.approx(6.3, abs=0.1)
+
+
+# ---- its laser
+
+
+def test_the_laser_sweeps_720_beams_from_right_to_left():
+    degrees = np.degrees(ROBOT.laser.angles)
+    assert degrees.shape == (720,)
+    assert degrees[[0, 719]] == pytest.approx([-90, 90])
+    assert np.diff(degrees) == pytest.approx(180 / 719)
+    assert abs(degrees[360]) <= 180 / 719 / 2 + 1e-9
+
+
+def test_the_tutorial_reads_every_144th_beam():
+    laser = Laser(beams=TUTORIAL["beams"], indices=tuple(TUTORIAL["beam_indices"]))
+    assert np.degrees(laser.angles) == pytest.approx([-90 + i * 180 / 719 for i in (0, 144, 288, 432, 576)])
+
+
+def test_a_single_beam_looks_straight_ahead():
+    assert Laser(beams=1).angles == [0.0]
+
+
+@pytest.mark.parametrize(("beams", "degrees"), [(2, [-135, 135]), (4, [-135, -45, 45, 135])])
+def test_another_field_of_view_is_swept_from_end_to_end(beams, degrees):
+    laser = Laser(beams=beams, field_of_view=math.radians(270))
+    assert np.degrees(laser.angles) == pytest.approx(degrees)
+
+
+# ---- its limits
+
+
+def test_commands_are_cut_to_the_limits_and_otherwise_left_alone():
+    commands = np.array([[(1.0, -4.0), (-0.7, 3.2)], [(0.65, -math.pi), (-0.3, 0.2)]])
+    expected = np.array([[(0.65, -math.pi), (-0.65, math.pi)], [(0.65, -math.pi), (-0.3, 0.2)]])
+    assert (ROBOT.within_limits(commands) == expected).all()
+
+
+def test_another_robot_has_other_limits():
+    slow = replace(ROBOT, max_speed=0.2, max_turn_rate=0.5)
+    assert slow.within_limits(np.array([1.0, -1.0])).tolist() == [0.2, -0.5]
+    assert slow.parameters[columns.MAX_SPEED] == 0.2

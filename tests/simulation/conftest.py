@@ -1,0 +1,78 @@
+"""Robots to drive in PyBullet."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack, closing
+
+import numpy as np
+import pytest
+
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.worlds.description import world_from
+
+OPEN = {"boxes": [{"centre": [19, 19], "size": [1, 1]}], "bounds": [-20, -20, 20, 20]}
+
+
+class Track:
+    """One robot in PyBullet, to be placed and driven."""
+
+    def __init__(self, simulation: BulletSimulation) -> None:
+        self.simulation, self.world = simulation, simulation.setup.worlds[0]
+
+    def place(self, x=0.0, y=0.0, yaw=0.0, seed=0) -> Reading:
+        """The first reading of an episode that begins here."""
+        start = Start.proposed(self.simulation.setup, 1)
+        start.pose[:] = x, y, yaw
+        return self.simulation.reset(start, np.random.default_rng(seed))
+
+    def drive(self, commands, duration=0.2) -> list[Reading]:
+        """The readings of a robot that is told each of `commands` (steps, 2) for `duration` [s]."""
+        return [self.simulation.step(np.array([command]), duration) for command in commands]
+
+    def gaps(self, readings) -> np.ndarray:
+        """Distances between the base and the nearest wall [m], all around, shape (readings,)."""
+        return np.array([self.world.clearance(*reading.pose[0, :2]) for reading in readings]) - ROBOT.radius
+
+    @staticmethod
+    def gap(pose, other) -> tuple[float, float]:
+        """Distance [m] and angle [rad] between two poses (1, 3)."""
+        dx, dy, turn = (pose - other)[0]
+        return math.hypot(dx, dy), abs(math.remainder(turn, math.tau))
+
+    @staticmethod
+    def record(readings) -> np.ndarray:
+        """Everything in some readings as one array, to compare to the bit."""
+        return np.array([np.hstack([r.pose, r.twist, r.odometry, r.ranges, r.bumped[:, None]])[0] for r in readings])
+
+
+@pytest.fixture
+def make_bullet():
+    """A function from a setup to its simulation in PyBullet, which is closed after the test."""
+    with ExitStack() as stack:
+        yield lambda setup: stack.enter_context(closing(BulletSimulation(setup)))
+
+
+@pytest.fixture
+def make_track(make_setup, make_bullet):
+    """A function from the content of a world's file, and fields of the laser (else of one beam), to a `Track`."""
+
+    def make(content=OPEN, **laser) -> Track:
+        world = world_from({"start": [-2, 0, 0], "bounds": [-5, -5, 5, 5], **content}, "test")
+        return Track(make_bullet(make_setup(world, **{"beams": 1, **laser})))
+
+    return make
+
+
+@pytest.fixture
+def start_at():
+    """A function from a setup and poses (robots, 3) to the start of episodes there."""
+
+    def start(setup: Setup, poses, world=0) -> Start:
+        start = Start.proposed(setup, len(poses), world)
+        start.pose[:] = poses
+        return start
+
+    return start

@@ -1,0 +1,101 @@
+"""The bodies of the physics: its walls are those that the exact laser sees, and nothing is printed."""
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tb2rl.errors import InputError
+from tb2rl.registry import world_names
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.simulation import Start
+from tb2rl.simulation.bodies import connect
+from tb2rl.worlds.geometry import cast
+
+BEAM = 1e-3  # [m] half the thickness of a beam: what a ray of single precision may miss at an edge
+
+
+def ranges_ahead(poses, world):
+    """The exact range [m] straight ahead from each of `poses` (robots, 3), shape (robots,)."""
+    ranges = np.empty((len(poses), 1))
+    cast(poses, np.ones(1), np.zeros(1), world.boxes, world.posts, ranges)
+    return ranges[:, 0]
+
+
+def assert_rays_fit(simulation, world, poses, angles):
+    rays = np.concatenate([simulation.ray_ranges(pose, angles) for pose in poses])
+    beams = np.repeat(poses, len(angles), axis=0)
+    beams[:, 2] += np.tile(angles, len(poses))
+    aside = BEAM * np.column_stack([-np.sin(beams[:, 2]), np.cos(beams[:, 2]), np.zeros(len(beams))])
+    exact = np.array([ranges_ahead(beams + side * aside, world) for side in (-1, 0, 1)])
+    assert len(rays) == len(poses) * len(angles)
+    assert (rays >= exact.min(axis=0) - 1e-3).all()
+    assert (rays <= exact.max(axis=0) + 1e-3).all()
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_pybullets_rays_and_the_exact_laser_see_the_same_walls(name, make_setup, make_bullet):
+    setup, rng = make_setup(name), np.random.default_rng(0)
+    (world,) = setup.worlds
+    poses, angles = world.random_poses(rng, 200, 0.05), rng.uniform(-math.pi, math.pi, 50)
+    assert_rays_fit(make_bullet(setup), world, poses, angles)
+
+
+def test_an_episode_in_another_world_has_its_walls_and_no_others(make_setup, make_bullet):
+    setup, rng = make_setup("loop", "maze", "round"), np.random.default_rng(0)
+    simulation = make_bullet(setup)
+    for number in (0, 1, 2, 1, 0):
+        world, start = setup.worlds[number], Start.proposed(setup, 1, world=number)
+        reading = simulation.reset(start, rng)
+        assert simulation.world is world
+        assert reading.pose[0] == pytest.approx(world.start)
+        assert_rays_fit(simulation, world, world.random_poses(rng, 20, 0.05), np.linspace(-3, 3, 20))
+
+
+def test_the_robot_bumps_into_the_walls_of_the_world_it_is_in(make_setup, make_bullet):
+    setup, rng = make_setup("wall", "circuit"), np.random.default_rng(0)
+    simulation = make_bullet(setup)
+    for number in (0, 1):
+        start = Start.proposed(setup, 1, world=number)
+        start.pose[:] = 0.75, 0.75, math.pi  # the circuit's first bend; open floor in the other
+        simulation.reset(start, rng)
+        assert simulation.step(np.array([[0.5, 0.0]]), 2.0).bumped[0] == bool(number)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"wheel_joints": ("wheel_left", "wheel_rite")}, ["no joint 'wheel_rite'", "it has wheel_right, wheel_left"]),
+        ({"urdf": ROBOT.urdf.with_name("missing.urdf")}, ["robot turtlebot2: PyBullet cannot load", "missing.urdf"]),
+    ],
+)
+def test_a_robot_that_does_not_fit_its_urdf_is_refused(changed, words, make_setup, make_bullet):
+    with pytest.raises(InputError) as error:
+        make_bullet(make_setup(robot=replace(ROBOT, **changed)))
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
+def test_a_window_without_a_display_is_refused_with_the_way_out(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(InputError, match="no display; use 'rgb_array'"):
+        connect(window=True)
+
+
+def test_nothing_is_printed_and_nothing_of_the_user_is_lost():
+    script = """
+import tb2rl
+print("before", end=" ")
+env = tb2rl.make_env()
+env.reset(seed=0)
+env.step(0)
+env.camera()
+env.close()
+print("after")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("before after\n", "")

@@ -1,0 +1,117 @@
+"""What the robot in PyBullet senses is the truth: odometry, laser and its noise, camera."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tb2rl.robots.turtlebot2 import LASER_NOISE
+
+WALL = {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]}
+WANDER = [(0.5, 0.0), (0.05, 1.0), (0.05, -1.0)]  # v [m/s], w [rad/s]
+
+
+def odometry_error(track, commands):
+    """Error of the odometry [m, rad] after driving in the open."""
+    track.place()
+    last = track.drive(commands)[-1]
+    return track.gap(last.pose, last.odometry)
+
+
+# ---- odometry
+
+
+def test_odometry_starts_at_the_start_pose(make_track):
+    track = make_track()
+    track.place()
+    track.drive(WANDER)
+    assert track.place(1.0, -2.0, 0.5).odometry.tolist() == [[1.0, -2.0, 0.5]]
+
+
+def test_odometry_agrees_with_the_true_pose_after_20_s_of_smooth_driving(make_track):
+    rng, command, commands = np.random.default_rng(0), np.zeros(2), []
+    for _ in range(100):
+        command = (command + rng.uniform((-0.1, -0.4), (0.1, 0.4))).clip((-0.6, -2.0), (0.6, 2.0))
+        commands.append(command)
+    assert odometry_error(make_track(), commands)[0] < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_odometry_agrees_with_the_true_pose_after_20_s_of_a_tasks_actions(seed, make_track):
+    actions = np.random.default_rng(seed).integers(3, size=100)
+    distance, turn = odometry_error(make_track(), [WANDER[action] for action in actions])
+    assert distance < 0.05
+    assert math.degrees(turn) < 3
+
+
+def test_odometry_does_not_depend_on_how_often_it_is_read(make_track):
+    ends, track = [], make_track()
+    for times, duration in ((1, 4.0), (20, 0.2)):
+        track.place()
+        track.drive([(0.02 * i, 0.1 * i) for i in range(11)], 0.1)  # gently: this is not about slip
+        ends.append(track.drive([(0.2, 1.0)] * times, duration)[-1].odometry)
+    assert track.gap(*ends)[0] < 2e-3
+
+
+# ---- laser
+
+
+def test_without_noise_the_laser_is_exact(make_track):
+    track = make_track(WALL, beams=3)
+    assert track.place(-1.5).ranges[0] == pytest.approx([math.inf, 1.4, math.inf])
+
+
+def test_only_the_beams_with_the_indices_are_read(make_track):
+    track = make_track(WALL, beams=5, indices=(2, 3))
+    assert track.place(-1.5).ranges[0] == pytest.approx([1.4, 1.4 * math.sqrt(2)])
+
+
+def test_laser_noise_is_gaussian_independent_and_of_its_deviation(make_track):
+    noisy = make_track(WALL, beams=720, noise=LASER_NOISE)
+    readings = [noisy.place(-1.0, seed=1), *noisy.drive([(0.0, 0.0)] * 49)]
+    exact = make_track(WALL, beams=720).place(-1.0).ranges
+    ranges = np.concatenate([reading.ranges for reading in readings])
+    assert (np.isinf(ranges) == np.isinf(exact)).all()
+    errors = ranges[:, np.isfinite(exact[0])] - exact[:, np.isfinite(exact[0])]
+    assert errors.size > 20_000
+    assert abs(errors.mean()) < 5 * LASER_NOISE / math.sqrt(errors.size)
+    assert errors.std() == pytest.approx(LASER_NOISE, rel=0.03)
+    assert (abs(errors) < LASER_NOISE).mean() == pytest.approx(0.683, abs=0.02)
+    assert abs(np.corrcoef(errors[:-1].ravel(), errors[1:].ravel())[0, 1]) < 0.03
+    assert abs(np.corrcoef(errors[:, :-1].ravel(), errors[:, 1:].ravel())[0, 1]) < 0.03
+
+
+def test_readings_stay_within_what_the_laser_can_measure(make_track):
+    track = make_track(WALL, beams=3, noise=0.5, min_range=0.5, max_range=2.0)
+    ranges = [track.place(-1.1, seed=seed).ranges[0, 1] for seed in range(300)]
+    assert track.place(-4.5).ranges[0, 1] == math.inf
+    assert min(ranges) == 0.5
+    assert all(reading <= 2.0 or reading == math.inf for reading in ranges)
+
+
+# ---- camera
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3])
+def test_the_camera_sees_a_wall_ahead_at_its_distance_and_in_its_colour(yaw, make_track):
+    track = make_track(WALL)
+    track.place(-2.0, 0.0, yaw)
+    rgb, depth = track.simulation.camera(64, 48)
+    assert (rgb.shape, rgb.dtype) == ((48, 64, 3), np.uint8)
+    assert (depth.shape, depth.dtype) == ((48, 64), np.float32)
+    assert depth[24, 32] == pytest.approx(1.9 / math.cos(yaw) - 0.05, abs=0.02)  # the lens: 5 cm ahead
+    red, green, blue = rgb[24, 32].astype(int)
+    assert red > green + 30 > blue + 30
+    assert depth[0, 32] == math.inf  # over the wall
+
+
+def test_looking_through_the_camera_changes_nothing(make_track):
+    commands, readings = [WANDER[i % 3] for i in range(10)], []
+    track = make_track(WALL, beams=720, noise=LASER_NOISE)
+    track.place(-1.5)
+    expected = track.record(track.drive(commands))
+    track.place(-1.5)
+    for command in commands:
+        track.simulation.camera(8, 6)
+        readings += track.drive([command])
+    assert (track.record(readings) == expected).all()

@@ -1,0 +1,94 @@
+"""Walls stop the robot in PyBullet, and its bumper says so."""
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+
+from tb2rl.registry import world_names
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.simulation import Start
+
+TARGETS = {
+    "a wall": {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]},
+    "a wall turned by 30 degrees": {"boxes": [{"centre": [0, 0], "size": [0.2, 6], "yaw": math.radians(30)}]},
+    "a corner": {"boxes": [{"centre": [0, 0], "size": [1, 1], "yaw": math.radians(45)}]},
+    "a post": {"posts": [{"centre": [0, 0], "radius": 0.3}]},
+    "a thin post": {"posts": [{"centre": [0, 0], "radius": 0.03}]},
+}
+
+
+def tilt(simulation):
+    qx, qy, _, _ = simulation.state()["orientation"]
+    return math.acos(1 - 2 * (qx * qx + qy * qy))
+
+
+def heading_for_a_wall(world, rng):
+    """A random free pose that faces the nearest obstacle."""
+    x, y, _ = world.random_poses(rng, 1, 0.25)[0]
+    _, nearest = shapely.shortest_line(shapely.Point(x, y), world.obstacles).coords
+    return x, y, math.atan2(nearest[1] - y, nearest[0] - x)
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_300_commands_into_walls_neither_tip_it_nor_get_it_through_nor_move_a_wall(name, make_setup, make_bullet):
+    setup, rng = make_setup(name, beams=1), np.random.default_rng(0)
+    (world,) = setup.worlds
+    limits = np.array([ROBOT.max_speed, ROBOT.max_turn_rate])
+    probe, angles = world.random_poses(rng, 1, 0.0)[0], np.linspace(-3, 3, 50)
+    simulation = make_bullet(setup)
+    walls, bumps = simulation.ray_ranges(probe, angles), 0
+    for _ in range(10):
+        start = Start.proposed(setup, 1)
+        start.pose[:] = heading_for_a_wall(world, rng)
+        poses = [simulation.reset(start, rng).pose[0]]
+        height = simulation.state()["position"][2]
+        for step in range(30):
+            command = limits * (rng.uniform(-1, 1, 2) if step % 2 else (rng.choice([1, 1, 1, -1]), 0))
+            reading = simulation.step(command[None], 0.3)
+            poses.append(reading.pose[0])
+            bumps += reading.bumped[0]
+            assert world.clearance(*poses[-1][:2]) - ROBOT.radius >= -5e-3
+            assert math.degrees(tilt(simulation)) < 3
+            assert simulation.state()["position"][2] == pytest.approx(height, abs=5e-3)
+        assert not world.obstacles.intersects(shapely.LineString([pose[:2] for pose in poses]))
+    assert bumps >= 5
+    assert (simulation.ray_ranges(probe, angles) == walls).all()
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("degrees", [0, 20, 45, -30])
+def test_the_bumper_fires_when_the_laser_reads_contact_and_not_before(target, degrees, make_track):
+    angle, track = math.radians(degrees), make_track(TARGETS[target], beams=720)
+    for speed in (0.1, 0.5, ROBOT.max_speed):
+        track.place(-math.cos(angle), -math.sin(angle), angle)
+        readings = track.drive([(speed, 0.0)] * int(1.5 / speed / 0.02), 0.02)
+        bumped = np.array([reading.bumped[0] for reading in readings])
+        assert bumped.any()
+        assert abs(readings[bumped.argmax()].ranges.min() - ROBOT.radius) < 0.01
+        assert (track.gaps(readings)[bumped] < 0.01).all()
+
+
+def test_a_wall_that_is_hit_at_full_speed_gives_way_by_less_than_5_mm(make_track):
+    track = make_track(TARGETS["a wall"])
+    for x in np.linspace(-1.0, -1.012, 13):  # the last step before the wall ends anywhere within 1 cm of it
+        track.place(x)
+        assert track.gaps(track.drive([(ROBOT.max_speed, 0.0)] * 110, 1 / 60)).min() > -5e-3
+
+
+def test_the_bumper_feels_what_is_behind(make_track):
+    track = make_track(TARGETS["a wall"])
+    track.place(-1.0, 0.0, math.pi)
+    readings = track.drive([(-0.5, 0.0)] * 100, 0.02)
+    bumped = np.array([reading.bumped[0] for reading in readings])
+    assert bumped.any()
+    assert (track.gaps(readings)[bumped] < 0.01).all()
+
+
+def test_the_bumper_remembers_a_touch_within_a_long_step(make_track):
+    track = make_track(TARGETS["a thin post"])
+    track.place(-0.3, 0.03 + ROBOT.radius - 0.01)
+    (reading,) = track.drive([(0.5, 0.0)], 1.5)
+    assert reading.bumped[0]
+    assert track.gaps([reading]) > 0.1  # and has long passed

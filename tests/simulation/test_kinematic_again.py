@@ -1,0 +1,111 @@
+"""The twin's noise, its states, and what it refuses to go on from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tb2rl.robots.robot import MAX_SPEED
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.simulation import Start
+from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.setup import WORLD
+
+PERIOD = 0.2  # [s]
+
+
+def test_noise_has_its_width_and_robots_have_their_own(make_setup):
+    setup = make_setup("loop", beams=200, noise=0.05)
+    twin, quiet = KinematicSimulation(setup, 50), KinematicSimulation(make_setup("loop", beams=200))
+    noisy = twin.reset(Start.proposed(setup, 50), np.random.default_rng(0)).ranges
+    exact = quiet.reset(Start.proposed(setup, 1), np.random.default_rng(0)).ranges
+    errors = noisy - exact
+    assert errors.std() == pytest.approx(0.05, rel=0.03)
+    assert abs(errors.mean()) < 0.002
+    assert len(np.unique(errors[:, 0])) == 50
+    again = twin.step(np.zeros((50, 2)), PERIOD).ranges
+    assert abs(np.corrcoef(errors.ravel(), (again - exact).ravel())[0, 1]) < 0.05
+
+
+def driven(make_setup, start_at, robots=30):
+    """A twin in the midst of episodes in two worlds, its robots a little different, and what to tell it next."""
+    setup, rng = make_setup("maze", "loop", beams=9, noise=0.01), np.random.default_rng(4)
+    worlds = rng.integers(2, size=robots)
+    start = start_at(setup, np.stack([setup.worlds[k].random_poses(rng, 1, 0.3)[0] for k in worlds]), worlds)
+    start.parameters[:, MAX_SPEED] *= rng.uniform(0.5, 1.0, robots)
+    start.goal[:] = rng.uniform(0, 9, (robots, 2))
+    twin, told = KinematicSimulation(setup, robots), rng.uniform(-1, 1, (20, robots, 2))
+    twin.reset(start, rng)
+    for command in told:
+        twin.step(command, PERIOD)
+    return twin, told
+
+
+def test_a_restored_state_goes_on_to_the_bit(make_setup, start_at):
+    twin, told = driven(make_setup, start_at)
+    state = twin.state()
+    first = [twin.step(command, PERIOD) for command in told]
+    other = KinematicSimulation(twin.setup, 30)
+    for goes_on in (twin, other):
+        goes_on.restore(state)
+        for command, reading in zip(told, first, strict=True):
+            again = goes_on.step(command, PERIOD)
+            np.testing.assert_array_equal(again.pose, reading.pose)
+            np.testing.assert_array_equal(again.ranges, reading.ranges)
+            np.testing.assert_array_equal(again.start.table, reading.start.table)
+
+
+def test_a_state_is_a_copy(make_setup, start_at):
+    twin, told = driven(make_setup, start_at)
+    state = twin.state()
+    before = {name: values.copy() for name, values in state.items()}
+    twin.restart(np.array([0, 3]), Start.proposed(twin.setup, 2), twin.step(told[0], PERIOD))
+    twin.restore(state)
+    twin.step(told[0], PERIOD)
+    for name, values in before.items():
+        np.testing.assert_array_equal(state[name], values)
+
+
+def test_robots_that_begin_anew_leave_the_others_alone(make_setup, start_at):
+    twin, told = driven(make_setup, start_at)
+    state, anew = twin.state(), np.array([0, 3])
+    expected = twin.step(told[0], PERIOD)
+    twin.restore(state)
+    reading = twin.restart(anew, Start.proposed(twin.setup, 2, world=1), twin.step(told[0], PERIOD))
+    loop = twin.setup.worlds[1]
+    assert reading.pose[anew] == pytest.approx(np.array([loop.start] * 2))
+    assert (reading.start.world[anew] == 1).all()
+    assert (reading.twist[anew] == 0).all()
+    ahead = twin.setup.laser.angles.size // 2
+    assert reading.ranges[anew, ahead] == pytest.approx(2.5 * 2 + 1.25, abs=0.05)  # up to the corner tile
+    others = np.delete(np.arange(30), anew)
+    np.testing.assert_array_equal(reading.pose[others], expected.pose[others])
+    np.testing.assert_array_equal(reading.ranges[others], expected.ranges[others])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda state: state["start"].__setitem__((0, WORLD), 2), "world that is not there"),
+        (lambda state: state["start"].__setitem__((0, WORLD), -1), "world that is not there"),
+        (lambda state: state["start"].__setitem__((0, WORLD), np.nan), "world that is not there"),
+        (lambda state: state["start"].__setitem__((0, 12), 1e9), "parameters are far"),
+        (lambda state: state["start"].__setitem__((0, 12), np.nan), "parameters are far"),
+        (lambda state: state["rims"].__setitem__((0, 0), 1e9), "faster than they can"),
+        (lambda state: state["rims"].__setitem__((0, 0), np.nan), "faster than they can"),
+    ],
+)
+def test_a_state_from_which_a_step_would_not_end_is_refused(change, words, make_setup, start_at):
+    twin, _ = driven(make_setup, start_at)
+    state = twin.state()
+    change(state)
+    with pytest.raises(ValueError, match=words):
+        twin.restore(state)
+
+
+def test_a_robot_of_negative_coupling_has_states_too(make_setup):
+    setup = make_setup(robot=replace(ROBOT, wheel_coupling=-0.4), beams=1)
+    twin = KinematicSimulation(setup)
+    expected = twin.step(np.array([[0.5, 0.5]]), PERIOD).pose
+    twin.restore(twin.state())
+    assert twin.state()["poses"] == pytest.approx(expected)

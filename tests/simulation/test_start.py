@@ -1,0 +1,94 @@
+"""The start of an episode, and what a reading says of it."""
+
+import numpy as np
+import pytest
+
+from tb2rl.errors import InputError
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.simulation import SIMULATIONS, Reading, Start, simulate
+
+
+def test_a_start_is_what_the_world_proposes(make_setup):
+    setup = make_setup("loop", "maze", "wall")
+    start = Start.proposed(setup, 4, np.array([2, 0, 1, 2]))
+    for robot, number in enumerate([2, 0, 1, 2]):
+        world = setup.worlds[number]
+        assert start.pose[robot].tolist() == list(world.start)
+        assert start.world[robot] == number
+        assert start.bounds[robot].tolist() == list(world.bounds)
+        expected = world.goal[:2] if world.goal else (np.nan, np.nan)
+        np.testing.assert_array_equal(start.goal[robot], expected)
+        np.testing.assert_array_equal(start.parameters[robot], ROBOT.parameters)
+
+
+def test_all_robots_begin_in_the_first_world_unless_it_is_said(make_setup):
+    setup = make_setup("loop", "maze")
+    assert Start.proposed(setup, 3).world.tolist() == [0, 0, 0]
+    assert Start.proposed(setup, 2, 1).pose.tolist() == [list(setup.worlds[1].start)] * 2
+
+
+def test_a_start_that_is_changed_leaves_the_next_one_as_it_was(make_setup):
+    setup = make_setup("wall")
+    start = Start.proposed(setup, 2)
+    before = start.table.copy()
+    start.pose[:], start.goal[:], start.bounds[:], start.parameters[:] = 1.0, 2.0, 3.0, 4.0
+    assert (start.table != before).sum(axis=1).min() >= 14
+    np.testing.assert_array_equal(Start.proposed(setup, 2).table, before)
+
+
+@pytest.mark.parametrize("name", SIMULATIONS)
+def test_every_simulation_begins_where_it_is_told_at_rest_and_says_so(name, make_setup, start_at):
+    setup = make_setup("loop", "maze", beams=3)
+    simulation = simulate(name, setup)
+    start = start_at(setup, [(9.0, 1.0, 1.5)], world=1)
+    start.goal[:] = 4.0, 2.0
+    reading = simulation.reset(start, np.random.default_rng(0))
+    assert simulation.robots == 1
+    assert reading.pose == pytest.approx(np.array([[9.0, 1.0, 1.5]]))
+    assert reading.odometry == pytest.approx(np.array([[9.0, 1.0, 1.5]]))
+    assert reading.twist.tolist() == [[0.0, 0.0]]
+    assert reading.bumped.tolist() == [False]
+    after = simulation.step(np.array([[0.1, 0.0]]), 0.2)
+    for seen in (reading, after):
+        assert (seen.start.world.tolist(), seen.goal.tolist()) == ([1], [[4.0, 2.0]])
+    simulation.close()
+    simulation.close()  # once more does no harm
+
+
+def test_an_unknown_simulation_is_refused_with_the_known_ones(make_setup):
+    with pytest.raises(
+        InputError, match="unknown simulation 'bulet'; did you mean 'bullet'\\? known: bullet, kinematic"
+    ):
+        simulate("bulet", make_setup())
+
+
+def test_the_twin_has_no_window(make_setup):
+    with pytest.raises(InputError, match="'kinematic' has none"):
+        simulate("kinematic", make_setup(), window=True)
+
+
+# ---- readings
+
+
+def test_the_nearest_range_is_that_of_each_robot(make_reading):
+    assert make_reading(ranges=[[2.0, 1.0], [np.inf, 3.0], [np.inf, np.inf]]).nearest.tolist() == [1.0, 3.0, np.inf]
+
+
+def test_some_rows_of_a_reading_are_a_reading_of_these_robots(make_reading):
+    reading = make_reading(ranges=np.arange(12).reshape(4, 3), pose=np.arange(12).reshape(4, 3), bumped=[0, 1, 0, 1])
+    reading.start.goal[:] = np.arange(8).reshape(4, 2)
+    some = reading.some(np.array([3, 1]))
+    assert some.pose.tolist() == [[9, 10, 11], [3, 4, 5]]
+    assert some.ranges.tolist() == [[9, 10, 11], [3, 4, 5]]
+    assert some.goal.tolist() == [[6, 7], [2, 3]]
+    assert some.bumped.tolist() == [True, True]
+
+
+def test_a_reading_comes_back_from_its_state_whatever_became_of_it(make_reading):
+    reading = make_reading(nearest=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
+    state = reading.state()
+    reading.start.goal[:] = 0.0
+    again = Reading.from_state(state)
+    assert again.goal.tolist() == [[3.0, 4.0]] * 2
+    assert again.nearest.tolist() == [1.0, 2.0]
+    assert again.twist.tolist() == [[0.5, 0.1]] * 2

@@ -1,0 +1,139 @@
+"""One policy of the zoo: its recipe, and what the files in its folder say."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.files import read_text, read_yaml, top_folder
+from tb2rl.runs.config import Config
+from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
+from tb2rl.train import parse as parse_training
+from tb2rl.train import requested
+
+CLOSED_MAZES = ("loop", "circuit", "round", "maze")  # around `wall` is open floor: a robot that drives away is safe
+ELSEWHERE = "elsewhere.json"  # in an entry's folder, beside files of its run folder
+PROMISED, PROMISED_TABULAR = 0.99, 0.95  # share of good episodes
+GOOD_SPEED = 0.75  # of the fastest command: no driver is faster
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One policy of the zoo; what it reads of its folder is there once it is built."""
+
+    name: str
+    recipe: str  # arguments of `python -m tb2rl.train`
+    folder: Path
+
+    @cached_property
+    def config(self) -> Config:
+        """What it was trained to do."""
+        return Run.open(self.folder).config
+
+    @property
+    def requested(self) -> Config:
+        """What the recipe asks for."""
+        return requested(parse_training(shlex.split(self.recipe)))
+
+    @cached_property
+    def figures(self) -> dict[str, Any]:
+        """The standard evaluation, see `Evaluation.summary`, and every episode of it as `each`."""
+        return _read(self.folder / EVALUATION)[0]
+
+    @cached_property
+    def elsewhere(self) -> dict[str, dict[str, Any]]:
+        """The same figures in each world that it never saw."""
+        return _read(self.folder / ELSEWHERE)[0]
+
+    @cached_property
+    def notes(self) -> list[dict[str, Any]]:
+        """The evaluations while training."""
+        return _read(self.folder / EVALUATIONS, lines=True)
+
+    @property
+    def is_built(self) -> bool:
+        """Whether all its files are there."""
+        return (self.folder / ELSEWHERE).is_file()
+
+    @property
+    def is_as_requested(self) -> bool:
+        """Whether it was trained as its recipe says."""
+        return self.config.to_dict() == self.requested.to_dict()
+
+    @property
+    def world(self) -> str:
+        """The name of the world that it was trained in."""
+        return self.config.task.world
+
+    @property
+    def beams(self) -> int:
+        """How many beams it observes."""
+        return len(self.config.scene.laser.angles)
+
+    @property
+    def good(self) -> str:
+        """Which rate counts the good episodes."""
+        return "success" if self.config.task.goal_task else "failure_free"
+
+    @property
+    def good_rate(self) -> float:
+        """Share of the good episodes in the standard evaluation."""
+        return self.figures[f"{self.good}_rate"]
+
+    @property
+    def promised(self) -> float:
+        """The share of good episodes that the zoo promises."""
+        return PROMISED_TABULAR if self.config.observation == "discrete" else PROMISED
+
+    @property
+    def promised_speed(self) -> float:
+        """The share of the fastest command's speed that the zoo promises; 0 where the way to the goal decides."""
+        return 0.0 if self.good == "success" else GOOD_SPEED
+
+    @property
+    def speed_share(self) -> float:
+        """Mean speed over that of the fastest command, which no driver can exceed."""
+        return self.figures["mean_speed"] / self.config.scene.actions.fastest
+
+    @property
+    def trained(self) -> int:
+        """Training steps."""
+        return self.notes[-1]["timesteps"]
+
+    @property
+    def kept_after(self) -> int:
+        """Training steps of the policy that was kept."""
+        return next(note["timesteps"] for note in reversed(self.notes) if note["best"])
+
+
+def _read(file: Path, lines: bool = False) -> list[Any]:
+    """The JSON in a file, or in each line of it."""
+    text = read_text(file)
+    try:
+        return [json.loads(part) for part in (text.splitlines() if lines else [text])]
+    except ValueError as error:
+        raise InputError(one_line(f"{file} is not JSON: {error}")) from None
+
+
+def zoo_folder() -> Path:
+    """Where the zoo is."""
+    return top_folder("zoo")
+
+
+def entries(names: Sequence[str] = ()) -> list[Entry]:
+    """The policies of these names; without names all.
+
+    Raises:
+        InputError: For a name that has no recipe.
+    """
+    recipes = read_yaml(zoo_folder() / "recipes.yaml")
+    for name in names:
+        if name not in recipes:
+            raise unknown("zoo policy", name, recipes)
+    return [Entry(name, recipes[name], zoo_folder() / name) for name in names or recipes]
