@@ -35,7 +35,7 @@ def export_policy(reference: str | Path, file: Path) -> None:
     """
     algorithm = load(reference)
     if not file.absolute().parent.is_dir() or file.is_dir():
-        raise InputError(f"cannot write {file}: it is a folder, or there is none for it")
+        raise InputError(f"cannot write {file}: it is a folder, or its folder does not exist")
     if hasattr(algorithm, "replay_buffer_class"):
         algorithm.replay_buffer_class = None  # Stable-Baselines3 chooses it again, and warns if it finds its own choice
     try:

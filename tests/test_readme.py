@@ -1,61 +1,173 @@
-"""What the README shows works as it stands there."""
+"""What the pages for readers show works as it stands there: every file in them is saved, every command is run."""
 
 from __future__ import annotations
 
 import re
+import runpy
+import shlex
+import sys
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-import tb2rl
-from tb2rl.registry import Agent
-from tb2rl.tasks import Task
-
-README = Path(__file__).parent.parent / "README.md"
-BLOCKS = re.findall(r"```(\w*)\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
-
-
-def block(containing: str) -> str:
-    found = [text for _, text in BLOCKS if containing in text]
-    assert len(found) == 1
-    return found[0]
-
-
-def test_the_task_of_the_readme_is_a_task():
-    names: dict = {}
-    exec(block("class MyTurtleBot2Maze"), names)
-    task = names["MyTurtleBot2Maze"]
-    assert issubclass(task, Task)
-    assert tb2rl.make_env(task, simulation="kinematic").action_space.n == 4
+CHECKOUT = Path(__file__).parent.parent
+DOORS = ("agents", "configs", "tb2rl/robots", "tb2rl/sensors", "tb2rl/tasks", "tb2rl/worlds", "zoo")
+PAGES = ("README.md", "FROM_ROS.md", "CONTRIBUTING.md", *(f"{door}/README.md" for door in DOORS))
+SHORTER = {  # what is put behind a command, so that it is over in a moment
+    "train": "--simulation kinematic --n-envs 32 --total-timesteps 256 --eval-freq 0 --no-evaluation --no-progress",
+    "evaluate": "--episodes 1 --steps 3 --workers 1",
+    "play": "--steps 3 --video film.gif",
+    "convert": "",
+}
+RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
+NOT_TRIED = ("make", "pip", "python3.11", ".", "tensorboard", "git", "cd")  # they would install something, or never end
+ONLY_READ = {"--teleop", "--seeds", "tb2rl.report", "tb2rl.zoo"}  # they take long, or want a terminal
+SAVED = re.compile(r"(?:Save (?:this|it) as|and this as) `([\w.]+)`")
 
 
-def test_the_agent_of_the_readme_is_an_agent():
-    names: dict = {}
-    exec(block("AGENT = Agent("), names)
-    assert isinstance(names["AGENT"], Agent)
+@dataclass(frozen=True)
+class Block:
+    """Lines between fences: their language, and the name of the file that they are to be saved as."""
+
+    language: str
+    text: str
+    file: str | None
 
 
-def test_the_drawing_of_the_readme_is_a_maze_to_train_in(tmp_path):
-    (tmp_path / "my_maze.txt").write_text(block("#S"))
-    env = tb2rl.make_env("maze", maze=str(tmp_path / "my_maze.txt"), simulation="kinematic")
-    env.reset(seed=0)
-    assert env.maze.goal is not None
-    assert min(env.maze.clearance(*env.maze.random_poses(np.random.default_rng(0), 1, 0.6)[0, :2]) for _ in "ab") >= 0.6
+def read(page: str) -> str:
+    return (CHECKOUT / page).read_text(encoding="utf-8")
 
 
-def test_every_picture_of_the_readme_is_there():
-    pictures = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", README.read_text(encoding="utf-8"))
-    assert pictures
-    assert [name for name in pictures if not (README.parent / name).is_file()] == []
+def blocks(page: str) -> list[Block]:
+    found, before = [], 0
+    text = read(page)
+    for match in re.finditer(r"^```(\w*)\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE):
+        paragraph = text[before : match.start()].rstrip().rpartition("\n\n")[2]
+        file = SAVED.search(paragraph.replace("\n", " "))
+        found.append(Block(match[1], match[2], file and file[1]))
+        before = match.end()
+    return found
 
 
-@pytest.mark.parametrize("link", re.findall(r"[^!]\[[^\]]+\]\((?!http)([^)]+)\)", README.read_text(encoding="utf-8")))
-def test_every_link_of_the_readme_leads_somewhere(link):
-    assert (README.parent / link).exists()
+def commands(page: str) -> list[list[str]]:
+    """The words of each command that a page shows, without comments."""
+    shown = [line for block in blocks(page) if block.language == "sh" for line in block.text.splitlines()]
+    return [words for line in shown if (words := shlex.split(line, comments=True))]
+
+
+def run(command: list[str], number: int) -> None:
+    """Run a command of tb2rl here, but shorter."""
+    module, arguments = command[2], command[3:]
+    if ONLY_READ & set(command):
+        import_module(module.replace("zoo", "zoo.__main__")).parse(arguments)
+        return
+    name = module.removeprefix("tb2rl.")
+    more = RESUMED if "--resume" in arguments else SHORTER[name]
+    if name == "train" and not {"--name", "--resume"} & set(arguments):
+        more += f" --name number-{number}"
+    import_module(module).main([*arguments, *more.split()])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder to work in, where Python finds modules, and forgets them afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    known = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - known:
+        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+def save_files(page: str, folder: Path) -> None:
+    for block in blocks(page):
+        if block.file:
+            (folder / block.file).write_text(block.text, encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
+def test_every_command_of_a_page_runs(page, folder):
+    save_files(page, folder)
+    for number, command in enumerate(commands(page)):
+        if command[:2] == ["python", "-m"]:
+            run(command, number)
+        elif command[0] == "python":  # a file of the page, tried by a test of its own
+            assert (folder / command[1]).is_file()
+        else:
+            assert command[0] in NOT_TRIED
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_python_example_of_a_page_runs(page, folder):
+    save_files(page, folder)
+    for block in blocks(page):
+        if block.language == "python" and not block.file:
+            exec(compile(block.text, page, "exec"), {})
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "```console" in read(page)])
+def test_errors_are_what_the_page_says(page, folder, capsys):
+    save_files(page, folder)
+    for block in blocks(page):
+        if block.language == "console":
+            for shown in re.findall(r"^\$ (.*)\n(.*)$", block.text, flags=re.MULTILINE):
+                command, expected = shlex.split(shown[0]), shown[1]
+                with pytest.raises(SystemExit):
+                    import_module(command[2]).main(command[3:])
+                assert capsys.readouterr().err.strip().splitlines()[-1].replace(f"{folder}/", "") == expected
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_of_a_page_leads_somewhere(page):
+    for link in re.findall(r"\]\((?!http)([^)]+)\)", read(page)):
+        path, _, anchor = link.partition("#")
+        target = (CHECKOUT / page).parent / path if path else CHECKOUT / page
+        assert target.exists(), link
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), flags=re.MULTILINE)
+            assert anchor in [re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings], link
+
+
+def test_the_loop_of_ones_own_learns(folder, capsys):
+    save_files("FROM_ROS.md", folder)
+    script = folder / "my_training.py"
+    short = script.read_text().replace("0.98, 4000", "0.98, 1300").replace("range(5)", "range(1)")
+    script.write_text(short.replace('TurtleBot2Maze-v0")  #', 'TurtleBot2Maze-v0", episode_steps=50)  #'))
+    runpy.run_path(str(script))
+    lines = capsys.readouterr().out.splitlines()
+    lengths = [int(found[1]) for line in lines if (found := re.search(r"last 100: (\d+) steps", line))]
+    assert len(lengths) == 10
+    assert lengths[-1] > 2 * lengths[0]
+    assert re.fullmatch(r"drove \d+ m, ended by [a-z ]+", lines[-1])
+
+
+def test_the_motors_of_the_example_robot_are_as_measured(folder):
+    from tb2rl.simulation.motors import measure_motors
+
+    save_files("tb2rl/robots/README.md", folder)
+    robot = import_module("mini").ROBOT
+    assert measure_motors(robot) == pytest.approx((robot.wheel_acceleration, robot.wheel_coupling), abs=2e-3)
+
+
+def test_the_task_of_the_readme_does_what_the_built_in_one_does(folder):
+    import tb2rl
+
+    save_files("README.md", folder)
+    shown = tb2rl.make_env("my_task:MyTurtleBot2Maze", simulation="kinematic")
+    built_in = tb2rl.make_env("my-maze", simulation="kinematic")
+    assert shown.reset(seed=1)[0].tolist() == built_in.reset(seed=1)[0].tolist()
+    for action in (0, 1, 3, 3, 2, 0, 0):
+        assert shown.step(action)[1] == built_in.step(action)[1]
+
+
+def test_the_task_of_the_readme_is_short():
+    (text,) = [block.text for block in blocks("README.md") if block.file == "my_task.py"]
+    assert len([line for line in text.splitlines() if line.strip()]) <= 15
 
 
 def test_the_results_of_the_readme_are_those_of_the_zoo():
-    keeper = import_module("tb2rl.zoo.__main__")
-    assert keeper.overview(keeper.entries()) in README.read_text(encoding="utf-8")
+    built = import_module("tb2rl.zoo.entry").entries()
+    assert import_module("tb2rl.zoo.cards").overview(built) in read("README.md")

@@ -87,7 +87,7 @@ class Image:
         self.space = spaces.Box(0, 255, sensor.shape, np.uint8)
 
     def __call__(self, reading: Reading) -> np.ndarray:
-        return self._sensor.read(reading)
+        return np.array(self._sensor.read(reading))  # rows of it are overwritten where episodes end
 
 
 class Mixed:

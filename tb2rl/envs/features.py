@@ -7,6 +7,8 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
+from tb2rl.errors import InputError
+
 _NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
 
 
@@ -21,11 +23,19 @@ class Nearness(BaseFeaturesExtractor):
         middle: Nearness that becomes 0.
         spread: Factor on the difference to it.
         offset: [m] Small: the last decimetres before a wall stand out.
+
+    Raises:
+        InputError: If there are images among the observations.
     """
+
+    _is_distance: th.Tensor
+    _largest: th.Tensor
 
     def __init__(
         self, observation_space: spaces.Box, middle: float = 0.0, spread: float = 1.0, offset: float = 1.0
     ) -> None:
+        if not (isinstance(observation_space, spaces.Box) and len(observation_space.shape) == 1):
+            raise InputError("Nearness reads numbers alone; with images take, for example, agent stable_baselines3:PPO")
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
         self.middle, self.spread, self.offset = middle, spread, offset
         units = getattr(observation_space, "units", ("m",) * observation_space.shape[0])

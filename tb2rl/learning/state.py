@@ -48,14 +48,11 @@ def capture(algorithm: BaseAlgorithm, callbacks: Sequence[Stateful], in_rollout:
     """
     assert algorithm.env is not None
     parameters = parameters_of(algorithm)
-    buffer = getattr(algorithm, "replay_buffer", None)
     return {
         "others": parameters["others"],
         "tensors": parameters["tensors"],
         "algorithm": _values(algorithm),
-        "replay_buffer": _first_rows(_values(buffer), buffer, buffer.size())
-        if isinstance(buffer, BaseBuffer)
-        else None,
+        "replay_buffer": _filled(getattr(algorithm, "replay_buffer", None)),
         "generators": generators_of(algorithm),
         "noise": noise_of(algorithm) if in_rollout else None,
         "environments": environments.state_of(algorithm.env),
@@ -151,6 +148,10 @@ def _first_rows(value: Any, buffer: BaseBuffer, count: int) -> Any:
         return {name: _first_rows(part, buffer, count) for name, part in value.items()}
     is_table = isinstance(value, np.ndarray) and value.ndim > 0 and len(value) == buffer.buffer_size
     return value[:count] if is_table else value
+
+
+def _filled(buffer: BaseBuffer | None) -> dict[str, Any] | None:
+    return None if buffer is None else _first_rows(_values(buffer), buffer, buffer.size())
 
 
 def _refill(buffer: BaseBuffer, values: Mapping[str, Any]) -> None:

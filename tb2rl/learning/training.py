@@ -152,7 +152,7 @@ def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progres
         resources.callback(algorithm.logger.close)
         started = time.monotonic()
         with stop:
-            with learning_troubles_named(algorithm, folder):
+            with learning_troubles_named(algorithm, run):
                 left = settings.total_timesteps - done
                 algorithm.learn(left, watching, reset_num_timesteps=checkpoint is None, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")

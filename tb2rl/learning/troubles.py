@@ -11,8 +11,10 @@ from pathlib import Path
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.errors import InputError
+from tb2rl.runs.algorithm import refusal
 from tb2rl.runs.arguments import LIBRARY_ERRORS
+from tb2rl.runs.folder import Run
 
 _DISK_TROUBLES = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 _LIBRARIES = {"stable_baselines3", "sb3_contrib", "torch", "numpy"}
@@ -39,14 +41,14 @@ def machine_troubles_named(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def learning_troubles_named(algorithm: BaseAlgorithm, folder: Path) -> Iterator[None]:
+def learning_troubles_named(algorithm: BaseAlgorithm, run: Run) -> Iterator[None]:
     """Say in one line that the weights are not numbers any more, or that the algorithm fails with its settings.
 
     An error of the task, of the environment or of a user's own algorithm is a bug, and keeps its traceback.
 
     Args:
         algorithm: What learns during the block.
-        folder: Of the run.
+        run: Its run.
 
     Raises:
         InputError: If that is so.
@@ -57,15 +59,12 @@ def learning_troubles_named(algorithm: BaseAlgorithm, folder: Path) -> Iterator[
         raise
     except LIBRARY_ERRORS as error:
         if not all(bool(th.isfinite(parameter).all()) for parameter in algorithm.policy.parameters()):
-            message = (
-                f"the training in {folder} diverged (its weights are not finite); try a smaller agent.learning_rate"
-            )
+            reason = "the training diverged (its weights are not finite); try a smaller agent.learning_rate"
         elif _arose_in_libraries(error):
-            cause = f"{type(error).__name__}: {error}"
-            message = f"{type(algorithm).__name__} cannot learn with its settings, or its state, in {folder} ({cause})"
+            reason = str(refusal(run.config, f"{type(error).__name__}: {error}"))
         else:
             raise
-        raise InputError(one_line(message)) from error
+        raise InputError(f"{run.folder}: {reason}") from error
 
 
 def _arose_in_libraries(error: BaseException) -> bool:

@@ -106,7 +106,7 @@ class Watcher(BaseCallback):
         return self._largest_value() > _DIVERGED * self._largest_reward / (1.0 - gamma)
 
     def _largest_value(self) -> float:
-        """The largest value that the policy now expects, 0 where it has no values, or none without a memory."""
+        """The largest value that the policy now expects, 0 where it has no values, or needs a memory for them."""
         policy: Any = self.model.policy
         if hasattr(policy, "q"):
             return float(policy.q.abs().max())

@@ -61,7 +61,7 @@ class Commands(Actions):
         commands: v [m/s] and w [rad/s] by name, at least one.
 
     Raises:
-        InputError: If there is none of them.
+        InputError: If there is none of them, or a name that is not free, such as `space`.
     """
 
     space: spaces.Discrete
@@ -70,9 +70,12 @@ class Commands(Actions):
         if not commands:
             raise InputError("a task needs at least one action")
         self.names = tuple(commands)
-        self.table = np.array(list(commands.values()), dtype=float).reshape(-1, 2)
+        self.table = np.array(list(commands.values()), dtype=float).reshape(len(commands), 2)
         self.space = spaces.Discrete(len(self.names))
         self.fastest = float(np.abs(self.table[:, 0]).max())
+        taken = [name for name in self.names if hasattr(self, name)]
+        if taken:
+            raise InputError(f"an action cannot be called {taken[0]!r}, which means something else here")
         self.__dict__.update({name: number for number, name in enumerate(self.names)})
 
     def __getattr__(self, name: str) -> int:  # for what is not an attribute

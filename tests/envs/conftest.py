@@ -1,0 +1,88 @@
+"""Environments that are closed after a test, and tasks with other actions and sensors than the built-in ones."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from tb2rl import make_env
+from tb2rl.sensors import Sensor
+from tb2rl.tasks import Outcome, Task, Velocities
+from tb2rl.tasks.wander import Wander
+
+
+@dataclass(frozen=True)
+class Glide(Task):
+    """Wander at any speed."""
+
+    world: str = "circuit"
+    actions = Velocities(forward=(-0.1, 0.5), turn=(-2.0, 2.0))
+
+    def judge(self, before, action, after):
+        return Outcome(after.twist[:, 0], failed={"crash": after.bumped})
+
+
+class Map(Sensor):
+    """A picture in which one pixel moves with the robot, brighter the nearer a wall is."""
+
+    name, low, high, shape = "map", 0, 255, (1, 36, 36)
+
+    def read(self, reading):
+        robots = len(reading.pose)
+        images = np.zeros((robots, *self.shape), np.uint8)
+        rows, columns = (reading.pose[:, :2] % 9.0 * 4.0).astype(int).T
+        images[np.arange(robots), 0, rows, columns] = 255 / (1.0 + reading.nearest)
+        return images
+
+
+@dataclass(frozen=True)
+class Beside(Wander):
+    """Wander with an image beside the laser."""
+
+    def sensors(self, setup):
+        return (*super().sensors(setup), Map())
+
+
+@dataclass(frozen=True)
+class Alone(Wander):
+    """Wander by an image alone."""
+
+    def sensors(self, setup):
+        return (Map(),)
+
+
+@pytest.fixture
+def glide():
+    """The task `Glide`."""
+    return Glide
+
+
+@pytest.fixture(params=[Alone, Beside])
+def image_task(request):
+    """A task that observes an image: alone, or beside the laser's ranges."""
+    return request.param
+
+
+@pytest.fixture
+def make():
+    """`make_env`, whose environments are closed after the test."""
+    with ExitStack() as stack:
+        yield lambda *arguments, **settings: stack.enter_context(closing(make_env(*arguments, **settings)))
+
+
+@pytest.fixture
+def drive():
+    """A function from an environment and actions to the answers of `step`, as far as the episode goes."""
+
+    def answers_of(env, actions):
+        answers = []
+        for action in actions:
+            answers.append(env.step(action))
+            if answers[-1][2] or answers[-1][3]:
+                break
+        return answers
+
+    return answers_of

@@ -1,0 +1,236 @@
+"""Thousands of robots as one vectorised environment: what each meets, and how episodes end and begin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import pytest
+
+import tb2rl
+from tb2rl.envs.batch import BatchVecEnv
+from tb2rl.envs.scene import make_scene
+from tb2rl.judging.evaluator import Evaluator
+from tb2rl.runs.loading import config_of
+from tb2rl.simulation import Start
+from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.wander import Wander
+
+
+def batch(task, observation, robots, seed=0, **arguments):
+    env = BatchVecEnv(make_scene(task, observation), robots, **arguments)
+    env.seed(seed)
+    return env, env.reset()
+
+
+def rollout(robots, steps=300):
+    """What the first eight of so many robots meet, each told by a rule of its own observation."""
+    env, observations = batch(Wander(noise=0.01, episode_steps=60), "raw", robots, seed=5)
+    seen = []
+    for _ in range(steps):
+        observations, rewards, dones, _ = env.step((observations[:, 0] * 100).astype(int) % 3)
+        seen += [observations[:8].copy(), rewards[:8].copy(), dones[:8].copy()]
+    return seen
+
+
+@pytest.fixture
+def one_thread():
+    """Every parallel loop of the test runs in one thread."""
+    numba.set_num_threads(1)
+    yield
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+
+
+def test_results_do_not_depend_on_threads(one_thread):
+    alone = rollout(1000)
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    for one, two in zip(alone, rollout(1000), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_equal_seeds_give_equal_episodes_and_others_do_not():
+    poses = [batch(Wander(), "raw", 20, seed)[0].simulation.state()["poses"] for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(poses[0], poses[1])
+    assert (poses[0] != poses[2]).all()
+
+
+def test_an_episode_ends_as_stable_baselines_expects():
+    env, _ = batch(Wander(episode_steps=40), "discrete", 64, reward_scale=0.5)
+    rng, endings, returns = np.random.default_rng(0), set(), np.zeros(64)
+    for _ in range(100):
+        observations, rewards, dones, infos = env.step(rng.choice(3, size=64, p=[0.2, 0.5, 0.3]))
+        returns += rewards / 0.5
+        for i, info in enumerate(infos):
+            assert bool(info) == dones[i]
+            if dones[i]:
+                endings.add(info["ended"])
+                assert info["TimeLimit.truncated"] == (info["ended"] == "time limit") == info["is_success"]
+                assert info["failed"] == (info["ended"] == "crash")
+                assert info["episode"]["r"] == pytest.approx(returns[i])
+                assert env.observation_space.contains(info["terminal_observation"])
+                assert env.observation_space.contains(observations[i])
+                returns[i] = 0.0
+    assert endings == {"crash", "time limit"}
+
+
+def test_an_episode_lasts_as_many_steps_as_it_says():
+    env, _ = batch(Wander(episode_steps=7), "raw", 5)
+    ends = [env.step(np.ones(5, int))[2:] for _ in range(15)]
+    assert [dones.all() for dones, _ in ends] == [step in (6, 13) for step in range(15)]
+    assert [info["episode"]["l"] for info in ends[13][1]] == [7] * 5
+
+
+@pytest.mark.parametrize("observation", ["raw", "discrete"])
+def test_a_batch_of_one_is_the_gymnasium_environment(observation):
+    task = Wander(start="fixed", episode_steps=80)
+    many, first = batch(task, observation, 1)
+    env = tb2rl.make_env(task, observation, simulation="kinematic")
+    np.testing.assert_array_equal(first[0], env.reset()[0])
+    for action in np.random.default_rng(1).choice(3, size=80, p=[0.3, 0.4, 0.3]):
+        observations, rewards, dones, infos = many.step(np.array([action]))
+        seen, reward, terminated, truncated, info = env.step(action)
+        assert (rewards[0], dones[0]) == (reward, terminated or truncated)
+        if dones[0]:
+            assert (infos[0]["ended"], infos[0]["failed"]) == (info["ended"], info["failed"])
+            assert infos[0]["distance"] == pytest.approx(info["distance"])
+            np.testing.assert_array_equal(infos[0]["terminal_observation"], seen)
+            break
+        np.testing.assert_array_equal(observations[0], seen)
+    assert dones[0]
+
+
+def test_a_batch_of_one_drives_at_any_velocities_as_the_gymnasium_environment(glide):
+    task = glide(start="fixed", episode_steps=30)
+    many, _ = batch(task, "raw", 1)
+    env = tb2rl.make_env(task, "raw", simulation="kinematic")
+    env.reset()
+    for action in np.random.default_rng(1).uniform(-1.2, 1.2, (29, 2)).astype(np.float32):
+        observations, rewards, dones, _ = many.step(action[None])
+        seen, reward, terminated, truncated, _ = env.step(action)
+        assert rewards[0] == pytest.approx(reward)
+        assert dones[0] == (terminated or truncated)
+        if dones[0]:
+            break
+        np.testing.assert_array_equal(observations[0], seen)
+
+
+def test_a_goal_is_reached_in_the_twin_too():
+    env, _ = batch(ReachGoal(world="wall", goal=(1.0, 0.0), start="fixed"), "raw", 3)
+    for _ in range(20):
+        _, _, dones, infos = env.step(np.zeros(3, dtype=int))
+        if dones.any():
+            break
+    assert [info["ended"] for info in infos] == ["goal"] * 3
+    assert all(info["is_success"] and not info["failed"] for info in infos)
+
+
+# ---- images
+
+
+def test_images_are_observed_by_all_robots_and_kept_where_episodes_end(image_task):
+    env, first = batch(image_task(episode_steps=20), "raw", 50)
+    space, rng, ended = env.observation_space, np.random.default_rng(0), 0
+
+    def of(observations, robot):
+        return {n: v[robot] for n, v in observations.items()} if isinstance(observations, dict) else observations[robot]
+
+    def image(observation):
+        return observation["map"] if isinstance(observation, dict) else observation
+
+    assert all(space.contains(of(first, robot)) for robot in range(50))
+    for _ in range(45):
+        observations, _, dones, infos = env.step(rng.choice(3, size=50))
+        for robot in range(50):
+            seen, pose = of(observations, robot), env.simulation.state()["poses"][robot]
+            assert space.contains(seen)
+            row, column = (pose[:2] % 9.0 * 4.0).astype(int)
+            assert image(seen)[0, row, column] == image(seen).sum() > 0  # it is the picture of where the robot is
+            if dones[robot]:
+                ended += 1
+                last = infos[robot]["terminal_observation"]
+                row, column = (infos[robot]["pose"][:2] % 9.0 * 4.0).astype(int)
+                assert space.contains(last)
+                assert image(last)[0, row, column] == image(last).sum() > 0
+    assert ended >= 100
+
+
+# ---- episodes in other worlds, with other robots
+
+
+@dataclass(frozen=True)
+class Varied(Wander):
+    """Each episode begins in one of the worlds with a robot of another top speed."""
+
+    def begin(self, setup, draws):
+        numbers = draws.uniform(2)
+        start = Start.proposed(setup, draws.robots, (numbers[:, 0] * len(setup.worlds)).astype(int))
+        start.parameters[:, 2] *= 0.5 + 0.5 * numbers[:, 1]
+        return start
+
+
+def test_each_episode_begins_with_a_world_and_a_robot_of_its_own(make_setup):
+    scene = make_scene(Varied(episode_steps=5), "raw")
+    object.__setattr__(scene, "setup", make_setup("loop", "maze", "wall", beams=36))
+    env = BatchVecEnv(scene, 40)
+    env.seed(0)
+    env.reset()
+    starts = []
+    for _ in range(11):
+        env.step(np.zeros(40, int))
+        starts.append(env.state()["simulation"]["start"])
+    assert set(starts[0][:, 3]) == {0, 1, 2}
+    np.testing.assert_array_equal(starts[0], starts[3])
+    assert (starts[3][:, 12] != starts[4][:, 12]).all()  # the fifth step ends all episodes
+    assert (starts[3][:, 3] != starts[4][:, 3]).any()
+    few = BatchVecEnv(scene, 10)
+    few.seed(0)
+    few.reset()
+    for _ in range(11):
+        few.step(np.zeros(10, int))
+    np.testing.assert_array_equal(few.state()["simulation"]["start"], starts[-1][:10])
+
+
+# ---- states
+
+
+def test_it_goes_on_from_a_restored_state_to_the_bit():
+    task, rng = ReachGoal(noise=0.01, episode_steps=15), np.random.default_rng(0)
+    actions = rng.integers(3, size=(60, 25))
+    env, _ = batch(task, "raw", 25)
+    for chosen in actions[:20]:
+        env.step(chosen)
+    state = env.state()
+    expected = [env.step(chosen) for chosen in actions[20:]]
+    for other in (env, BatchVecEnv(env.scene, 25)):
+        other.restore(state)
+        for chosen, answer in zip(actions[20:], expected, strict=True):
+            np.testing.assert_equal(other.step(chosen), answer)
+
+
+# ---- what policies do there
+
+
+def failure_free_in_the_twin(policy, poses, steps):
+    scene = config_of(policy).scene
+    twin, failed = KinematicSimulation(scene.setup, len(poses)), np.zeros(len(poses), dtype=bool)
+    start = Start.proposed(scene.setup, len(poses))
+    start.pose[:] = poses
+    reading = twin.reset(start, np.random.default_rng(0))
+    for _ in range(steps):
+        actions, _ = policy.predict(scene.encoding(reading), deterministic=True)
+        before, reading = reading, twin.step(scene.actions.commands(actions), scene.task.control_period)
+        failed |= scene.task.judge(before, actions, reading).failed["crash"]
+    return 1.0 - float(failed.mean())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["zoo:maze-loop-qlearn", "zoo:maze-loop-dqn"])
+def test_a_policy_is_as_good_in_both_simulations(name):
+    """200 episodes of 1 500 control steps from the same start poses."""
+    policy = tb2rl.load(name)
+    with Evaluator(config_of(policy).scene, episodes=200) as evaluator:
+        in_physics = evaluator.run(policy.policy).summary()["failure_free_rate"]
+    in_twin = failure_free_in_the_twin(policy, evaluator.poses, evaluator.scene.task.episode_steps)
+    assert in_twin == pytest.approx(in_physics, abs=0.02)

@@ -1,0 +1,86 @@
+"""What Gymnasium and Stable-Baselines3 ask of an environment, of all kinds that there are."""
+
+import os
+import subprocess
+import sys
+
+import gymnasium as gym
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
+
+import tb2rl
+from tb2rl.envs.encodings import BEAMS
+from tb2rl.registry import world_names
+from tb2rl.simulation import SIMULATIONS
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("observation", BEAMS)
+@pytest.mark.parametrize("name", tb2rl.GYM_IDS)
+def test_every_id_keeps_the_contracts_of_gymnasium_and_stable_baselines3(name, observation, simulation):
+    modes = {"observation": observation, "simulation": simulation, "render_mode": "rgb_array"}
+    env = gym.make(f"tb2rl:{name}", **modes).unwrapped
+    check_env(env, skip_render_check=True)  # it would open the window of "human"
+    check_env_for_sb3(env)
+    env.close()
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("observation", BEAMS)
+def test_so_does_a_task_of_any_velocities(observation, simulation, glide, make):
+    env = make(glide, observation, simulation=simulation)
+    check_env(env, skip_render_check=True)
+    check_env_for_sb3(env)
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+def test_so_does_a_task_that_observes_images(simulation, image_task, make):
+    env = make(image_task, "raw", simulation=simulation)
+    check_env(env, skip_render_check=True)
+    check_env_for_sb3(env)
+
+
+@pytest.mark.parametrize("world", world_names())
+def test_gymnasium_makes_it_in_any_world(world):
+    env = gym.make("tb2rl:TurtleBot2Maze-v0", world=world, observation="raw")
+    seen, info = env.reset(seed=0)
+    assert env.observation_space.contains(seen)
+    assert env.unwrapped.scene.world.name == world
+    assert env.unwrapped.scene.world.clearance(*info["pose"][:2]) >= 0.6 - 1e-3
+    env.close()
+
+
+SCRIPT = """
+import hashlib
+import gymnasium
+import tb2rl
+for name in tb2rl.GYM_IDS:
+    env = gymnasium.make(name, observation="raw", noise=0.01)
+    env.action_space.seed(5)
+    seen, info = env.reset(seed=4)
+    digest = hashlib.sha256(seen.tobytes() + info["pose"].tobytes())
+    episodes = 0
+    for _ in range(300):
+        seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        digest.update(seen.tobytes() + info["pose"].tobytes() + repr(reward).encode())
+        if terminated or truncated:
+            episodes += 1
+            digest.update(env.reset()[0].tobytes())
+    print(digest.hexdigest(), episodes)
+"""
+
+
+def test_the_same_seed_and_actions_give_the_same_trajectory_to_the_bit_in_another_process():
+    outputs = [
+        subprocess.run(
+            [sys.executable, "-c", SCRIPT],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert outputs[0] == outputs[1]
+    assert len(set(outputs[0].split("\n"))) == len(tb2rl.GYM_IDS) + 1  # each has its own

@@ -1,0 +1,205 @@
+"""What an agent observes of a reading: the classes of its numbers, or the numbers themselves, or images."""
+
+import math
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from tb2rl.envs.encodings import BEAMS, Numbers, encode, ranges_to_bins
+from tb2rl.envs.scene import make_scene
+from tb2rl.errors import InputError
+from tb2rl.files import read_yaml, top_folder
+from tb2rl.registry import find_task, task_names
+from tb2rl.robots import Laser
+from tb2rl.sensors import Sensor
+from tb2rl.sensors.laser import LaserRanges
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.wander import Wander
+from tb2rl.values import build
+
+INF, NAN = math.inf, math.nan
+
+
+class Odometry(Sensor):
+    """The robot's x."""
+
+    name, unit = "x", "m"
+    low, high, edges = -1.0, 1.0, (0.0, 0.5)
+
+    def read(self, reading):
+        return reading.odometry[:, :1]
+
+
+class Twist(Sensor):
+    """Two numbers at once, without classes."""
+
+    name, unit = "twist", "m/s"
+    low, high, shape = -4.0, 4.0, (2,)
+
+    def read(self, reading):
+        return reading.twist
+
+
+class Image(Sensor):
+    """The same picture for all, which is nobody's to change."""
+
+    name, low, high = "image", 0, 255
+    picture = np.arange(27, dtype=np.uint8).reshape(3, 3, 3)
+    shape = picture.shape
+
+    def read(self, reading):
+        return np.broadcast_to(self.picture, (len(reading.pose), *self.shape))
+
+
+def beams(count, edges=(1.0,)):
+    return LaserRanges(Laser(beams=count), edges)
+
+
+# ---- classes
+
+
+def test_ranges_fall_into_classes_whose_lower_border_belongs_to_them():
+    ranges = np.array([[0.0, 0.999, 1.0, 1.001, 1.999], [2.0, 29.0, INF, NAN, -INF]])
+    assert ranges_to_bins(ranges, [1.0, 2.0]).tolist() == [[0, 0, 1, 1, 1], [2, 2, 2, 0, 0]]
+
+
+def test_the_tutorials_classes_are_the_integer_part():
+    edges = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]["edges"]
+    ranges = np.array([NAN, 0.0, 0.999, 1.0, 2.5, 5.999, 6.0, 7.3, INF])
+    assert ranges_to_bins(ranges, edges).tolist() == [0, 0, 0, 1, 2, 5, 6, 6, 6]
+
+
+def test_the_tutorial_observes_five_of_720_beams_in_seven_classes():
+    settings = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]
+    scene = make_scene(build(find_task(settings.pop("name")), settings, "task"), "discrete")
+    assert scene.laser.beams == 720
+    assert scene.observation_space.nvec.tolist() == [7] * 5
+
+
+def test_distance_classes_of_several_robots_are_rows(make_reading):
+    observe = encode("discrete", [beams(3, (1.0, 2.0))])
+    seen = observe(make_reading(ranges=[[0.5, 1.5, INF], [INF, INF, 0.1]]))
+    assert seen.tolist() == [[0, 1, 2], [2, 2, 0]]
+    assert np.issubdtype(seen.dtype, np.integer)
+
+
+def test_other_sensors_come_after_the_beams_in_the_classes_of_their_own_edges(make_reading):
+    observe = encode("discrete", [beams(2), Odometry()])
+    assert observe.space.nvec.tolist() == [2, 2, 3]
+    seen = [observe(make_reading(ranges=[0.5, 2.0], odometry=(x, 0, 0)))[0].tolist() for x in (-1, 0, 0.7)]
+    assert seen == [[0, 1, 0], [0, 1, 1], [0, 1, 2]]
+
+
+# ---- numbers
+
+
+def test_raw_ranges_are_metres_in_float32_and_nothing_hit_is_the_longest(make_reading):
+    observe = encode("raw", [beams(3)])
+    seen = observe(make_reading(ranges=[[0.5, 1.25, INF], [29.0, 31.0, 0.1]]))
+    assert seen.dtype == np.float32
+    assert seen == pytest.approx(np.array([[0.5, 1.25, 30.0], [29, 30.0, 0.1]]))
+
+
+@pytest.mark.parametrize(("x", "seen"), [(-0.5, -0.5), (0.25, 0.25), (9.0, 1.0), (-9.0, -1.0)])
+def test_other_raw_numbers_come_after_the_beams_cut_to_their_limits(x, seen, make_reading):
+    observe = encode("raw", [beams(2), Odometry()])
+    assert (observe.space.low[-1], observe.space.high[-1]) == (-1, 1)
+    assert observe(make_reading(ranges=[0.5, 2.0], odometry=(x, 0, 0)))[0].tolist() == [0.5, 2.0, seen]
+
+
+def test_raw_numbers_say_their_units_and_what_they_are():
+    space = encode("raw", [beams(2), Odometry(), Twist()]).space
+    assert isinstance(space, Numbers)
+    assert space.units == ("m", "m", "m", "m/s", "m/s")
+    assert space.names == ("laser", "laser", "x", "twist", "twist")
+    assert space.low == pytest.approx([0.1, 0.1, -1, -4, -4])
+    assert space.high.tolist() == [30, 30, 1, 4, 4]
+    assert space == spaces.Box(space.low, space.high)
+
+
+@pytest.mark.parametrize("mode", BEAMS)
+@pytest.mark.parametrize("name", task_names())
+def test_every_observation_of_every_task_lies_in_its_space(name, mode, make_reading):
+    scene, rng = make_scene(find_task(name)(), mode), np.random.default_rng(0)
+    laser, goal = scene.laser, scene.goal or (NAN, NAN)
+    for _ in range(20):
+        ranges = rng.choice([laser.min_range, 0.7, 1.0, rng.uniform(0.1, 30), laser.max_range, INF], len(laser.angles))
+        reading = make_reading(ranges=ranges, odometry=rng.uniform(-9, 9, 3), goal=goal)
+        assert scene.observation_space.contains(scene.encoding(reading)[0])
+
+
+# ---- images
+
+
+def test_an_image_alone_is_the_observation(make_reading):
+    observe = encode("raw", [Image()])
+    assert observe.space == spaces.Box(0, 255, (3, 3, 3), np.uint8)
+    seen = observe(make_reading([1.0, 2.0]))
+    assert seen.dtype == np.uint8
+    assert (seen == Image.picture).all()
+    assert seen.shape == (2, 3, 3, 3)
+
+
+def test_an_image_beside_numbers_makes_a_mapping_of_both(make_reading):
+    observe = encode("raw", [beams(2), Image(), Odometry()])
+    assert set(observe.space) == {"image", "numbers"}
+    assert observe.space["numbers"].names == ("laser", "laser", "x")
+    seen = observe(make_reading(ranges=[[0.5, INF]] * 2, odometry=[(0, 0, 0), (0.5, 0, 0)]))
+    assert seen["numbers"].tolist() == [[0.5, 30, 0], [0.5, 30, 0.5]]
+    assert (seen["image"] == Image.picture).all()
+
+
+def test_several_images_stand_by_their_names():
+    class Depth(Image):
+        name = "depth"
+
+    assert set(encode("raw", [Image(), Depth()]).space) == {"image", "depth"}
+
+
+@pytest.mark.parametrize("sensors", [[Image()], [beams(3), Image()]], ids=["alone", "beside numbers"])
+def test_an_observed_image_may_be_overwritten_and_the_sensors_own_stays(sensors, make_reading):
+    before = Image.picture.copy()
+    seen = encode("raw", sensors)(make_reading([1.0, 2.0]))
+    (seen["image"] if isinstance(seen, dict) else seen)[0] = 0
+    np.testing.assert_array_equal(Image.picture, before)
+
+
+# ---- what cannot be
+
+
+class Strange(Sensor):
+    name, low, high, shape = "strange", 0, 1, (2, 2)
+
+    def read(self, reading):
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("mode", "sensors", "words"),
+    [
+        ("discrete", [beams(2), Twist()], "sensor twist has no edges of classes; set them, or take observation=raw"),
+        ("discrete", [beams(2), Image()], "sensor image is an image, which has no classes; take observation=raw"),
+        ("discrete", [beams(2, (1.0, 1.0))], r"edges of sensor laser must strictly increase, got \[1.0, 1.0\]"),
+        ("discrete", [beams(2, (2.0, 1.0))], "edges of sensor laser must strictly increase"),
+        ("raw", [Strange()], r"needs sensors, each with a shape of \(n,\)"),
+        ("raw", [], "needs sensors"),
+        ("discrete", [], "needs sensors"),
+    ],
+)
+def test_sensors_that_cannot_be_observed_are_refused_with_one_line(mode, sensors, words):
+    with pytest.raises(InputError, match=words) as error:
+        encode(mode, sensors)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        (Wander(edges=(2.0, 1.0)), "laser must strictly increase"),
+        (ReachGoal(bearing_edges=(1.0, 0.0)), "goal bearing must strictly increase"),
+    ],
+)
+def test_a_task_with_edges_that_do_not_increase_is_refused(task, words):
+    with pytest.raises(InputError, match=words):
+        make_scene(task, "discrete")

@@ -1,0 +1,31 @@
+"""What networks make of raw observations."""
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+
+from tb2rl.envs.features import Nearness
+from tb2rl.envs.scene import make_scene
+from tb2rl.tasks.reach_goal import ReachGoal
+
+
+def features(space, values, **arguments):
+    return Nearness(space, **arguments)(th.tensor([values], dtype=th.float32))[0].tolist()
+
+
+def test_distances_become_nearness_and_other_numbers_are_scaled():
+    space = make_scene(ReachGoal(beams=2), "raw").observation_space
+    assert space.units == ("m", "m", "m", "rad")
+    seen = features(space, [0.5, 3.0, 1.0, np.pi / 2])
+    assert seen == pytest.approx([1 / 1.5, 1 / 4, 1 / 2, 0.5])
+
+
+def test_its_middle_spread_and_offset_are_arguments():
+    space = spaces.Box(0, 30, (3,))
+    seen = features(space, [0.5, 1.0, 0.0], middle=0.5, spread=2.0, offset=0.25)
+    assert seen == pytest.approx([2 * (1 / 0.75 - 0.5), 2 * (1 / 1.25 - 0.5), 2 * (1 / 0.35 - 0.5)])  # 0.1 m at least
+
+
+def test_all_numbers_of_a_plain_box_are_distances():
+    assert features(spaces.Box(0, 30, (2,)), [1.0, 4.0]) == pytest.approx([0.5, 0.2])

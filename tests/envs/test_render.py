@@ -1,0 +1,95 @@
+"""The picture of the moment that `render` gives."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.errors import InputError
+from tb2rl.simulation import Start
+
+CORNER = (-3.75, -3.75, 0.0)  # the start of the world "loop"
+
+
+def pixel(world, picture, x, y):
+    """The colour at a place [m]; the picture shows the world's bounds and 0.3 m around them."""
+    x0, y0, x1, y1 = world.bounds
+    height, width, _ = picture.shape
+    column = (x - x0 + 0.3) / (x1 - x0 + 0.6) * width
+    row = (y1 + 0.3 - y) / (y1 - y0 + 0.6) * height
+    return picture[int(row), int(column)].astype(int)
+
+
+def is_wall(colour):
+    red, green, blue = colour
+    return red > green + 40 > blue + 40
+
+
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+def test_a_picture_shows_the_walls_and_the_robot_where_it_is(simulation, make, drive):
+    env = make(render_mode="rgb_array", start="fixed", beams=1, simulation=simulation)
+    assert env.render() is None  # nothing to show yet
+    env.reset()
+    before = env.render()
+    assert before.dtype == np.uint8
+    assert before.ndim == 3
+    drive(env, [0] * 10)
+    after, world = env.render(), env.scene.world
+    tail = CORNER[0] - 0.12, CORNER[1]  # behind the middle of the body, off its wheels and its nose
+    now = env.path[-1][0] - 0.12, env.path[-1][1]
+    assert pixel(world, before, *tail).max() < 80
+    assert pixel(world, after, *now).max() < 80
+    assert pixel(world, after, *tail).min() > 200  # floor again
+    assert pixel(world, before, *now).max() > 200
+    assert is_wall(pixel(world, before, 1.25, 1.25))
+    assert (before != after).any()
+
+
+def test_a_picture_shows_the_goal_that_there_is(make):
+    pictures = []
+    for goal in ((5.0, 0.0), (4.0, 2.0)):
+        env = make("wall", goal=goal, render_mode="rgb_array", start="fixed", beams=1)
+        env.reset()
+        pictures.append(env.render())
+    for x, y, shown in ((5.2, 0.0, 0), (4.2, 2.0, 1)):  # the rings' right ends
+        red, green, blue = pixel(env.scene.world, pictures[shown], x, y)
+        assert green > red + 40 > blue
+        assert pixel(env.scene.world, pictures[1 - shown], x, y).min() > 200
+
+
+def test_a_picture_shows_the_world_that_the_episode_is_in(make, make_setup):
+    env = make(render_mode="rgb_array", beams=1, simulation="kinematic")
+    setup = make_setup("loop", "circuit", beams=1)
+    object.__setattr__(env.scene, "setup", setup)
+    object.__setattr__(env.task, "begin", lambda setup, draws: Start.proposed(setup, draws.robots, world=1))
+    env.simulation = type(env.simulation)(setup)
+    env.reset()
+    circuit = setup.worlds[1]
+    assert is_wall(pixel(circuit, env.render(), 4.5, 2.25))
+    assert pixel(circuit, env.render(), circuit.start[0] - 0.12, circuit.start[1]).max() < 80
+
+
+def test_without_a_render_mode_there_is_no_picture(make):
+    env = make()
+    env.reset(seed=0)
+    assert env.render() is None
+    assert len(env.path) == 1
+
+
+def test_an_unknown_render_mode_is_refused_with_the_known_ones(make):
+    with pytest.raises(InputError, match="unknown render_mode 'ansi'; known: human, rgb_array"):
+        make(render_mode="ansi")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
+def test_a_window_without_a_display_is_refused_with_the_way_out(make, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(InputError, match="no display; use 'rgb_array'"):
+        make(render_mode="human")
+
+
+def test_a_film_has_as_many_pictures_a_second_as_there_are_steps(make):
+    assert make(control_period=0.1).metadata["render_fps"] == 10
+    assert make(control_period=5.0).metadata["render_fps"] == 1
+    assert TurtleBot2Env.metadata["render_fps"] == 5

@@ -1,0 +1,85 @@
+"""Names become objects: what a scene holds, and what does not fit together."""
+
+import pytest
+
+from tb2rl.envs.encodings import BEAMS
+from tb2rl.envs.scene import make_scene
+from tb2rl.errors import InputError
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.wander import Wander
+
+NARROW = "###\n#S#\n###"
+
+
+def test_a_scene_holds_what_the_names_mean():
+    task = Wander(world="circuit", noise=0.02, beams=12)
+    scene = make_scene(task, "raw")
+    assert (scene.task, scene.observation) == (task, "raw")
+    assert scene.robot is ROBOT
+    assert scene.world.name == "circuit"
+    assert scene.setup.worlds == (scene.world,)
+    assert (scene.laser.beams, scene.laser.noise, scene.laser.max_range) == (12, 0.02, ROBOT.laser.max_range)
+    assert scene.laser is scene.setup.laser
+    assert (scene.observation_space.shape, scene.action_space.n) == ((12,), 3)
+    assert scene.actions.names == ("forward", "left", "right")
+
+
+@pytest.mark.parametrize("mode", BEAMS)
+def test_the_number_of_beams_is_a_setting_and_so_are_the_ones_that_are_read(mode):
+    for settings, beams in (({"beams": 12}, 12), ({"beams": 12, "beam_indices": (0, 5, 11)}, 3), ({}, BEAMS[mode])):
+        scene = make_scene(Wander(**settings), mode)
+        assert scene.observation_space.shape == scene.laser.angles.shape == (beams,)
+
+
+def test_a_scene_knows_the_goal_of_a_task_that_has_one():
+    assert make_scene(Wander(world="wall"), "raw").goal is None
+    assert make_scene(ReachGoal(), "raw").goal == (5.0, 0.0)
+    assert make_scene(ReachGoal(world="loop", goal=(3.0, 1.0)), "raw").goal == (3.0, 1.0)
+
+
+def test_a_changed_scene_has_other_settings_and_the_same_objects():
+    scene = make_scene(ReachGoal(), "discrete")
+    other = scene.changed(beams=9, noise=0.01, episode_steps=7, goal=(1.0, 2.0), turn_rate=0.5)
+    assert (other.robot, other.world, other.observation) == (scene.robot, scene.world, "discrete")
+    assert other.world is scene.world
+    assert (other.task.episode_steps, other.goal, other.laser.noise) == (7, (1.0, 2.0), 0.01)
+    assert other.observation_space.shape == (9 + 2,)
+    assert other.actions.table[1, 1] == 0.5
+    assert (scene.task, scene.goal, scene.observation_space.shape) == (ReachGoal(), (5.0, 0.0), (7 + 2,))
+
+
+def test_a_scene_cannot_be_changed_to_what_does_not_fit():
+    with pytest.raises(InputError, match=r"task\.beam_indices names beam 9"):
+        make_scene(Wander(), "discrete").changed(beams=9, beam_indices=(9,))
+
+
+def write_narrow(folder):
+    (folder / "narrow.yaml").write_text(f"cell: 0.3\ndrawing: |\n  {NARROW}".replace("\n#", "\n  #"))
+    return str(folder / "narrow.yaml")
+
+
+def test_a_world_too_narrow_for_the_robot_is_refused_however_it_starts(tmp_path):
+    for start in ("fixed", "random"):
+        with pytest.raises(InputError, match=r"world narrow: the start .* nearer than 0\.178 m to one"):
+            make_scene(Wander(world=write_narrow(tmp_path), start=start), "raw")
+
+
+@pytest.mark.parametrize(
+    ("mode", "task", "words"),
+    [
+        ("rew", Wander(), ["unknown observation 'rew'", "did you mean 'raw'", "discrete"]),
+        ("raw", Wander(beams=720, beam_indices=(0, 720)), ["task.beam_indices names beam 720", "720 beams"]),
+        ("discrete", Wander(beam_indices=(7,)), ["task.beam_indices names beam 7", "7 beams"]),
+        ("raw", Wander(start_clearance=2.0), ["no free space", "task.start_clearance"]),
+        ("raw", Wander(start_clearance=0.1), ["task.start_clearance", "turtlebot2's radius, 0.178 m"]),
+        ("raw", Wander(world="lop"), ["unknown world 'lop'", "did you mean 'loop'"]),
+        ("raw", Wander(robot="turtlebot"), ["unknown robot 'turtlebot'", "did you mean 'turtlebot2'"]),
+        ("raw", ReachGoal(world="loop"), ["world loop has no goal", "task.goal"]),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(mode, task, words):
+    with pytest.raises(InputError) as error:
+        make_scene(task, mode)
+    for word in words:
+        assert word in str(error.value)

@@ -1,0 +1,160 @@
+"""Fair evaluations: start poses of their own, where the task says, and the same result on any machine."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tb2rl import evaluate, make_env
+from tb2rl.errors import InputError
+from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
+from tb2rl.registry import agent_names, find_agent, find_world
+from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.layers import resolve
+from tb2rl.tasks.wander import Wander
+
+BASELINES = [name for name in agent_names() if find_agent(name).algorithm is None]
+
+
+# ---- on any machine
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_the_result_does_not_depend_on_the_number_of_processes(name, outcomes):
+    config = resolve(name, settings={"task.noise": 0.01})
+    alone, shared = (
+        evaluate(make_baseline(config), config, episodes=5, steps=40, workers=workers) for workers in (1, 2)
+    )
+    assert outcomes(alone) == outcomes(shared)
+    assert alone.summary() == shared.summary()
+
+
+def test_the_same_evaluation_twice_gives_the_same_result(run, outcomes):
+    twice = [evaluate(run, episodes=3, steps=30, workers=1) for _ in range(2)]
+    assert outcomes(twice[0]) == outcomes(twice[1])
+
+
+def test_an_evaluator_serves_several_policies(outcomes):
+    config = resolve("wallfollower")
+    with Evaluator(config.scene, episodes=2, steps=10, workers=2) as evaluator:
+        first, again = (evaluator.run(make_baseline(config)) for _ in range(2))
+    assert outcomes(first) == outcomes(again)
+
+
+# ---- where episodes begin, and when they end
+
+
+def test_every_episode_has_a_start_of_its_own_and_the_time_limit_that_was_asked_for():
+    config = resolve("wallfollower", settings={"task.start": "fixed", "task.episode_steps": 7})
+    evaluation = evaluate(make_baseline(config), config, episodes=4, steps=20, workers=1)
+    assert (evaluation.steps, evaluation.task.episode_steps) == (20, 20)
+    assert len({episode.start for episode in evaluation.episodes}) == 4
+    assert [episode.length for episode in evaluation.episodes] == [20] * 4
+    for episode in evaluation.episodes:
+        assert len(episode.path) == 21
+        assert episode.path[0] == pytest.approx(episode.start[:2], abs=1e-6)
+        assert np.linalg.norm(np.diff(episode.path, axis=0), axis=1).sum() == pytest.approx(episode.distance, rel=1e-3)
+
+
+def test_the_standard_evaluation_is_the_one_that_the_readme_tells_of():
+    assert (EPISODES, STEPS) == (100, 1500)
+
+
+def test_training_does_not_draw_the_standard_start_poses():
+    env, training = make_env("maze"), set()
+    for seed in range(20):
+        training |= {tuple(env.reset(seed=seed if first else None)[1]["pose"].round(6)) for first in (True, False)}
+    env.close()
+
+    def poses(seed: int) -> set[tuple]:
+        rng = np.random.default_rng(seed)
+        return {tuple(pose.round(6)) for pose in find_world("loop").random_poses(rng, 100, Wander().start_clearance)}
+
+    assert len(training) == 40
+    assert training & poses(0), "an evaluation of seed 0 would start where a training of seed 0 does"
+    assert training.isdisjoint(poses(SEED))
+    assert poses(TRAINING_SEED).isdisjoint(poses(SEED))
+
+
+def test_the_standard_start_poses_are_those_of_the_world_for_its_seed():
+    evaluator = Evaluator(resolve().scene, workers=1)
+    clearance = Wander().start_clearance
+    expected = find_world("loop").random_poses(np.random.default_rng(SEED), EPISODES, clearance)
+    np.testing.assert_array_equal(evaluator.poses, expected)
+
+
+def test_a_task_says_itself_where_its_episodes_begin(northward, ahead):
+    episodes = evaluate(ahead, resolve("random", northward), episodes=4, steps=3, workers=1).episodes
+    assert [episode.start[2] for episode in episodes] == [math.pi / 2] * 4
+    assert len({episode.start[:2] for episode in episodes}) == 4
+    for episode in episodes:
+        ways = np.diff(episode.path, axis=0)
+        assert (np.abs(ways[:, 0]) < 0.01).all()
+        assert (ways[1:, 1] > 0.02).all(), "it drives along y"
+
+
+# ---- what drives
+
+
+def test_random_actions_crash():
+    config = resolve("random")
+    assert evaluate(make_baseline(config), config, episodes=30, workers=1).summary()["failure_free_rate"] < 0.05
+
+
+def test_the_wall_follower_does_not():
+    config = resolve("wallfollower")
+    evaluation = evaluate(make_baseline(config), config, episodes=6, steps=300, workers=1)
+    assert evaluation.summary()["failure_free_rate"] == 1.0
+    assert evaluation.summary()["mean_speed"] > 0.2, "nor does it stand still"
+
+
+@pytest.mark.slow
+def test_the_wall_follower_is_a_baseline_to_beat_in_the_standard_evaluation():
+    config = resolve("wallfollower")
+    assert evaluate(make_baseline(config), config).summary()["failure_free_rate"] > 0.9
+
+
+def test_anything_that_predicts_can_be_evaluated(ahead):
+    episodes = evaluate(ahead, resolve(), episodes=3, steps=200, workers=1).episodes
+    assert [(episode.ended, episode.failed) for episode in episodes] == [("crash", True)] * 3
+    assert [episode.episode_return for episode in episodes] == [5.0 * (e.length - 1) - 200.0 for e in episodes]
+    assert [episode.actions.tolist() for episode in episodes] == [[0] * e.length for e in episodes]
+    assert {episode.actions.dtype for episode in episodes} == {np.dtype(np.uint8)}
+
+
+def test_continuous_actions_are_evaluated_and_kept_as_they_were(cruise):
+    config = resolve("random", cruise)
+    evaluation = evaluate(make_baseline(config), config, episodes=3, steps=40, workers=1)
+    for episode in evaluation.episodes:
+        assert (episode.actions.shape, episode.actions.dtype) == ((episode.length, 2), np.float32)
+        assert np.abs(episode.actions).max() <= 1.0
+        assert len(np.unique(episode.actions, axis=0)) == episode.length
+        assert 0.0 < episode.distance <= 0.5 * 0.2 * episode.length
+    assert len({tuple(episode.actions[0].tolist()) for episode in evaluation.episodes}) == 3
+
+
+def test_observations_may_be_mappings(pictured, ahead):
+    config = resolve("random", pictured, settings={"task.observation": "raw"})
+    evaluation = evaluate(ahead, config, episodes=1, steps=5, workers=1)
+    assert len(ahead.observations) == evaluation.episodes[0].length
+    for observation in ahead.observations:
+        assert {name: (values.shape, values.dtype) for name, values in observation.items()} == {
+            "picture": ((1, 36, 36), np.uint8),
+            "numbers": ((36,), np.float32),
+        }
+    policy = make_baseline(config)
+    assert evaluate(policy, config, episodes=2, steps=5, workers=1).summary()["episodes"] == 2
+
+
+def test_a_policy_of_unknown_origin_needs_a_config():
+    with pytest.raises(InputError, match="no config"):
+        evaluate(object())
+
+
+def test_settings_change_the_task(run):
+    evaluation = evaluate(run, settings={"world": "circuit", "noise": 0.1}, episodes=1, steps=2, workers=1)
+    assert (evaluation.task.world, evaluation.scene.world.name, evaluation.task.noise) == ("circuit", "circuit", 0.1)
+    with pytest.raises(InputError, match="did you mean 'world'"):
+        evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)

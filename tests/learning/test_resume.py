@@ -1,0 +1,83 @@
+"""A resumed training goes on as if nothing had happened, to the bit, whatever algorithm learns."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tb2rl.learning.training import resume, train_config
+from tb2rl.runs.checkpoint import read_checkpoint
+
+SB3, CONTRIB = "stable_baselines3", "sb3_contrib"
+ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2}
+OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 200, "agent.batch_size": 16}  # full when it is saved
+EXPLORING = {"agent.use_sde": True}  # with matrices of noise, drawn once a rollout
+SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.noise": 0.01}
+ALGORITHMS = {
+    "A2C": (f"{SB3}:A2C", "maze", {"agent.n_steps": 8}),
+    "A2C, noisy": (f"{SB3}:A2C", "my_tasks:Glide", {"agent.n_steps": 8, **EXPLORING}),
+    "PPO": (f"{SB3}:PPO", "maze", ON_POLICY),
+    "PPO, continuous": (f"{SB3}:PPO", "my_tasks:Glide", ON_POLICY),
+    "PPO, noisy": (f"{SB3}:PPO", "my_tasks:Glide", {**ON_POLICY, **EXPLORING}),
+    "PPO, often noisy": (f"{SB3}:PPO", "my_tasks:Glide", {**ON_POLICY, **EXPLORING, "agent.sde_sample_freq": 4}),
+    "DQN": (f"{SB3}:DQN", "maze", OFF_POLICY),
+    "DQN, three steps": (f"{SB3}:DQN", "maze", {**OFF_POLICY, "agent.n_steps": 3, "agent.buffer_size": 400}),
+    "DQN, an image": (f"{SB3}:DQN", "my_tasks:Pictured", OFF_POLICY),
+    "DDPG": (f"{SB3}:DDPG", "my_tasks:Glide", OFF_POLICY),
+    "TD3": (f"{SB3}:TD3", "my_tasks:Glide", OFF_POLICY),
+    "SAC": (f"{SB3}:SAC", "my_tasks:Glide", OFF_POLICY),
+    "SAC, fixed entropy": (f"{SB3}:SAC", "my_tasks:Glide", {**OFF_POLICY, "agent.ent_coef": 0.1}),
+    "SAC, noisy": (f"{SB3}:SAC", "my_tasks:Glide", {**OFF_POLICY, **EXPLORING, "agent.train_freq": 8}),
+    "QRDQN": (f"{CONTRIB}:QRDQN", "maze", OFF_POLICY),
+    "TQC": (f"{CONTRIB}:TQC", "my_tasks:Glide", OFF_POLICY),
+    "TQC, noisy": (f"{CONTRIB}:TQC", "my_tasks:Glide", {**OFF_POLICY, **EXPLORING}),
+}
+SOON = {  # for a training of 2048 steps
+    "dqn": {"agent.learning_starts": 300, "agent.target_update_interval": 500, "agent.buffer_size": 1500},
+    "ppo": {"agent.n_steps": 32, "agent.batch_size": 64},
+    "qlearn": {},
+}
+
+
+def in_both(names, fast=()):
+    """Each name in the twin, and in PyBullet, where those that are not `fast` are slow."""
+    twin = [pytest.param(name, "kinematic", 4, id=f"{name} in the twin") for name in names]
+    marks = {name: () if name in fast else pytest.mark.slow for name in names}
+    return twin + [pytest.param(name, "bullet", 2, id=f"{name} in bullet", marks=marks[name]) for name in names]
+
+
+@pytest.mark.parametrize(("name", "simulation", "environments"), in_both(ALGORITHMS, fast={"SAC"}))
+def test_a_resumed_training_is_the_uninterrupted_one(
+    name, simulation, environments, small, killed, differences, tmp_path
+):
+    agent, task, settings = ALGORITHMS[name]
+    train = {"simulation": simulation, "n_envs": environments, "total_timesteps": 512, "save_freq": 256, "keep": 9}
+    config = small(agent, task, {**SMALL, **settings}, episode_steps=40, **train)
+    whole = train_config(config, tmp_path / "whole").run
+    assert len(whole.checkpoints) == 2
+    resumed = killed(whole, tmp_path / "resumed")
+    assert resume(resumed.folder).timesteps == 256
+    assert differences(*(read_checkpoint(run.checkpoints[0]) for run in (whole, resumed))) == []
+    assert differences(*(read_checkpoint(run.policy_file) for run in (whole, resumed))) == []
+
+
+@pytest.mark.parametrize(("agent", "simulation", "environments"), in_both(SOON, fast={"qlearn"}))
+def test_evaluations_and_curves_go_on_without_a_gap(
+    agent, simulation, environments, small, killed, differences, scalars, tmp_path
+):
+    train = {"simulation": simulation, "n_envs": environments, "total_timesteps": 2048, "save_freq": 1024, "keep": 9}
+    train |= {"eval_freq": 512, "eval_episodes": 2, "eval_steps": 20, "episode_steps": 60}
+    whole = train_config(small(agent, settings=SOON[agent] | {"task.noise": 0.01}, **train), tmp_path / "whole").run
+    resumed = killed(whole, tmp_path / "resumed")
+    assert 0 < resume(resumed.folder).timesteps < 2048
+    assert differences(*(read_checkpoint(run.checkpoints[0]) for run in (whole, resumed))) == []
+    assert differences(*(read_checkpoint(run.policy_file) for run in (whole, resumed))) == []
+    notes = [
+        [{k: v for k, v in json.loads(line).items() if k not in {"seconds", "elapsed"}} for line in lines]
+        for lines in ((run.folder / "evaluations.jsonl").read_text().splitlines() for run in (whole, resumed))
+    ]
+    assert notes[0] == notes[1], "no evaluation twice, none missing"
+    curves = [scalars(run, "eval/mean_return") for run in (whole, resumed)]
+    assert curves[0] == curves[1], "no gap and no overlap"
+    assert len(curves[0]) >= 4

@@ -1,0 +1,80 @@
+"""The house stays easy to find one's way in: short modules, a door to every room, and one place for each decision.
+
+That no room imports upwards is held by import-linter (`lint-imports`), for all but agents/, which it cannot see.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import statistics
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parent.parent
+MODULES = [*(CHECKOUT / "tb2rl").rglob("*.py"), *(CHECKOUT / "agents").glob("*.py"), *(CHECKOUT / "zoo").glob("*.py")]
+ROOMS = sorted(file.parent for file in (CHECKOUT / "tb2rl").glob("*/__init__.py"))
+DOORS = ("agents", "configs", "zoo", "tb2rl/worlds", "tb2rl/robots", "tb2rl/tasks", "tb2rl/sensors")
+FOR_AGENTS = {"tb2rl.registry", "tb2rl.errors"}
+
+
+def lines(module: Path) -> int:
+    return len(module.read_text().splitlines())
+
+
+def imported(module: Path) -> set[str]:
+    """The modules of tb2rl that a module imports, anywhere in it."""
+    names = set()
+    for node in ast.walk(ast.parse(module.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names.add(node.module or "")
+    return {name for name in names if name.split(".")[0] == "tb2rl"}
+
+
+def mentioning(pattern: str) -> set[str]:
+    found = (module for module in MODULES if re.search(pattern, module.read_text()))
+    return {str(module.relative_to(CHECKOUT)) for module in found}
+
+
+def test_modules_are_short():
+    sizes = {str(module.relative_to(CHECKOUT)): lines(module) for module in MODULES}
+    assert {name: size for name, size in sizes.items() if size > 300} == {}
+    assert statistics.median(sizes.values()) <= 120
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.name)
+def test_every_room_says_what_it_is_and_what_it_imports(room):
+    text = ast.get_docstring(ast.parse((room / "__init__.py").read_text()))
+    assert text is not None
+    assert "mport" in text
+
+
+@pytest.mark.parametrize("place", DOORS)
+def test_every_room_that_users_add_to_has_a_readme_at_its_door(place):
+    assert lines(CHECKOUT / place / "README.md") > 10
+
+
+def test_agents_import_the_registry_and_nothing_imports_agents():
+    for module in (CHECKOUT / "agents").glob("*.py"):
+        assert {name for name in imported(module) if not name.startswith("tb2rl.agents.")} <= FOR_AGENTS
+    importing = {module for module in MODULES if any(name.startswith("tb2rl.agents") for name in imported(module))}
+    assert {module.parent.name for module in importing} == {"agents"}
+
+
+def test_a_world_is_loaded_by_its_name_in_one_module():
+    assert mentioning(r"find_world\(") == {"tb2rl/registry.py", "tb2rl/envs/scene.py"}
+    assert mentioning(r"read_world\(") == {"tb2rl/worlds/readers.py", "tb2rl/registry.py"}
+
+
+def test_which_endings_count_as_failed_only_tasks_say():
+    assert {name for name in mentioning(r"""["']crash["']""") if not name.startswith("tb2rl/tasks/")} <= {
+        "tb2rl/envs/single.py",  # the table of `info`
+        "tb2rl/judging/evaluation.py",  # a comment
+    }
+
+
+def test_only_the_physics_imports_pybullet():
+    assert mentioning(r"(?m)^\s*(import|from) pybullet") <= {"tb2rl/simulation/physics.py"}
