@@ -19,6 +19,7 @@ from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
 from tb2rl.agents._qtable import QTable, update_table
 from tb2rl.registry import Agent
+from tb2rl.values import Fraction
 
 AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True)
 
@@ -55,12 +56,12 @@ class QLearning(BaseAlgorithm):
         policy: str | type[QTable],
         env: GymEnv | str | None,
         learning_rate: float | Schedule = 0.1,
-        gamma: float = 0.98,
+        gamma: Fraction = 0.98,
         exploration: Literal["epsilon_greedy", "noisy_values"] = "epsilon_greedy",
-        exploration_initial_eps: float = 1.0,
-        exploration_final_eps: float = 0.02,
-        exploration_fraction: float = 0.8,
-        exploration_decay: float | None = None,
+        exploration_initial_eps: Fraction = 1.0,
+        exploration_final_eps: Fraction = 0.02,
+        exploration_fraction: Fraction = 0.8,
+        exploration_decay: Fraction | None = None,
         update: Literal["textbook", "tutorial"] = "textbook",
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,

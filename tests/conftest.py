@@ -66,3 +66,19 @@ def make_setup():
 def make_reading():
     """The function `_reading`."""
     return _reading
+
+
+@pytest.fixture
+def write_package(tmp_path, monkeypatch):
+    """A function that writes a package as pip leaves it in site-packages: its entry points, and modules by name."""
+
+    def write(entry_points: str, **modules: str) -> None:
+        info = tmp_path / "stranger-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(entry_points)
+        for name, code in modules.items():
+            (tmp_path / f"{name}.py").write_text(code)
+        monkeypatch.syspath_prepend(tmp_path)
+
+    return write

@@ -14,7 +14,8 @@ import pytest
 from tb2rl import train
 from tb2rl.registry import agent_names, task_names
 
-COMMANDS = {name: import_module(f"tb2rl.{name}") for name in ("train", "evaluate", "play", "report")}
+NAMES = ("train", "evaluate", "play", "report", "benchmark", "convert", "zoo.__main__")
+COMMANDS = {name.removesuffix(".__main__"): import_module(f"tb2rl.{name}") for name in NAMES}
 FILES = {
     "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",
     "inside.yaml": "boxes: [{centre: [0, 0], size: [1, 1]}]\nstart: [0.3, 0, 0]\nbounds: [-9, -9, 9, 9]\n",
@@ -30,7 +31,7 @@ QUICK = "--n-envs 1 --total-timesteps 1 --eval-freq 0 --no-evaluation"
 
 @pytest.fixture
 def place(tmp_path, monkeypatch) -> Path:
-    """A working directory with mazes that do not fit, and a run folder whose name is taken."""
+    """A working directory with worlds that do not fit, and a run folder whose name is taken."""
     for name, content in FILES.items():
         (tmp_path / name).write_text(content)
     taken = tmp_path / "runs" / "maze" / "qlearn" / "taken"
@@ -79,17 +80,19 @@ def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
         ("--set 'agent.gamma=[1'", ["agent.gamma", "YAML"]),
         ("--set train.eval_steps=two", ["train.eval_steps", "integer", "'two'"]),
         ("--set task.observation=raw", ["qlearn", "discrete", "'raw'"]),
-        ("--set task.kept=[99]", ["task.kept", "99", "beams"]),
+        ("--set task.beam_indices=[99]", ["task.beam_indices", "99", "beams"]),
         ("--set 'task.edges=[2, 1]'", ["task.edges", "increase"]),
-        ("--set task.maze=lop", ["did you mean 'loop'", "circuit"]),
-        ("--set task.maze=missing.yaml", ["missing.yaml"]),
-        ("--set task.maze=full.yaml", ["maze full", "start", "no free space"]),
-        ("--set task.maze=inside.yaml task.start=fixed", ["maze inside", "start (0.3, 0)", "inside"]),
-        ("--set task.maze=narrow.yaml", ["maze narrow", "start", "0.6 m"]),
-        ("--set task.maze=typo.yaml", ["maze typo", "did you mean 'walls'", "boxes"]),
-        ("--set task.maze=nowhere.yaml", ["maze nowhere", "start: [x, y, yaw]"]),
-        ("--set task.maze=no.yaml", ["no.yaml", "YAML"]),
-        ("--task wall --set task.maze=aimless.yaml", ["maze aimless", "goal", "task.goal"]),
+        ("--set task.robot=turtlebot", ["unknown robot", "did you mean 'turtlebot2'"]),
+        ("--set task.maze=loop", ["unknown key of task 'maze'", "world"]),
+        ("--set task.world=lop", ["did you mean 'loop'", "circuit"]),
+        ("--set task.world=missing.yaml", ["missing.yaml"]),
+        ("--set task.world=full.yaml", ["world full", "start", "no free space"]),
+        ("--set task.world=inside.yaml task.start=fixed", ["world inside", "start (0.3, 0)", "inside"]),
+        ("--set task.world=narrow.yaml", ["world narrow", "start", "0.6 m"]),
+        ("--set task.world=typo.yaml", ["world typo", "did you mean 'walls'", "boxes"]),
+        ("--set task.world=nowhere.yaml", ["world nowhere", "start: [x, y, yaw]"]),
+        ("--set task.world=no.yaml", ["no.yaml", "YAML"]),
+        ("--task wall --set task.world=aimless.yaml", ["world aimless", "goal", "task.goal"]),
         ("--total-timesteps 0", ["train.total_timesteps", "greater than or equal to 1"]),
         ("--total-timesteps many", ["--total-timesteps", "'many'"]),
         ("--episodes 0", ["train.episodes", "greater than or equal to 1"]),
@@ -113,8 +116,8 @@ def test_train_says_what_is_wrong(line, named, place, capsys):
         ("RUN --agent random", ["policy", "--agent"]),
         ("RUN --task wall", ["--task"]),
         ("RUN --set agent.gamma=1", ["task.KEY=VALUE", "agent.gamma"]),
-        ("RUN --set task.maz=loop", ["did you mean 'maze'"]),
-        ("RUN --set task.maze=lop", ["did you mean 'loop'", "circuit"]),
+        ("RUN --set task.worl=loop", ["did you mean 'world'"]),
+        ("RUN --set task.world=lop", ["did you mean 'loop'", "circuit"]),
         ("RUN --set task.beams=9", ["observation"]),
         ("missing", ["missing", "run folder"]),
         (".", ["not a run folder", "config.yaml"]),
@@ -124,7 +127,7 @@ def test_train_says_what_is_wrong(line, named, place, capsys):
         ("--agent rando", ["did you mean 'random'", *agent_names()]),
         ("--agent random --task wal", ["did you mean 'wall'", *task_names()]),
         ("--agent random --set agent.speed=1", ["'speed'"]),
-        ("--agent random --set task.maze=full.yaml", ["maze full", "start", "no free space"]),
+        ("--agent random --set task.world=full.yaml", ["world full", "start", "no free space"]),
         ("--agent wallfollower --set task.beams=3", ["5 beams", "got 3"]),
         ("--agent wallfollower --set task.observation=discrete", ["wallfollower", "raw"]),
         ("--agent random --episodes 0", ["--episodes", "at least 1"]),
@@ -142,8 +145,8 @@ def test_evaluate_says_what_is_wrong(line, named, place, run, capsys):
     assert_refused("evaluate", line, named, capsys)
 
 
-def test_an_error_in_many_worlds_is_one_line_too(place):
-    arguments = [sys.executable, "-m", "tb2rl.train", *QUICK.split(), "--n-envs", "4", "--set", "task.maze=lop"]
+def test_an_error_in_many_environments_is_one_line_too(place):
+    arguments = [sys.executable, "-m", "tb2rl.train", *QUICK.split(), "--n-envs", "4", "--set", "task.world=lop"]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1, done.stderr
@@ -169,6 +172,9 @@ def test_a_run_folder_below_a_file_is_refused(tmp_path, monkeypatch, capsys):
         ("evaluate", ["zoo:NAME"]),
         ("play", ["--video", "--teleop"]),
         ("report", ["zoo:NAME", "--out"]),
+        ("benchmark", ["physics", "twin", "training", "trained", "--json"]),
+        ("convert", ["python -m tb2rl.convert"]),
+        ("zoo", ["build", "check", "--again"]),
     ],
 )
 def test_help_is_shown(name, shown, capsys):

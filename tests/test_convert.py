@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import pickle
+import zipfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 import stable_baselines3
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import DQN, PPO, SAC
 from torch import nn
 
 from tb2rl import convert, load, make_env
-from tb2rl.config import resolve
-from tb2rl.training import train_config
+from tb2rl.learning.training import train_config
+from tb2rl.runs.layers import resolve
 
 TINY = {"train.simulation": "kinematic", "train.n_envs": 2, "train.total_timesteps": 64, "train.eval_freq": 0}
 
@@ -48,6 +52,37 @@ def test_a_network_of_ones_own_comes_in_with_its_shape(tmp_path):
     np.testing.assert_array_equal(load(tmp_path / "run").predict(seen, deterministic=True)[0], expected)
 
 
+GLIDE = """
+from dataclasses import dataclass
+
+from tb2rl.tasks import Outcome, Task, Velocities
+
+@dataclass(frozen=True)
+class Glide(Task):
+    actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
+
+    def judge(self, before, action, after):
+        return Outcome(after.twist[:, 0], failed={"bump": after.bumped})
+"""
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_policy_of_velocities_goes_out_and_comes_back(noisy, tmp_path, monkeypatch):
+    (tmp_path / "glide.py").write_text(GLIDE)
+    monkeypatch.syspath_prepend(tmp_path)
+    settings = {**TINY, "agent.buffer_size": 100, "agent.use_sde": noisy, "task.observation": "raw"}
+    run = train_config(resolve("stable_baselines3:SAC", "glide:Glide", settings=settings), tmp_path / "run").run
+    convert.main([str(run.folder), str(tmp_path / "policy.zip")])
+    ours, theirs = load(run.folder), SAC.load(tmp_path / "policy.zip")
+    agent = ["--agent", "stable_baselines3:SAC", "--task", "glide:Glide", "--set", "task.observation=raw"]
+    convert.main(["--trust", str(tmp_path / "policy.zip"), str(tmp_path / "back"), *agent])
+    seen = observations(ours)
+    for policy in (theirs, load(tmp_path / "back")):
+        expected = ours.predict(seen, deterministic=True)[0]
+        np.testing.assert_array_equal(policy.predict(seen, deterministic=True)[0], expected)
+    assert load(tmp_path / "back").use_sde == noisy
+
+
 @pytest.fixture(scope="module")
 def policy_zip(tmp_path_factory):
     file = tmp_path_factory.mktemp("zip") / "policy.zip"
@@ -78,3 +113,25 @@ def test_bad_input_is_one_line(line, named, policy_zip, tmp_path, capsys):
     assert message.count("\n") == 1
     assert [part for part in named if part not in message] == []
     assert not (tmp_path / "new").exists()
+
+
+class Payload:
+    """What an attacker hides in a zip: here it makes a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __reduce__(self):
+        return Path.mkdir, (self.folder,)
+
+
+def test_without_trust_the_code_in_a_zip_is_not_run(policy_zip, tmp_path):
+    evil = tmp_path / "evil.zip"
+    with zipfile.ZipFile(policy_zip) as old, zipfile.ZipFile(evil, "w") as new:
+        for name in old.namelist():
+            content = pickle.dumps(Payload(tmp_path / "executed")) if name == "policy.pth" else old.read(name)
+            new.writestr(name, content)
+    for line in ([str(evil), str(tmp_path / "new")], [str(evil), str(tmp_path / "new"), "--agent", "dqn"]):
+        with pytest.raises(SystemExit):
+            convert.main(line)
+    assert sorted(tmp_path.iterdir()) == [evil]

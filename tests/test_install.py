@@ -14,16 +14,21 @@ import pytest
 CHECKOUT = Path(__file__).parent.parent
 USE = """
 import tb2rl
-from tb2rl.config import resolve
-from tb2rl.maze import load_maze, maze_names
-from tb2rl.registry import agent_names, find_agent, task_names
-from tb2rl.settings import room
+from tb2rl.files import top_folder
+from tb2rl.registry import (
+    agent_names, find_agent, find_robot, find_task, find_world, robot_names, task_names, world_names,
+)
+from tb2rl.runs.layers import resolve
 
 print(tb2rl.__file__)
-print(*agent_names(), *task_names(), *maze_names())
-print(*sorted(file.parent.name for file in room("zoo").glob("*/config.yaml")))
-for name in maze_names():
-    load_maze(name)
+print(*agent_names(), *task_names(), *robot_names(), *world_names())
+print(*sorted(file.parent.name for file in top_folder("zoo").glob("*/config.yaml")))
+for name in world_names():
+    find_world(name)
+for name in robot_names():
+    print(find_robot(name).urdf.is_file())
+for name in task_names():
+    find_task(name)
 for name in agent_names():
     resolve(name, preset="tutorial" if name == "qlearn" else None), find_agent(name)
 env = tb2rl.make_env("maze", "raw")
@@ -74,11 +79,19 @@ def test_a_wheel_has_everything_that_the_checkout_has(installed, tmp_path):
     assert package.is_relative_to(Path(installed).parent.parent)
     assert names == use(USE, CHECKOUT)[1:]
     there = {str(file.relative_to(package)) for file in package.rglob("*")}
-    assert {"assets/turtlebot2.urdf", "assets/card.md", "py.typed", "configs/mazes/loop.yaml"} <= there
+    assert {"py.typed", "robots/turtlebot2.urdf", "showing/page.html", "configs/worlds/loop.yaml"} <= there
+    modules = {str(file.relative_to(CHECKOUT / "tb2rl")) for file in (CHECKOUT / "tb2rl").rglob("*.py")}
+    assert modules <= there
     zoo = {file.relative_to(CHECKOUT) for file in (CHECKOUT / "zoo").rglob("*")}
     alone = {"__pycache__", "pictures"}  # the picture is the README's
     assert {str(file) for file in zoo if not alone & set(file.parts)} <= there
     assert not {"zoo/drive.mp4", "zoo/pictures"} & there
+
+
+@pytest.mark.slow
+def test_an_installed_report_finds_its_template(installed, tmp_path):
+    code = "from tb2rl.showing import page; page._template()"
+    assert run([installed, "-I", "-c", code], tmp_path) == []
 
 
 @pytest.mark.slow

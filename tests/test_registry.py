@@ -1,4 +1,4 @@
-"""Agents and tasks by name, from this package, from another one, and by module:Class."""
+"""Agents, tasks and robots by name, from this package, from another one, and by module:Name."""
 
 from __future__ import annotations
 
@@ -9,28 +9,31 @@ import pytest
 
 from tb2rl import load, train
 from tb2rl.errors import InputError
-from tb2rl.registry import Agent, agent_names, find_agent, find_task, import_object, task_names
+from tb2rl.registry import (
+    Agent,
+    agent_names,
+    find_agent,
+    find_robot,
+    find_task,
+    import_object,
+    robot_names,
+    task_names,
+)
+from tb2rl.robots import Robot
+from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.tasks import Task
+from tb2rl.tasks.wander import Wander
 
 
 def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
 
 
-def write_package(folder, entry_points: str, **modules: str) -> None:
-    """A package as pip leaves it in site-packages."""
-    info = folder / "stranger-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(entry_points)
-    for name, code in modules.items():
-        (folder / f"{name}.py").write_text(code)
-
-
-def test_the_built_in_agents_and_tasks_have_names():
+def test_the_built_in_agents_tasks_and_robots_have_names():
     assert {"dqn", "ppo", "qlearn", "random", "wallfollower"} <= set(agent_names())
     assert {"maze", "my-maze", "wall"} <= set(task_names())
-    assert not [name for name in agent_names() if name.startswith("_")], "helpers are no agents"
+    assert "turtlebot2" in robot_names()
+    assert not [name for name in agent_names() if name.startswith("_")], "helpers are not agents"
 
 
 @pytest.mark.parametrize("name", agent_names())
@@ -45,8 +48,16 @@ def test_every_task_that_has_a_name_can_be_had(name):
     assert issubclass(find_task(name), Task)
 
 
+@pytest.mark.parametrize("name", robot_names())
+def test_every_robot_that_has_a_name_can_be_had(name):
+    robot = find_robot(name)
+    assert isinstance(robot, Robot)
+    assert robot.name == name
+
+
 def test_names_cost_no_torch():
-    code = "import sys, tb2rl; from tb2rl.registry import agent_names, task_names; agent_names(); task_names()"
+    names = "agent_names, task_names, robot_names, world_names"
+    code = f"import sys, tb2rl; from tb2rl.registry import {names}; [names() for names in ({names})]"
     heavy = "torch", "stable_baselines3", "pybullet", "tensorboard"
     assert run(f"{code}; print([m for m in {heavy} if m in sys.modules])").strip() == "[]"
 
@@ -56,25 +67,51 @@ def test_the_functions_of_the_package_are_functions_whatever_was_imported_before
     assert run(f"import tb2rl.train, tb2rl.evaluate; {shown}") == "[]\n"
 
 
-def test_agents_and_tasks_of_another_package_are_found(tmp_path, monkeypatch):
-    points = "[tb2rl.agents]\nstranger = stranger_agent:AGENT\n[tb2rl.tasks]\nodyssey = stranger_task:Odyssey\n"
+def test_a_task_may_be_the_class_itself():
+    assert find_task(Wander) is Wander
+    with pytest.raises(InputError, match=r"not a class derived from tb2rl\.tasks\.Task"):
+        find_task(Robot)
+
+
+# ---- of another package
+
+
+def test_agents_tasks_and_robots_of_another_package_are_found(write_package):
     agent = "from tb2rl.registry import Agent\nAGENT = Agent('stable_baselines3:A2C', observation='discrete')\n"
     task = "from tb2rl.tasks.wander import Wander\nclass Odyssey(Wander): pass\n"
-    write_package(tmp_path, points, stranger_agent=agent, stranger_task=task)
-    monkeypatch.syspath_prepend(tmp_path)
+    robot = (
+        "from dataclasses import replace\nfrom tb2rl.robots.turtlebot2 import ROBOT\nARGO = replace(ROBOT, name='argo')"
+    )
+    write_package(
+        "[tb2rl.agents]\nstranger = stranger_agent:AGENT\n"
+        "[tb2rl.tasks]\nodyssey = stranger_task:Odyssey\n"
+        "[tb2rl.robots]\nargo = stranger_robot:ARGO\n",
+        stranger_agent=agent,
+        stranger_task=task,
+        stranger_robot=robot,
+    )
     assert {"stranger", "qlearn"} <= set(agent_names())
     assert {"odyssey", "maze"} <= set(task_names())
+    assert {"argo", "turtlebot2"} <= set(robot_names())
     assert find_agent("stranger") == Agent("stable_baselines3:A2C", observation="discrete")
     assert find_task("odyssey").__name__ == "Odyssey"
-    with pytest.raises(InputError, match="did you mean 'stranger'"):
-        find_agent("strange")
+    assert find_robot("argo").name == "argo"
+    nearly = (find_agent, "strange", "stranger"), (find_task, "odysey", "odyssey"), (find_robot, "arg", "argo")
+    for find, name, near in nearly:
+        with pytest.raises(InputError, match=f"did you mean '{near}'"):
+            find(name)
 
 
-def test_a_built_in_agent_cannot_be_taken_over(tmp_path, monkeypatch):
-    points = "[tb2rl.agents]\nqlearn = stranger_agent:AGENT\n[tb2rl.tasks]\nmaze = stranger_agent:AGENT\n"
-    write_package(tmp_path, points)
-    monkeypatch.syspath_prepend(tmp_path)
+def test_a_built_in_name_cannot_be_taken_over(write_package):
+    points = "".join(f"[tb2rl.{kind}]\n{name} = stranger_agent:AGENT\n" for kind, name in [
+        ("agents", "qlearn"), ("tasks", "maze"), ("robots", "turtlebot2"),
+    ])  # fmt: skip
+    write_package(points)
     assert (find_agent("qlearn").policy, find_task("maze").__name__) == ("QTable", "Wander")
+    assert find_robot("turtlebot2") is ROBOT
+
+
+# ---- by module and name
 
 
 def test_an_algorithm_by_module_and_class_trains(tmp_path):
@@ -84,8 +121,10 @@ def test_an_algorithm_by_module_and_class_trains(tmp_path):
     assert type(load(tmp_path / "run")) is type(trained)
 
 
-def test_a_registry_entry_by_module_and_name_is_an_agent():
+def test_an_entry_by_module_and_name_is_what_its_name_means():
     assert find_agent("tb2rl.agents.qlearn:AGENT") == find_agent("qlearn")
+    assert find_task("tb2rl.tasks.wander:Wander") is find_task("maze")
+    assert find_robot("tb2rl.robots.turtlebot2:ROBOT") is find_robot("turtlebot2")
 
 
 @pytest.mark.parametrize(
@@ -100,11 +139,18 @@ def test_a_registry_entry_by_module_and_name_is_an_agent():
         ("..agents:A2C", "..agents:A2C"),
     ],
 )
-def test_a_module_and_class_that_do_not_fit_are_refused(name, named):
+def test_a_module_and_name_that_do_not_fit_are_refused(name, named):
     with pytest.raises(InputError, match=named):
         find_agent(name)
     with pytest.raises(InputError):
         find_task(name)
+    with pytest.raises(InputError):
+        find_robot(name)
+
+
+def test_a_robot_that_is_something_else_is_refused():
+    with pytest.raises(InputError, match=r"robot 'tb2rl.robots.turtlebot2:LASER_NOISE' is not a tb2rl\.robots\.Robot"):
+        find_robot("tb2rl.robots.turtlebot2:LASER_NOISE")
 
 
 def test_an_error_inside_a_users_module_shows_as_it_is(tmp_path, monkeypatch):

@@ -113,6 +113,8 @@ def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
     numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
     if len(images) + len(numbers) < len(sensors) or not sensors:
         raise InputError("a task needs sensors, each with a shape of (n,), or (channels, height, width) for an image")
+    if any(image.shape[0] != min(image.shape) for image in images):
+        raise InputError(f"sensor {images[0].name}: the shape of an image is (channels, height, width)")
     if mode == "discrete":
         if images:
             raise InputError(f"sensor {images[0].name} is an image, which has no classes; take observation=raw")

@@ -11,14 +11,13 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
 
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.errors import InputError
-from tb2rl.registry import find_agent, find_task
+from tb2rl.registry import absolute_world, find_agent, find_task
 from tb2rl.runs.arguments import agent_for, check_arguments
 from tb2rl.runs.plain import check_plain, check_sections, plain
 from tb2rl.tasks import Task

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
+import cloudpickle
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from tb2rl import make_env
 from tb2rl.sensors import Sensor
 from tb2rl.tasks import Outcome, Task, Velocities
 from tb2rl.tasks.wander import Wander
+
+cloudpickle.register_pickle_by_value(sys.modules[__name__])  # other processes cannot import it
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -12,6 +12,7 @@ import tb2rl
 from tb2rl.envs.batch import BatchVecEnv
 from tb2rl.envs.scene import make_scene
 from tb2rl.judging.evaluator import Evaluator
+from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.runs.loading import config_of
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
@@ -166,30 +167,31 @@ class Varied(Wander):
     def begin(self, setup, draws):
         numbers = draws.uniform(2)
         start = Start.proposed(setup, draws.robots, (numbers[:, 0] * len(setup.worlds)).astype(int))
-        start.parameters[:, 2] *= 0.5 + 0.5 * numbers[:, 1]
+        start.parameters[:, MAX_SPEED] *= 0.5 + 0.5 * numbers[:, 1]
         return start
 
 
 def test_each_episode_begins_with_a_world_and_a_robot_of_its_own(make_setup):
-    scene = make_scene(Varied(episode_steps=5), "raw")
-    object.__setattr__(scene, "setup", make_setup("loop", "maze", "wall", beams=36))
+    worlds = make_setup("loop", "maze", "wall", beams=36)
+    scene = replace(make_scene(Varied(episode_steps=5), "raw"), setup=worlds)
     env = BatchVecEnv(scene, 40)
     env.seed(0)
     env.reset()
     starts = []
     for _ in range(11):
         env.step(np.zeros(40, int))
-        starts.append(env.state()["simulation"]["start"])
-    assert set(starts[0][:, 3]) == {0, 1, 2}
-    np.testing.assert_array_equal(starts[0], starts[3])
-    assert (starts[3][:, 12] != starts[4][:, 12]).all()  # the fifth step ends all episodes
-    assert (starts[3][:, 3] != starts[4][:, 3]).any()
+        starts.append(Start(env.state()["simulation"]["start"]))
+    first, last, anew = starts[0], starts[3], starts[4]  # the fifth step ends all episodes
+    assert set(first.world) == {0, 1, 2}
+    np.testing.assert_array_equal(first.table, last.table)
+    assert (last.parameters[:, MAX_SPEED] != anew.parameters[:, MAX_SPEED]).all()
+    assert (last.world != anew.world).any()
     few = BatchVecEnv(scene, 10)
     few.seed(0)
     few.reset()
     for _ in range(11):
         few.step(np.zeros(10, int))
-    np.testing.assert_array_equal(few.state()["simulation"]["start"], starts[-1][:10])
+    np.testing.assert_array_equal(few.state()["simulation"]["start"], starts[-1].table[:10])
 
 
 # ---- states

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
+import sys
 from functools import partial
 
+import cloudpickle
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -13,7 +15,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tb2rl.envs.make import make_env
 from tb2rl.envs.processes import ProcessVecEnv
+from tb2rl.envs.scene import make_scene
+from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
+from tb2rl.tasks.wander import Wander
+
+cloudpickle.register_pickle_by_value(sys.modules[__name__])  # other processes cannot import it
 
 
 class Numbered(gym.Env):
@@ -37,8 +44,13 @@ class Numbered(gym.Env):
         return self.number + term * factor
 
 
-def make_monitored(task="maze", observation="discrete") -> gym.Env:
-    return Monitor(make_env(task, observation, episode_steps=25, noise=0.01))
+def maker_of(task=Wander, observation="discrete") -> partial:
+    """A function that makes an environment of a scene which is made here, as that of a training."""
+    return partial(make_monitored, make_scene(task(episode_steps=25, noise=0.01), observation))
+
+
+def make_monitored(scene) -> gym.Env:
+    return Monitor(TurtleBot2Env(scene))
 
 
 def numbered(count: int, processes: int) -> ProcessVecEnv:
@@ -70,15 +82,15 @@ def assert_equal_to_environments_in_this_process(maker, steps=200):
 
 
 def test_three_environments_in_two_processes_do_what_they_do_in_this_one():
-    assert assert_equal_to_environments_in_this_process(make_monitored) == {"crash", "time limit"}
+    assert assert_equal_to_environments_in_this_process(maker_of()) == {"crash", "time limit"}
 
 
 def test_so_do_environments_with_images(image_task):
-    assert assert_equal_to_environments_in_this_process(partial(make_monitored, image_task, "raw"), steps=40)
+    assert assert_equal_to_environments_in_this_process(maker_of(image_task, "raw"), steps=40)
 
 
 def test_environments_of_one_seed_start_in_different_places():
-    env = ProcessVecEnv([make_monitored] * 3, processes=2)
+    env = ProcessVecEnv([maker_of()] * 3, processes=2)
     env.seed(7)
     env.reset()
     _, _, _, infos = env.step(np.zeros(3, int))

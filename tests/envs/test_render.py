@@ -1,13 +1,16 @@
 """The picture of the moment that `render` gives."""
 
 import sys
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
 from tb2rl.simulation import Start
+from tb2rl.tasks.wander import Wander
 
 CORNER = (-3.75, -3.75, 0.0)  # the start of the world "loop"
 
@@ -58,12 +61,18 @@ def test_a_picture_shows_the_goal_that_there_is(make):
         assert pixel(env.scene.world, pictures[1 - shown], x, y).min() > 200
 
 
-def test_a_picture_shows_the_world_that_the_episode_is_in(make, make_setup):
-    env = make(render_mode="rgb_array", beams=1, simulation="kinematic")
+@dataclass(frozen=True)
+class Elsewhere(Wander):
+    """Each episode begins in the second world."""
+
+    def begin(self, setup, draws):
+        return Start.proposed(setup, draws.robots, world=len(setup.worlds) - 1)
+
+
+def test_a_picture_shows_the_world_that_the_episode_is_in(make_setup):
     setup = make_setup("loop", "circuit", beams=1)
-    object.__setattr__(env.scene, "setup", setup)
-    object.__setattr__(env.task, "begin", lambda setup, draws: Start.proposed(setup, draws.robots, world=1))
-    env.simulation = type(env.simulation)(setup)
+    scene = replace(make_scene(Elsewhere(beams=1), "raw"), setup=setup)
+    env = TurtleBot2Env(scene, "rgb_array", "kinematic")
     env.reset()
     circuit = setup.worlds[1]
     assert is_wall(pixel(circuit, env.render(), 4.5, 2.25))

@@ -70,3 +70,10 @@ def test_a_goal_has_a_ring_around_it(square, look_at):
 @pytest.mark.parametrize("goal", [None, np.full(2, math.nan)])
 def test_without_a_goal_there_is_no_ring(goal, square):
     assert (draw(square, goal=goal) == draw(square)).all()
+
+
+def test_a_picture_leaves_no_trace_on_the_next_one(square):
+    picture = WorldPicture(square, ROBOT, ONE_BEAM)
+    first = picture.draw(np.zeros(3), np.ones(1), [])
+    picture.draw(np.array([-1.0, 1.0, 0.0]), np.ones(1), [np.zeros(3), np.ones(3)])
+    assert (picture.draw(np.zeros(3), np.ones(1), []) == first).all()

@@ -1,4 +1,4 @@
-"""Films last as long as the drive, play everywhere, replace an older one only when they are complete, and say no early."""
+"""Films last as long as the drive, play everywhere, and replace an older one only when they are complete."""
 
 from __future__ import annotations
 

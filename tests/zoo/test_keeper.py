@@ -1,64 +1,19 @@
-"""Every policy of the zoo loads, drives and is what its card says; the keeper builds entries and finds false cards."""
+"""The keeper of the zoo builds entries from recipes, and finds cards that do not hold."""
 
 from __future__ import annotations
 
 import json
+import sys
 from importlib import import_module
+from io import StringIO
 
 import pytest
 
-import tb2rl
-from tb2rl.settings import room
+from tb2rl.zoo import building, entry
 
 keeper = import_module("tb2rl.zoo.__main__")
-ENTRIES = keeper.entries()
-PLACES = ("maze-loop", "maze-circuit", "maze-round", "maze-maze", "my-maze-loop", "wall-wall")
+
 SMALL = "--agent qlearn --simulation kinematic --total-timesteps 2560 --set train.eval_episodes=2 train.eval_steps=20"
-
-
-def test_every_agent_has_a_policy_for_every_place():
-    expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
-    assert {entry.name for entry in ENTRIES} == expected
-
-
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
-def test_a_policy_drives_its_maze(entry):
-    policy = tb2rl.load(f"zoo:{entry.name}")
-    env = tb2rl.make_env(policy)
-    observation, _ = env.reset(seed=2)
-    info = {"ended": None}
-    for _ in range(200):
-        action, _ = policy.predict(observation, deterministic=True)
-        observation, _, _, _, info = env.step(action)
-        if info["ended"]:
-            break
-    assert info["ended"] == ("goal" if entry.good == "success" else None)
-    assert info["distance"] > (10.0 if entry.good == "crash_free" else 1.0)
-
-
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
-def test_a_card_is_what_its_files_say_and_tells_what_falls_short(entry):
-    text = (entry.folder / "README.md").read_text(encoding="utf-8")
-    assert text == keeper.card(entry)
-    short = entry.figures[f"{entry.good}_rate"] < entry.promised or entry.speed_share < entry.promised_speed
-    assert ("Falls short" in text) == short
-    assert entry.figures["episodes"] == len(entry.figures["each"]) == 100
-    assert entry.config.to_dict() == entry.requested.to_dict(), "trained as its recipe says"
-    assert all((entry.folder / name).is_file() for name in ("paths.png", "config.yaml", "best/policy.safetensors"))
-
-
-def test_the_table_is_what_the_entries_say():
-    assert (room("zoo") / "README.md").read_text(encoding="utf-8") == keeper.table(ENTRIES)
-
-
-def test_the_zoo_is_small():
-    assert sum(file.stat().st_size for file in room("zoo").rglob("*") if file.is_file()) < 10e6
-
-
-@pytest.mark.slow
-def test_the_cards_hold(capsys):
-    keeper.main(["check", "--episodes", "4"])
-    assert f"{len(ENTRIES)} cards hold" in capsys.readouterr().out
 
 
 @pytest.fixture
@@ -67,7 +22,7 @@ def own_zoo(tmp_path, monkeypatch):
     zoo = tmp_path / "zoo"
     zoo.mkdir()
     (zoo / "recipes.yaml").write_text(f"mine: {SMALL}\n")
-    monkeypatch.setattr(keeper, "room", lambda name: zoo)
+    monkeypatch.setattr(entry, "top_folder", lambda name: zoo)
     monkeypatch.chdir(tmp_path)
     return zoo
 
@@ -88,7 +43,7 @@ def test_a_recipe_becomes_an_entry_that_holds_until_its_figures_are_touched(own_
     figures = own_zoo / "mine" / "evaluation.json"
     tree = json.loads(figures.read_text())
     for each in tree["each"]:
-        each.update(ended="time limit", distance=2 * each["distance"])
+        each.update(ended="time limit", failed=False, distance=2 * each["distance"])
     figures.write_text(json.dumps(tree))
     (own_zoo / "README.md").write_text("all is well")
     with pytest.raises(SystemExit, match="1"):
@@ -117,18 +72,43 @@ def test_a_recipe_becomes_an_entry_that_holds_until_its_figures_are_touched(own_
 
 
 def test_a_build_that_is_interrupted_keeps_what_was_trained(own_zoo, monkeypatch, capsys):
-    training = keeper.train
+    training = building.train
 
     def interrupted(arguments: list[str]) -> None:
         training([*arguments, "--no-evaluation"])  # as after Ctrl-C
 
-    monkeypatch.setattr(keeper, "train", interrupted)
+    monkeypatch.setattr(building, "train", interrupted)
     with pytest.raises(SystemExit, match="2"):
         keeper.main(["build"])
     (folder,) = own_zoo.parent.glob("runs/maze/qlearn/mine-*")
     assert f"{folder.name} has no standard evaluation" in capsys.readouterr().err
     assert (folder / "best" / "policy.safetensors").is_file()
     assert [file.name for file in own_zoo.iterdir()] == ["recipes.yaml"]
+
+
+def test_a_build_trains_nothing_that_is_there_as_its_recipe_says(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(building, "train", lambda arguments: pytest.fail("trained"))
+    monkeypatch.setattr(building, "evaluate", lambda *arguments, **settings: pytest.fail("evaluated"))
+    written = []
+    monkeypatch.setattr(keeper, "write_text", lambda path, text: written.append((path, text)))
+    keeper.main(["build", "maze-loop-dqn", "wall-wall-ppo"])
+    assert capsys.readouterr().out.splitlines() == ["maze-loop-dqn (1 of 2)", "wall-wall-ppo (2 of 2)"]
+    assert len(written) == 19, "all cards and the table"
+    assert all(path.read_text(encoding="utf-8") == text for path, text in written), "and they stay what they were"
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_check_draws_bars_on_a_terminal_only(is_terminal, monkeypatch, capsys):
+    stream = StringIO()
+    stream.isatty = lambda: is_terminal
+    monkeypatch.setattr(sys, "stderr", stream)
+    keeper.main(["check", "wall-wall-ppo", "--episodes", "1"])
+    drawn = stream.getvalue()
+    assert ("checking:" in drawn, "evaluating:" in drawn) == (is_terminal, is_terminal)
+    assert is_terminal or not drawn
+    out = capsys.readouterr().out
+    assert "wall-wall-ppo: 100 % good episodes, " in out
+    assert out.endswith("1 cards hold\n")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,203 @@
+"""The tabular learner: the tutorial's algorithm by hand-computed numbers, and the textbook's."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+
+from tb2rl.agents.qlearn import QLearning, update_table
+from tb2rl.envs.make import make_env
+from tb2rl.errors import InputError
+from tb2rl.runs.layers import resolve
+
+
+@pytest.fixture
+def values_after(drive):
+    """A function that drives some episodes and gives Q of states 0 and 1; the state that they end in is worth 10."""
+
+    def values(episodes: int, ends: str = "terminated", **arguments) -> list[float]:
+        model = QLearning("QTable", drive(ends), learning_rate=0.1, gamma=0.7, **arguments)
+        model.policy.q[2] = 10.0
+        model.learn(2 * episodes)
+        return model.policy.q[:2, 0].tolist()
+
+    return values
+
+
+@pytest.fixture
+def shares_of_choices(bandit):
+    """A function: how often each action of a state with some values is taken, while they stay as they are."""
+
+    def shares(values: list[float], steps: int = 20_000, **arguments) -> np.ndarray:
+        env = make_vec_env(lambda: bandit(len(values)), 50)
+        model = QLearning("QTable", env, learning_rate=0.0, seed=0, **arguments)
+        model.policy.q[0] = model.policy.q.new_tensor(values)
+        model.learn(steps)
+        assert model.policy.q[0].tolist() == values
+        return model.policy.visits[0].numpy() / steps
+
+    return shares
+
+
+# ---- the tutorial
+
+
+def test_the_tutorial_preset_carries_the_tutorials_numbers():
+    config = resolve(preset="tutorial")
+    assert (config.agent_name, config.task_name, config.observation) == ("qlearn", "maze", "discrete")
+    assert config.agent_arguments == {
+        "learning_rate": 0.1,
+        "gamma": 0.7,
+        "exploration": "noisy_values",
+        "exploration_initial_eps": 0.9,
+        "exploration_final_eps": 0.05,
+        "exploration_decay": 0.999,
+        "update": "tutorial",
+    }
+    task, train = config.task, config.train
+    assert task.actions.table.tolist() == [[0.5, 0.0], [0.05, 0.3], [0.05, -0.3]]
+    assert (task.forward_reward, task.turn_reward, task.crash_reward, task.crash_range) == (5.0, 1.0, -200.0, 0.5)
+    assert (task.beams, task.beam_indices, task.noise, task.start) == (720, (0, 144, 288, 432, 576), 0.0, "fixed")
+    assert (train.episodes, task.episode_steps, train.n_envs, train.reward_scale) == (500, 10_000, 1, 1.0)
+    assert train.total_timesteps >= 500 * 10_000, "the episodes end the training, not the steps"
+
+
+def test_the_tutorial_preset_observes_the_integer_part_of_the_reading(make_reading):
+    scene = resolve(preset="tutorial").scene
+    assert np.degrees(scene.laser.angles) == pytest.approx([-90 + i * 180 / 719 for i in (0, 144, 288, 432, 576)])
+    assert scene.observation_space.nvec.tolist() == [7] * 5
+
+    def classes(*ranges: float) -> list[int]:
+        return scene.encoding(make_reading(ranges=ranges))[0].tolist()
+
+    assert classes(0.3, 0.99, 1.0, 1.99, 2.0) == [0, 0, 1, 1, 2]
+    assert classes(5.99, 6.0, 29.0, np.inf, np.nan) == [5, 6, 6, 6, 0]
+
+
+def test_the_tutorials_first_visit_stores_the_plain_reward(values_after):
+    assert values_after(1, update="tutorial") == [5.0, -200.0]
+
+
+def test_the_tutorials_later_visits_bootstrap_also_through_a_crash(values_after):
+    # 5 + 0.1 (5 + 0.7 * -200 - 5), and -200 + 0.1 (-200 + 0.7 * 10 + 200)
+    assert values_after(2, update="tutorial") == pytest.approx([-9.0, -199.3])
+
+
+def test_the_tutorials_epsilon_falls_at_the_start_of_each_episode_until_it_is_small(bandit, epsilons):
+    tutorial = resolve(preset="tutorial").agent_arguments
+    seen = epsilons(QLearning("QTable", bandit(), **tutorial), 3000)
+    assert seen[:2] == pytest.approx([0.9 * 0.999, 0.9 * 0.999**2])
+    assert seen[499] == pytest.approx(0.9 * 0.999**500)
+    assert seen[499] == pytest.approx(0.546, abs=5e-4)
+    falls = math.ceil(math.log(0.05 / 0.9) / math.log(0.999))  # 2889: the first epsilon that is not above 0.05
+    assert seen[falls - 2] > 0.05 >= seen[falls - 1]
+    assert seen[-1] == seen[falls - 1] == pytest.approx(0.9 * 0.999**falls)
+
+
+def test_an_episode_counts_for_the_decay_and_its_steps_do_not(drive, epsilons):
+    model = QLearning("QTable", drive(), exploration_initial_eps=0.9, exploration_decay=0.5)
+    assert epsilons(model, 5) == [0.45, 0.45, 0.225, 0.225, 0.1125]
+
+
+# The noise of two actions differs by less than the width w = max |q|, with a triangular density: the second best action
+# wins with probability (1 - gap / w)^2 / 2.
+@pytest.mark.parametrize(
+    ("values", "share"),
+    [([10.0, 4.0], 0.4**2 / 2), ([-10.0, -4.0], 1 - 0.4**2 / 2), ([10.0, -0.1], 0.0), ([-8.0, 2.5], 1.0)],
+)
+def test_noisy_values_choose_by_the_gap_relative_to_the_largest_value(values, share, shares_of_choices):
+    always = {"exploration": "noisy_values", "exploration_initial_eps": 1.0, "exploration_final_eps": 1.0}
+    tolerance = 0.01 if 0 < share < 1 else 0.0
+    assert shares_of_choices(values, **always)[1] == pytest.approx(share, abs=tolerance)
+
+
+def test_noisy_values_add_noise_only_with_probability_epsilon(shares_of_choices):
+    sometimes = {"exploration": "noisy_values", "exploration_initial_eps": 0.5, "exploration_final_eps": 0.5}
+    assert shares_of_choices([10.0, 4.0], **sometimes)[1] == pytest.approx(0.5 * 0.4**2 / 2, abs=0.01)
+
+
+@pytest.mark.parametrize("exploration", ["noisy_values", "epsilon_greedy"])
+@pytest.mark.parametrize(("values", "shares"), [([0.0, 0.0, 0.0], [1 / 3] * 3), ([2.0, 1.0, 2.0], [0.5, 0.0, 0.5])])
+def test_ties_are_broken_at_random(exploration, values, shares, shares_of_choices):
+    greedy = {"exploration": exploration, "exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+    assert shares_of_choices(values, **greedy) == pytest.approx(shares, abs=0.015)
+
+
+# ---- the textbook
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        ("terminated", [0.5 + 0.1 * (5 + 0.7 * -20 - 0.5), -20 + 0.1 * (-200 + 20)]),  # nothing follows a crash
+        ("truncated", [0.5 + 0.1 * (5 + 0.7 * -19.3 - 0.5), -19.3 + 0.1 * (-200 + 0.7 * 10 + 19.3)]),
+    ],
+)
+def test_textbook_updates_bootstrap_at_a_time_limit_and_not_at_a_crash(ends, expected, values_after):
+    assert values_after(2, ends=ends) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("plain_first", [False, True])
+def test_updates_of_one_pair_by_several_robots_happen_one_after_the_other(plain_first):
+    rng = np.random.default_rng(0)
+    states, reached = rng.integers(3, size=(2, 200))
+    actions, ended, rewards = rng.integers(2, size=200), rng.random(200) < 0.2, rng.normal(size=200)
+    q, visits = np.zeros((3, 2)), np.zeros((3, 2), dtype=np.int64)
+    update_table(q, visits, states, actions, reached, ended, rewards, 0.3, 0.9, plain_first)
+
+    expected, seen = np.zeros((3, 2)), np.zeros((3, 2), dtype=np.int64)
+    for s, a, n, over, r in zip(states, actions, reached, ended, rewards, strict=True):
+        target = r if over else r + 0.9 * max(expected[n])
+        expected[s, a] = r if plain_first and seen[s, a] == 0 else expected[s, a] + 0.3 * (target - expected[s, a])
+        seen[s, a] += 1
+    np.testing.assert_allclose(q, expected, rtol=1e-12)
+    np.testing.assert_array_equal(visits, seen)
+
+
+def test_epsilon_greedy_takes_a_random_action_at_the_rate_of_epsilon(shares_of_choices):
+    rate = {"exploration_initial_eps": 0.3, "exploration_final_eps": 0.3}
+    assert shares_of_choices([1.0, 0.0, 0.5], **rate) == pytest.approx([0.8, 0.1, 0.1], abs=0.01)
+
+
+def test_epsilon_falls_linearly_over_its_share_of_the_training(bandit, epsilons):
+    model = QLearning("QTable", bandit(), exploration_final_eps=0.2, exploration_fraction=0.5)
+    seen = epsilons(model, 100)
+    assert (seen[0], seen[25], seen[50], seen[99]) == pytest.approx((1.0, 0.6, 0.2, 0.2))
+
+
+def test_the_learning_rate_follows_its_schedule(bandit):
+    model = QLearning("QTable", bandit(), learning_rate=lambda remaining: remaining, gamma=0.0)
+    model.learn(4)  # alpha 0.75, 0.5, 0.25, 0 towards a reward of 1
+    assert model.policy.q.item() == pytest.approx(1 - 0.25 * 0.5 * 0.75)
+
+
+def test_it_learns_the_shortest_way_over_the_frozen_lake(frozen_lake):
+    model = QLearning("QTable", frozen_lake(), learning_rate=0.5, gamma=0.9, seed=0).learn(10_000)
+    returns, lengths = evaluate_policy(model, model.get_env(), n_eval_episodes=3, return_episode_rewards=True)
+    assert (returns, lengths) == ([1.0] * 3, [6] * 3)
+    assert model.policy.q[0].max().item() == pytest.approx(0.9**5), "the goal is six steps away"
+
+
+@pytest.mark.parametrize(("initial_value", "tried"), [(10.0, 3), (0.0, 1)])
+def test_a_greedy_learner_tries_everything_only_if_its_table_is_optimistic(initial_value, tried, bandit):
+    greedy = {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0, "learning_rate": 0.5}
+    model = QLearning("QTable", bandit(3), policy_kwargs={"initial_value": initial_value}, **greedy).learn(50)
+    assert (model.policy.visits > 0).sum() == tried
+    assert tried == 1 or model.predict(np.int64(0))[0] == 2
+
+
+def test_raw_observations_are_refused():
+    with pytest.raises(InputError, match="observation=discrete"):
+        QLearning("QTable", make_env(observation="raw"))
+
+
+def test_equal_seeds_give_equal_tables_and_others_do_not(frozen_lake):
+    def table(seed: int) -> np.ndarray:
+        return QLearning("QTable", frozen_lake(slippery=True), seed=seed).learn(500).policy.q.numpy()
+
+    np.testing.assert_array_equal(table(3), table(3))
+    assert not np.array_equal(table(3), table(4))

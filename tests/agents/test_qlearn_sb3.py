@@ -1,0 +1,126 @@
+"""Stable-Baselines3 around the tabular learner: callbacks, processes, logs, and saved tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3.common.callbacks import CheckpointCallback, EvalCallback, StopTrainingOnMaxEpisodes
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import SubprocVecEnv
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from tb2rl.agents.qlearn import QLearning, QTable
+from tb2rl.envs.processes import process_context
+
+
+def test_sb3s_callbacks_evaluate_checkpoint_and_stop(tmp_path, drive):
+    model = QLearning("QTable", Monitor(drive()))
+    checkpoints = CheckpointCallback(save_freq=5, save_path=str(tmp_path))
+    evaluation = EvalCallback(Monitor(drive()), best_model_save_path=str(tmp_path), eval_freq=5, verbose=0)
+    model.learn(1000, callback=[checkpoints, evaluation, StopTrainingOnMaxEpisodes(6)])
+    assert model.num_timesteps == 12
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        "best_model.zip",
+        "rl_model_10_steps.zip",
+        "rl_model_5_steps.zip",
+    ]
+    assert evaluation.best_mean_reward == -195.0
+    assert QLearning.load(tmp_path / "rl_model_5_steps.zip").num_timesteps == 5
+
+
+def test_it_trains_on_environments_in_processes_of_sb3():
+    process_context()  # SB3 forks from the same server, which imports once what all of them need
+    environments = make_vec_env("tb2rl:TurtleBot2Maze-v0", 2, vec_env_cls=SubprocVecEnv)
+    try:
+        model = QLearning("QTable", environments).learn(20)
+    finally:
+        environments.close()
+    assert model.policy.visits.sum() == 20
+
+
+@pytest.mark.filterwarnings("ignore::tqdm.TqdmExperimentalWarning")
+def test_it_shows_a_progress_bar(capfd, bandit):
+    QLearning("QTable", bandit()).learn(10, progress_bar=True)
+    assert "10/10" in "".join(capfd.readouterr())
+
+
+def test_it_logs_to_tensorboard(tmp_path, drive):
+    QLearning("QTable", Monitor(drive(actions=2)), tensorboard_log=str(tmp_path)).learn(40, log_interval=10)
+    events = EventAccumulator(str(tmp_path / "QLearning_1")).Reload()
+    logged = {tag: [(event.step, event.value) for event in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+    assert logged["rollout/ep_rew_mean"] == [(20, -195.0), (40, -195.0)]
+    assert logged["rollout/ep_len_mean"] == [(20, 2.0), (40, 2.0)]
+    assert logged["train/visited_share"][-1] == (40, pytest.approx(4 / 6)), "nothing is done where episodes end"
+    assert {"rollout/exploration_rate", "train/learning_rate", "time/fps"} <= logged.keys()
+
+
+def test_a_saved_model_acts_the_same_and_goes_on_learning(tmp_path, frozen_lake, epsilons):
+    model = QLearning("QTable", frozen_lake(), exploration_decay=0.9, seed=0).learn(2000)
+    model.save(tmp_path / "model")
+    again = QLearning.load(tmp_path / "model", env=frozen_lake())
+    states = np.arange(16)
+    np.testing.assert_array_equal(again.predict(states)[0], model.predict(states)[0])
+    epsilon, visits = model.exploration_rate, model.policy.visits.sum()
+    assert epsilons(again, 100, reset_num_timesteps=False)[0] == epsilon, "resuming does not explore from the start"
+    assert (again.num_timesteps, again.policy.visits.sum()) == (2100, visits + 100)
+
+
+def test_a_saved_table_acts_the_same(tmp_path, frozen_lake):
+    policy = QLearning("QTable", frozen_lake(), seed=0).learn(2000).policy
+    policy.save(tmp_path / "table")
+    again = QTable.load(tmp_path / "table")
+    assert [again.predict(state)[0] for state in range(16)] == [policy.predict(state)[0] for state in range(16)]
+
+
+def test_a_saved_table_holds_the_tried_pairs_only_and_the_others_come_back_as_they_were(frozen_lake):
+    settings = {"policy_kwargs": {"initial_value": 2.5}, "seed": 0}
+    model = QLearning("QTable", frozen_lake(), **settings).learn(100)
+    state = model.policy.state_dict()
+    tried = int((model.policy.visits > 0).sum())
+    assert {name: len(values) for name, values in state.items()} == {"pairs": tried, "q": tried, "visits": tried}
+    assert tried < model.policy.q.numel()
+    other = QLearning("QTable", frozen_lake(), **{**settings, "seed": 1}).learn(300).policy
+    other.load_state_dict(state)
+    np.testing.assert_array_equal(other.q, model.policy.q)
+    np.testing.assert_array_equal(other.visits, model.policy.visits)
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        {"pairs": [1, 1]},
+        {"pairs": [2, 1]},
+        {"pairs": [-1, 1]},
+        {"pairs": [1, 64]},
+        {"pairs": [2**63 - 2, -(2**63)]},
+        {"pairs": [1]},
+        {"pairs": [[1, 2]]},
+        {"pairs": [1.0, 2.0]},
+        {"q": [1.0]},
+        {"q": [1, 2]},
+        {"visits": [1, 0]},
+        {"visits": [1, -1]},
+        {"visits": [1, 2, 3]},
+        {"visits": None},
+        {"more": [1]},
+    ],
+    ids=str,
+)
+def test_a_table_that_cannot_have_been_saved_is_refused(lie, frozen_lake):
+    policy = QLearning("QTable", frozen_lake()).policy
+    saved = {"pairs": [1, 63], "q": [0.5, 1.5], "visits": [1, 2]}
+    policy.load_state_dict(tensors(saved))
+    assert policy.q[15, 3] == 1.5
+    with pytest.raises(RuntimeError, match=r"table's pairs|in state_dict"):
+        policy.load_state_dict(tensors({**saved, **lie}))
+    assert policy.q[15, 3] == 1.5, "nothing changed"
+
+
+def tensors(state: dict[str, list | None]) -> dict[str, th.Tensor]:
+    return {
+        name: th.tensor(values, dtype=th.float64 if isinstance(values[0], float) else th.int64)
+        for name, values in state.items()
+        if values is not None
+    }

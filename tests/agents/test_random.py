@@ -1,0 +1,38 @@
+"""The agent that does not look: random actions of any kind, from any observations."""
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+
+from tb2rl.agents.random import RandomPolicy
+
+NUMBERS, IMAGE = spaces.Box(-1, 1, (5,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
+
+
+@pytest.mark.parametrize(
+    "observation_space",
+    [NUMBERS, spaces.MultiDiscrete([3, 4]), IMAGE, spaces.Dict({"image": IMAGE, "numbers": NUMBERS})],
+)
+@pytest.mark.parametrize("action_space", [spaces.Discrete(3), spaces.Box(np.float32([-1, 0]), np.float32([1, 5]))])
+def test_it_acts_at_random_whatever_it_observes(observation_space, action_space):
+    policy = RandomPolicy(observation_space, action_space)
+    th.manual_seed(0)
+    alone = [policy.predict(observation_space.sample())[0] for _ in range(20)]
+    assert all(action_space.contains(action) for action in alone)
+    assert len(np.unique(alone, axis=0)) > 1
+    many = (
+        {space: np.stack([observation_space[space].sample()] * 4) for space in observation_space}
+        if isinstance(observation_space, spaces.Dict)
+        else np.stack([observation_space.sample()] * 4)
+    )
+    actions, _ = policy.predict(many)
+    assert len(actions) == 4
+    assert all(action_space.contains(action) for action in actions)
+
+
+def test_every_action_is_as_likely_as_any_other():
+    policy = RandomPolicy(NUMBERS, spaces.Discrete(4))
+    th.manual_seed(0)
+    actions, _ = policy.predict(np.zeros((4000, 5), np.float32))
+    assert np.bincount(actions) / 4000 == pytest.approx(0.25, abs=0.03)

@@ -1,0 +1,77 @@
+"""What can be resumed and what cannot: finished runs, folders in use, checkpoints of other runs, states that lie."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from filelock import FileLock
+
+from tb2rl import load
+from tb2rl.errors import InputError
+from tb2rl.learning.training import resume, train_config
+from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
+from tb2rl.runs.folder import Run
+
+SHORT = {"simulation": "bullet", "total_timesteps": 64, "n_envs": 1}
+
+
+def test_a_finished_run_goes_on_when_more_is_asked(small, tmp_path):
+    train_config(small(**SHORT), tmp_path / "run")
+    with pytest.raises(InputError, match="has all its 64 steps"):
+        resume(tmp_path / "run")
+    with pytest.raises(InputError, match="begun with 64"):
+        resume(tmp_path / "run", 32)
+    assert resume(tmp_path / "run", 128).timesteps == 64
+    assert Run.open(tmp_path / "run").config.train.total_timesteps == 128
+    assert load(tmp_path / "run").num_timesteps == 128
+
+
+def test_a_run_that_goes_on_keeps_its_best_score(small, tmp_path):
+    config = small(**SHORT, eval_freq=64, eval_episodes=2, eval_steps=20)
+    run = train_config(config, tmp_path / "run").run
+    remembered = read_checkpoint(run.checkpoints[0])["training"]["callbacks"]
+    noted = json.loads((run.folder / "evaluations.jsonl").read_text().splitlines()[-1])
+    assert [state["best"] for state in remembered if "best" in state] == [[noted["success_rate"], noted["mean_return"]]]
+
+
+def test_two_processes_do_not_train_in_one_folder(small, tmp_path):
+    run = train_config(small(**SHORT), tmp_path / "run").run
+    with FileLock(run.folder / ".lock"), pytest.raises(InputError, match="another process"):
+        resume(run.folder, 128)
+    assert resume(run.folder, 128).timesteps == 64
+
+
+def test_another_runs_checkpoint_is_not_gone_on_with(small, tmp_path):
+    runs = [train_config(small(seed=seed), tmp_path / str(seed)).run for seed in (0, 1)]
+    shutil.copy(runs[0].checkpoints[0], runs[1].checkpoints[0])
+    with pytest.raises(InputError, match="not a checkpoint of the training that"):
+        resume(runs[1].folder, 256)
+
+
+def test_a_policy_without_the_state_of_its_training_is_not_gone_on_with(small, tmp_path):
+    run = train_config(small(), tmp_path / "run").run
+    shutil.copy(run.folder / "final" / "policy.safetensors", run.checkpoints[0])
+    with pytest.raises(InputError, match="not a checkpoint of the training that"):
+        resume(run.folder, 256)
+
+
+def test_a_folder_without_a_checkpoint_is_not_gone_on_with(small, tmp_path):
+    run = Run.create(tmp_path / "run", small())
+    with pytest.raises(InputError, match="has no checkpoint of its training"):
+        resume(run.folder)
+
+
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+def test_a_state_that_does_not_fit_is_refused_and_the_folder_is_left_as_it_was(simulation, small, tmp_path):
+    run = train_config(small(simulation=simulation, n_envs=1, eval_freq=64, eval_steps=5), tmp_path / "run").run
+    content = read_checkpoint(run.checkpoints[0])
+    del content["training"]["environments"]
+    write_checkpoint(run.checkpoints[0], content)
+    before = {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()}
+    with pytest.raises(InputError, match="does not fit this training") as refused:
+        resume(run.folder, 256)
+    assert str(run.checkpoints[0]) in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()} == before

@@ -1,0 +1,87 @@
+"""What the settings of a training change, and what they do not: seeds, processes, threads, rewards, time limits."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numba
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from tb2rl import load
+from tb2rl.envs.processes import ProcessVecEnv
+from tb2rl.learning import training
+from tb2rl.learning.training import train_config
+from tb2rl.runs.checkpoint import read_checkpoint
+
+BULLET = {"simulation": "bullet", "total_timesteps": 300, "n_envs": 1}
+
+
+def table(folder) -> np.ndarray:
+    return load(folder / "final" / "policy.safetensors").policy.q.numpy()
+
+
+@pytest.mark.parametrize(("environments", "kind"), [(1, DummyVecEnv), (3, ProcessVecEnv)])
+def test_equal_seeds_give_equal_tables_and_others_do_not(environments, kind, small, tmp_path, monkeypatch):
+    made = []
+    make = training.make_vec_env
+    monkeypatch.setattr(training, "make_vec_env", lambda config: made.append(make(config)) or made[-1])
+    for name, seed in (("one", 5), ("two", 5), ("other", 6)):
+        train_config(small(seed=seed, **{**BULLET, "n_envs": environments}), tmp_path / name)
+    assert {type(env) for env in made} == {kind}
+    np.testing.assert_array_equal(table(tmp_path / "one"), table(tmp_path / "two"))
+    assert not np.array_equal(table(tmp_path / "one"), table(tmp_path / "other"))
+
+
+def test_the_number_of_processors_changes_nothing_but_the_time(small, tmp_path, monkeypatch):
+    for processors in (1, 3):
+        monkeypatch.setattr("tb2rl.envs.processes.processors", lambda n=processors: n)
+        train_config(small(**{**BULLET, "n_envs": 3}), tmp_path / str(processors))
+    np.testing.assert_array_equal(table(tmp_path / "1"), table(tmp_path / "3"))
+
+
+@pytest.mark.parametrize(
+    ("agent", "settings"), [("qlearn", {}), ("ppo", {"agent.n_steps": 5, "agent.batch_size": 500})]
+)
+def test_the_number_of_threads_changes_nothing_but_the_time(agent, settings, small, differences, tmp_path):
+    config = small(agent, settings=settings, n_envs=600, total_timesteps=6000)
+    ends = []
+    try:
+        for threads in (1, numba.config.NUMBA_NUM_THREADS):
+            numba.set_num_threads(threads)
+            run = train_config(config, tmp_path / str(len(ends))).run
+            ends.append(read_checkpoint(run.checkpoints[0]))
+    finally:
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    assert differences(*ends) == []
+
+
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+def test_the_scale_of_the_reward_is_for_the_agent_alone(simulation, small, tmp_path, capsys):
+    quick = {**BULLET, "simulation": simulation, "eval_freq": 150, "eval_episodes": 2, "eval_steps": 20}
+    printed, noted = [], []
+    for scale in (1.0, 0.5):  # powers of two leave every rounding as it is
+        run = train_config(small(reward_scale=scale, **quick), tmp_path / str(scale), verbose=1).run
+        printed.append(re.findall(r"Reward: (-?\d+) - Steps: (\d+)", capsys.readouterr().out))
+        lines = (run.folder / "evaluations.jsonl").read_text().splitlines()
+        noted.append([json.loads(line)["mean_return"] for line in lines])
+    np.testing.assert_array_equal(table(tmp_path / "0.5"), 0.5 * table(tmp_path / "1.0"))
+    assert printed[0] == printed[1] != []
+    assert noted[0] == noted[1]
+
+
+@pytest.mark.parametrize("environments", [1, 2])
+def test_training_stops_after_the_episodes_that_were_asked_for(environments, small, tmp_path):
+    settings = {**BULLET, "episodes": 5, "total_timesteps": 10**9, "n_envs": environments}
+    done = train_config(small(**settings), tmp_path / "run")
+    assert 5 <= len(done.lengths) <= 5 + environments - 1, "several environments may end an episode at once"
+    assert environments * sum(done.lengths) >= done.timesteps >= sum(done.lengths)
+
+
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+def test_training_may_have_a_time_limit_of_its_own(simulation, small, tmp_path):
+    config = small(**{**BULLET, "simulation": simulation, "episode_steps": 4})
+    assert max(train_config(config, tmp_path / "run").lengths) == 4
+    assert load(tmp_path / "run").trained_with.task.episode_steps > 4

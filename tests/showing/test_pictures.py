@@ -1,0 +1,54 @@
+"""Pictures of paths mark where episodes began, where the failed ones ended, and the goal of a task that has one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tb2rl.pictures.colours import FAILED, GOAL, PATH, START
+from tb2rl.showing.pictures import draw_paths, goal_of
+from tb2rl.simulation import Start
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.wander import Wander
+
+PATHS = [np.array([(0.0, 1.0), (1.0, 2.0), (1.5, 2.0)]), np.array([(0.0, -2.0), (2.0, -2.0)])]
+
+
+def centres(scene, picture: np.ndarray, colour: str) -> tuple[float, float] | None:
+    """Middle of what has the colour, x, y [m]; None for a colour that is not there."""
+    wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    rows, columns = np.nonzero((np.abs(picture.astype(int) - wanted) < 12).all(axis=2))
+    if not len(rows):
+        return None
+    x0, _, x1, y1 = scene.world.bounds
+    scale = picture.shape[1] / (x1 - x0 + 0.6)
+    left, right, top, bottom = columns.min(), columns.max() + 1, rows.min(), rows.max() + 1
+    return (left + right) / 2 / scale + x0 - 0.3, y1 + 0.3 - (top + bottom) / 2 / scale
+
+
+@pytest.mark.parametrize("failed", [(True, False), (False, True)])
+def test_the_ends_of_failed_episodes_are_marked(failed, make):
+    scene = make.config("wall").scene
+    picture = draw_paths(scene, PATHS, failed)
+    assert centres(scene, picture, FAILED) == pytest.approx(PATHS[failed.index(True)][-1], abs=0.02)
+    assert centres(scene, picture, START) == pytest.approx((0.0, -0.5), abs=0.02), "between the two starts"
+    assert centres(scene, picture, GOAL) == pytest.approx((5.0, 0.0), abs=0.02)
+    assert centres(scene, picture, PATH) is not None
+
+
+def test_without_failures_nothing_is_marked_as_such(make):
+    scene = make.config("wall").scene
+    assert centres(scene, draw_paths(scene, PATHS, [False, False]), FAILED) is None
+
+
+def test_a_task_without_a_goal_shows_none_though_its_world_has_one(make):
+    scene = make.config("maze", world="wall").scene
+    assert centres(scene, draw_paths(scene, PATHS, [False, False]), GOAL) is None
+    start = Start.proposed(scene.setup, 2)
+    assert np.isnan(goal_of(Wander(), start)).all()
+    assert goal_of(ReachGoal(), start).tolist() == [5.0, 0.0]
+
+
+def test_every_path_needs_a_word_on_whether_it_failed(make):
+    with pytest.raises(ValueError, match="shorter"):
+        draw_paths(make.config().scene, PATHS, [True])

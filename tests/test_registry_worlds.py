@@ -1,0 +1,136 @@
+"""Worlds by name, by file, by a reader of one's own, and made by code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tb2rl import make_env
+from tb2rl.errors import InputError
+from tb2rl.registry import absolute_world, find_world, world_names
+
+DRAWING = "#####\n#S.G#\n#...#\n#####\n"
+YAML = "start: [1.5, 2.5, 0.0]\nwalls: [{path: [[0, 0], [4, 0], [4, 4], [0, 4]], closed: true}]\n"
+MODULE = """
+from tb2rl.worlds import World
+
+def read(path):
+    radius = float(path.read_text())
+    return World.from_shapes(path.stem, posts=[(5, 0, radius)], start=(0, 0, 0), bounds=(-2, -2, 8, 2))
+
+POST = World.from_shapes("post", posts=[(5, 0, 1)], start=(0, 0, 0), bounds=(-2, -2, 8, 2))
+
+def make():
+    return POST
+
+def read_nothing(path):
+    return path.read_text()
+
+NUMBER = 7
+"""
+
+
+@pytest.fixture
+def my_worlds(tmp_path, monkeypatch):
+    """A module of one's own, and the folder it is in."""
+    (tmp_path / "my_worlds.py").write_text(MODULE)
+    (tmp_path / "post.radius").write_text("0.5")
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_every_world_that_has_a_name_can_be_had(name):
+    assert find_world(name).name == name
+    assert find_world(name) is find_world(name)  # read once
+
+
+def test_the_built_in_worlds_have_names():
+    assert {"circuit", "loop", "maze", "round", "wall"} <= set(world_names())
+
+
+def test_a_file_of_ones_own_is_found_by_its_path(tmp_path):
+    text, yaml = tmp_path / "mine.txt", tmp_path / "mine.yaml"
+    text.write_text(DRAWING)
+    yaml.write_text(YAML)
+    assert find_world(str(text)).start == (3.0, 5.0, 0)
+    assert find_world(str(yaml)).clearance(1.5, 3.0) == pytest.approx(0.9)
+
+
+def test_a_reader_of_ones_own_opens_a_file_of_any_format(my_worlds):
+    world = find_world(f"my_worlds:read:{my_worlds / 'post.radius'}")
+    assert (world.name, world.posts.tolist()) == ("post", [[5.0, 0.0, 0.5]])
+
+
+def test_a_world_can_be_made_by_code(my_worlds):
+    assert find_world("my_worlds:POST").posts.tolist() == [[5.0, 0.0, 1.0]]
+    assert find_world("my_worlds:make") is find_world("my_worlds:POST")
+
+
+def test_a_robot_drives_in_a_world_that_code_made(my_worlds):
+    env = make_env("maze", "raw", world="my_worlds:POST", start="fixed", beams=1)
+    seen, _ = env.reset()
+    assert seen == pytest.approx([4.0])
+    assert env.scene.world is find_world("my_worlds:POST")
+    env.close()
+
+
+def test_a_format_of_another_package_is_read_by_the_ending_of_its_files(write_package, tmp_path):
+    write_package("[tb2rl.worlds]\nradius = my_other_worlds:read\n", my_other_worlds=MODULE)
+    (tmp_path / "mine.radius").write_text("1.5")
+    assert find_world(str(tmp_path / "mine.radius")).posts.tolist() == [[5.0, 0.0, 1.5]]
+    (tmp_path / "mine.txt").write_text(DRAWING)
+    assert find_world(str(tmp_path / "mine.txt")).start == (3.0, 5.0, 0)
+
+
+# ---- what is not a world
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_and_all_known_ones():
+    with pytest.raises(InputError, match="unknown world 'lop'; did you mean 'loop'") as error:
+        find_world("lop")
+    for name in world_names():
+        assert name in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["missing.yaml", "missing.txt", "nowhere/loop"])
+def test_a_missing_file_is_named(name):
+    with pytest.raises(InputError, match=f"no world file {name}"):
+        find_world(name)
+
+
+def test_an_ending_that_nothing_reads_is_refused_with_the_known_ones(my_worlds):
+    with pytest.raises(InputError, match=r"unknown ending of the world file .*post\.radius: '\.radius'.*\.txt, \.yaml"):
+        find_world(str(my_worlds / "post.radius"))
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("my_worlds:NUMBER", "world 'my_worlds:NUMBER' is not a tb2rl.worlds.World but int"),
+        ("my_worlds:read_nothing:{folder}/post.radius", "is not a tb2rl.worlds.World but str"),
+        ("my_worlds:read:{folder}/missing.radius", "there is no world file .*missing.radius"),
+        ("my_worlds:NOWHERE", "module 'my_worlds' has no 'NOWHERE'"),
+        ("my_other_module:POST", "there is no module 'my_other_module'"),
+    ],
+)
+def test_code_that_does_not_make_a_world_is_refused_with_one_line(reference, words, my_worlds):
+    with pytest.raises(InputError, match=words) as error:
+        find_world(reference.format(folder=my_worlds))
+    assert "\n" not in str(error.value)
+
+
+# ---- from any folder
+
+
+def test_a_reference_to_a_file_becomes_absolute_and_any_other_stays(my_worlds, monkeypatch):
+    monkeypatch.chdir(my_worlds)
+    Path("mine.txt").write_text(DRAWING)
+    assert absolute_world("mine.txt") == str(my_worlds / "mine.txt")
+    assert absolute_world("my_worlds:read:post.radius") == f"my_worlds:read:{my_worlds / 'post.radius'}"
+    assert absolute_world("my_worlds:POST") == "my_worlds:POST"
+    assert absolute_world("loop") == "loop"
+    found = [absolute_world(reference) for reference in ("mine.txt", "my_worlds:read:post.radius")]
+    monkeypatch.chdir("/")
+    assert [find_world(reference).name for reference in found] == ["mine", "post"]
