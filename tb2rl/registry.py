@@ -6,6 +6,7 @@ Nothing is imported before it is asked for, so that a list of names costs no tor
 from __future__ import annotations
 
 import inspect
+import os
 import pkgutil
 import re
 from collections.abc import Callable, Mapping
@@ -140,7 +141,7 @@ def find_world(reference: str) -> World:
 def _made_by_code(found: Any, file: str | None) -> Any:
     if file is None:
         return found() if callable(found) else found
-    if not Path(file).is_file():
+    if not os.path.isfile(file):  # noqa: PTH113 (as below)
         raise InputError(one_line(f"there is no world file {file}"))
     reader: Reader = found
     return read_world(Path(file), reader)
@@ -151,7 +152,8 @@ def absolute_world(reference: str) -> str:
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is not None:
         return reference if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
-    return str(Path(reference).resolve()) if Path(reference).is_file() else reference
+    is_file = os.path.isfile(reference)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+    return str(Path(reference).resolve()) if is_file else reference
 
 
 def _worlds_folder() -> Path:

@@ -7,7 +7,6 @@ told in `tb2rl.runs.layers`.
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -109,8 +108,7 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     if agent.only and observation != agent.observation:
         raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
     task = build(find_task(task_name), sections["task"], "task")
-    if os.path.isfile(task.world):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
-        task = dataclasses.replace(task, world=str(Path(task.world).resolve()))  # to find it from another folder
+    task = dataclasses.replace(task, world=absolute_world(task.world))  # the run is loaded from other folders, too
     scene = make_scene(task, observation)  # says what of the task does not fit together
     arguments = check_arguments(agent_for(agent_name, scene.observation_space), sections["agent"])
     train = build(TrainSettings, sections.get("train", {}), "train")
