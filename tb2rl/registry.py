@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import find_file, top_folder
 from tb2rl.robots import Robot
 from tb2rl.tasks import Task
 from tb2rl.worlds import World
-from tb2rl.worlds.readers import READERS, Reader, read_world
+from tb2rl.worlds.readers import READERS, read_world
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,7 @@ def find_world(reference: str) -> World:
     """The world of a built-in name, of a file's path, of "module:reader:path" or of "module:WORLD".
 
     A reader is a function from a path to a `World`; WORLD is a `World`, or a function without arguments that makes one.
+    Such functions say that they return a `World` by their annotation.
     A package's entry points in the group `tb2rl.worlds` name readers by the ending of the files that they read.
 
     Raises:
@@ -126,25 +127,37 @@ def find_world(reference: str) -> World:
     """
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is None:
-        readers = READERS | {f".{ending}": import_object(found) for ending, found in _plugins("worlds").items()}
+        readers = READERS | {f".{ending}": _maker(found) for ending, found in _plugins("worlds").items()}
         path = find_file(reference, _worlds_folder(), "world", suffixes=readers)
         if path.suffix not in readers:
             raise unknown(f"ending of the world file {one_line(reference, 100)}:", path.suffix, readers)
         found: Any = read_world(path, readers[path.suffix])
+    elif code[2] is None:
+        found = import_object(code[1])
+        found = found if isinstance(found, World) else _maker(code[1])()
     else:
-        found = _made_by_code(import_object(code[1]), code[2])
+        if not os.path.isfile(code[2]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+            raise InputError(one_line(f"there is no world file {code[2]}"))
+        found = read_world(Path(code[2]), _maker(code[1]))
     if not isinstance(found, World):
         raise InputError(one_line(f"world {reference!r} is not a tb2rl.worlds.World but {type(found).__name__}"))
     return found
 
 
-def _made_by_code(found: Any, file: str | None) -> Any:
-    if file is None:
-        return found() if callable(found) else found
-    if not os.path.isfile(file):  # noqa: PTH113 (as below)
-        raise InputError(one_line(f"there is no world file {file}"))
-    reader: Reader = found
-    return read_world(Path(file), reader)
+def _maker(reference: str) -> Callable[..., World]:
+    """The function of "module:function" that makes worlds.
+
+    A world's name may come from a stranger's file, so nothing else may be called by it, such as `os.remove`.
+    """
+    found = import_object(reference)
+    try:
+        says = inspect.isfunction(found) and get_type_hints(found).get("return")
+    except Exception:  # whatever stands in an annotation
+        says = None
+    if says is not World:
+        name = reference.partition(":")[2]
+        raise InputError(f"world {reference!r}: a function that makes worlds says so: def {name}(...) -> World")
+    return found
 
 
 def absolute_world(reference: str) -> str:

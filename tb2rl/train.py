@@ -118,9 +118,10 @@ def parse_seeds(text: str) -> list[int]:
 
 def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespace) -> dict[str, Any] | None:
     settings = config.train
+    environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
     print(
         f"training {config.agent_name} at {config.task_name} in {config.task.world}: {settings.total_timesteps} steps, "
-        f"{settings.n_envs} environments, seed {settings.seed}\n"
+        f"{environments}, seed {settings.seed}\n"
         f"run folder: {folder} (watch it: tensorboard --logdir runs)",
         flush=True,
     )

@@ -21,7 +21,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from tb2rl import evaluate, report, train
-from tb2rl.evaluation import keep
+from tb2rl.runs.folder import Run
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
 
@@ -111,7 +111,7 @@ def trained(task: str, run: Path, episodes: int, **settings: Any) -> Path:
     beams = {"task.beams": 5}  # a small table
     policy = train("qlearn", task, settings=beams, total_timesteps=24_000, eval_freq=6000, folder=run, **short)
     evaluation = evaluate(policy, episodes=episodes, steps=300, workers=1)
-    keep(evaluation, evaluation.summary(), policy.trained_with, str(run), run)
+    Run.open(run).write_evaluation(*evaluation.tree(policy.trained_with, str(run)))
     return run
 
 
@@ -292,4 +292,4 @@ def test_tensorboard_shows_pictures_of_paths(browser, tensorboard):
 
 def test_tensorboard_shows_hyperparameters(browser, tensorboard):
     resize(browser, 1400)
-    shown_by(browser, f"{tensorboard}#hparams", ["agent.learning_rate.start", "task.maze", "rollout/ep_rew_mean"])
+    shown_by(browser, f"{tensorboard}#hparams", ["agent.learning_rate.start", "task.world", "rollout/ep_rew_mean"])

@@ -23,10 +23,11 @@ FILES = {
     "blocks.py": """
         from tb2rl.worlds import World
 
-        def read(path):
+        def read(path) -> World:
             boxes = [tuple(map(float, line.split())) for line in path.read_text().splitlines()]
             bounds = (-3.0, -3.0, 3.0, 3.0)
-            return World.from_shapes(path.stem, [(x, y, 1.0, 1.0, 0.0) for x, y in boxes], start=(0, 0, 0), bounds=bounds)
+            boxes = [(x, y, 1.0, 1.0, 0.0) for x, y in boxes]
+            return World.from_shapes(path.stem, boxes, start=(0, 0, 0), bounds=bounds)
         """,
     "yard.blocks": "2.0 2.0\n-2.0 -2.0\n",
     "cruise.py": """

@@ -59,7 +59,7 @@ class Classes:
         self.space = spaces.MultiDiscrete(counts)
 
     def __call__(self, reading: Reading) -> np.ndarray:
-        classes = [ranges_to_bins(sensor.read(reading), edges) for sensor, edges in self._sensors]
+        classes = [ranges_to_bins(_read(sensor, reading), edges) for sensor, edges in self._sensors]
         return classes[0] if len(classes) == 1 else np.column_stack(classes)
 
 
@@ -72,7 +72,7 @@ class Raw:
         self.space = Numbers(sensors)
 
     def __call__(self, reading: Reading) -> np.ndarray:
-        values = [sensor.read(reading) for sensor in self._sensors]
+        values = [_read(sensor, reading) for sensor in self._sensors]
         joined = values[0] if len(values) == 1 else np.column_stack(values)
         if not self._only_laser:  # which reads nothing below its shortest range; this pass costs more than the other
             joined = np.maximum(joined, self.space.low)
@@ -87,7 +87,7 @@ class Image:
         self.space = spaces.Box(0, 255, sensor.shape, np.uint8)
 
     def __call__(self, reading: Reading) -> np.ndarray:
-        return np.array(self._sensor.read(reading))  # rows of it are overwritten where episodes end
+        return np.array(_read(self._sensor, reading))  # rows of it are overwritten where episodes end
 
 
 class Mixed:
@@ -122,6 +122,14 @@ def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
     if not images:
         return Raw(numbers)
     return Image(images[0]) if len(images) == 1 and not numbers else Mixed(numbers, images)
+
+
+def _read(sensor: Sensor, reading: Reading) -> np.ndarray:
+    values = sensor.read(reading)
+    if values.shape[1:] != sensor.shape or not values.ndim:
+        got, fits = values.shape, ("robots", *sensor.shape)
+        raise InputError(f"sensor {sensor.name} must read an array of shape {fits}, and it has shape {got}")
+    return values
 
 
 def row(observations: Observations, robot: int) -> Observations:

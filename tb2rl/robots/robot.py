@@ -62,7 +62,7 @@ class Robot:
         wheel_torque: Largest torque of a wheel's motor [N m].
         max_speed: Fastest forward speed [m/s].
         max_turn_rate: Fastest turn [rad/s].
-        wheel_acceleration: Of a wheel's rim whose motor pushes alone [m/s^2]; `tb2rl.simulation.measure_motors`
+        wheel_acceleration: Of a wheel's rim whose motor pushes alone [m/s^2]; `tb2rl.simulation.motors.measure_motors`
             measures this and the next one in PyBullet.
         wheel_coupling: What a rim gains where both motors push the same way, and loses where they push against each
             other [m/s^2].

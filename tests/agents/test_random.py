@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
 
 from tb2rl.agents.random import RandomPolicy
 
@@ -21,12 +22,7 @@ def test_it_acts_at_random_whatever_it_observes(observation_space, action_space)
     alone = [policy.predict(observation_space.sample())[0] for _ in range(20)]
     assert all(action_space.contains(action) for action in alone)
     assert len(np.unique(alone, axis=0)) > 1
-    many = (
-        {space: np.stack([observation_space[space].sample()] * 4) for space in observation_space}
-        if isinstance(observation_space, spaces.Dict)
-        else np.stack([observation_space.sample()] * 4)
-    )
-    actions, _ = policy.predict(many)
+    actions, _ = policy.predict(batch_space(observation_space, 4).sample())
     assert len(actions) == 4
     assert all(action_space.contains(action) for action in actions)
 
@@ -36,3 +32,12 @@ def test_every_action_is_as_likely_as_any_other():
     th.manual_seed(0)
     actions, _ = policy.predict(np.zeros((4000, 5), np.float32))
     assert np.bincount(actions) / 4000 == pytest.approx(0.25, abs=0.03)
+
+
+def test_every_velocity_is_as_likely_as_any_other():
+    policy = RandomPolicy(NUMBERS, spaces.Box(np.float32([-1, 0]), np.float32([1, 5])))
+    th.manual_seed(0)
+    actions, _ = policy.predict(np.zeros((4000, 5), np.float32))
+    for numbers, low, high in zip(actions.T, (-1, 0), (1, 5), strict=True):
+        shares, _ = np.histogram(numbers, bins=4, range=(low, high))
+        assert shares / 4000 == pytest.approx(0.25, abs=0.03)

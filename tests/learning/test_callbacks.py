@@ -13,8 +13,9 @@ import time
 import pytest
 
 from tb2rl import load
-from tb2rl.learning.callbacks import StopOnInterrupt
+from tb2rl.learning.callbacks import Checkpoints, StopOnInterrupt
 from tb2rl.learning.training import train_config
+from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.folder import Run
 
 
@@ -31,6 +32,28 @@ def test_old_checkpoints_are_removed_but_never_the_last(small, tmp_path):
 def test_without_a_save_frequency_there_is_the_last_checkpoint_alone(small, tmp_path):
     run = train_config(small(save_freq=0), tmp_path / "run").run
     assert [int(file.stem[5:]) for file in run.checkpoints] == [128]
+
+
+@pytest.mark.slow
+def test_a_full_replay_buffer_is_saved_and_loaded_in_two_seconds(small, monkeypatch, tmp_path):
+    rows, seconds = 100_000, []
+    save = Checkpoints.save
+
+    def timed(what, *arguments):
+        started = time.monotonic()
+        found = what(*arguments)
+        seconds.append(time.monotonic() - started)
+        return found
+
+    monkeypatch.setattr(Checkpoints, "save", lambda self: timed(save, self))
+    settings = {"agent.buffer_size": rows, "agent.learning_starts": 10 * rows, "task.beams": 36}
+    run = train_config(small("dqn", settings=settings, n_envs=250, total_timesteps=rows), tmp_path / "run").run
+    content = timed(read_checkpoint, run.checkpoints[0])
+    assert content["training"]["replay_buffer"]["observations"].shape == (rows // 250, 250, 36)
+    timed(load, run.checkpoints[0])
+    print("saved, read and loaded in", seconds, "s:", run.checkpoints[0].stat().st_size, "bytes")
+    assert len(seconds) == 3
+    assert max(seconds) <= 2
 
 
 def test_ctrl_c_saves_the_policy_and_ends_well(tmp_path):

@@ -105,8 +105,8 @@ def test_the_map_is_empty_just_where_an_episode_ends_at_once(task, seeds, goal_r
 SLIT = """
 boxes: [{centre: [0, 0.58925], size: [10, 0.8215]}, {centre: [0, -0.58925], size: [10, 0.8215]}]
 start: [0, 0, 0]
-bounds: [-5, -1, 5, 1]
-"""  # 1 mm wider than the robot
+bounds: [-5, -1.002, 5, 1]
+"""  # 1 mm wider than the robot, and between two rows of squares
 
 
 def test_a_world_that_is_narrower_than_a_square_of_the_map_has_one_place(tmp_path):

@@ -54,7 +54,14 @@ def test_what_is_not_a_number_of_a_command_is_refused_with_one_line(action):
 
 @pytest.mark.parametrize(
     ("command", "name"),
-    [((0.4, 0.1), "forward"), ((0.0, 0.9), "left"), ((0.1, -3.0), "right"), ((9, 0), "forward")],
+    [
+        ((0.4, 0.1), "forward"),
+        ((9.0, 0.0), "forward"),
+        ((0.0, 0.9), "left"),
+        ((0.1, -3.0), "right"),
+        ((0.1, 0.3), "left"),  # half the largest speed counts as much as half the largest turn rate
+        ((0.3, 0.3), "forward"),
+    ],
 )
 def test_the_command_most_like_another_one_is_found(command, name):
     assert NAMED.names[NAMED.nearest(np.array(command))] == name
