@@ -15,17 +15,20 @@ YAML = "start: [1.5, 2.5, 0.0]\nwalls: [{path: [[0, 0], [4, 0], [4, 4], [0, 4]],
 MODULE = """
 from tb2rl.worlds import World
 
-def read(path):
+def read(path) -> World:
     radius = float(path.read_text())
     return World.from_shapes(path.stem, posts=[(5, 0, radius)], start=(0, 0, 0), bounds=(-2, -2, 8, 2))
 
 POST = World.from_shapes("post", posts=[(5, 0, 1)], start=(0, 0, 0), bounds=(-2, -2, 8, 2))
 
-def make():
+def make() -> World:
     return POST
 
-def read_nothing(path):
+def read_nothing(path) -> World:
     return path.read_text()
+
+def remove(path):
+    path.unlink()
 
 NUMBER = 7
 """
@@ -108,7 +111,12 @@ def test_an_ending_that_nothing_reads_is_refused_with_the_known_ones(my_worlds):
 @pytest.mark.parametrize(
     ("reference", "words"),
     [
-        ("my_worlds:NUMBER", "world 'my_worlds:NUMBER' is not a tb2rl.worlds.World but int"),
+        ("my_worlds:NUMBER", r"world 'my_worlds:NUMBER': .* def NUMBER\(\.\.\.\) -> World"),
+        (
+            "my_worlds:remove:{folder}/post.radius",
+            r"a function that makes worlds says so: def remove\(\.\.\.\) -> World",
+        ),
+        ("os:remove:{folder}/post.radius", "a function that makes worlds says so"),
         ("my_worlds:read_nothing:{folder}/post.radius", "is not a tb2rl.worlds.World but str"),
         ("my_worlds:read:{folder}/missing.radius", "there is no world file .*missing.radius"),
         ("my_worlds:NOWHERE", "module 'my_worlds' has no 'NOWHERE'"),
@@ -119,6 +127,7 @@ def test_code_that_does_not_make_a_world_is_refused_with_one_line(reference, wor
     with pytest.raises(InputError, match=words) as error:
         find_world(reference.format(folder=my_worlds))
     assert "\n" not in str(error.value)
+    assert (my_worlds / "post.radius").is_file()  # nothing else is called
 
 
 # ---- from any folder

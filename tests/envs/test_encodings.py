@@ -203,3 +203,16 @@ def test_sensors_that_cannot_be_observed_are_refused_with_one_line(mode, sensors
 def test_a_task_with_edges_that_do_not_increase_is_refused(task, words):
     with pytest.raises(InputError, match=words):
         make_scene(task, "discrete")
+
+
+class Flat(Odometry):
+    """It forgets the axis of the robots' numbers."""
+
+    def read(self, reading):
+        return reading.odometry[:, 0]
+
+
+@pytest.mark.parametrize("mode", BEAMS)
+def test_a_sensor_that_reads_another_shape_than_it_says_is_named(mode, make_reading):
+    with pytest.raises(InputError, match=r"sensor x must read an array of shape .*robots.*, 1.* it has shape \(2,\)"):
+        encode(mode, [beams(3), Flat()])(make_reading([1.0, 2.0]))
