@@ -69,11 +69,13 @@ class Scene:
         return (x, y) if self.task.goal_task else None
 
     def changed(self, **settings: Any) -> Scene:
-        """The scene with other settings of its task (not another robot or world).
+        """The scene with other settings of its task, but for its robot and its world, which are made already.
 
         Raises:
             InputError: If they do not fit.
         """
+        if not settings.keys().isdisjoint({"robot", "world"}):
+            raise InputError("a scene keeps its robot and its world; make another one")
         return _assemble(replace(self.task, **settings), self.observation, self.robot, self.setup.worlds)
 
 
