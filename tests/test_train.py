@@ -30,7 +30,7 @@ def test_it_leaves_the_standard_evaluation_in_the_run_folder(folder, capsys):
     assert (written["episodes"], written["steps"], len(written["each"])) == (100, 1500, 100)
     out = capsys.readouterr().out
     assert "runs/maze/qlearn/it" in out
-    assert "training qlearn at maze in loop: 16 steps, 1 environments, seed 0" in out
+    assert "training qlearn at maze in loop: 16 steps, 1 environment, seed 0" in out
     assert "trained 16 steps" in out
     assert f"{100 * written['failure_free_rate']:.1f} %" in out
     assert (folder / "episodes.safetensors").is_file()

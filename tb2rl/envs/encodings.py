@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -134,21 +134,21 @@ def _read(sensor: Sensor, reading: Reading) -> np.ndarray:
 
 def row(observations: Observations, robot: int) -> Observations:
     """The observation of one robot."""
-    if isinstance(observations, Mapping):
+    if isinstance(observations, dict):
         return {name: values[robot] for name, values in observations.items()}
     return observations[robot]
 
 
 def copied_row(observations: Observations, robot: int) -> Observations:
     """The observation of one robot, in arrays of its own."""
-    if isinstance(observations, Mapping):
+    if isinstance(observations, dict):
         return {name: values[robot].copy() for name, values in observations.items()}
     return observations[robot].copy()
 
 
 def put_rows(observations: Observations, robots: np.ndarray, some: Observations) -> None:
     """Overwrite the observations of some robots, in place."""
-    if isinstance(observations, Mapping):
+    if isinstance(observations, dict):
         for name, values in observations.items():
             values[robots] = some[name]
     else:

@@ -11,7 +11,7 @@ import os
 import pickle
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from multiprocessing.connection import Connection
@@ -159,7 +159,7 @@ class ProcessVecEnv(VecEnv):
 
 def _joined(parts: Sequence[Any]) -> Any:
     """The observations of all processes as one."""
-    if isinstance(parts[0], Mapping):
+    if isinstance(parts[0], dict):
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return np.concatenate(parts)
 

@@ -166,6 +166,20 @@ def sense(pose, cos_beams, sin_beams, boxes, posts, limits, key, count, scratch,
 
 
 @njit(cache=True, error_model="numpy")
+def step_robots(
+    first, last, poses, rims, commands, duration, starts, boxes, posts, cos_beams, sin_beams, limits, streams, scratch,
+    twists, bumped, ranges,
+):  # fmt: skip
+    """A control step of robots `first` to `last` - 1, all in the world of `boxes` and `posts`; see `step_block`."""
+    for i in range(first, last):
+        bumped[i] = move(poses[i], rims[i], commands[i, 0], commands[i, 1], duration, starts, i, boxes, posts)
+        twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
+        twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
+        streams[i, 1] += np.uint64(1)
+        sense(poses[i], cos_beams, sin_beams, boxes, posts, limits, streams[i, 0], streams[i, 1], scratch, ranges[i])
+
+
+@njit(cache=True, error_model="numpy")
 def step_block(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, beams, limits, streams,
     twists, bumped, ranges,
@@ -176,17 +190,16 @@ def step_block(
     Results are `twists` (robots, 2) v and w [m/s, rad/s], `bumped` (robots,) and `ranges` (robots, beams) [m].
     """
     scratch = np.empty((2, beams.shape[1]))
-    cos_beams, sin_beams = beams[0], beams[1]
-    k, here, there = -1, boxes, posts
-    for i in range(first, last):
-        if starts[i, WORLD] != k:  # to cut a part out of a table costs as much as a beam
-            k = int(starts[i, WORLD])
-            here, there = boxes[parts[k, 0] : parts[k + 1, 0]], posts[parts[k, 1] : parts[k + 1, 1]]
-        bumped[i] = move(poses[i], rims[i], commands[i, 0], commands[i, 1], duration, starts, i, here, there)
-        twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
-        twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
-        streams[i, 1] += np.uint64(1)
-        sense(poses[i], cos_beams, sin_beams, here, there, limits, streams[i, 0], streams[i, 1], scratch, ranges[i])
+    while first < last:
+        k = int(starts[first, WORLD])
+        end = first + 1
+        while end < last and starts[end, WORLD] == k:  # robots of one world together: its part is cut out once
+            end += 1
+        step_robots(
+            first, end, poses, rims, commands, duration, starts, boxes[parts[k, 0] : parts[k + 1, 0]],
+            posts[parts[k, 1] : parts[k + 1, 1]], beams[0], beams[1], limits, streams, scratch, twists, bumped, ranges,
+        )  # fmt: skip
+        first = end
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

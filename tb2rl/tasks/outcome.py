@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +47,10 @@ class Outcome:
 
     def ending(self, robot: int, timed_out: bool) -> Ending | None:
         """Why the episode of a robot is over, None if it is not; `timed_out` says that its steps are used up."""
-        for name, where in chain(self.failed.items(), (self.succeeded or {}).items()):
+        for name, where in self.failed.items():
             if where[robot]:
-                return Ending(name, failed=name in self.failed, success=name not in self.failed)
+                return Ending(name, failed=True, success=False)
+        for name, where in (self.succeeded or {}).items():
+            if where[robot]:
+                return Ending(name, failed=False, success=True)
         return Ending(TIME_LIMIT, failed=False, success=self.succeeded is None) if timed_out else None

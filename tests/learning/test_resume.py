@@ -41,19 +41,15 @@ SOON = {  # for a training of 2048 steps
 
 
 TWIN_ONLY = {"A2C, noisy", "PPO, often noisy", "DQN, three steps", "SAC, fixed entropy", "TQC, noisy"}
+TWIN = [pytest.param(name, "kinematic", 4, id=f"{name} in the twin") for name in ALGORITHMS]
+PYBULLET = [
+    pytest.param(name, "bullet", 2, id=f"{name} in PyBullet", marks=() if name == "SAC" else pytest.mark.slow)
+    for name in ALGORITHMS
+    if name not in TWIN_ONLY
+]
 
 
-def in_both(names, fast):
-    """Each name in the twin, and in PyBullet, where all but one, the `fast` one, are slow."""
-    marks = {name: () if name == fast else pytest.mark.slow for name in names}
-    return [pytest.param(name, "kinematic", 4, id=f"{name} in the twin") for name in names] + [
-        pytest.param(name, "bullet", 2, id=f"{name} in PyBullet", marks=marks[name])
-        for name in names
-        if name not in TWIN_ONLY
-    ]
-
-
-@pytest.mark.parametrize(("name", "simulation", "environments"), in_both(ALGORITHMS, fast="SAC"))
+@pytest.mark.parametrize(("name", "simulation", "environments"), [*TWIN, *PYBULLET])
 def test_a_resumed_training_is_the_uninterrupted_one(
     name, simulation, environments, small, killed, differences, tmp_path
 ):
@@ -68,7 +64,17 @@ def test_a_resumed_training_is_the_uninterrupted_one(
     assert differences(*(read_checkpoint(run.policy_file) for run in (whole, resumed))) == []
 
 
-@pytest.mark.parametrize(("agent", "simulation", "environments"), in_both(SOON, fast="qlearn"))
+@pytest.mark.parametrize(
+    ("agent", "simulation", "environments"),
+    [
+        ("qlearn", "kinematic", 4),
+        ("ppo", "kinematic", 4),
+        ("qlearn", "bullet", 2),
+        pytest.param("dqn", "kinematic", 4, marks=pytest.mark.slow),
+        pytest.param("ppo", "bullet", 2, marks=pytest.mark.slow),
+        pytest.param("dqn", "bullet", 2, marks=pytest.mark.slow),
+    ],
+)
 def test_evaluations_and_curves_go_on_without_a_gap(
     agent, simulation, environments, small, killed, differences, scalars, tmp_path
 ):

@@ -34,8 +34,8 @@ def test_a_problem_is_named_once_with_what_to_try(problem, small, scalars, tmp_p
 
 
 def test_a_network_whose_values_run_away_is_named(small, tmp_path, capsys):
-    settings = {"agent.learning_rate": 10.0, "agent.learning_starts": 100}
-    train_config(small("dqn", settings=settings, n_envs=8, total_timesteps=3000), tmp_path / "run")
+    settings = {"agent.learning_rate": 10.0, "agent.learning_starts": 100, "agent.batch_size": 32}
+    train_config(small("dqn", settings=settings, n_envs=8, total_timesteps=1500), tmp_path / "run")
     assert ADVICE["values"] in capsys.readouterr().err
 
 
