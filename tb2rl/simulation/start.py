@@ -30,7 +30,9 @@ class Start:
             robots: How many begin.
             world: Index of the world that all begin in, or of each one's world, shape (robots,).
         """
-        return cls(setup.table[np.full(robots, world)])
+        if isinstance(world, int):
+            return cls(setup.table[world : world + 1].repeat(robots, axis=0))
+        return cls(setup.table[world])
 
     @property
     def pose(self) -> np.ndarray:

@@ -91,6 +91,27 @@ def clearance_one(x, y, boxes, posts):
 
 
 @njit(cache=True)
+def place_in_triangles(draws, corners, shares, poses):
+    """Write the pose that four random numbers in [0, 1) mean: a triangle, a point in it (two), and a heading.
+
+    Osada et al. 2002, "Shape distributions", section 4.2.
+
+    Args:
+        draws: Shape (robots, 4).
+        corners: x, y of the corners of each triangle [m], shape (triangles, 3, 2).
+        shares: Share of the area up to and with each triangle, ascending, shape (triangles,).
+        poses: Result x [m], y [m], yaw [rad], shape (robots, 3).
+    """
+    for i in range(draws.shape[0]):
+        k = min(np.searchsorted(shares, draws[i, 0], side="right"), shares.size - 1)
+        root, along = math.sqrt(draws[i, 1]), draws[i, 2]
+        for axis in range(2):
+            first, second, third = corners[k, 0, axis], corners[k, 1, axis], corners[k, 2, axis]
+            poses[i, axis] = (1 - root) * first + root * ((1 - along) * second + along * third)
+        poses[i, 2] = math.tau * draws[i, 3] - math.pi
+
+
+@njit(cache=True)
 def shortest(ranges):
     """The shortest of each robot's ranges (robots, beams), shape (robots,)."""
     nearest = np.full(ranges.shape[0], np.inf)

@@ -15,7 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tb2rl.errors import InputError
 from tb2rl.values import Point, Pose
-from tb2rl.worlds.geometry import clearance_one
+from tb2rl.worlds.geometry import clearance_one, place_in_triangles
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
 
@@ -129,14 +129,8 @@ class World:
 
         Points come from the triangles of the free space: no rejection, whatever the world.
         """
-        corners, shares = self._free_triangles(clearance)
-        found = np.searchsorted(shares, draws[:, 0], side="right")
-        triangle = corners[np.minimum(found, len(shares) - 1)]
-        root = np.sqrt(draws[:, 1:2])  # Osada et al. 2002, "Shape distributions", section 4.2
-        along = draws[:, 2:3]
         poses = np.empty((len(draws), 3))
-        poses[:, :2] = (1 - root) * triangle[:, 0] + root * ((1 - along) * triangle[:, 1] + along * triangle[:, 2])
-        poses[:, 2] = math.tau * draws[:, 3] - math.pi
+        place_in_triangles(draws, *self._free_triangles(clearance), poses)
         return poses
 
     def _free_triangles(self, clearance: float) -> Triangles:
