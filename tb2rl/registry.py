@@ -62,7 +62,7 @@ def task_names() -> list[str]:
 
 def robot_names() -> list[str]:
     """Every robot that has a name: the built-in ones and the entry points of `tb2rl.robots`."""
-    return sorted({*ROBOTS, *_plugins("robots")})
+    return sorted(_robots())
 
 
 def world_names() -> list[str]:
@@ -109,7 +109,7 @@ def find_robot(name: str) -> Robot:
     Raises:
         InputError: If there is none; the message lists the known ones.
     """
-    found = _find(name, "robot", {**_plugins("robots"), **ROBOTS}, robot_names)
+    found = _imported("robot", name) if ":" in name else _find(name, "robot", _robots(), robot_names)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
     return found
@@ -133,7 +133,7 @@ def find_world(reference: str) -> World:
             raise unknown(f"ending of the world file {one_line(reference, 100)}:", path.suffix, readers)
         found: Any = read_world(path, readers[path.suffix])
     elif code[2] is None:
-        found = import_object(code[1])
+        found = _imported("world", code[1])
         found = found if isinstance(found, World) else _maker(code[1])()
     else:
         if not os.path.isfile(code[2]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
@@ -149,7 +149,7 @@ def _maker(reference: str) -> Callable[..., World]:
 
     A world's name may come from a stranger's file, so nothing else may be called by it, such as `os.remove`.
     """
-    found = import_object(reference)
+    found = _imported("world", reference)
     try:
         says = inspect.isfunction(found) and get_type_hints(found).get("return")
     except Exception:  # whatever stands in an annotation
@@ -199,6 +199,18 @@ def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[
     if name not in references:
         raise unknown(kind, name, names())
     return import_object(references[name])
+
+
+def _imported(kind: str, reference: str) -> Any:
+    """What "module:Name" refers to; the error says what of a task's settings it was to be."""
+    try:
+        return import_object(reference)
+    except InputError as error:
+        raise InputError(f"{kind}: {error}") from None
+
+
+def _robots() -> dict[str, str]:
+    return {**_plugins("robots"), **ROBOTS}
 
 
 def _agent_files() -> list[str]:

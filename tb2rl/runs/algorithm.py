@@ -1,0 +1,132 @@
+"""The algorithm, or the policy that does not learn, that a config describes; untrained."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import copy
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.utils import get_device
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from torch.nn.modules.module import register_module_parameter_registration_hook
+
+from tb2rl.errors import InputError, one_line
+from tb2rl.registry import find_agent, import_object
+from tb2rl.runs.arguments import LIBRARY_ERRORS, agent_for, algorithm_arguments
+from tb2rl.runs.config import Config
+
+MOST_WEIGHTS = 100_000_000  # in all networks of an algorithm; 400 MB
+MOST_LAYERS = 2_000  # arrays of weights, in all networks of an algorithm
+
+
+def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorithm:
+    """The untrained algorithm of a config.
+
+    Args:
+        config: Its agent learns.
+        env: What it is to learn in.
+        arguments: More of the algorithm's own, by name.
+
+    Raises:
+        InputError: If its agent does not learn, or its arguments do not fit together.
+    """
+    agent = agent_for(config.agent_name, config.scene.observation_space)
+    check_learns(config)
+    _check_device(config.train.device)
+    try:
+        with _few_weights():
+            return import_object(str(agent.algorithm))(
+                agent.policy,
+                env,
+                seed=config.train.seed,
+                device=config.train.device,
+                **algorithm_arguments(config.agent_arguments),
+                **arguments,
+            )
+    except LIBRARY_ERRORS as error:
+        raise refusal(config, str(error)) from None
+
+
+def check_learns(config: Config) -> None:
+    """Raise an `InputError` if the agent of a config does not learn."""
+    name = config.agent_name
+    if find_agent(name).algorithm is None:
+        raise InputError(f"agent {name} does not learn; try it with `python -m tb2rl.evaluate --agent {name}`")
+
+
+def refusal(config: Config, reason: str) -> InputError:
+    """The error for an algorithm that does not take its settings, which names them all: libraries rarely say which."""
+    given = ", ".join(config.agent_arguments) or "all as they are by default"
+    who = f"agent {config.agent_name} with {config.observation} observations"
+    return InputError(one_line(f"{who} refuses its settings ({given}): {reason}"))
+
+
+@contextmanager
+def _few_weights() -> Iterator[None]:
+    """Refuse networks that nobody means or that do not fit into the memory, from a typing error or a stranger's file.
+
+    Each layer is counted before it is filled with numbers, when it takes up no memory yet.
+
+    Raises:
+        InputError: For a layer without units, or too many weights or layers.
+    """
+    weights = layers = 0
+
+    def count(_module: th.nn.Module, name: str, parameter: th.nn.Parameter | None) -> None:
+        nonlocal weights, layers
+        if parameter is None:
+            return
+        weights, layers = weights + parameter.numel(), layers + 1
+        if parameter.numel() == 0:
+            raise InputError(f"a layer has no units (its {name} is empty)")
+        if weights > MOST_WEIGHTS or layers > MOST_LAYERS:
+            raise InputError(f"its networks have more than {MOST_WEIGHTS} weights, or {MOST_LAYERS} arrays of them")
+
+    hook = register_module_parameter_registration_hook(count)
+    try:
+        yield
+    finally:
+        hook.remove()
+
+
+def _check_device(name: str) -> None:
+    try:  # a table has no use for one, and yet it should exist
+        kind = get_device(name).type
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise InputError(one_line(f"train.device {name!r} cannot be used: {error}")) from None
+    if kind not in ("cpu", "cuda", "mps"):
+        raise InputError(f"train.device {name!r} cannot be used: take cpu, cuda or auto")
+
+
+def make_baseline(config: Config) -> BasePolicy:
+    """The policy of an agent that does not learn.
+
+    Raises:
+        InputError: If the agent learns.
+    """
+    agent = find_agent(config.agent_name)
+    if agent.algorithm is not None:
+        name = config.agent_name
+        raise InputError(f"agent {name} learns; train it with `python -m tb2rl.train --agent {name}`")
+    scene = config.scene
+    return import_object(agent.policy)(scene.observation_space, scene.action_space, **config.agent_arguments)
+
+
+class Spaces(gym.Env):
+    """The spaces of a config without a simulation behind them: all that an algorithm needs to be rebuilt."""
+
+    def __init__(self, config: Config) -> None:
+        self.observation_space = config.scene.observation_space
+        self.action_space = config.scene.action_space
+
+    @classmethod
+    def vectorised(cls, config: Config) -> VecEnv:
+        """As many of them as the config has environments."""
+        one = cls(config)
+        return DummyVecEnv([partial(copy, one)] * config.train.n_envs)

@@ -1,0 +1,118 @@
+"""Where the values of a config come from: layers of presets and settings, of which later ones win.
+
+The defaults of the signatures, `configs/tasks/TASK.yaml`, `configs/agents/AGENT.yaml`, what differs for the agent in
+the fast twin (`configs/kinematic/AGENT.yaml`) and at this task (`configs/tasks/TASK-AGENT.yaml`), a preset that the
+user names, single settings (`agent.gamma=0.9`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from tb2rl.errors import InputError
+from tb2rl.files import find_file, parse_yaml, read_yaml, top_folder
+from tb2rl.registry import find_agent, find_task
+from tb2rl.runs.arguments import is_schedule
+from tb2rl.runs.config import Config, config_from
+from tb2rl.runs.plain import check_plain, check_sections
+from tb2rl.tasks import Task
+
+DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
+
+
+def resolve(
+    agent: str | None = None,
+    task: str | type[Task] | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Config:
+    """Put the layers together and check the result.
+
+    Args:
+        agent: The agent's name; None: the preset's, else `DEFAULT_AGENT`.
+        task: The task's name, or its class; None: the preset's, else `DEFAULT_TASK`.
+        preset: The name of a file in `configs`, or the path of one.
+        settings: Single settings by dotted key, such as {"agent.gamma": 0.9}.
+
+    Raises:
+        InputError: For any name, key or value that does not fit.
+    """
+    chosen = _preset(preset) if preset else {}
+    single = _nest(settings or {})
+    for layer in (chosen, single):
+        check_plain(layer, "")
+    agent = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
+    if isinstance(task, type):
+        task = f"{task.__module__}:{task.__qualname__}"
+    task = task or _first("name", single, chosen, "task") or DEFAULT_TASK
+    find_agent(agent), find_task(task)  # say that a name is unknown before anything else
+    simulation = _first("simulation", single, chosen, "train")
+    built_in = [
+        _built_in("tasks", task),
+        _built_in("agents", agent),
+        _built_in("kinematic", agent) if simulation == "kinematic" else {},
+        _built_in("tasks", f"{task}-{agent}"),
+    ]
+    tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
+    for layer in (*built_in, chosen, single):
+        _merge(tree, layer)
+    tree["agent"]["name"], tree["task"]["name"] = agent, task
+    return config_from(tree)
+
+
+def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
+    """Settings as the command line has them: "agent.gamma=0.9" to {"agent.gamma": 0.9}, values read as YAML.
+
+    Raises:
+        InputError: For a pair without "=", or a value that is not YAML.
+    """
+    settings = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise InputError(f"--set takes KEY=VALUE, for example task.world=circuit, got {pair!r}")
+        settings[key.strip()] = parse_yaml(value, f"--set {key}: {value!r}")
+    return settings
+
+
+def _preset(name: str) -> dict[str, Any]:
+    return check_sections(read_yaml(find_file(name, top_folder("configs"), "preset")), f"preset {name}")
+
+
+def _built_in(kind: str, name: str) -> dict[str, Any]:
+    file = top_folder("configs") / kind / f"{name}.yaml"
+    return check_sections(read_yaml(file), f"preset {file.name}") if file.is_file() else {}
+
+
+def _nest(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Sections with the values that dotted keys name."""
+    tree: dict[str, Any] = {}
+    for dotted, value in settings.items():
+        *path, key = dotted.split(".")
+        if not path:
+            raise InputError(f"setting {dotted!r} needs its section: agent.{dotted}, task.{dotted} or train.{dotted}")
+        branch = tree
+        for name in path:
+            branch = branch.setdefault(name, {})
+            if not isinstance(branch, dict):
+                raise InputError(f"setting {dotted!r} and another one give {'.'.join(path)} twice")
+        branch[key] = value
+    return check_sections(tree, "the settings")
+
+
+def _first(key: str, single: Mapping[str, Any], chosen: Mapping[str, Any], section: str) -> str | None:
+    for layer in (single, chosen):
+        if layer.get(section, {}).get(key) is not None:
+            return str(layer[section][key])
+    return None
+
+
+def _merge(tree: dict[str, Any], layer: Mapping[str, Any]) -> None:
+    """Put a layer over a tree: mappings are merged key by key, a schedule replaces what was there as a whole."""
+    for key, value in layer.items():
+        if isinstance(value, Mapping) and isinstance(tree.get(key), Mapping) and not is_schedule(value):
+            tree[key] = dict(tree[key])
+            _merge(tree[key], value)
+        else:
+            tree[key] = value

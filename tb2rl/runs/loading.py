@@ -1,0 +1,94 @@
+"""How a policy comes back from a run folder, a checkpoint or the zoo.
+
+A checkpoint holds arrays and plain values only: the algorithm is rebuilt from its config through the registry, which
+imports the modules that the config names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.files import top_folder
+from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.runs.arguments import LIBRARY_ERRORS
+from tb2rl.runs.checkpoint import read_checkpoint
+from tb2rl.runs.config import Config, config_from
+from tb2rl.runs.folder import Run
+from tb2rl.runs.parameters import load_parameters
+
+
+def load(reference: str | Path) -> BaseAlgorithm:
+    """A trained agent, ready to `predict`; `make_env` of it gives the environment that it was trained in.
+
+    Args:
+        reference: A run folder (its best policy), a checkpoint in it, or "zoo:NAME".
+
+    Raises:
+        InputError: If it is not one of these, or does not hold what it should.
+    """
+    file = checkpoint_file(reference)
+    content = read_checkpoint(file)
+    config = content_config(content, file)
+    try:
+        algorithm = make_algorithm(config, Spaces.vectorised(config))
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    load_parameters(algorithm, {**content, "training": None}, file)
+    algorithm.trained_with = config  # type: ignore[attr-defined]
+    return algorithm
+
+
+def checkpoint_file(reference: str | Path) -> Path:
+    """The file that a reference to a policy means, see `load`.
+
+    Raises:
+        InputError: If there is no such file.
+    """
+    name = str(reference)
+    if name.startswith("zoo:"):
+        entries = {entry.name: entry for entry in top_folder("zoo").iterdir() if (entry / "config.yaml").is_file()}
+        if name[4:] not in entries:
+            raise unknown("zoo policy", name[4:], entries)
+        return Run.open(entries[name[4:]]).policy_file
+    path = Path(reference)
+    if path.is_dir():
+        return Run.open(path).policy_file
+    if not path.is_file():
+        raise InputError(f"there is no run folder or checkpoint {name}")
+    return path
+
+
+def content_config(content: Mapping[str, Any], file: Path) -> Config:
+    """The config in a checkpoint, which must also say how many timesteps it has.
+
+    Args:
+        content: Of the checkpoint.
+        file: Where it comes from, for the message.
+
+    Raises:
+        InputError: If one of these is missing or does not fit.
+    """
+    try:
+        timesteps = content["timesteps"]
+        if type(timesteps) is not int or timesteps < 0:
+            raise InputError(f"timesteps is {timesteps!r}")
+        return config_from(content["config"])
+    except (*LIBRARY_ERRORS, ImportError) as error:  # an InputError is a ValueError
+        raise InputError(one_line(f"{file} does not hold a config that fits: {error}")) from None
+
+
+def config_of(policy: Any) -> Config:
+    """What a policy from `load` or `train` was trained to do.
+
+    Raises:
+        InputError: If it does not come from one of these.
+    """
+    config = getattr(policy, "trained_with", None)
+    if not isinstance(config, Config):
+        raise InputError(f"{type(policy).__name__} does not come from tb2rl.load or tb2rl.train, so it has no config")
+    return config

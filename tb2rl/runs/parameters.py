@@ -1,0 +1,106 @@
+"""What an algorithm has learned: its policy's parameters, its optimisers' state, and tensors beside both.
+
+Arrays from a checkpoint may come from anybody. torch holds a policy's shapes against the networks, but not an
+optimiser's, and would write past an array's end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from tb2rl.errors import InputError, one_line
+from tb2rl.runs.arguments import LIBRARY_ERRORS
+
+_LARGEST = 1e9  # of any weight
+_SINGLE = ("step", "mu_product")  # of an optimiser, one number for all of a layer's weights
+
+
+def parameters_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
+    """What an algorithm has learned, as a tree for `write_checkpoint`.
+
+    Returns:
+        "policy": the policy's state; "others": that of each optimiser, or whatever else Stable-Baselines3 saves with
+        the algorithm; "tensors": those that belong to neither, such as the entropy coefficient of SAC.
+    """
+    others, tensors = _names(algorithm)
+    return {
+        "policy": algorithm.policy.state_dict(),
+        "others": {name: attrgetter(name)(algorithm).state_dict() for name in others},
+        "tensors": {name: attrgetter(name)(algorithm) for name in tensors},
+    }
+
+
+def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: Path) -> None:
+    """Put the parameters of a checkpoint into the algorithm of its config.
+
+    Args:
+        algorithm: Gets the parameters, and the number of timesteps.
+        content: "timesteps" and "policy"; where it has a "training" too, the "others" and "tensors" in that.
+        file: Where they come from, for the message.
+
+    Raises:
+        InputError: If they do not fit.
+    """
+    try:
+        algorithm.num_timesteps = int(content["timesteps"])
+        for array in content["policy"].values():
+            if array.dtype.kind == "f" and not (np.abs(array) < _LARGEST).all():
+                raise ValueError("it holds weights that learning does not lead to")
+        algorithm.policy.load_state_dict(_tensors(content["policy"]))
+        if training := content.get("training"):
+            others, tensors = _names(algorithm)
+            for name in others:
+                _load(attrgetter(name)(algorithm), training["others"][name])
+            for name in tensors:
+                _fill(attrgetter(name)(algorithm), training["tensors"][name])
+    except LIBRARY_ERRORS as error:
+        raise InputError(one_line(f"{file} does not fit its config: {error or type(error).__name__}")) from None
+
+
+def _names(algorithm: BaseAlgorithm) -> tuple[list[str], list[str]]:
+    """What Stable-Baselines3 saves with the algorithm beside the policy: things with a state, and single tensors."""
+    stateful, tensors = algorithm._get_torch_save_params()
+    return [name for name in stateful if name != "policy"], list(tensors)
+
+
+def _load(target: th.optim.Optimizer | th.nn.Module, state: Mapping[str, Any]) -> None:
+    if isinstance(target, th.optim.Optimizer):
+        parameters = [parameter for group in target.param_groups for parameter in group["params"]]
+        for index, values in state["state"].items():
+            _check_moments(values, parameters[index])
+        # The rest of the groups is what the config says; of these, learning changes the learning rate alone.
+        rates = [{"lr": float(group["lr"])} for group in state["param_groups"]]
+        groups = [group | rate for group, rate in zip(target.state_dict()["param_groups"], rates, strict=True)]
+        state = {"state": state["state"], "param_groups": groups}
+    target.load_state_dict(_tensors(state))
+
+
+def _check_moments(values: Mapping[str, Any], parameter: th.nn.Parameter) -> None:
+    """Raise a ValueError where what an optimiser remembers of a layer's weights has another shape than they have."""
+    for name, value in values.items():
+        shape = () if name in _SINGLE else tuple(parameter.shape)
+        if isinstance(value, np.ndarray) and value.shape != shape:
+            raise ValueError(f"the optimiser's {name} has another shape than the weights")
+
+
+def _fill(target: th.Tensor, array: np.ndarray) -> None:
+    if array.shape != tuple(target.shape):
+        raise ValueError("a tensor beside the policy has another shape")
+    with th.no_grad():
+        target.copy_(th.from_numpy(array))  # in place: its optimiser holds on to it
+
+
+def _tensors(tree: Any) -> Any:
+    """The tree with tensors for arrays, as torch wants it."""
+    if isinstance(tree, np.ndarray):
+        return th.from_numpy(tree)
+    if isinstance(tree, Mapping):
+        return {key: _tensors(value) for key, value in tree.items()}
+    return [_tensors(value) for value in tree] if isinstance(tree, list) else tree

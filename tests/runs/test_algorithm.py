@@ -1,0 +1,101 @@
+"""The algorithm that a config describes: made by the registry, refused in one line, small enough for the memory."""
+
+from __future__ import annotations
+
+import resource
+
+import pytest
+import torch as th
+from torch.nn.modules import module
+
+from tb2rl.runs.algorithm import MOST_WEIGHTS, Spaces, make_algorithm, make_baseline
+from tb2rl.runs.layers import resolve
+
+SB3 = "stable_baselines3"
+
+
+def make(agent, **settings):
+    given = {key.replace("__", "."): value for key, value in settings.items()}
+    config = resolve(agent, settings={"task.observation": "raw", "train.n_envs": 4, **given})
+    return make_algorithm(config, Spaces.vectorised(config))
+
+
+def test_it_is_made_with_its_settings():
+    algorithm = make("ppo", agent__gamma=0.5, train__seed=9, agent__policy_kwargs={"net_arch": [8]})
+    assert type(algorithm).__name__ == "PPO"
+    assert (algorithm.gamma, algorithm.seed, algorithm.n_envs) == (0.5, 9, 4)
+    assert algorithm.policy.net_arch == [8]
+    assert (algorithm.observation_space.shape, algorithm.action_space.n) == ((36,), 3)
+
+
+def test_equal_seeds_make_equal_algorithms():
+    one, again, other = (make("dqn", train__seed=seed).policy.state_dict() for seed in (1, 1, 2))
+    assert all(th.equal(value, again[name]) for name, value in one.items())
+    assert not all(th.equal(value, other[name]) for name, value in one.items())
+
+
+@pytest.mark.parametrize("agent", ["random", "wallfollower"])
+def test_an_agent_that_does_not_learn_is_a_policy_alone(agent, refused):
+    config = resolve(agent)
+    policy = make_baseline(config)
+    assert policy.action_space == config.scene.action_space
+    assert policy.predict(config.scene.observation_space.sample())[0] in config.scene.action_space
+    assert f"agent {agent} does not learn" in refused(make_algorithm, config, None)
+
+
+def test_an_agent_that_learns_is_not_a_policy_alone(refused):
+    assert "agent dqn learns" in refused(make_baseline, resolve("dqn"))
+
+
+# ---- what is refused
+
+
+@pytest.mark.parametrize(
+    ("agent", "settings"),
+    [
+        ("ppo", {"agent__n_steps": 0}),
+        ("ppo", {"agent__batch_size": 1}),
+        ("dqn", {"agent__optimize_memory_usage": True}),
+        ("dqn", {"agent__train_freq": [1, "x"]}),
+        (f"{SB3}:SAC", {}),  # which needs continuous actions
+        (f"{SB3}:TD3", {"agent__gamma": 0.9}),
+        ("ppo", {"agent__use_sde": True}),  # which needs them, too
+        (f"{SB3}.common.off_policy_algorithm:OffPolicyAlgorithm", {}),
+    ],
+    ids=str,
+)
+@pytest.mark.filterwarnings("ignore:You have specified a mini-batch size:UserWarning")
+def test_what_a_library_refuses_is_one_line_that_names_the_settings(agent, settings, refused):
+    message = refused(make, agent, **settings)
+    assert f"agent {agent} with raw observations refuses its settings" in message
+    assert [key for key in settings if key.removeprefix("agent__") not in message] == []
+
+
+@pytest.mark.parametrize("device", ["nowhere", "meta", "cpu:x", ""])
+def test_a_device_that_cannot_be_used_is_refused(device, refused):
+    assert "train.device" in refused(make, "ppo", train__device=device)
+
+
+NETWORKS = [
+    ("ppo", {"net_arch": [10**6, 10**6]}),
+    ("ppo", {"net_arch": {"pi": [8], "vf": [10**6, 10**6]}}),
+    ("dqn", {"net_arch": [20_000] * 3}),
+    ("dqn", {"net_arch": [10**12]}),
+    ("dqn", {"net_arch": [8] * 3_000}),
+    ("dqn", {"net_arch": [0]}),
+    ("sb3_contrib:QRDQN", {"n_quantiles": 10**8}),
+]
+
+
+@pytest.mark.parametrize(("agent", "kwargs"), NETWORKS, ids=str)
+def test_a_network_that_nobody_means_is_refused_before_it_takes_memory(agent, kwargs, refused):
+    resolve(agent)  # imports are not the network's memory
+    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert "refuses its settings" in refused(make, agent, agent__policy_kwargs=kwargs)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < 200_000  # KiB
+    assert not module._global_parameter_registration_hooks, "the count has ended"
+
+
+def test_a_network_of_many_weights_is_made():
+    policy = make("dqn", agent__policy_kwargs={"net_arch": [2000, 2000]}, agent__buffer_size=10).policy
+    assert 4_000_000 < sum(parameter.numel() for parameter in policy.q_net.parameters()) < MOST_WEIGHTS

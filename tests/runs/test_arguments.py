@@ -1,0 +1,88 @@
+"""The arguments of other people's algorithms: what their signatures take, and what their YAML form means."""
+
+from __future__ import annotations
+
+import pytest
+import torch as th
+from gymnasium import spaces
+
+from tb2rl.envs.features import Nearness
+from tb2rl.registry import Agent, find_agent
+from tb2rl.runs.arguments import agent_for, algorithm_arguments, check_arguments
+
+DQN, PPO, SAC = (Agent(f"stable_baselines3:{name}") for name in ("DQN", "PPO", "SAC"))
+NEARNESS = "tb2rl.envs.features:Nearness"
+LINE = {"start": 0.1, "end": 0.01}
+
+
+@pytest.mark.parametrize(
+    ("agent", "arguments"),
+    [
+        (DQN, {"gamma": 0.9, "train_freq": [4, "step"], "learning_rate": LINE}),
+        (PPO, {"clip_range": {**LINE, "fraction": 0.5}, "target_kl": None, "normalize_advantage": False}),
+        (SAC, {"ent_coef": "auto_0.1", "use_sde": True, "policy_kwargs": {"log_std_init": -1.0}}),
+        (PPO, {"policy_kwargs": {"net_arch": {"pi": [8], "vf": [8, 8]}, "activation_fn": "torch.nn:ELU"}}),
+        (PPO, {"policy_kwargs": {"features_extractor_class": NEARNESS, "features_extractor_kwargs": {"middle": 0.5}}}),
+        (DQN, {"policy_kwargs": {"optimizer_class": "torch.optim:SGD", "optimizer_kwargs": {"momentum": 0.9}}}),
+        (Agent("sb3_contrib:QRDQN"), {"policy_kwargs": {"n_quantiles": 20}}),
+        (find_agent("wallfollower"), {"side": 0.7}),
+    ],
+    ids=str,
+)
+def test_what_a_signature_knows_is_taken(agent, arguments):
+    assert check_arguments(agent, arguments).keys() == arguments.keys()
+
+
+@pytest.mark.parametrize(
+    ("agent", "arguments", "named"),
+    [
+        (DQN, {"gama": 0.9}, ["agent", "'gama'", "did you mean 'gamma'", "learning_rate"]),
+        (DQN, {"gamma": "high"}, ["agent.gamma", "number", "'high'"]),
+        (DQN, {"buffer_size": 1.5}, ["agent.buffer_size", "integer"]),
+        (DQN, {"gamma": LINE}, ["agent.gamma"]),
+        (DQN, {"learning_rate": {"start": 1}}, ["agent.learning_rate", "end"]),
+        (DQN, {"learning_rate": {**LINE, "fraction": 0}}, ["agent.learning_rate.fraction", "greater than 0"]),
+        (DQN, {"learning_rate": {**LINE, "strat": 1}}, ["agent.learning_rate", "'strat'", "did you mean 'start'"]),
+        *((DQN, {key: 1}, [repr(key)]) for key in ("env", "policy", "seed", "device", "verbose", "tensorboard_log")),
+        *((DQN, {key: None}, [repr(key)]) for key in ("replay_buffer_class", "replay_buffer_kwargs")),
+        (PPO, {"policy_kwargs": {"net_arc": [8]}}, ["agent.policy_kwargs", "'net_arc'", "did you mean 'net_arch'"]),
+        (PPO, {"policy_kwargs": {"lr_schedule": 1}}, ["agent.policy_kwargs", "'lr_schedule'"]),
+        (PPO, {"policy_kwargs": {"activation_fn": "torch.nn:Elu"}}, ["activation_fn", "has no 'Elu'"]),
+        (PPO, {"policy_kwargs": {"activation_fn": "os:system"}}, ["activation_fn", "neither a torch module"]),
+        (PPO, {"policy_kwargs": {"activation_fn": "torch:load"}}, ["activation_fn", "neither a torch module"]),
+        (PPO, {"policy_kwargs": {"activation_fn": "torch.nn:Module"}}, ["activation_fn", "no forward of its own"]),
+        (
+            PPO,
+            {"policy_kwargs": {"features_extractor_class": NEARNESS, "features_extractor_kwargs": {"midle": 1}}},
+            ["agent.policy_kwargs.features_extractor_kwargs", "did you mean 'middle'"],
+        ),
+        (DQN, {"policy_kwargs": {"optimizer_kwargs": {"beta": 1}}}, ["optimizer_kwargs", "did you mean 'betas'"]),
+        (DQN, {"policy_kwargs": {"optimizer_kwargs": {"capturable": True}}}, ["optimizer_kwargs", "'capturable'"]),
+        (find_agent("qlearn"), {"gamma": 1.5}, ["agent.gamma", "less than or equal to 1", "1.5"]),
+        (find_agent("qlearn"), {"exploration_decay": -1}, ["agent.exploration_decay", "greater than or equal to 0"]),
+        (find_agent("wallfollower"), {"sid": 1.0}, ["'sid'", "did you mean 'side'"]),
+    ],
+    ids=str,
+)
+def test_what_it_does_not_know_is_refused(agent, arguments, named, refused):
+    message = refused(check_arguments, agent, arguments)
+    assert [part for part in named if part not in message] == [], message
+
+
+def test_a_schedule_becomes_a_line_over_the_remaining_training():
+    rate = algorithm_arguments({"learning_rate": {"start": 0.5, "end": 0.1, "fraction": 0.8}})["learning_rate"]
+    assert [rate(remaining) for remaining in (1.0, 0.6, 0.2, 0.0)] == pytest.approx([0.5, 0.3, 0.1, 0.1])
+
+
+def test_classes_in_policy_kwargs_are_imported():
+    kwargs = {"activation_fn": "torch.nn:ELU", "features_extractor_class": NEARNESS}
+    made = algorithm_arguments({"policy_kwargs": {**kwargs, "net_arch": [8]}, "gamma": 0.9})
+    classes = {"activation_fn": th.nn.ELU, "features_extractor_class": Nearness}
+    assert made == {"policy_kwargs": {**classes, "net_arch": [8]}, "gamma": 0.9}
+
+
+def test_an_image_beside_numbers_needs_a_policy_that_reads_both():
+    box = spaces.Box(0.0, 1.0, (3,))
+    assert agent_for("dqn", box).policy == "MlpPolicy"
+    assert agent_for("dqn", spaces.Dict(numbers=box)).policy == "MultiInputPolicy"
+    assert agent_for("qlearn", spaces.Dict(numbers=box)).policy == "QTable"

@@ -1,0 +1,166 @@
+"""Where settings come from: layers of presets and single settings, of which later ones win."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tb2rl.files import top_folder
+from tb2rl.registry import agent_names, task_names
+from tb2rl.runs.config import TrainSettings
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.tasks.wander import Wander
+
+NAN, INF = float("nan"), float("inf")
+CONFIGS = top_folder("configs")
+
+
+def test_later_layers_win(tmp_path, monkeypatch):
+    fields = ("turn_rate", "turn_speed", "noise", "forward_speed")  # each layer sets one field less than the one before
+    files = [tmp_path / name for name in ("tasks/maze.yaml", "agents/qlearn.yaml", "mine.yaml")]
+    for layer, file in enumerate(files):
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(yaml.safe_dump({"task": dict.fromkeys(fields[layer:], 0.1 * (layer + 1))}))
+    monkeypatch.setattr("tb2rl.runs.layers.top_folder", lambda _: tmp_path)
+    task = resolve("qlearn", "maze", "mine", {"task.forward_speed": 0.4}).task
+    assert [getattr(task, field) for field in fields] == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert task.control_period == Wander().control_period, "what no layer sets stands in the signature"
+
+
+def test_the_name_on_the_command_line_wins_over_the_presets():
+    assert resolve(preset="tutorial").agent_name == "qlearn"
+    assert resolve(settings={"agent.name": "ppo", "task.name": "wall"}).task_name == "wall"
+    assert resolve("dqn", settings={"agent.name": "ppo"}).agent_name == "dqn"
+
+
+def test_a_task_may_be_given_as_its_class():
+    config = resolve("qlearn", Wander)
+    assert (config.task_name, type(config.task)) == ("tb2rl.tasks.wander:Wander", Wander)
+
+
+def test_a_schedule_of_a_later_layer_replaces_a_number_and_the_other_way_round():
+    line = {"start": 0.4, "end": 0.1, "fraction": 0.5}
+    assert resolve("dqn", settings={"agent.learning_rate": line}).agent_arguments["learning_rate"] == line
+    assert resolve("ppo", settings={"agent.learning_rate": 0.1}).agent_arguments["learning_rate"] == 0.1
+    assert resolve("ppo", settings={"agent.learning_rate": line}).agent_arguments["learning_rate"] == line
+
+
+def test_a_schedule_does_not_inherit_parts_of_the_schedule_that_it_replaces(tmp_path):
+    (tmp_path / "mine.yaml").write_text("agent: {learning_rate: {start: 0.5, end: 0.4, fraction: 0.3}}")
+    line = {"start": 0.2, "end": 0.1}
+    mine = resolve(preset=str(tmp_path / "mine.yaml"), settings={"agent.learning_rate": line})
+    assert mine.agent_arguments["learning_rate"] == line
+
+
+def test_one_key_of_policy_kwargs_leaves_the_others():
+    kwargs = resolve("ppo").agent_arguments["policy_kwargs"]
+    changed = resolve("ppo", settings={"agent.policy_kwargs.net_arch": [8]}).agent_arguments["policy_kwargs"]
+    assert changed == {**kwargs, "net_arch": [8]}
+
+
+@pytest.mark.parametrize("file", sorted(CONFIGS.rglob("*.yaml")), ids=lambda file: str(file.relative_to(CONFIGS)))
+def test_every_shipped_config_resolves(file):
+    if file.parent.name == "worlds":
+        assert resolve(settings={"task.world": file.stem}).task.world == file.stem
+    elif file.parent.name == "kinematic":
+        assert file.stem in agent_names(), "a preset that nobody reads"
+        fast, slow = (resolve(file.stem, settings={"train.simulation": name}) for name in ("kinematic", "bullet"))
+        assert fast.train.n_envs > slow.train.n_envs
+    elif file.parent.name == "tasks" and file.stem not in task_names():
+        task, _, agent = file.stem.rpartition("-")
+        assert (task, agent) in product(task_names(), agent_names()), "a preset that nobody reads"
+        assert resolve(agent, task).agent_arguments["gamma"] != resolve(agent).agent_arguments.get("gamma")
+    elif file.parent.name in ("agents", "tasks"):
+        kind = file.parent.name.removesuffix("s")
+        assert file.stem in (agent_names() if kind == "agent" else task_names()), "a preset that nobody reads"
+        assert getattr(resolve(**{kind: file.stem}), f"{kind}_name") == file.stem
+    else:
+        assert resolve(preset=file.stem) == resolve(preset=str(file))
+
+
+def test_settings_of_the_command_line_are_yaml():
+    pairs = ["a.b=1", "a.c=2.5", "a.d=circuit", "a.e=[1, 2]", "a.f={start: 1, end: 0}", "a.g=null", "a.h=x=y", "a.i="]
+    line = {"start": 1, "end": 0}
+    assert list(parse_settings(pairs).values()) == [1, 2.5, "circuit", [1, 2], line, None, "x=y", None]
+
+
+@pytest.mark.parametrize("pair", ["a.b", "a.b=[1", "a.b=&x [*x]"])
+def test_what_is_not_a_setting_is_refused(pair, refused):
+    assert "a.b" in refused(parse_settings, [pair])
+
+
+@pytest.mark.parametrize("value", ["1.0e-3", "1e-3", "0.001"])
+def test_a_number_is_a_number_however_it_is_written(value):
+    settings = parse_settings([f"agent.gamma={value}", f"task.noise={value}"])
+    config = resolve("qlearn", settings=settings)
+    assert (config.agent_arguments["gamma"], config.task.noise) == (0.001, 0.001)
+
+
+def test_the_defaults_of_the_training_are_the_signatures():
+    assert resolve("stable_baselines3:A2C").train == TrainSettings()
+
+
+# ---- what is refused, with what its message names
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"agent": "qlern"}, ["'qlern'", "did you mean 'qlearn'", *agent_names()]),
+        ({"task": "wal"}, ["'wal'", "did you mean 'wall'", *task_names()]),
+        ({"preset": "tutoral"}, ["'tutoral'", "did you mean 'tutorial'"]),
+        ({"preset": "no/such.yaml"}, ["no/such.yaml"]),
+        ({"task": "tb2rl.tasks:Task"}, ["tb2rl.tasks:Task"]),
+        ({"agent": "dqn", "settings": {"task.observation": "rw"}}, ["'rw'", "did you mean 'raw'", "discrete"]),
+    ],
+)
+def test_an_unknown_name_is_refused(arguments, named, refused):
+    message = refused(resolve, **arguments)
+    assert [part for part in named if part not in message] == [], message
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"gamma": 0.9}, ["agent.gamma"]),
+        ({"agnt.gamma": 0.9}, ["'agnt'", "did you mean 'agent'", "task", "train"]),
+        ({"agent.gama": 0.9}, ["'gama'", "did you mean 'gamma'", "learning_rate"]),
+        ({"task.turnrate": 1}, ["'turnrate'", "did you mean 'turn_rate'", "forward_speed"]),
+        ({"train.sead": 1}, ["'sead'", "did you mean 'seed'", "n_envs"]),
+        ({"agent.learning_rate.strat": 1}, ["'strat'", "did you mean 'start'", "fraction"]),
+        ({"agent.gamma": {"start": 1, "end": 0}}, ["agent.gamma"]),
+        ({"agent.gamma": 1, "agent.gamma.start": 1}, ["agent.gamma"]),
+        ({"agent.gamma": "high"}, ["agent.gamma", "number", "'high'"]),
+        ({"agent.exploration": "greedy"}, ["agent.exploration", "epsilon_greedy", "noisy_values", "'greedy'"]),
+        ({"agent.gamma": NAN}, ["agent.gamma", "finite", "nan"]),
+        ({"agent.learning_rate": {"start": NAN, "end": 0}}, ["agent.learning_rate.start", "finite", "nan"]),
+        ({"task.turn_rate": NAN}, ["task.turn_rate", "finite", "nan"]),
+        ({"task.turn_rate": INF}, ["task.turn_rate", "finite", "inf"]),
+        ({"task.start": "anywhere"}, ["task.start", "fixed", "random", "'anywhere'"]),
+        ({"task.edges": []}, ["task.edges"]),
+        ({"train.n_envs": 2.5}, ["train.n_envs", "integer", "2.5"]),
+        ({"train.n_envs": 0}, ["train.n_envs", "greater than or equal to 1", "0"]),
+        ({"train.reward_scale": -1}, ["train.reward_scale", "greater than 0", "-1"]),
+        ({"task.world": "lop"}, ["'lop'", "did you mean 'loop'", "circuit"]),
+        ({"task.robot": "turtlebot"}, ["'turtlebot'", "did you mean 'turtlebot2'"]),
+        ({"task.observation": "raw"}, ["qlearn", "discrete", "'raw'"]),
+        ({"task": 3}, ["task"]),
+    ],
+)
+def test_a_setting_that_does_not_fit_is_refused(settings, named, refused):
+    message = refused(resolve, "qlearn", settings=settings)
+    assert [part for part in named if part not in message] == [], message
+
+
+@pytest.mark.parametrize("agent", agent_names())
+def test_no_agent_ignores_a_setting(agent, refused):
+    assert "'no_such_key'" in refused(resolve, agent, settings={"agent.no_such_key": 1})
+
+
+@pytest.mark.parametrize("content", ["- 1", "agent: qlearn", "agents: {}", "agent: {gama: 1}", "agent: [", "\x00"])
+def test_a_preset_file_that_does_not_fit_is_refused(content, refused, tmp_path: Path):
+    (tmp_path / "mine.yaml").write_text(content)
+    refused(resolve, preset=str(tmp_path / "mine.yaml"))
