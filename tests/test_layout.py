@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 import statistics
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,14 @@ def test_modules_are_short():
     sizes = {str(module.relative_to(CHECKOUT)): lines(module) for module in MODULES}
     assert {name: size for name, size in sizes.items() if size > 300} == {}
     assert statistics.median(sizes.values()) <= 120
+
+
+def test_every_module_is_in_the_repository():
+    if not (CHECKOUT / ".git").exists():
+        pytest.skip("not a checkout of the repository")
+    command = ["git", "ls-files", "--others", "--ignored", "--exclude-standard", "tb2rl", "agents", "zoo", "tests"]
+    ignored = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert [file for file in ignored if file.endswith(".py")] == []
 
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.name)
