@@ -119,7 +119,7 @@ def measure_processes(environments: int, seconds: float) -> Figure:
         steps += environments
     rate = steps / (time.perf_counter() - start)
     env.close()
-    return Figure(f"PyBullet, {environments} worlds in parallel processes", rate, "steps/s")
+    return Figure(f"PyBullet, {environments} environments in parallel processes", rate, "steps/s")
 
 
 def measure_twin(conditions: Conditions) -> list[Figure]:

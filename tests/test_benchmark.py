@@ -33,7 +33,7 @@ def test_the_table_has_a_figure_for_everything(brief, tmp_path, capsys):
     for robots in (1, 100):
         assert values[f"twin, {robots} robots, 6 beams: step / bare kernel"] > 1
     assert values["twin, 100 robots, 6 beams: step"] > values["PyBullet, 6 beams: step"]
-    assert values["PyBullet, 2 worlds in parallel processes"] > 1, "the name that the figure always had"
+    assert values["PyBullet, 2 environments in parallel processes"] > 1
     printed = capsys.readouterr().out
     assert tree["machine"].split(",")[0] in printed
     assert all(name in printed for name in values)
