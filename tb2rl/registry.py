@@ -134,7 +134,7 @@ def find_world(reference: str) -> World:
         found: Any = read_world(path, readers[path.suffix])
     elif code[2] is None:
         found = _imported("world", code[1])
-        found = found if isinstance(found, World) else _maker(code[1])()
+        found = found if isinstance(found, World) else _made(code[1])
     else:
         if not os.path.isfile(code[2]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
             raise InputError(one_line(f"there is no world file {code[2]}"))
@@ -158,6 +158,14 @@ def _maker(reference: str) -> Callable[..., World]:
         name = reference.partition(":")[2]
         raise InputError(f"world {reference!r}: a function that makes worlds says so: def {name}(...) -> World")
     return found
+
+
+def _made(reference: str) -> World:
+    """The world that a function without arguments makes."""
+    maker = _maker(reference)
+    if any(argument.default is argument.empty for argument in inspect.signature(maker).parameters.values()):
+        raise InputError(f"world {reference!r} reads files; write {reference}:PATH")
+    return maker()
 
 
 def absolute_world(reference: str) -> str:

@@ -118,6 +118,7 @@ def test_an_ending_that_nothing_reads_is_refused_with_the_known_ones(my_worlds):
         ),
         ("os:remove:{folder}/post.radius", "a function that makes worlds says so"),
         ("my_worlds:read_nothing:{folder}/post.radius", "is not a tb2rl.worlds.World but str"),
+        ("my_worlds:read", "world 'my_worlds:read' reads files; write my_worlds:read:PATH"),
         ("my_worlds:read:{folder}/missing.radius", "there is no world file .*missing.radius"),
         ("my_worlds:NOWHERE", "module 'my_worlds' has no 'NOWHERE'"),
         ("my_other_module:POST", "there is no module 'my_other_module'"),

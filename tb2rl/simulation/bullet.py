@@ -45,7 +45,11 @@ class BulletSimulation:
             add_floor(self._client)
             self._world_number, self.world = 0, setup.worlds[0]
             self._walls = add_walls(self._client, self.world)
-            self._body = add_robot(self._client, setup.robot)
+            try:
+                self._body = add_robot(self._client, setup.robot)
+            except InputError:
+                self.close()
+                raise
         self._robot, self._wheels = self._body.body, self._body.wheels
         self._cos_beams, self._sin_beams = np.cos(self.laser.angles), np.sin(self.laser.angles)
         self._scratch = np.empty((2, len(self.laser.angles)))

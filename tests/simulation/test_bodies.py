@@ -13,6 +13,7 @@ from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Start
 from tb2rl.simulation.bodies import connect
+from tb2rl.simulation.physics import pybullet
 from tb2rl.worlds.geometry import cast
 
 BEAM = 1e-3  # [m] half the thickness of a beam: what a ray of single precision may miss at an edge
@@ -73,10 +74,12 @@ def test_the_robot_bumps_into_the_walls_of_the_world_it_is_in(make_setup, make_b
     ],
 )
 def test_a_robot_that_does_not_fit_its_urdf_is_refused(changed, words, make_setup, make_bullet):
+    clients = list(filter(pybullet.isConnected, range(1000)))
     with pytest.raises(InputError) as error:
         make_bullet(make_setup(robot=replace(ROBOT, **changed)))
     for word in words:
         assert word in str(error.value)
+    assert list(filter(pybullet.isConnected, range(1000))) == clients
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
