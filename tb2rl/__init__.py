@@ -9,7 +9,6 @@ Importing this registers the Gymnasium ids; nothing heavy is imported before it 
 
 from __future__ import annotations
 
-import os
 import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -18,9 +17,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
-
-# OpenMP's threads wait asleep: spinning ones cost a batch of robots nine tenths of its speed when the machine is busy.
-os.environ.setdefault("GOMP_SPINCOUNT", "0")
 
 # In a checkout, agents/, configs/ and zoo/ stand beside this package; installed, they are inside it.
 if (Path(__file__).parent.parent / "pyproject.toml").is_file():
@@ -40,9 +36,22 @@ try:
 except PackageNotFoundError:  # a checkout that is not installed
     __version__ = "0+unknown"
 
-GYM_IDS = {"TurtleBot2Maze-v0": "maze", "MyTurtleBot2Maze-v0": "my-maze", "TurtleBot2Wall-v0": "wall"}
-for _id, _task in GYM_IDS.items():
-    gymnasium.register(_id, entry_point="tb2rl.envs.make:make_for_gymnasium", kwargs={"task": _task})
+GYM_IDS = {
+    "TurtleBot2Maze-v0": {"task": "maze"},
+    "MyTurtleBot2Maze-v0": {"task": "my-maze"},
+    "TurtleBot2Wall-v0": {"task": "wall"},
+    # With raw observations, for programs that can name an environment and pass it no arguments.
+    "TurtleBot2MazeRaw-v0": {"task": "maze", "observation": "raw"},
+    "MyTurtleBot2MazeRaw-v0": {"task": "my-maze", "observation": "raw"},
+    "TurtleBot2WallRaw-v0": {"task": "wall", "observation": "raw"},
+}
+for _id, _arguments in GYM_IDS.items():
+    gymnasium.register(
+        _id,
+        entry_point="tb2rl.envs.make:make_for_gymnasium",
+        vector_entry_point="tb2rl.envs.make:make_vector_for_gymnasium",
+        kwargs=_arguments,
+    )
 
 _HOMES = {
     "InputError": "errors",

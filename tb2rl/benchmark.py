@@ -31,10 +31,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tb2rl.envs.batch import BatchVecEnv
 from tb2rl.envs.processes import ProcessVecEnv, processors
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.errors import ArgumentParser, InputError, command, unknown
 from tb2rl.files import write_text
 from tb2rl.judging.evaluator import PASSED, evaluate
@@ -138,7 +138,7 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
     env = BatchVecEnv(scene, robots)
     env.seed(0)
     env.reset()
-    simulation, period, rng = env.simulation, scene.task.control_period, np.random.default_rng(0)
+    simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
     results = np.empty((robots, 2)), np.empty(robots, dtype=bool), np.empty((robots, beams))
     whole: list[float] = []
     bare: list[float] = []

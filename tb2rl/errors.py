@@ -14,6 +14,15 @@ class InputError(ValueError):
     """Foreign input that does not fit: the message is one line and names what is allowed."""
 
 
+class UnknownArgumentError(InputError, TypeError):
+    """A keyword argument that a function does not take, in Python's own words: some libraries look for them."""
+
+    def __init__(self, function: str, name: str = "", known: Iterable[str] = ()) -> None:
+        # Gymnasium makes the error anew with one argument, its own longer message.
+        what = f"{function}() got an unexpected keyword argument {name!r}"
+        super().__init__(f"{what}: {unknown('setting', name, known)}" if name else function)
+
+
 def one_line(message: object, longest: int = 400) -> str:
     """A message without line breaks, cut where it repeats too much of what came in."""
     text = " ".join(str(message).split())

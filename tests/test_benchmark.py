@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 
-import numba
 import numpy as np
 import pytest
 
@@ -13,6 +12,7 @@ from tb2rl import benchmark
 from tb2rl.benchmark import PARTS, Figure, learners
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.threads import THREADS
 
 
 @pytest.fixture
@@ -76,9 +76,8 @@ def test_bad_input_is_refused_before_anything_is_measured(line, named, capsys, t
     assert [part for part in named if part not in message] == []
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor has nothing to share")
+@pytest.mark.skipif(THREADS < 2, reason="one processor has nothing to share")
 def test_threads_share_the_work_of_a_batch(make_setup):
-    """They did not while two compilations of one function shared an entry of the cache."""
     setup, rng = make_setup("loop", beams=36), np.random.default_rng(0)
     simulation, start = KinematicSimulation(setup, 4096), Start.proposed(setup, 4096)
     start.pose[:] = setup.worlds[0].random_poses(rng, 4096, 0.6)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
-from tb2rl.envs.scene import make_scene
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+
+from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.vector_env import BatchVectorEnv
+from tb2rl.errors import InputError, UnknownArgumentError
 from tb2rl.registry import find_task
 from tb2rl.tasks import Task
 from tb2rl.values import build
+
+_ARGUMENTS = ("observation", "render_mode", "simulation")  # of `make_env`, beside the task's settings
 
 
 def make_env(
@@ -30,13 +38,23 @@ def make_env(
         settings: Fields of the task to set, for example `world="circuit"`.
 
     Raises:
-        InputError: For an unknown name or setting, or a value that does not fit.
+        InputError: For an unknown name, or a value that does not fit.
+        UnknownArgumentError: For an unknown setting; it is a `TypeError`, too.
     """
+    return TurtleBot2Env(_scene(what, observation, settings), render_mode, simulation)
+
+
+def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> Scene:
     config = getattr(what, "trained_with", None)
     if config is not None:
         what, observation = config.task, observation or config.observation
-    task = changed(what, settings) if isinstance(what, Task) else build(find_task(what), settings, "task")
-    return TurtleBot2Env(make_scene(task, observation or "discrete"), render_mode, simulation)
+    kind = type(what) if isinstance(what, Task) else find_task(what)
+    known = [field.name for field in fields(kind)]
+    for name in settings:
+        if name not in known:
+            raise UnknownArgumentError("make_env", name, [*_ARGUMENTS, *known])
+    task = changed(what, settings) if isinstance(what, Task) else build(kind, settings, "task")
+    return make_scene(task, observation or "discrete")
 
 
 def changed(task: Task, settings: Mapping[str, Any]) -> Task:
@@ -50,7 +68,46 @@ def changed(task: Task, settings: Mapping[str, Any]) -> Task:
 
 def make_for_gymnasium(task: str, **arguments: Any) -> TurtleBot2Env:
     """What `gymnasium.make` calls; see `make_env`."""
-    return make_env(task, **arguments)
+    frame: Any = inspect.currentframe()
+    return make_env(task, **_time_limit_named(arguments, _time_limit_asked(frame.f_back.f_locals)))
 
 
 make_for_gymnasium.metadata = TurtleBot2Env.metadata  # type: ignore[attr-defined]  # Gymnasium reads the render modes
+
+
+def make_vector_for_gymnasium(
+    task: str,
+    num_envs: int = 1,
+    observation: str | None = None,
+    simulation: str = "bullet",
+    max_episode_steps: int | None = None,
+    **arguments: Any,
+) -> VectorEnv:
+    """What `gymnasium.make_vec` calls: one batch of the fast twin, or environments in PyBullet one after the other.
+
+    Either begins an episode anew in the step in which the last one ended. Arguments are those of `make_env`.
+    """
+    arguments = _time_limit_named(arguments, max_episode_steps)
+    if simulation == "kinematic":
+        if arguments.pop("render_mode", None) is not None:
+            raise InputError("the twin's robots are not drawn when there are many; make one with gymnasium.make")
+        return BatchVectorEnv(_scene(task, observation, arguments), num_envs)
+    one = partial(make_env, task, observation, simulation=simulation, **arguments)
+    return SyncVectorEnv([one] * num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
+
+
+def _time_limit_asked(call: Mapping[str, Any]) -> int | None:
+    """The time limit in the local variables of a call of `gymnasium.make`.
+
+    Gymnasium hands it to a wrapper of its own and to no entry point. Only by looking at the call can the task have the
+    same limit, and say in `info["ended"]` that it was reached.
+    """
+    limit = call.get("max_episode_steps")
+    return limit if limit is not None else getattr(call.get("env_spec"), "max_episode_steps", None)
+
+
+def _time_limit_named(arguments: Mapping[str, Any], max_episode_steps: int | None) -> dict[str, Any]:
+    """The arguments with Gymnasium's name for the time limit told as ours; -1 means that there is none."""
+    if max_episode_steps is None or max_episode_steps < 0:
+        return dict(arguments)
+    return {**arguments, "episode_steps": min(max_episode_steps, arguments.get("episode_steps", max_episode_steps))}

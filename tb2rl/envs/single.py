@@ -8,6 +8,7 @@ from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from tb2rl.envs.encodings import row
 from tb2rl.envs.scene import Scene
@@ -40,13 +41,15 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     | `min_range` | shortest laser range [m] |
     | `bumped` | whether the base touched a wall |
     | `is_success` | goal reached; for a task without a goal: the time limit reached |
-    | `ended` | None, or why the episode is over: "crash", "goal", ..., "time limit" |
+    | `ended` | why the episode is over: "crash", "goal", ..., "time limit"; "" while it goes on |
     | `failed` | whether it is over and counts as failed |
 
     Args:
         scene: The task, its robot and world, and how it is observed; see `make_env` for one by names.
         render_mode: None, "rgb_array" (seen from above, no window) or "human" (PyBullet's window).
         simulation: "bullet" or "kinematic".
+
+    A copy (`copy.deepcopy`, `pickle`) goes its own way from where the original is; one with a window cannot be copied.
 
     Raises:
         InputError: For an unknown render mode or simulation, or a window that cannot be.
@@ -58,11 +61,13 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         if render_mode is not None and render_mode not in _RENDER_MODES:
             raise unknown("render_mode", render_mode, _RENDER_MODES)
         self.scene, self.task, self.render_mode = scene, scene.task, render_mode
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.task.control_period))}
+        modes = [mode for mode in _RENDER_MODES if mode != "human" or simulation == "bullet"]
+        self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = scene.observation_space, scene.action_space
         self._observe, self._actions = scene.encoding, scene.actions
         self.simulation = simulate(simulation, scene.setup, window=render_mode == "human")
         self.reading: Reading | None = None  # the latest; None before the first reset
+        self._spec: EnvSpec | None = None
         self.path: list[np.ndarray] = []  # poses since the reset, for pictures: only with a render_mode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -144,8 +149,21 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.np_random.bit_generator.state = state["generator"]
         self.path = [self.reading.pose[0]]
 
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # Gymnasium has a plain attribute
+        """How `gymnasium.make` made it, with the task's time limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.max_episode_steps = self.task.episode_steps
+        self._spec = spec
+
     def close(self) -> None:
+        """Free what the simulation holds; a reset opens it again."""
         self.simulation.close()
+        self.reading = None
 
     def _start(self, options: dict[str, Any]) -> Start:
         setup = self.scene.setup
@@ -171,6 +189,6 @@ def info_of(reading: Reading, robot: int, distance: float, ending: Ending | None
         "min_range": float(reading.nearest[robot]),
         "bumped": bool(reading.bumped[robot]),
         "is_success": ending is not None and ending.success,
-        "ended": ending and ending.name,
+        "ended": "" if ending is None else ending.name,
         "failed": ending is not None and ending.failed,
     }

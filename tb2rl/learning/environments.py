@@ -9,10 +9,10 @@ from typing import Any, SupportsFloat
 import gymnasium as gym
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from tb2rl.envs.batch import BatchVecEnv
 from tb2rl.envs.processes import ProcessVecEnv
 from tb2rl.envs.scene import Scene
 from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.learning.trees import fill
 from tb2rl.runs.config import Config
 

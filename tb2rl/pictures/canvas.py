@@ -55,8 +55,8 @@ class Canvas:
         self._draw.ellipse((left, top, right, bottom), fill=colour, outline=outline, width=2 * _SMOOTH)
 
     def array(self) -> np.ndarray:
-        """The finished picture, shape (height, width, 3), uint8."""
-        return np.asarray(self._image.reduce(_SMOOTH))
+        """The finished picture, shape (height, width, 3), uint8, to be drawn on by whoever wants to."""
+        return np.array(self._image.reduce(_SMOOTH))
 
     def _pixels(self, points: Points) -> list[tuple[float, float]]:
         return [((p[0] - self._left) * self._scale, (self._top - p[1]) * self._scale) for p in points]

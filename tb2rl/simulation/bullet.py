@@ -21,6 +21,7 @@ from tb2rl.worlds.world import WALL_HEIGHT
 
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
 TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
+_OF_THE_CLIENT = {"_client", "_walls", "_body", "_robot", "_wheels", "_duration", "_steps"}
 _AT_REST = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
@@ -39,27 +40,59 @@ class BulletSimulation:
     robots = 1
 
     def __init__(self, setup: Setup, window: bool = False) -> None:
-        self.setup, self.laser = setup, setup.laser
+        self.setup, self.laser, self._window = setup, setup.laser, window
+        self._world_number, self.world = 0, setup.worlds[0]
+        self._cos_beams, self._sin_beams = np.cos(self.laser.angles), np.sin(self.laser.angles)
+        self._scratch = np.empty((2, len(self.laser.angles)))
+        self._rng = np.random.default_rng()
+        self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels
+        self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
+        self._open()
+        self._begin(Start.proposed(setup, 1))
+
+    def _open(self) -> None:
+        """Build the world and the robot in a new PyBullet client."""
         with quiet():
-            self._client = connect(window)
-            add_floor(self._client)
-            self._world_number, self.world = 0, setup.worlds[0]
-            self._walls = add_walls(self._client, self.world)
+            self._client = connect(self._window)
             try:
-                self._body = add_robot(self._client, setup.robot)
+                add_floor(self._client)
+                self._walls = add_walls(self._client, self.world)
+                self._body = add_robot(self._client, self.setup.robot)
             except InputError:
                 self.close()
                 raise
         self._robot, self._wheels = self._body.body, self._body.wheels
-        self._cos_beams, self._sin_beams = np.cos(self.laser.angles), np.sin(self.laser.angles)
-        self._scratch = np.empty((2, len(self.laser.angles)))
-        self._rng = np.random.default_rng()
         self._duration, self._steps = 0.0, 0
-        self._begin(Start.proposed(setup, 1))
+
+    # ---- copies, and what a process is sent: no two of them share a client
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._window:
+            raise InputError("an environment with PyBullet's window cannot be copied")
+        return vars(self).copy()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Drive the same way again, in a client of its own: to read the physics out and write it back would round.
+
+        The physics depends on nothing but where the robot was put and what its wheels were told since.
+        """
+        vars(self).update(state)
+        if self._client < 0:
+            return
+        self._open()
+        if self._put_at is not None:
+            self._put(*self._put_at)
+            for commands, duration in state["_driven"]:
+                self._set_duration(duration)
+                self.set_wheel_speeds(commands)
+                self.advance()
+        vars(self).update({name: value for name, value in state.items() if name not in _OF_THE_CLIENT})
 
     # ---- the robot's life
 
     def reset(self, start: Start, rng: np.random.Generator) -> Reading:
+        if self._client < 0:  # it was closed
+            self._open()
         self._begin(start)
         self._rng = rng
         x, y, yaw = map(float, start.pose[0])
@@ -87,6 +120,7 @@ class BulletSimulation:
             self._walls = add_walls(self._client, self.world)
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
+        self._driven.append((commands.copy(), duration))
         self._set_duration(duration)
         self.set_wheel_speeds(commands)
         bumped = False
@@ -146,6 +180,7 @@ class BulletSimulation:
         return reading
 
     def _put(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
+        self._put_at, self._driven = (position, orientation, velocity, wheels), []
         pybullet.resetBasePositionAndOrientation(self._robot, (0.0, 0.0, 100.0), (0.0, 0.0, 0.0, 1.0), self._client)
         pybullet.performCollisionDetection(self._client)  # forgets the contacts of where it was
         pybullet.resetBasePositionAndOrientation(self._robot, position, orientation, self._client)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from tb2rl.robots import robot
 from tb2rl.simulation.setup import PARAMETERS, PHYSICS_RATE, WORLD
@@ -25,7 +25,6 @@ CONTACT = 1.0e-4  # [m] a gap below this is contact
 RADIUS, WHEEL_SEPARATION = PARAMETERS.start + robot.RADIUS, PARAMETERS.start + robot.WHEEL_SEPARATION
 MAX_SPEED, MAX_TURN_RATE = PARAMETERS.start + robot.MAX_SPEED, PARAMETERS.start + robot.MAX_TURN_RATE
 ACCELERATION, COUPLING = PARAMETERS.start + robot.WHEEL_ACCELERATION, PARAMETERS.start + robot.WHEEL_COUPLING
-BLOCK = 64  # robots that a thread takes at a time
 _NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched
 
 
@@ -179,7 +178,7 @@ def step_robots(
         sense(poses[i], cos_beams, sin_beams, boxes, posts, limits, streams[i, 0], streams[i, 1], scratch, ranges[i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_block(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, beams, limits, streams,
     twists, bumped, ranges,
@@ -200,19 +199,6 @@ def step_block(
             posts[parts[k, 1] : parts[k + 1, 1]], beams[0], beams[1], limits, streams, scratch, twists, bumped, ranges,
         )  # fmt: skip
         first = end
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def step_in_threads(
-    poses, rims, commands, duration, starts, boxes, posts, parts, beams, limits, streams, twists, bumped, ranges
-):  # fmt: skip
-    """`step_block` for all robots, block by block in parallel."""
-    robots = poses.shape[0]
-    for block in prange((robots + BLOCK - 1) // BLOCK):
-        step_block(
-            block * BLOCK, min((block + 1) * BLOCK, robots), poses, rims, commands, duration, starts,
-            boxes, posts, parts, beams, limits, streams, twists, bumped, ranges,
-        )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")

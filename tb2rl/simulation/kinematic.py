@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from tb2rl.robots.robot import WHEEL_SEPARATION
-from tb2rl.simulation.kernels import sense_some, step_block, step_in_threads
+from tb2rl.simulation.kernels import sense_some, step_block
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
+from tb2rl.simulation.threads import share_out
 
 ROBOT, BEAM = 0.4e-6, 5e-9  # [s] what a step costs a thread, for each robot and for each of its beams
 WORTH_THREADS = 0.2e-3  # [s] of work; to wake a thread costs up to 0.09 ms, and more on a busy machine
@@ -80,7 +81,7 @@ class KinematicSimulation:
             self._beams, self._limits, self._streams, twists, bumped, ranges,
         )  # fmt: skip
         if self.robots * (ROBOT + BEAM * ranges.shape[1]) > WORTH_THREADS:
-            step_in_threads(*data)
+            share_out(step_block, self.robots, *data)
         else:
             step_block(0, self.robots, *data)
 

@@ -5,28 +5,49 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+
+_STREAMS = {"linux": ("stdout", "stderr"), "darwin": ("__stdoutp", "__stderrp")}  # what C's libraries call them
+_lock = threading.RLock()
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep from the user what PyBullet's C code prints during the block: its build time, its solver."""
-    streams = {1: sys.stdout, 2: sys.stderr}
-    originals = {descriptor: os.dup(descriptor) for descriptor in streams}
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    """Keep from the user what PyBullet's C code prints during the block: its build time, its solver.
+
+    Only the streams of C are turned away, one thread at a time. The descriptors stay, and with them all that Python
+    prints meanwhile, from any thread. On other systems than Linux and macOS the lines show.
+    """
+    with _lock:
+        streams = _streams_of_c()
+        originals = [stream.value for stream in streams]
+        try:
+            for stream in streams:
+                stream.value = _nowhere()
+            yield
+        finally:
+            for stream, original in zip(streams, originals, strict=True):
+                stream.value = original
+
+
+@cache
+def _streams_of_c() -> list[ctypes.c_void_p]:
+    """The variables in which the C library keeps its standard output and its standard error."""
     try:
-        for descriptor, stream in streams.items():
-            stream.flush()
-            os.dup2(nowhere, descriptor)
-        yield
-    finally:
-        if sys.platform != "win32":
-            ctypes.CDLL(None).fflush(None)  # C's own buffers
-        for descriptor, original in originals.items():
-            os.dup2(original, descriptor)
-            os.close(original)
-        os.close(nowhere)
+        return [ctypes.c_void_p.in_dll(ctypes.CDLL(None), name) for name in _STREAMS[sys.platform]]
+    except (KeyError, ValueError):
+        return []
+
+
+@cache
+def _nowhere() -> int:
+    """A stream of C that leads nowhere; it stays open, since another thread may be printing to it."""
+    library = ctypes.CDLL(None)
+    library.fopen.restype, library.fopen.argtypes = ctypes.c_void_p, (ctypes.c_char_p, ctypes.c_char_p)
+    return library.fopen(os.devnull.encode(), b"w")
 
 
 with quiet():

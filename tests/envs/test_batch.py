@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.envs.batch import BatchVecEnv
 from tb2rl.envs.scene import make_scene
+from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.judging.evaluator import Evaluator
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.runs.loading import config_of
@@ -36,23 +35,16 @@ def rollout(robots, steps=300):
     return seen
 
 
-@pytest.fixture
-def one_thread():
-    """Every parallel loop of the test runs in one thread."""
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-
-
-def test_results_do_not_depend_on_threads(one_thread):
+def test_results_do_not_depend_on_threads(monkeypatch):
+    monkeypatch.setattr("tb2rl.simulation.threads.THREADS", 1)
     alone = rollout(1000)
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    monkeypatch.setattr("tb2rl.simulation.threads.THREADS", 3)
     for one, two in zip(alone, rollout(1000), strict=True):
         np.testing.assert_array_equal(one, two)
 
 
 def test_equal_seeds_give_equal_episodes_and_others_do_not():
-    poses = [batch(Wander(), "raw", 20, seed)[0].simulation.state()["poses"] for seed in (1, 1, 2)]
+    poses = [batch(Wander(), "raw", 20, seed)[0].batch.simulation.state()["poses"] for seed in (1, 1, 2)]
     np.testing.assert_array_equal(poses[0], poses[1])
     assert (poses[0] != poses[2]).all()
 
@@ -144,7 +136,7 @@ def test_images_are_observed_by_all_robots_and_kept_where_episodes_end(image_tas
     for _ in range(45):
         observations, _, dones, infos = env.step(rng.choice(3, size=50))
         for robot in range(50):
-            seen, pose = of(observations, robot), env.simulation.state()["poses"][robot]
+            seen, pose = of(observations, robot), env.batch.simulation.state()["poses"][robot]
             assert space.contains(seen)
             row, column = (pose[:2] % 9.0 * 4.0).astype(int)
             assert image(seen)[0, row, column] == image(seen).sum() > 0  # it is the picture of where the robot is
@@ -205,7 +197,7 @@ def test_it_goes_on_from_a_restored_state_to_the_bit():
         env.step(chosen)
     state = env.state()
     expected = [env.step(chosen) for chosen in actions[20:]]
-    for other in (env, BatchVecEnv(env.scene, 25)):
+    for other in (env, BatchVecEnv(env.batch.scene, 25)):
         other.restore(state)
         for chosen, answer in zip(actions[20:], expected, strict=True):
             np.testing.assert_equal(other.step(chosen), answer)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tb2rl.envs.batch import BatchVecEnv
 from tb2rl.envs.processes import ProcessVecEnv
+from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.learning.environments import make_vec_env, restore, state_of
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 
-import numba
 import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -45,16 +44,13 @@ def test_the_number_of_processors_changes_nothing_but_the_time(small, tmp_path, 
 @pytest.mark.parametrize(
     ("agent", "settings"), [("qlearn", {}), ("ppo", {"agent.n_steps": 5, "agent.batch_size": 500})]
 )
-def test_the_number_of_threads_changes_nothing_but_the_time(agent, settings, small, differences, tmp_path):
+def test_the_number_of_threads_changes_nothing_but_the_time(agent, settings, small, differences, tmp_path, monkeypatch):
     config = small(agent, settings=settings, n_envs=600, total_timesteps=6000)
     ends = []
-    try:
-        for threads in (1, numba.config.NUMBA_NUM_THREADS):
-            numba.set_num_threads(threads)
-            run = train_config(config, tmp_path / str(len(ends))).run
-            ends.append(read_checkpoint(run.checkpoints[0]))
-    finally:
-        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    for threads in (1, 3):
+        monkeypatch.setattr("tb2rl.simulation.threads.THREADS", threads)
+        run = train_config(config, tmp_path / str(threads)).run
+        ends.append(read_checkpoint(run.checkpoints[0]))
     assert differences(*ends) == []
 
 
