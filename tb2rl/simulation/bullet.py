@@ -42,8 +42,8 @@ class BulletSimulation:
     def __init__(self, setup: Setup, window: bool = False) -> None:
         self.setup, self.laser, self._window = setup, setup.laser, window
         self._world_number, self.world = 0, setup.worlds[0]
-        self._cos_beams, self._sin_beams = np.cos(self.laser.angles), np.sin(self.laser.angles)
-        self._scratch = np.empty((2, len(self.laser.angles)))
+        self._directions = np.cos(self.laser.angles), np.sin(self.laser.angles)
+        self._scratch = tuple(np.empty((2, len(self.laser.angles))))
         self._rng = np.random.default_rng()
         self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels
         self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
@@ -202,11 +202,11 @@ class BulletSimulation:
         cos, sin = math.cos(yaw), math.sin(yaw)
         self._place = x, y
         world, laser = self.world, self.laser
-        ranges = np.empty((1, self._cos_beams.size))
-        cast_one(x, y, yaw, self._cos_beams, self._sin_beams, world.boxes, world.posts, self._scratch, ranges[0])
+        ranges = np.empty((1, len(laser.angles)))
+        cast_one(x, y, yaw, *self._directions, world.boxes, world.posts, *self._scratch, ranges, 0)
         if laser.noise:
             ranges += laser.noise * self._rng.standard_normal(ranges.shape)
-        limit_ranges(ranges[0], laser.min_range, laser.max_range)
+        limit_ranges(ranges, 0, laser.min_range, laser.max_range)
         return Reading(
             pose=np.array([[x, y, yaw]]),
             twist=np.array([[vx * cos + vy * sin, turn_rate]]),

@@ -28,7 +28,7 @@ ACCELERATION, COUPLING = PARAMETERS.start + robot.WHEEL_ACCELERATION, PARAMETERS
 _NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts):
     """Move a robot along an arc, up to where an obstacle stops it; it turns all the same.
 
@@ -64,7 +64,7 @@ def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts):
     return x, y, yaw, bumped
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def along_arc(x, y, yaw, length, turn):
     """The pose at the end of an arc of `length` [m] and `turn` [rad]: its chord, at half the turn."""
     half = 0.5 * turn
@@ -72,7 +72,7 @@ def along_arc(x, y, yaw, length, turn):
     return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def rim_speed(start, change, together, clock, acceleration, coupling):
     """Speed of a rim on its way to `start` + `change` [m/s], `clock` [s] after both motors began to push.
 
@@ -85,16 +85,16 @@ def rim_speed(start, change, together, clock, acceleration, coupling):
     return start + math.copysign(gained, change)
 
 
-@njit(cache=True, error_model="numpy")
-def move(pose, rims, v, w, duration, starts, i, boxes, posts):
-    """One robot's control step: both rims speed up, then one, then none.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def move(poses, rims, commands, duration, starts, i, boxes, posts):
+    """The control step of robot `i`: both rims speed up, then one, then none.
 
     Args:
-        pose: Shape (3,); changed in place.
-        rims: Shape (2,) [m/s]; changed in place.
-        v, w: What it is told [m/s, rad/s].
+        poses, rims: Of all robots; its rows are changed in place.
+        commands: Of all robots.
         duration: Of the step [s].
-        starts, i: Of all robots, shape (robots, 16), and which one it is: a row of its own would cost a tenth more.
+        starts: Of all robots.
+        i: Which one it is.
         boxes, posts: Of its world.
 
     Returns:
@@ -102,9 +102,10 @@ def move(pose, rims, v, w, duration, starts, i, boxes, posts):
     """
     radius, separation = starts[i, RADIUS], starts[i, WHEEL_SEPARATION]
     acceleration, coupling = starts[i, ACCELERATION], starts[i, COUPLING]
+    v, w = commands[i, 0], commands[i, 1]
     reach = 0.5 * separation * min(max(w, -starts[i, MAX_TURN_RATE]), starts[i, MAX_TURN_RATE])
     v = min(max(v, -starts[i, MAX_SPEED]), starts[i, MAX_SPEED])
-    left, right = rims[0], rims[1]
+    left, right = rims[i, 0], rims[i, 1]
     change_left, change_right = v - reach - left, v + reach - right
     sense_of_both = math.copysign(1.0, change_left * change_right)
     fewer, more = min(abs(change_left), abs(change_right)), max(abs(change_left), abs(change_right))
@@ -112,7 +113,7 @@ def move(pose, rims, v, w, duration, starts, i, boxes, posts):
     second = first + (more - fewer) / acceleration
     together = math.copysign(first, sense_of_both)
 
-    x, y, yaw = pose[0], pose[1], pose[2]
+    x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
     # Far from walls nothing needs to be looked at on the way.
     longest = max(abs(left), abs(right), abs(v) + abs(reach)) * duration
     free = clearance_one(x, y, boxes, posts) > radius + longest
@@ -137,45 +138,48 @@ def move(pose, rims, v, w, duration, starts, i, boxes, posts):
             bumped = bumped or hit
         yaw += lag
         last_left, last_right, clock = next_left, next_right, until
-    pose[0], pose[1] = x, y
-    pose[2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
-    rims[0] = rim_speed(left, change_left, together, duration, acceleration, coupling)
-    rims[1] = rim_speed(right, change_right, together, duration, acceleration, coupling)
+    poses[i, 0], poses[i, 1] = x, y
+    poses[i, 2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
+    rims[i, 0] = rim_speed(left, change_left, together, duration, acceleration, coupling)
+    rims[i, 1] = rim_speed(right, change_right, together, duration, acceleration, coupling)
     return bumped
 
 
-@njit(cache=True, error_model="numpy")
-def sense(pose, cos_beams, sin_beams, boxes, posts, limits, key, count, scratch, ranges):
-    """One robot's laser.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def sense(poses, i, cos_beams, sin_beams, boxes, posts, limits, streams, over_x, over_y, ranges):
+    """The laser of robot `i`.
 
     Args:
-        pose: Shape (3,).
+        poses: Of all robots.
+        i: Which one it is.
         cos_beams, sin_beams: Of each beam's direction, shape (beams,).
         boxes, posts: Of its world.
         limits: The laser's noise, shortest and longest range [m], shape (3,).
-        key, count: Of its stream of random numbers, and how often it has read so far, uint64.
-        scratch: Room to calculate in, shape (2, beams).
-        ranges: Result [m], shape (beams,).
+        streams: Key of each robot's stream of random numbers, and how often it has read, shape (robots, 2), uint64.
+        over_x, over_y: Room to calculate in, shape (beams,).
+        ranges: Of all robots; its row is the result [m], shape (robots, beams).
     """
-    cast_one(pose[0], pose[1], pose[2], cos_beams, sin_beams, boxes, posts, scratch, ranges)
+    x, y, yaw, beams = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
+    cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, ranges, i)
     if limits[0] > 0.0:
-        for beam in range(ranges.size):
-            ranges[beam] += limits[0] * normal(key, count * np.uint64(ranges.size) + np.uint64(beam))
-    limit_ranges(ranges, limits[1], limits[2])
+        first = streams[i, 1] * np.uint64(beams)
+        for beam in range(beams):
+            ranges[i, beam] += limits[0] * normal(streams[i, 0], first + np.uint64(beam))
+    limit_ranges(ranges, i, limits[1], limits[2])
 
 
 @njit(cache=True, error_model="numpy")
 def step_robots(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, cos_beams, sin_beams, limits, streams, scratch,
-    twists, bumped, ranges,
+    first, last, poses, rims, commands, duration, starts, boxes, posts, cos_beams, sin_beams, limits, streams,
+    over_x, over_y, twists, bumped, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, all in the world of `boxes` and `posts`; see `step_block`."""
     for i in range(first, last):
-        bumped[i] = move(poses[i], rims[i], commands[i, 0], commands[i, 1], duration, starts, i, boxes, posts)
+        bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts)
         twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
         twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
         streams[i, 1] += np.uint64(1)
-        sense(poses[i], cos_beams, sin_beams, boxes, posts, limits, streams[i, 0], streams[i, 1], scratch, ranges[i])
+        sense(poses, i, cos_beams, sin_beams, boxes, posts, limits, streams, over_x, over_y, ranges)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -188,7 +192,8 @@ def step_block(
     `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
     Results are `twists` (robots, 2) v and w [m/s, rad/s], `bumped` (robots,) and `ranges` (robots, beams) [m].
     """
-    scratch = np.empty((2, beams.shape[1]))
+    cos_beams, sin_beams = beams[0], beams[1]
+    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     while first < last:
         k = int(starts[first, WORLD])
         end = first + 1
@@ -196,7 +201,8 @@ def step_block(
             end += 1
         step_robots(
             first, end, poses, rims, commands, duration, starts, boxes[parts[k, 0] : parts[k + 1, 0]],
-            posts[parts[k, 1] : parts[k + 1, 1]], beams[0], beams[1], limits, streams, scratch, twists, bumped, ranges,
+            posts[parts[k, 1] : parts[k + 1, 1]], cos_beams, sin_beams, limits, streams, over_x, over_y,
+            twists, bumped, ranges,
         )  # fmt: skip
         first = end
 
@@ -204,9 +210,9 @@ def step_block(
 @njit(cache=True, error_model="numpy")
 def sense_some(robots, poses, starts, boxes, posts, parts, beams, limits, streams, ranges):
     """The laser of the robots with the indices `robots` (n,), into their rows of `ranges` (robots, beams)."""
-    scratch = np.empty((2, beams.shape[1]))
     cos_beams, sin_beams = beams[0], beams[1]
+    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     for i in robots:
         k = int(starts[i, WORLD])
         here, there = boxes[parts[k, 0] : parts[k + 1, 0]], posts[parts[k, 1] : parts[k + 1, 1]]
-        sense(poses[i], cos_beams, sin_beams, here, there, limits, streams[i, 0], streams[i, 1], scratch, ranges[i])
+        sense(poses, i, cos_beams, sin_beams, here, there, limits, streams, over_x, over_y, ranges)

@@ -21,8 +21,7 @@ THREADS = config.NUMBA_NUM_THREADS  # processors that this process may use, or w
 
 def share_out(work: Callable[..., Any], count: int, *arguments: Any) -> None:
     """Call `work(first, last, *arguments)` for parts of the range from 0 to `count`, one for each thread, and wait."""
-    borders = [count * number // THREADS for number in range(THREADS + 1)]
-    mine, *theirs = pairwise(borders)
+    mine, *theirs = pairwise(count * number // THREADS for number in range(THREADS + 1))
     waiting = [_pool().submit(work, *part, *arguments) for part in theirs]
     work(*mine, *arguments)
     for other in waiting:

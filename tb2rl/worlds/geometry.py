@@ -16,23 +16,23 @@ _PARALLEL = 1e-12  # direction components below this count as parallel to a side
 
 
 @njit(cache=True, fastmath={"nsz", "nnan", "arcp", "contract", "reassoc"}, error_model="numpy")
-def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, scratch, ranges):
-    """Write the distance to the nearest obstacle along each beam of one robot into `ranges` (inf: nothing).
+def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, ranges, robot):
+    """Write the distance to the nearest obstacle along each beam of one robot into its row of `ranges` (inf: nothing).
 
     Args:
         x, y, yaw: Pose of the laser [m, m, rad].
         cos_beams, sin_beams: Beam directions in the laser's frame, shape (beams,).
         boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
         posts: Rows of x, y, radius [m], shape (posts, 3).
-        scratch: Room to calculate in, shape (2, beams); to allocate it here would cost as much as the work.
-        ranges: Result [m], shape (beams,).
+        over_x, over_y: Room to calculate in, shape (beams,); to allocate it here would cost as much as the work.
+        ranges: Result [m], shape (robots, beams).
+        robot: Index of its row; a view of the row would be counted as one more reference, by all threads in one place.
     """
     cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
     beams = cos_beams.size
     for i in range(beams):
-        ranges[i] = np.inf
+        ranges[robot, i] = np.inf
     # One over each beam's direction in the frame of a box: divisions are what costs, and boxes share orientations.
-    over_x, over_y = scratch[0], scratch[1]
     for k in range(boxes.shape[0]):
         half_length, half_width, cos_box, sin_box = boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5]
         if k == 0 or cos_box != boxes[k - 1, 4] or sin_box != boxes[k - 1, 5]:
@@ -51,8 +51,8 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, scratch, ranges):
             near = max(mid_x - reach_x, mid_y - reach_y)
             far = min(mid_x + reach_x, mid_y + reach_y)
             hit = max(near, 0.0)
-            nearer = (far >= hit) & (hit < ranges[i])
-            ranges[i] = hit if nearer else ranges[i]
+            nearer = (far >= hit) & (hit < ranges[robot, i])
+            ranges[robot, i] = hit if nearer else ranges[robot, i]
     for k in range(posts.shape[0]):
         east, north, radius = posts[k, 0] - x, posts[k, 1] - y, posts[k, 2]
         px, py = cos_yaw * east + sin_yaw * north, cos_yaw * north - sin_yaw * east
@@ -62,18 +62,21 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, scratch, ranges):
             half_chord = radius * radius - across * across
             half = math.sqrt(max(half_chord, 0.0))
             hit = max(along - half, 0.0)
-            nearer = (half_chord >= 0.0) & (along + half >= 0.0) & (hit < ranges[i])
-            ranges[i] = hit if nearer else ranges[i]
+            nearer = (half_chord >= 0.0) & (along + half >= 0.0) & (hit < ranges[robot, i])
+            ranges[robot, i] = hit if nearer else ranges[robot, i]
 
 
-@njit(cache=True)
-def limit_ranges(ranges, min_range, max_range):
-    """Keep `ranges` (beams,) within what a laser can say: not below its shortest, inf beyond its longest."""
-    for i in range(ranges.size):
-        ranges[i] = np.inf if ranges[i] > max_range else max(ranges[i], min_range)
+@njit(cache=True, forceinline=True)
+def limit_ranges(ranges, robot, min_range, max_range):
+    """Keep the row of a robot in `ranges` (robots, beams) within what a laser can say.
+
+    Nothing is below its shortest range, and inf is beyond its longest.
+    """
+    for i in range(ranges.shape[1]):
+        ranges[robot, i] = np.inf if ranges[robot, i] > max_range else max(ranges[robot, i], min_range)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def clearance_one(x, y, boxes, posts):
     """Distance from a point to the nearest obstacle [m]; 0 inside one, inf where there is none."""
     nearest = np.inf
@@ -124,6 +127,7 @@ def shortest(ranges):
 @njit(cache=True)
 def cast(poses, cos_beams, sin_beams, boxes, posts, ranges):
     """`cast_one` for many robots: poses (robots, 3), ranges (robots, beams)."""
-    scratch = np.empty((2, cos_beams.size))
+    over_x, over_y = np.empty(cos_beams.size), np.empty(cos_beams.size)
     for i in range(poses.shape[0]):
-        cast_one(poses[i, 0], poses[i, 1], poses[i, 2], cos_beams, sin_beams, boxes, posts, scratch, ranges[i])
+        x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
+        cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, ranges, i)

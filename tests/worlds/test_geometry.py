@@ -104,9 +104,9 @@ def test_several_robots_see_what_each_would_see_alone():
 
 
 def test_ranges_are_kept_within_what_a_laser_can_say():
-    ranges = np.array([-0.1, 0.05, 0.1, 1.0, 30.0, 30.1, np.inf])
-    limit_ranges(ranges, 0.1, 30.0)
-    assert ranges.tolist() == [0.1, 0.1, 0.1, 1.0, 30.0, np.inf, np.inf]
+    ranges = np.array([[-0.1, 0.05, 0.1, 1.0, 30.0, 30.1, np.inf]])
+    limit_ranges(ranges, 0, 0.1, 30.0)
+    assert ranges.tolist() == [[0.1, 0.1, 0.1, 1.0, 30.0, np.inf, np.inf]]
 
 
 def test_the_shortest_range_of_each_robot_is_found():
