@@ -15,13 +15,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NoReturn
 
 import cloudpickle
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from tb2rl.errors import InputError
 
 # Imported once, in the server that new processes are forked from.
 PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet", "stable_baselines3.common.monitor", "cloudpickle"]
@@ -85,6 +87,9 @@ class ProcessVecEnv(VecEnv):
             raise
         self._render_mode = render_mode
         super().__init__(len(makers), observation_space, action_space)
+
+    def __reduce__(self) -> NoReturn:
+        raise InputError("environments in processes cannot be copied or sent; make others")
 
     def reset(self) -> VecEnvObs:
         return _joined(self._ask("reset"))

@@ -79,7 +79,7 @@ def test_a_step_reports_where_the_robot_is_and_how_it_fares(simulation, make, dr
     env = make("maze", "raw", start="fixed", simulation=simulation)
     _, info = env.reset()
     assert (info["distance"], info["bumped"], info["is_success"], info["failed"]) == (0, False, False, False)
-    assert info["ended"] is None
+    assert info["ended"] == ""
     assert info["min_range"] == pytest.approx(1.25)
     seen, reward, terminated, truncated, info = drive(env, [FORWARD] * 10)[-1]
     assert (reward, terminated, truncated) == (5, False, False)
@@ -94,7 +94,7 @@ def test_a_crash_terminates_and_has_failed(simulation, make, drive):
     env.reset(options={"pose": FACING_A_WALL})
     *before, (_, reward, terminated, truncated, info) = drive(env, [FORWARD] * 30)
     assert before
-    assert {(answer[4]["ended"], answer[4]["failed"]) for answer in before} == {(None, False)}
+    assert {(answer[4]["ended"], answer[4]["failed"]) for answer in before} == {("", False)}
     assert (reward, terminated, truncated) == (-200, True, False)
     assert (info["ended"], info["failed"], info["is_success"], info["bumped"]) == ("crash", True, False, False)
     assert info["min_range"] < 0.5
@@ -112,7 +112,7 @@ def test_the_time_limit_truncates_and_is_a_success_of_wandering(make, drive):
     env = make(episode_steps=3)
     env.reset(seed=0)
     *before, (_, reward, terminated, truncated, info) = drive(env, [LEFT] * 9)
-    assert [answer[4]["ended"] for answer in before] == [None, None]
+    assert [answer[4]["ended"] for answer in before] == ["", ""]
     assert (reward, terminated, truncated) == (1, False, True)
     assert (info["ended"], info["is_success"], info["failed"]) == ("time limit", True, False)
 

@@ -35,7 +35,7 @@ def test_a_rollout_is_the_drive_of_the_environment(env, ahead):
     assert (last.info["ended"], last.info["failed"]) == ("crash", True)
     assert last.info["distance"] == info["distance"]
     assert (last.pose == info["pose"]).all()
-    assert [moment.info["ended"] for moment in moments[:-1]] == [None] * (steps - 1)
+    assert [moment.info["ended"] for moment in moments[:-1]] == [""] * (steps - 1)
     assert [moment.step for moment in moments] == list(range(1, steps + 1))
     assert all((after.before == before.pose).all() for before, after in pairwise(moments))
 

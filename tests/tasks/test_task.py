@@ -157,7 +157,7 @@ def test_a_task_of_ones_own_is_one_class_in_a_module_of_ones_own(own_module, obs
             seen, reward, terminated, _, info = env.step(action)
         assert reward == pytest.approx(2.0, rel=0.02)
         assert seen[-1] == (sign > 0 if observation == "discrete" else pytest.approx(sign * 2.0, rel=0.02))
-        assert (terminated, info["ended"], info["failed"]) == (False, None, False)
+        assert (terminated, info["ended"], info["failed"]) == (False, "", False)
         assert env.observation_space.contains(seen)
     env.close()
 

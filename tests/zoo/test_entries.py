@@ -33,7 +33,7 @@ def test_a_policy_drives_in_its_world(entry):
     env = tb2rl.make_env(policy)
     assert env.scene.world.name == entry.world
     observation, _ = env.reset(seed=2)
-    info = {"ended": None}
+    info = {"ended": ""}
     for _ in range(200):
         action, _ = policy.predict(observation, deterministic=True)
         observation, _, _, _, info = env.step(action)

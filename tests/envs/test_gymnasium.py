@@ -1,0 +1,87 @@
+"""What those who come by `gymnasium.make` find: ids, arguments, the time limit."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import tb2rl
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.errors import InputError
+from tb2rl.simulation import SIMULATIONS
+
+MAZE = "tb2rl:TurtleBot2Maze-v0"
+
+
+@pytest.mark.parametrize("name", tb2rl.GYM_IDS)
+def test_an_id_names_the_observation_for_those_who_cannot_pass_arguments(name):
+    env = gym.make(name, simulation="kinematic")
+    kind = spaces.Box if "Raw" in name else spaces.MultiDiscrete
+    assert isinstance(env.observation_space, kind)
+    assert env.unwrapped.task == tb2rl.make_env(tb2rl.GYM_IDS[name]["task"]).task
+
+
+@pytest.mark.parametrize(("settings", "steps"), [({}, 1500), ({"episode_steps": 70}, 70)])
+def test_the_spec_tells_the_time_limit_of_the_task(settings, steps):
+    assert gym.make(MAZE, **settings).spec.max_episode_steps == steps
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("settings", [{"max_episode_steps": 6}, {"max_episode_steps": 6, "episode_steps": 9}])
+def test_the_time_limit_of_gymnasium_is_the_one_of_the_task(settings, simulation, drive):
+    env = gym.make(MAZE, simulation=simulation, **settings)
+    for made in (env, gym.make(env.spec)):
+        made.reset(seed=1)
+        *before, (*_, terminated, truncated, info) = drive(made, [1] * 10)
+        assert len(before) == 5
+        assert (terminated, truncated, info["ended"], info["is_success"]) == (False, True, "time limit", True)
+        assert made.spec.max_episode_steps == made.unwrapped.task.episode_steps == 6
+
+
+def test_it_may_be_longer_than_the_one_of_the_task_or_left_to_it():
+    assert gym.make(MAZE, max_episode_steps=9000).unwrapped.task.episode_steps == 9000
+    assert gym.make(MAZE, max_episode_steps=-1).unwrapped.task.episode_steps == 1500
+
+
+@pytest.mark.parametrize("make", [tb2rl.make_env, lambda **arguments: gym.make(MAZE, **arguments)])
+def test_an_unknown_argument_is_a_type_error_in_the_words_of_python(make):
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'frameskip'"):
+        make(frameskip=4)
+    with pytest.raises(InputError, match="did you mean 'world'"):
+        make(wordl="loop")
+
+
+def test_the_twin_offers_the_window_to_nobody():
+    assert "human" in tb2rl.make_env().metadata["render_modes"]
+    assert tb2rl.make_env(simulation="kinematic").metadata["render_modes"] == ["rgb_array"]
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+def test_a_picture_can_be_drawn_on(simulation, make):
+    env = make("maze", render_mode="rgb_array", simulation=simulation)
+    env.reset(seed=0)
+    picture = env.render()
+    picture[:5] = 0
+    assert not picture[:5].any()
+    assert env.render()[:5].any()
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+def test_an_environment_that_was_closed_opens_with_a_reset(simulation, make, drive):
+    env, fresh = make("maze", noise=0.01, simulation=simulation), make("maze", noise=0.01, simulation=simulation)
+    env.reset(seed=3)
+    drive(env, [0, 1, 2])
+    env.close()
+    with pytest.raises(InputError, match="step needs a reset first"):
+        env.step(0)
+    env.reset(seed=3)
+    fresh.reset(seed=3)
+    actions = np.random.default_rng(0).integers(3, size=30)
+    for one, two in zip(drive(env, actions), drive(fresh, actions), strict=True):
+        np.testing.assert_array_equal(one[4]["pose"], two[4]["pose"])
+
+
+def test_a_running_episode_reports_what_can_be_stored():
+    env = TurtleBot2Env(tb2rl.make_env().scene)
+    _, info = env.reset(seed=0)
+    assert all(isinstance(value, str | bool | float | np.ndarray) for value in info.values())

@@ -1,0 +1,147 @@
+"""Many environments by `gymnasium.make_vec`: the twin's batch, or PyBullet's, with Gymnasium's own `infos`."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from tb2rl.envs.scene import make_scene
+from tb2rl.envs.vec_env import BatchVecEnv
+from tb2rl.envs.vector_env import BatchVectorEnv
+from tb2rl.errors import InputError
+from tb2rl.simulation import SIMULATIONS
+from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.tasks.wander import Wander
+
+MAZE = "tb2rl:TurtleBot2Maze-v0"
+
+
+@pytest.fixture
+def make_vec():
+    """`gymnasium.make_vec`, whose environments are closed after the test."""
+    made = []
+
+    def make(*arguments, **settings):
+        made.append(gym.make_vec(MAZE, *arguments, **settings))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def test_the_simulation_decides_as_it_does_for_one_environment(make_vec):
+    twin = make_vec(num_envs=5, simulation="kinematic", observation="raw", beams=9, world="circuit")
+    assert isinstance(twin, BatchVectorEnv)
+    assert twin.batch.scene.world.name == "circuit"
+    assert (twin.single_observation_space.shape, twin.observation_space.shape) == ((9,), (5, 9))
+    physics = make_vec(num_envs=2)
+    assert isinstance(physics, SyncVectorEnv)
+    assert all(isinstance(env.simulation, BulletSimulation) for env in physics.envs)
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("mode", [None, "vector_entry_point", "sync", "async"])
+def test_every_mode_of_gymnasium_drives(mode, simulation, make_vec):
+    env = make_vec(num_envs=2, vectorization_mode=mode, simulation=simulation, max_episode_steps=8)
+    seen, infos = env.reset(seed=2)
+    assert env.observation_space.contains(seen)
+    for _ in range(7):
+        assert infos["ended"].tolist() == ["", ""]
+        seen, rewards, terminated, truncated, infos = env.step(np.array([1, 2]))
+        assert rewards.tolist() == [1.0, 1.0]
+    seen, rewards, terminated, truncated, infos = env.step(np.array([1, 2]))
+    assert (terminated.any(), truncated.all()) == (False, True)
+    same_step = env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    assert same_step == (mode not in ("sync", "async"))
+    last = infos["final_info"] if same_step else infos
+    assert last["ended"].tolist() == ["time limit", "time limit"]
+
+
+def rollout(env, steps):
+    """What the first robot of each kind of environment is told, by one rule for all."""
+    seen, _ = env.reset(seed=4)
+    told = []
+    for _ in range(steps):
+        answer = env.step((np.asarray(seen)[:, 0] * 100).astype(int) % 3)
+        seen = answer[0]
+        told.append(answer)
+    return told
+
+
+def test_infos_have_the_form_of_gymnasiums_own(make_vec):
+    settings = {"simulation": "kinematic", "observation": "raw", "episode_steps": 30}
+    ours = make_vec(num_envs=20, **settings)
+    same_step = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    theirs = make_vec(num_envs=20, vectorization_mode="sync", vector_kwargs=same_step, **settings)
+
+    def form(infos):
+        return {k: form(v) if isinstance(v, dict) else (v.dtype, v.shape) for k, v in sorted(infos.items())}
+
+    assert form(ours.reset(seed=0)[1]) == form(theirs.reset(seed=0)[1])
+    forms = [{str(form(infos)) for *_, infos in rollout(env, 60)} for env in (ours, theirs)]
+    assert forms[0] == forms[1]
+    assert len(forms[0]) == 2  # with and without a final step
+
+
+def test_it_is_the_batch_that_stable_baselines_gets():
+    scene = make_scene(Wander(noise=0.01, episode_steps=60), "raw")
+    ours, theirs = BatchVectorEnv(scene, 30), BatchVecEnv(scene, 30)
+    theirs.seed(4)
+    seen, finals = theirs.reset(), 0
+    for observations, rewards, terminated, truncated, infos in rollout(ours, 150):
+        seen, expected, dones, reports = theirs.step((seen[:, 0] * 100).astype(int) % 3)
+        np.testing.assert_array_equal(observations, seen)
+        np.testing.assert_array_equal(rewards, expected)
+        np.testing.assert_array_equal(terminated | truncated, dones)
+        np.testing.assert_array_equal(infos.get("_final_obs", np.zeros(30, bool)), dones)
+        for robot in np.flatnonzero(dones):
+            finals += 1
+            report = reports[robot]
+            np.testing.assert_array_equal(infos["final_obs"][robot], report["terminal_observation"])
+            for key in ("ended", "failed", "is_success", "distance", "min_range", "bumped"):
+                assert infos["final_info"][key][robot] == report[key]
+            np.testing.assert_array_equal(infos["final_info"]["pose"][robot], report["pose"])
+            assert truncated[robot] == report["TimeLimit.truncated"]
+            assert (infos["distance"][robot], infos["ended"][robot]) == (0.0, "")  # the next one has begun
+    assert finals > 60
+
+
+def test_a_seed_gives_the_same_again_and_no_seed_something_else(make_vec):
+    env = make_vec(num_envs=4, simulation="kinematic")
+    poses = [env.reset(seed=seed)[1]["pose"] for seed in (3, 3, [1, 2, 3, 4], None, None)]
+    np.testing.assert_array_equal(poses[0], poses[1])
+    assert len({pose.tobytes() for pose in poses}) == 4
+
+
+@pytest.mark.parametrize(
+    "actions", [np.zeros(3, int), np.zeros((4, 1), int), np.full(4, 3), np.full(4, -1), np.zeros(4), "abcd"]
+)
+def test_actions_that_are_none_are_refused(actions, make_vec):
+    env = make_vec(num_envs=4, simulation="kinematic")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match=r"the actions .* are not of MultiDiscrete"):
+        env.step(actions)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda make: make(simulation="kinematic", render_mode="rgb_array"), "make one with gymnasium.make"),
+        (lambda make: make(simulation="kinematic").reset(options={"pose": (0, 0, 0)}), "there is no option 'pose'"),
+        (lambda make: make(simulation="gazebo"), "unknown simulation 'gazebo'"),
+        (lambda make: make(simulation="kinematic", wordl="loop"), "did you mean 'world'"),
+    ],
+)
+def test_what_a_batch_does_not_have_is_refused(call, words, make_vec):
+    with pytest.raises(InputError, match=words):
+        call(make_vec)
+
+
+def test_any_velocities_are_driven(glide):
+    env = BatchVectorEnv(make_scene(glide(), "raw"), 6)
+    env.reset(seed=0)
+    *_, infos = env.step(np.tile(np.float32([1.0, -1.0]), (6, 1)))
+    assert (infos["distance"] > 0).all()
+    with pytest.raises(InputError, match="are not of Box"):
+        env.step(np.zeros(6))
