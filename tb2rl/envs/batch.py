@@ -7,22 +7,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tb2rl.envs.encodings import Observations, copied_row, put_rows
+from tb2rl.envs.encodings import Observations, put_rows, rows
 from tb2rl.envs.scene import Scene
-from tb2rl.envs.single import info_of
 from tb2rl.simulation import Reading, Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.streams import StreamDraws
+from tb2rl.tasks import Outcome
 
 
-class Final(NamedTuple):
-    """How the episode of a robot ended."""
+class Finals(NamedTuple):
+    """How the episodes of some robots ended, a row for each."""
 
-    robot: int
-    observation: Observations
-    info: dict[str, Any]  # see `TurtleBot2Env`
-    episode_return: float
-    length: int  # control steps
+    robots: np.ndarray  # their indices, shape (n,)
+    observations: Observations  # (n, ...)
+    infos: dict[str, np.ndarray]  # by the keys of `TurtleBot2Env`, each (n, ...)
+    returns: np.ndarray  # shape (n,)
+    lengths: np.ndarray  # [control steps], shape (n,)
 
 
 class Step(NamedTuple):
@@ -32,7 +32,7 @@ class Step(NamedTuple):
     reward: np.ndarray  # shape (robots,), float64
     terminated: np.ndarray  # shape (robots,), bool
     truncated: np.ndarray  # shape (robots,), bool; of those that did not terminate
-    finals: list[Final]  # of the robots whose episodes ended
+    finals: Finals | None  # None where no episode ended
 
 
 class Batch:
@@ -84,14 +84,11 @@ class Batch:
         moved = after.pose - before.pose
         self.distances += np.hypot(moved[:, 0], moved[:, 1])
         truncated = (self._lengths >= self.task.episode_steps) & ~terminated
-        observations, finals = self._observe(after), []
+        observations, finals = self._observe(after), None
         ended = (terminated | truncated).nonzero()[0]
         if ended.size:
-            for robot in ended.tolist():
-                info = info_of(after, robot, float(self.distances[robot]), outcome.ending(robot, timed_out=True))
-                info["pose"] = info["pose"].copy()
-                whole = float(self._returns[robot]), int(self._lengths[robot])
-                finals.append(Final(robot, copied_row(observations, robot), info, *whole))
+            infos = infos_of(after, ended, self.distances[ended], outcome)
+            finals = Finals(ended, rows(observations, ended), infos, self._returns[ended], self._lengths[ended])
             self._lengths[ended], self._returns[ended], self.distances[ended] = 0, 0.0, 0.0
             after = self.simulation.restart(ended, self._starts(ended), after)
             put_rows(observations, ended, self._observe(after.some(ended)))
@@ -134,3 +131,24 @@ class Batch:
         start = self.task.begin(self.scene.setup, draws)
         self._draws[robots] = draws.counts
         return start
+
+
+def infos_of(reading: Reading, robots: np.ndarray, distances: np.ndarray, outcome: Outcome) -> dict[str, np.ndarray]:
+    """The infos of robots whose episodes end, by the keys of `TurtleBot2Env`, a row for each.
+
+    Args:
+        reading: Of all robots.
+        robots: Indices of those that end, shape (n,).
+        distances: How far each has driven [m], shape (n,).
+        outcome: Of all robots.
+    """
+    names, failed, success = zip(*(outcome.ending(robot, timed_out=True) for robot in robots.tolist()), strict=True)
+    return {
+        "pose": reading.pose[robots],
+        "distance": distances,
+        "min_range": reading.nearest[robots],
+        "bumped": reading.bumped[robots],
+        "is_success": np.array(success),
+        "ended": np.array(names, dtype=object),
+        "failed": np.array(failed),
+    }

@@ -139,11 +139,11 @@ def row(observations: Observations, robot: int) -> Observations:
     return observations[robot]
 
 
-def copied_row(observations: Observations, robot: int) -> Observations:
-    """The observation of one robot, in arrays of its own."""
+def rows(observations: Observations, robots: np.ndarray) -> Observations:
+    """The observations of some robots, in arrays of their own."""
     if isinstance(observations, dict):
-        return {name: values[robot].copy() for name, values in observations.items()}
-    return observations[robot].copy()
+        return {name: values[robots] for name, values in observations.items()}
+    return observations[robots]
 
 
 def put_rows(observations: Observations, robots: np.ndarray, some: Observations) -> None:

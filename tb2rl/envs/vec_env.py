@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from tb2rl.envs.batch import Batch
+from tb2rl.envs.encodings import row
 from tb2rl.envs.scene import Scene
 
 
@@ -46,13 +47,18 @@ class BatchVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         step = self.batch.step(self._chosen)
         infos = self._nothing
-        if step.finals:
+        if step.finals is not None:
             infos = infos.copy()
-            for robot, observation, info, episode_return, length in step.finals:
-                info["terminal_observation"] = observation
-                info["TimeLimit.truncated"] = bool(step.truncated[robot])
-                info["episode"] = {"r": episode_return, "l": length, "t": 0.0}
-                infos[robot] = info
+            finals = step.finals
+            columns = {name: column if name == "pose" else column.tolist() for name, column in finals.infos.items()}
+            returns, lengths = finals.returns.tolist(), finals.lengths.tolist()
+            for i, robot in enumerate(finals.robots.tolist()):
+                infos[robot] = {
+                    **{name: column[i] for name, column in columns.items()},
+                    "terminal_observation": row(finals.observations, i),
+                    "TimeLimit.truncated": bool(step.truncated[robot]),
+                    "episode": {"r": returns[i], "l": lengths[i], "t": 0.0},
+                }
         rewards = (self.reward_scale * step.reward).astype(np.float32)
         return step.observations, rewards, step.terminated | step.truncated, infos
 

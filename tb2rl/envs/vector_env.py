@@ -9,7 +9,8 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from tb2rl.envs.batch import Batch
+from tb2rl.envs.batch import Batch, Finals
+from tb2rl.envs.encodings import row
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
 
@@ -60,13 +61,12 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
             InputError: If there are more or fewer actions than robots, or commands that do not exist.
         """
         actions = np.asarray(actions)
-        named = isinstance(self.single_action_space, Discrete)
-        if actions.shape != self.action_space.shape or (named and not self.action_space.contains(actions)):
+        if actions.shape != self.action_space.shape or not self._exist(actions):
             raise InputError(one_line(f"the actions {actions} are not of {self.action_space}"))
         step = self.batch.step(actions)
         infos = self._infos()
-        for final in step.finals:
-            infos = self._add_info(infos, {"final_obs": final.observation, "final_info": final.info}, final.robot)
+        if step.finals is not None:
+            infos |= self._final_infos(step.finals)
         return step.observations, step.reward, step.terminated, step.truncated, infos
 
     def close_extras(self, **_: Any) -> None:
@@ -85,3 +85,24 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
             "failed": self._none,
         }
         return infos | {f"_{name}": self._all for name in infos}
+
+    def _final_infos(self, finals: Finals) -> dict[str, Any]:
+        """`final_obs` and `final_info`, in the form of `VectorEnv._add_info`, for all of them at once."""
+        ended = self._none.copy()
+        ended[finals.robots] = True
+        observations = np.full(self.num_envs, None, dtype=object)
+        for i, robot in enumerate(finals.robots):
+            observations[robot] = row(finals.observations, i)
+        info: dict[str, Any] = {}
+        for name, column in finals.infos.items():
+            info[name] = np.zeros((self.num_envs, *column.shape[1:]), column.dtype)
+            info[name][finals.robots] = column
+            info[f"_{name}"] = ended
+        return {"final_obs": observations, "_final_obs": ended, "final_info": info, "_final_info": ended}
+
+    def _exist(self, actions: np.ndarray) -> bool:
+        """Whether all of the actions do, where they are named commands; velocities are cut to what there is."""
+        space = self.single_action_space
+        if not isinstance(space, Discrete):
+            return True
+        return actions.dtype.kind in "iu" and actions.min() >= 0 and actions.max() < space.n

@@ -14,9 +14,10 @@ from functools import cache
 from itertools import pairwise
 from typing import Any
 
-from numba import config
+import numba
 
-THREADS = config.NUMBA_NUM_THREADS  # processors that this process may use, or what this variable of the shell says
+# As many as this process may use processors, or as the shell's variable of this name says.
+THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 
 
 def share_out(work: Callable[..., Any], count: int, *arguments: Any) -> None:

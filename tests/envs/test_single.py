@@ -217,7 +217,7 @@ def test_a_scene_is_all_that_an_environment_needs():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"worlt": "loop"}, ["unknown key", "'worlt'", "did you mean 'world'"]),
+        ({"worlt": "loop"}, ["unknown setting", "'worlt'", "did you mean 'world'"]),
         ({"world": "lop"}, ["unknown world 'lop'", "did you mean 'loop'"]),
         ({"robot": "turtlebot"}, ["unknown robot 'turtlebot'", "did you mean 'turtlebot2'"]),
         ({"episode_steps": 0}, ["task.episode_steps", "greater than or equal to 1"]),
