@@ -13,6 +13,7 @@ from tb2rl.envs.batch import Batch, Finals
 from tb2rl.envs.encodings import row
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
+from tb2rl.values import Count, checked
 
 
 class BatchVectorEnv(VectorEnv[Any, Any, Any]):
@@ -25,12 +26,16 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
     Args:
         scene: The task, the robot and the worlds, and how the task is observed.
         num_envs: How many robots.
+
+    Raises:
+        InputError: If that is no number of robots.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 (as Gymnasium declares it)
 
     def __init__(self, scene: Scene, num_envs: int = 1) -> None:
-        self.batch, self.num_envs = Batch(scene, num_envs), num_envs
+        self.batch, self.num_envs = Batch(scene, checked(Count, num_envs, "num_envs")), num_envs
+        self._begun = False
         self.single_observation_space, self.single_action_space = scene.observation_space, scene.action_space
         self.observation_space = batch_space(scene.observation_space, num_envs)
         self.action_space = batch_space(scene.action_space, num_envs)
@@ -51,15 +56,17 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
             )
         if seed is not None:
             self.batch.seed(seed)
-        observations = self.batch.reset()
+        self._begun, observations = True, self.batch.reset()
         return observations, self._infos()
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Hold an action of each robot for a control period.
 
         Raises:
-            InputError: If there are more or fewer actions than robots, or commands that do not exist.
+            InputError: If there are more or fewer actions than robots, commands that do not exist, or nothing was reset.
         """
+        if not self._begun:
+            raise InputError("step needs a reset first")
         actions = np.asarray(actions)
         if actions.shape != self.action_space.shape or not self._exist(actions):
             raise InputError(one_line(f"the actions {actions} are not of {self.action_space}"))
@@ -95,7 +102,8 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
             observations[robot] = row(finals.observations, i)
         info: dict[str, Any] = {}
         for name, column in finals.infos.items():
-            info[name] = np.zeros((self.num_envs, *column.shape[1:]), column.dtype)
+            nothing = None if column.dtype == object else 0
+            info[name] = np.full((self.num_envs, *column.shape[1:]), nothing, column.dtype)
             info[name][finals.robots] = column
             info[f"_{name}"] = ended
         return {"final_obs": observations, "_final_obs": ended, "final_info": info, "_final_info": ended}

@@ -102,6 +102,8 @@ def test_it_is_the_batch_that_stable_baselines_gets():
             for key in ("ended", "failed", "is_success", "distance", "min_range", "bumped"):
                 assert infos["final_info"][key][robot] == report[key]
             np.testing.assert_array_equal(infos["final_info"]["pose"][robot], report["pose"])
+            running = np.flatnonzero(~dones)
+            assert {*infos["final_info"]["ended"][running]} <= {None}
             assert truncated[robot] == report["TimeLimit.truncated"]
             assert (infos["distance"][robot], infos["ended"][robot]) == (0.0, "")  # the next one has begun
     assert finals > 60
@@ -129,6 +131,8 @@ def test_actions_that_are_none_are_refused(actions, make_vec):
     [
         (lambda make: make(simulation="kinematic", render_mode="rgb_array"), "make one with gymnasium.make"),
         (lambda make: make(simulation="kinematic").reset(options={"pose": (0, 0, 0)}), "there is no option 'pose'"),
+        (lambda make: make(simulation="kinematic", num_envs=0), "num_envs.* greater than or equal to 1"),
+        (lambda make: make(simulation="kinematic").step(np.array([0])), "step needs a reset first"),
         (lambda make: make(simulation="gazebo"), "unknown simulation 'gazebo'"),
         (lambda make: make(simulation="kinematic", wordl="loop"), "did you mean 'world'"),
     ],
