@@ -63,7 +63,7 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
         """Hold an action of each robot for a control period.
 
         Raises:
-            InputError: If there are more or fewer actions than robots, commands that do not exist, or nothing was reset.
+            InputError: If nothing was reset, or an action does not exist, or there are more or fewer than robots.
         """
         if not self._begun:
             raise InputError("step needs a reset first")
