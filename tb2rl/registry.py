@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.files import find_file, top_folder
+from tb2rl.files import find_file, is_path, top_folder
 from tb2rl.robots import Robot
 from tb2rl.tasks import Task
 from tb2rl.worlds import World
@@ -97,10 +97,15 @@ def find_task(name: str | type[Task]) -> type[Task]:
     found = name if isinstance(name, type) else _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
     if not (isinstance(found, type) and issubclass(found, Task)) or inspect.isabstract(found):
         raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task with actions and judge")
-    settings = [key for key, kind in found.__annotations__.items() if not str(kind).startswith("ClassVar")]
+    settings = [key for key, kind in found.__annotations__.items() if not _is_class_variable(kind)]
     if settings and "__dataclass_fields__" not in vars(found):
         raise InputError(f"task {name!r} has the settings {', '.join(settings)}, so it needs @dataclass(frozen=True)")
     return found
+
+
+def _is_class_variable(annotation: Any) -> bool:
+    """Whether an annotation is a ClassVar; without `from __future__ import annotations` it is no text but the type."""
+    return str(annotation).partition("[")[0].split(".")[-1] == "ClassVar"
 
 
 def find_robot(name: str) -> Robot:
@@ -128,7 +133,7 @@ def find_world(reference: str) -> World:
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is None:
         readers = READERS | {f".{ending}": _maker(found) for ending, found in _plugins("worlds").items()}
-        path = find_file(reference, _worlds_folder(), "world", suffixes=readers)
+        path = find_file(reference, _worlds_folder(), "world")
         if path.suffix not in readers:
             raise unknown(f"ending of the world file {one_line(reference, 100)}:", path.suffix, readers)
         found: Any = read_world(path, readers[path.suffix])
@@ -173,7 +178,7 @@ def absolute_world(reference: str) -> str:
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is not None:
         return reference if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
-    is_file = os.path.isfile(reference)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+    is_file = is_path(reference) and os.path.isfile(reference)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
     return str(Path(reference).resolve()) if is_file else reference
 
 
