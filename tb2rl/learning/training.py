@@ -132,7 +132,7 @@ def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progres
         evaluator = resources.enter_context(_evaluator(config)) if settings.eval_freq else None
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
         resources.enter_context(run.lock())
-        statistics, stop = Statistics(config.to_dict()), StopOnInterrupt()
+        statistics, stop = Statistics(), StopOnInterrupt()
         checkpoints = Checkpoints(run, settings.save_freq, settings.keep)
         remembering: list[Any] = [
             statistics,
@@ -149,7 +149,7 @@ def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progres
         if checkpoint:
             watching.insert(0, _restore(algorithm, run, checkpoint, remembering))
         done = algorithm.num_timesteps
-        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done)]))
+        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done, config.to_dict())]))
         resources.callback(algorithm.logger.close)
         started = time.monotonic()
         with stop:
