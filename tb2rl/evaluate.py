@@ -21,7 +21,6 @@ from tb2rl.judging.rollout import LARGEST_SEED
 from tb2rl.policy_arguments import add_policy_arguments, chosen_policy
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
-from tb2rl.runs.loading import checkpoint_file
 from tb2rl.showing.table import print_evaluation
 
 
@@ -45,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     policy, config = chosen_policy(options)
     conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed", "workers")}
     evaluation = evaluate(policy, config, progress=True, **conditions)
-    name = options.agent or str(checkpoint_file(options.policy))
+    name = options.agent or options.policy
     print_evaluation(evaluation, f"{name} in {evaluation.task.world}")
     _write(evaluation, config, name, options)
 

@@ -15,6 +15,7 @@ import json
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +72,7 @@ def main(arguments: list[str] | None = None) -> None:
         others = {"agent", "task", "preset", "set", "name", "seeds", *_FLAGS} - {"total_timesteps"}
         if any(getattr(options, name) not in (None, []) for name in others):
             raise InputError("--resume goes on with what the run's config says; only --total-timesteps can be raised")
-        print(f"resuming {options.resume}", flush=True)
-        _finish(resume(options.resume, options.total_timesteps, _bar(options), options.verbose), options)
+        _finish(resume(options.resume, options.total_timesteps, _bar(options), options.verbose, _say_resumed), options)
         return
     config = requested(options)
     folder = _folder(config, options.name)
@@ -117,6 +117,11 @@ def parse_seeds(text: str) -> list[int]:
 
 
 def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespace) -> dict[str, Any] | None:
+    began = partial(_say_began, config)
+    return _finish(train_config(config, folder, _bar(options), options.verbose, began), options)
+
+
+def _say_began(config: Config, folder: Path) -> None:
     settings = config.train
     environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
     print(
@@ -125,7 +130,10 @@ def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespac
         f"run folder: {folder} (watch it: tensorboard --logdir runs)",
         flush=True,
     )
-    return _finish(train_config(config, folder, _bar(options), options.verbose), options)
+
+
+def _say_resumed(folder: Path) -> None:
+    print(f"resuming {folder}", flush=True)
 
 
 def _finish(training: Training, options: argparse.Namespace) -> dict[str, Any] | None:

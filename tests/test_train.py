@@ -59,6 +59,25 @@ def test_without_the_evaluation_there_is_none(folder):
     assert not (folder / "evaluation.json").exists()
 
 
+@pytest.mark.parametrize(
+    "wrong", [["--agent", "random"], ["--name", "taken"], ["--agent", "ppo", "--set", "agent.batch_size=1"]]
+)
+def test_only_a_training_that_begins_names_its_run_folder(wrong, folder, capsys):
+    folder.with_name("taken").mkdir(parents=True)
+    (folder.with_name("taken") / "config.yaml").touch()
+    with pytest.raises(SystemExit):
+        command.main([*BARE, "--no-evaluation", *wrong])
+    seen = capsys.readouterr()
+    assert seen.out == ""
+    assert seen.err.count("\n") == 1
+
+
+def test_only_a_training_that_goes_on_says_that_it_is_resumed(folder, capsys):
+    with pytest.raises(SystemExit):
+        command.main(["--resume", str(folder)])
+    assert capsys.readouterr().out == ""
+
+
 def test_a_run_is_resumed_with_nothing_but_more_steps(folder, capsys):
     short = ["--total-timesteps", "64", "--simulation", "kinematic", "--no-evaluation"]
     command.main(["--name", "it", *short, *BARE])
