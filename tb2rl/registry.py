@@ -1,6 +1,6 @@
 """What a name means: agents, tasks, robots and worlds, built-in ones, those of other packages, and `module:Name`.
 
-Nothing is imported before it is asked for, so that a list of names costs no torch.
+Nothing is imported before it is asked for, so that a list of names costs nothing: neither torch nor numba.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import find_file, is_path, top_folder
-from tb2rl.robots import Robot
-from tb2rl.tasks import Task
-from tb2rl.worlds import World
-from tb2rl.worlds.readers import READERS, read_world
+
+if TYPE_CHECKING:
+    from tb2rl.robots import Robot
+    from tb2rl.tasks import Task
+    from tb2rl.worlds import World
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ def find_task(name: str | type[Task]) -> type[Task]:
     Raises:
         InputError: If there is none; the message lists the known ones.
     """
+    from tb2rl.tasks import Task
+
     found = name if isinstance(name, type) else _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
     if not (isinstance(found, type) and issubclass(found, Task)) or inspect.isabstract(found):
         raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task with actions and judge")
@@ -114,6 +117,8 @@ def find_robot(name: str) -> Robot:
     Raises:
         InputError: If there is none; the message lists the known ones.
     """
+    from tb2rl.robots import Robot
+
     found = _imported("robot", name) if ":" in name else _find(name, "robot", _robots(), robot_names)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
@@ -130,6 +135,9 @@ def find_world(reference: str) -> World:
     Raises:
         InputError: If there is none, or its file does not describe a world.
     """
+    from tb2rl.worlds import World
+    from tb2rl.worlds.readers import READERS, read_world
+
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is None:
         readers = READERS | {f".{ending}": _maker(found) for ending, found in _plugins("worlds").items()}
@@ -154,6 +162,8 @@ def _maker(reference: str) -> Callable[..., World]:
 
     A world's name may come from a stranger's file, so nothing else may be called by it, such as `os.remove`.
     """
+    from tb2rl.worlds import World
+
     found = _imported("world", reference)
     try:
         says = inspect.isfunction(found) and get_type_hints(found).get("return")

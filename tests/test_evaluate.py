@@ -16,6 +16,7 @@ from tb2rl.judging.evaluator import SEED
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
 
+work = import_module("tb2rl.commands.evaluate")
 command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
 BASELINES = [name for name in agent_names() if find_agent(name).algorithm is None]
 KEYS = {"failure_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "episodes"}
@@ -32,8 +33,8 @@ def run(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch):
     """The standard evaluation, but of two episodes of five steps in this process."""
-    monkeypatch.setattr(command, "EPISODES", 2)
-    monkeypatch.setattr(command, "STEPS", 5)
+    monkeypatch.setattr(work, "EPISODES", 2)
+    monkeypatch.setattr(work, "STEPS", 5)
     return ["--workers", "1"]
 
 
