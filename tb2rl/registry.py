@@ -106,11 +106,6 @@ def find_task(name: str | type[Task]) -> type[Task]:
     return found
 
 
-def _is_class_variable(annotation: Any) -> bool:
-    """Whether an annotation is a ClassVar; without `from __future__ import annotations` it is no text but the type."""
-    return str(annotation).partition("[")[0].split(".")[-1] == "ClassVar"
-
-
 def find_robot(name: str) -> Robot:
     """The robot of a name, or of "module:ROBOT".
 
@@ -190,6 +185,11 @@ def absolute_world(reference: str) -> str:
         return reference if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
     is_file = is_path(reference) and os.path.isfile(reference)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
     return str(Path(reference).resolve()) if is_file else reference
+
+
+def _is_class_variable(annotation: Any) -> bool:
+    """Whether an annotation is a ClassVar; without `from __future__ import annotations` it is no text but the type."""
+    return str(annotation).partition("[")[0].split(".")[-1] == "ClassVar"
 
 
 def _worlds_folder() -> Path:

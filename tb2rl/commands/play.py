@@ -25,6 +25,8 @@ from tb2rl.showing.window import Window, has_display, watch
 
 def run(options: argparse.Namespace) -> None:
     """Play, and say how the episodes went."""
+    if options.steps is None:
+        options.steps = STEPS
     check(options)
     if options.teleop:
         config = resolve("random", options.task, settings=parse_settings(options.set))
@@ -47,8 +49,6 @@ def check(options: argparse.Namespace) -> None:
         raise InputError("--video films a policy; --teleop shows what you drive in the terminal")
     if options.camera not in CAMERAS:
         raise unknown("--camera", options.camera, CAMERAS)
-    if options.steps is None:
-        options.steps = STEPS
     check_numbers(options.episodes, options.steps, options.seed, options.speed)
     if options.video:
         check_film(options.video, options.camera)
