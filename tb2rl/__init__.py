@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -29,12 +28,9 @@ if TYPE_CHECKING:
     from tb2rl.learning.training import train
     from tb2rl.runs.loading import load
 
-__all__ = ["InputError", "evaluate", "load", "make_env", "train"]
+    __version__: str
 
-try:
-    __version__ = version("tb2rl")
-except PackageNotFoundError:  # a checkout that is not installed
-    __version__ = "0+unknown"
+__all__ = ["InputError", "evaluate", "load", "make_env", "train"]
 
 GYM_IDS = {
     "TurtleBot2Maze-v0": {"task": "maze"},
@@ -63,9 +59,24 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _version()
     if name not in _HOMES:
         raise AttributeError(f"module 'tb2rl' has no attribute {name!r}")
     return getattr(import_module(f"tb2rl.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version  # a fifth of the time that the package takes
+
+    try:
+        return version("tb2rl")
+    except PackageNotFoundError:  # a checkout that is not installed
+        return "0+unknown"
 
 
 class _Package(ModuleType):

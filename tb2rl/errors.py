@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import difflib
 import functools
+import os
+import select
 import sys
 from collections.abc import Callable, Iterable
 from typing import NoReturn
@@ -45,24 +47,50 @@ class ArgumentParser(argparse.ArgumentParser):
 
 
 def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
-    """Let a command's `main` report wrong input, or a file it cannot use, as one line on stderr with status 2."""
+    """Let a command's `main` report wrong input, or a file it cannot use, as one line on stderr with status 2.
+
+    Where the reader of its output goes away (`| head`), it ends without a word.
+    """
 
     @functools.wraps(main)
     def guarded(arguments: list[str] | None = None) -> None:
         try:
-            main(arguments)
-        except InputError as error:
-            _stop(f"error: {error}")
-        except OSError as error:
-            if error.filename is None:  # not about a file
+            _reporting(main, arguments)
+        except (BrokenPipeError, SystemExit) as error:
+            if not _reader_left(error):
                 raise
-            _stop(f"error: {error.strerror}: {error.filename}")
-        except KeyboardInterrupt:
-            raise SystemExit(130) from None  # as the shell counts it: 128 + SIGINT
-        except BrokenPipeError:  # the reader of our output went away, for example `| head`
-            sys.stderr.close()
+            for stream in (1, 2):  # what is still buffered goes nowhere when the interpreter ends
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+            raise SystemExit(141) from None  # as the shell counts it: 128 + SIGPIPE
 
     return guarded
+
+
+def _reporting(main: Callable[[list[str] | None], None], arguments: list[str] | None) -> None:
+    try:
+        main(arguments)
+    except InputError as error:
+        _stop(f"error: {error}")
+    except OSError as error:
+        if error.filename is None:  # not about a file
+            raise
+        _stop(f"error: {error.strerror}: {error.filename}")
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None  # as the shell counts it: 128 + SIGINT
+    finally:
+        print(end="", flush=True)  # here, where a reader that left can be noticed, not when the interpreter ends
+
+
+def _reader_left(error: BaseException) -> bool:
+    """Whether an error means that nobody reads our output any more. Pipes to processes of our own can break, too."""
+    if isinstance(error, SystemExit):
+        return isinstance(error.__context__, BrokenPipeError)  # rich makes the one of the other
+    if not hasattr(select, "poll"):  # Windows
+        return True
+    output = select.poll()
+    for stream in (1, 2):
+        output.register(stream, 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in output.poll(0))
 
 
 def _stop(line: str) -> NoReturn:

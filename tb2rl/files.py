@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,20 +19,25 @@ def top_folder(name: str) -> Path:
     return next(folder for place in tb2rl.__path__ if (folder := Path(place, name)).is_dir())
 
 
-def find_file(name: str, folder: Path, kind: str, suffixes: Iterable[str] = (".yaml",)) -> Path:
-    """The file that a user means: a path, or the name of a built-in YAML file in `folder`.
+def is_path(name: str) -> bool:
+    """Whether a name is the path of a file, which has an ending or a folder, and not that of a built-in file."""
+    path = Path(name)
+    return path.suffix != "" or path.parent != Path()
+
+
+def find_file(name: str, folder: Path, kind: str) -> Path:
+    """The file that a user means: a path, or the name of a built-in YAML file in `folder`; `is_path` tells which.
 
     Args:
         name: What the user wrote.
         folder: Where the built-in files are.
         kind: What the file is, for the message: "world", "preset".
-        suffixes: The endings by which a name without a folder is taken for a path.
 
     Raises:
         InputError: If there is no such file.
     """
     path = Path(name)
-    if path.suffix in suffixes or path.parent != Path():
+    if is_path(name):
         if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
             raise InputError(one_line(f"there is no {kind} file {name}"))
         return path
@@ -43,13 +48,13 @@ def find_file(name: str, folder: Path, kind: str, suffixes: Iterable[str] = (".y
 
 
 def read_text(path: Path) -> str:
-    """The content of a text file in UTF-8.
+    """The content of a text file in UTF-8, without the byte order mark that some editors put in front.
 
     Raises:
         InputError: If it cannot be read.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read {path}: {error}") from None
 

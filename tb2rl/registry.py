@@ -1,6 +1,6 @@
 """What a name means: agents, tasks, robots and worlds, built-in ones, those of other packages, and `module:Name`.
 
-Nothing is imported before it is asked for, so that a list of names costs no torch.
+Nothing is imported before it is asked for, so that a list of names costs nothing: neither torch nor numba.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.files import find_file, top_folder
-from tb2rl.robots import Robot
-from tb2rl.tasks import Task
-from tb2rl.worlds import World
-from tb2rl.worlds.readers import READERS, read_world
+from tb2rl.files import find_file, is_path, top_folder
+
+if TYPE_CHECKING:
+    from tb2rl.robots import Robot
+    from tb2rl.tasks import Task
+    from tb2rl.worlds import World
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,12 @@ def find_task(name: str | type[Task]) -> type[Task]:
     Raises:
         InputError: If there is none; the message lists the known ones.
     """
+    from tb2rl.tasks import Task
+
     found = name if isinstance(name, type) else _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
     if not (isinstance(found, type) and issubclass(found, Task)) or inspect.isabstract(found):
         raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task with actions and judge")
-    settings = [key for key, kind in found.__annotations__.items() if not str(kind).startswith("ClassVar")]
+    settings = [key for key, kind in found.__annotations__.items() if not _is_class_variable(kind)]
     if settings and "__dataclass_fields__" not in vars(found):
         raise InputError(f"task {name!r} has the settings {', '.join(settings)}, so it needs @dataclass(frozen=True)")
     return found
@@ -109,6 +112,8 @@ def find_robot(name: str) -> Robot:
     Raises:
         InputError: If there is none; the message lists the known ones.
     """
+    from tb2rl.robots import Robot
+
     found = _imported("robot", name) if ":" in name else _find(name, "robot", _robots(), robot_names)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
@@ -125,10 +130,13 @@ def find_world(reference: str) -> World:
     Raises:
         InputError: If there is none, or its file does not describe a world.
     """
+    from tb2rl.worlds import World
+    from tb2rl.worlds.readers import READERS, read_world
+
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is None:
         readers = READERS | {f".{ending}": _maker(found) for ending, found in _plugins("worlds").items()}
-        path = find_file(reference, _worlds_folder(), "world", suffixes=readers)
+        path = find_file(reference, _worlds_folder(), "world")
         if path.suffix not in readers:
             raise unknown(f"ending of the world file {one_line(reference, 100)}:", path.suffix, readers)
         found: Any = read_world(path, readers[path.suffix])
@@ -149,6 +157,8 @@ def _maker(reference: str) -> Callable[..., World]:
 
     A world's name may come from a stranger's file, so nothing else may be called by it, such as `os.remove`.
     """
+    from tb2rl.worlds import World
+
     found = _imported("world", reference)
     try:
         says = inspect.isfunction(found) and get_type_hints(found).get("return")
@@ -173,8 +183,13 @@ def absolute_world(reference: str) -> str:
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is not None:
         return reference if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
-    is_file = os.path.isfile(reference)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+    is_file = is_path(reference) and os.path.isfile(reference)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
     return str(Path(reference).resolve()) if is_file else reference
+
+
+def _is_class_variable(annotation: Any) -> bool:
+    """Whether an annotation is a ClassVar; without `from __future__ import annotations` it is no text but the type."""
+    return str(annotation).partition("[")[0].split(".")[-1] == "ClassVar"
 
 
 def _worlds_folder() -> Path:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tb2rl import benchmark
-from tb2rl.benchmark import PARTS, Figure, learners
+from tb2rl.commands import benchmark as work
+from tb2rl.commands.benchmark import PARTS, Figure, learners
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.threads import THREADS
@@ -18,10 +19,10 @@ from tb2rl.simulation.threads import THREADS
 @pytest.fixture
 def brief(monkeypatch):
     """Less of everything."""
-    monkeypatch.setattr(benchmark, "BEAMS", (6,))
-    monkeypatch.setattr(benchmark, "ROBOTS", (1, 100))
-    monkeypatch.setattr(benchmark, "ENVIRONMENTS", 2)
-    monkeypatch.setattr(benchmark, "learners", lambda: ["qlearn"])
+    monkeypatch.setattr(work, "BEAMS", (6,))
+    monkeypatch.setattr(work, "ROBOTS", (1, 100))
+    monkeypatch.setattr(work, "ENVIRONMENTS", 2)
+    monkeypatch.setattr(work, "learners", lambda: ["qlearn"])
 
 
 def test_the_table_has_a_figure_for_everything(brief, tmp_path, capsys):
@@ -67,7 +68,7 @@ def test_it_knows_every_agent_that_learns():
 )
 def test_bad_input_is_refused_before_anything_is_measured(line, named, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(benchmark, "PARTS", dict.fromkeys(PARTS, lambda conditions: pytest.fail("measured")))
+    monkeypatch.setattr(work, "PARTS", dict.fromkeys(PARTS, lambda conditions: pytest.fail("measured")))
     with pytest.raises(SystemExit) as stopped:
         benchmark.main(line.split())
     message = capsys.readouterr().err

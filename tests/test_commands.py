@@ -12,7 +12,11 @@ from pathlib import Path
 import pytest
 
 from tb2rl import train
+from tb2rl.commands.benchmark import PARTS
+from tb2rl.judging import evaluator
 from tb2rl.registry import agent_names, task_names
+from tb2rl.showing import film
+from tb2rl.showing.cameras import CAMERAS
 
 NAMES = ("train", "evaluate", "play", "report", "benchmark", "convert", "zoo.__main__")
 COMMANDS = {name.removesuffix(".__main__"): import_module(f"tb2rl.{name}") for name in NAMES}
@@ -169,10 +173,10 @@ def test_a_run_folder_below_a_file_is_refused(tmp_path, monkeypatch, capsys):
     ("name", "shown"),
     [
         ("train", [*agent_names(), *task_names()]),
-        ("evaluate", ["zoo:NAME"]),
-        ("play", ["--video", "--teleop"]),
+        ("evaluate", ["zoo:NAME", f"default: {evaluator.EPISODES}", f"default: {evaluator.STEPS}"]),
+        ("play", ["--video", "--teleop", *CAMERAS, f"({film.STEPS}"]),
         ("report", ["zoo:NAME", "--out"]),
-        ("benchmark", ["physics", "twin", "training", "trained", "--json"]),
+        ("benchmark", [*PARTS, "--json"]),
         ("convert", ["python -m tb2rl.convert"]),
         ("zoo", ["build", "check", "--again"]),
     ],

@@ -16,6 +16,7 @@ from tb2rl.judging.evaluator import SEED
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
 
+work = import_module("tb2rl.commands.evaluate")
 command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
 BASELINES = [name for name in agent_names() if find_agent(name).algorithm is None]
 KEYS = {"failure_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "episodes"}
@@ -32,8 +33,8 @@ def run(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch):
     """The standard evaluation, but of two episodes of five steps in this process."""
-    monkeypatch.setattr(command, "EPISODES", 2)
-    monkeypatch.setattr(command, "STEPS", 5)
+    monkeypatch.setattr(work, "EPISODES", 2)
+    monkeypatch.setattr(work, "STEPS", 5)
     return ["--workers", "1"]
 
 
@@ -42,7 +43,7 @@ def test_the_standard_evaluation_lands_in_the_run_folder(run, short, capsys):
     written = json.loads((run / "evaluation.json").read_text())
     assert written.keys() >= KEYS | {"policy", "config", "versions"}
     assert (written["episodes"], written["steps"], written["seed"], len(written["each"])) == (2, 5, SEED, 2)
-    assert written["policy"] == str(run / "final" / "policy.safetensors")
+    assert written["policy"] == str(run)
     assert written["config"] == load(run).trained_with.to_dict()
     again = evaluate(run, episodes=2, steps=5, workers=1)
     assert written["mean_return"] == again.summary()["mean_return"]
@@ -77,6 +78,12 @@ def test_settings_change_the_task_of_a_policy(run, short, tmp_path, capsys):
     task = json.loads((tmp_path / "it.json").read_text())["config"]["task"]
     assert (task["world"], task["noise"], task["forward_speed"]) == ("circuit", 0.1, 0.1)
     assert "in circuit" in " ".join(capsys.readouterr().out.split()), "the title breaks where the folder's name is long"
+
+
+def test_a_policy_is_called_what_the_user_called_it(short, tmp_path, capsys):
+    command.main(["zoo:maze-loop-qlearn", *short, "--json", str(tmp_path / "it.json")])
+    assert capsys.readouterr().out.splitlines()[0].strip() == "zoo:maze-loop-qlearn in loop"
+    assert json.loads((tmp_path / "it.json").read_text())["policy"] == "zoo:maze-loop-qlearn"
 
 
 @pytest.mark.parametrize("name", BASELINES)

@@ -37,7 +37,11 @@ for _ in range(5):
     env.step(0)
 """
 
-
+IDS = """
+import gymnasium, tb2rl
+env = gymnasium.make("tb2rl:TurtleBot2Maze-v0", simulation="kinematic", disable_env_checker=True)
+print(len([name for name in gymnasium.registry if "TurtleBot2" in name]), env.reset(seed=0)[0].shape)
+"""
 PIP = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
 
 
@@ -90,6 +94,14 @@ def test_a_wheel_has_everything_that_the_checkout_has(installed, tmp_path):
 
 
 @pytest.mark.slow
+def test_the_installed_command_runs_and_gymnasium_knows_the_ids(installed, tmp_path):
+    command = str(Path(installed).with_name("tb2rl"))
+    assert run([command, "--version"], tmp_path)[0].split()[0] == "tb2rl"
+    assert run([command, "evaluate", "--help"], tmp_path)[0].startswith("usage: python -m tb2rl.evaluate")
+    assert run([installed, "-I", "-c", IDS], tmp_path) == ["6 (7,)"]
+
+
+@pytest.mark.slow
 def test_an_installed_report_finds_its_template(installed, tmp_path):
     code = "from tb2rl.showing import page; page._template()"
     assert run([installed, "-I", "-c", code], tmp_path) == []
@@ -108,5 +120,6 @@ def test_an_installed_policy_drives_in_the_first_cell_of_the_notebook(installed,
 
 @pytest.mark.slow
 def test_a_checkout_works_without_an_install():
+    assert use(IDS, CHECKOUT) == ["6 (7,)"]
     where, *_ = use(USE, CHECKOUT)
     assert Path(where).parent == CHECKOUT / "tb2rl"

@@ -73,6 +73,20 @@ def test_a_task_may_be_the_class_itself():
         find_task(Robot)
 
 
+@pytest.mark.parametrize("top", ["", "from __future__ import annotations\n"], ids=["types", "text"])
+@pytest.mark.parametrize("written", ["ClassVar[str]", "ClassVar", "typing.ClassVar[str]"])
+def test_a_class_variable_of_a_task_is_no_setting_however_it_is_written(top, written, write_package):
+    head = f"{top}import typing\nfrom typing import ClassVar\nfrom tb2rl.tasks.wander import Wander\n"
+    lines = "class {}(Wander):\n    {}: {} = 'red'\n"
+    write_package("", my_task=head + lines.format("Fine", "colour", written) + lines.format("Bare", "colour", "str"))
+    try:
+        assert find_task("my_task:Fine").colour == "red"
+        with pytest.raises(InputError, match=r"settings colour, so it needs @dataclass\(frozen=True\)"):
+            find_task("my_task:Bare")
+    finally:
+        del sys.modules["my_task"]
+
+
 # ---- of another package
 
 

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from tb2rl import make_env
+from tb2rl import load, make_env
 from tb2rl.errors import InputError
+from tb2rl.files import is_path
 from tb2rl.registry import absolute_world, find_world, world_names
+from tb2rl.runs.loading import config_of
 
 DRAWING = "#####\n#S.G#\n#...#\n#####\n"
 YAML = "start: [1.5, 2.5, 0.0]\nwalls: [{path: [[0, 0], [4, 0], [4, 4], [0, 4]], closed: true}]\n"
@@ -85,6 +87,32 @@ def test_a_format_of_another_package_is_read_by_the_ending_of_its_files(write_pa
     assert find_world(str(tmp_path / "mine.radius")).posts.tolist() == [[5.0, 0.0, 1.5]]
     (tmp_path / "mine.txt").write_text(DRAWING)
     assert find_world(str(tmp_path / "mine.txt")).start == (3.0, 5.0, 0)
+
+
+@pytest.mark.parametrize("make", [Path.touch, Path.mkdir], ids=["file", "folder"])
+def test_a_file_or_folder_of_the_same_name_does_not_take_the_place_of_a_built_in_world(make, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    make(Path("loop"))
+    assert absolute_world("loop") == "loop"
+    assert config_of(load("zoo:maze-loop-qlearn")).task.world == "loop"
+
+
+@pytest.mark.parametrize(("name", "is_one"), [
+    ("loop", False), ("loop.yaml", True), ("loop.csv", True), ("maps/loop", True), ("/loop", True), ("../loop", True),
+])  # fmt: skip
+def test_a_name_with_an_ending_or_a_folder_is_a_path(name, is_one):
+    assert is_path(name) == is_one
+
+
+@pytest.mark.parametrize("name", ["mine.txt", "mine.yaml"])
+def test_a_byte_order_mark_is_no_part_of_a_world(name, tmp_path):
+    text = {"mine.txt": DRAWING, "mine.yaml": YAML}[name]
+    for folder, encoding in (("without", "utf-8"), ("with", "utf-8-sig")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).write_text(text, encoding=encoding)
+    plain, marked = (find_world(str(tmp_path / folder / name)) for folder in ("without", "with"))
+    assert (marked.start, marked.bounds) == (plain.start, plain.bounds)
+    assert marked.boxes.tolist() == plain.boxes.tolist()
 
 
 # ---- what is not a world

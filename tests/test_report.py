@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tb2rl import report, train
+from tb2rl.commands import report as work
 from tb2rl.runs.folder import EVALUATION
 from tb2rl.showing import subjects
 
@@ -91,7 +92,7 @@ def test_what_is_not_a_run_is_refused(reference, named, tmp_path, monkeypatch, c
 @pytest.mark.parametrize("out", ["missing/it.html", "."])
 def test_a_page_that_cannot_be_written_is_refused_before_any_work(out, run, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(report, "read_subject", None)
+    monkeypatch.setattr(work, "read_subject", None)
     assert_refused([run, "--out", out], ["cannot write", out], capsys)
 
 
@@ -105,7 +106,7 @@ def test_a_disk_that_is_full_is_one_line(run, tmp_path, monkeypatch, capsys):
     def full(path, text):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(report, "write_text", full)
+    monkeypatch.setattr(work, "write_text", full)
     assert_refused([run, "--out", tmp_path / "it.html"], ["cannot write", "it.html", "No space left"], capsys)
 
 

@@ -13,6 +13,7 @@ from tb2rl import load
 from tb2rl.errors import InputError
 from tb2rl.learning.statistics import tutorial_scores
 
+work = import_module("tb2rl.commands.train")
 command = import_module("tb2rl.train")  # `from tb2rl import train` is the function
 BARE = ["--n-envs", "1", "--eval-freq", "0"]
 
@@ -59,6 +60,25 @@ def test_without_the_evaluation_there_is_none(folder):
     assert not (folder / "evaluation.json").exists()
 
 
+@pytest.mark.parametrize(
+    "wrong", [["--agent", "random"], ["--name", "taken"], ["--agent", "ppo", "--set", "agent.batch_size=1"]]
+)
+def test_only_a_training_that_begins_names_its_run_folder(wrong, folder, capsys):
+    folder.with_name("taken").mkdir(parents=True)
+    (folder.with_name("taken") / "config.yaml").touch()
+    with pytest.raises(SystemExit):
+        command.main([*BARE, "--no-evaluation", *wrong])
+    seen = capsys.readouterr()
+    assert seen.out == ""
+    assert seen.err.count("\n") == 1
+
+
+def test_only_a_training_that_goes_on_says_that_it_is_resumed(folder, capsys):
+    with pytest.raises(SystemExit):
+        command.main(["--resume", str(folder)])
+    assert capsys.readouterr().out == ""
+
+
 def test_a_run_is_resumed_with_nothing_but_more_steps(folder, capsys):
     short = ["--total-timesteps", "64", "--simulation", "kinematic", "--no-evaluation"]
     command.main(["--name", "it", *short, *BARE])
@@ -74,8 +94,8 @@ def test_a_run_is_resumed_with_nothing_but_more_steps(folder, capsys):
 def test_several_seeds_are_trained_evaluated_and_summed_up(folder, monkeypatch, capsys):
     rates = iter([1.0, 0.5, 0.96])
     evaluation = SimpleNamespace(task=SimpleNamespace(world="loop"), tree=lambda *_: ({}, {}))
-    monkeypatch.setattr(command, "evaluate", lambda *_, **__: evaluation)
-    monkeypatch.setattr(command, "print_evaluation", lambda *_: {"mean_distance": 10.0, "success_rate": next(rates)})
+    monkeypatch.setattr(work, "evaluate", lambda *_, **__: evaluation)
+    monkeypatch.setattr(work, "print_evaluation", lambda *_: {"mean_distance": 10.0, "success_rate": next(rates)})
     command.main(["--seeds", "3..5", "--name", "it", "--total-timesteps", "8", *BARE])
     assert [load(folder / f"seed-{seed}").seed for seed in (3, 4, 5)] == [3, 4, 5]
     figures = json.loads((folder / "seeds.json").read_text())
@@ -88,13 +108,13 @@ def test_several_seeds_are_trained_evaluated_and_summed_up(folder, monkeypatch, 
 
 @pytest.mark.parametrize(("text", "seeds"), [("0..4", [0, 1, 2, 3, 4]), ("7", [7]), ("3,1", [3, 1]), ("2..2", [2])])
 def test_seeds_are_read_from_the_command_line(text, seeds):
-    assert command.parse_seeds(text) == seeds
+    assert work.parse_seeds(text) == seeds
 
 
 @pytest.mark.parametrize("text", ["", "4..2", "1,1", "-1", "a", "0..", "0..99999", "1.5"])
 def test_what_does_not_name_seeds_is_refused(text):
     with pytest.raises(InputError, match=r"0\.\.4"):
-        command.parse_seeds(text)
+        work.parse_seeds(text)
 
 
 @pytest.mark.parametrize("more", [["--seed", "1"], ["--no-evaluation"]])

@@ -1,4 +1,4 @@
-"""Keeps the zoo: trains its policies, evaluates them, writes their cards and the table, checks that these hold.
+"""Keeps the zoo: trains its policies, writes and checks their cards.
 
     python -m tb2rl.zoo build                          # what is not there yet as its recipe says, all cards, the table
     python -m tb2rl.zoo build maze-loop-dqn --again    # from scratch
@@ -6,22 +6,15 @@
 
 `recipes.yaml` holds the recipes: for each policy the arguments of `python -m tb2rl.train`. It is trained in `runs`, as
 any other; what the zoo takes of the run folder gets a card (README.md), a picture of its paths, and what it does in
-worlds that it never saw (elsewhere.json). `check` evaluates policies in their own worlds again.
+worlds that it never saw (elsewhere.json). `check` evaluates policies in their own worlds again, to see whether the
+cards and the table of all hold.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 
-from tb2rl.errors import ArgumentParser, InputError, command
-from tb2rl.files import read_text, write_text
-from tb2rl.judging.evaluator import EPISODES
-from tb2rl.judging.progress import progress, say
-from tb2rl.zoo.building import build
-from tb2rl.zoo.cards import card, table
-from tb2rl.zoo.checking import check
-from tb2rl.zoo.entry import Entry, entries, zoo_folder
+from tb2rl.errors import ArgumentParser, command
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -30,7 +23,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("what", choices=("build", "check"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="policies (default: all)")
     parser.add_argument("--again", action="store_true", help="build: train from scratch what is there, too")
-    parser.add_argument("--episodes", type=int, default=EPISODES, help="check: of the standard evaluation, the first")
+    parser.add_argument("--episodes", type=int, help="check: of the standard evaluation, the first (default: all)")
     return parser.parse_args(arguments)
 
 
@@ -38,38 +31,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def main(arguments: list[str] | None = None) -> None:
     """Build the zoo or check it; status 1 if a card does not hold."""
     options = parse(arguments)
-    chosen = entries(options.names)
-    if options.what == "build":
-        _build(chosen, options.again)
-    elif not _check(chosen, options.episodes, whole=not options.names):
-        raise SystemExit(1)
+    from tb2rl.zoo.keeping import run  # only now: it imports what takes seconds
 
-
-def _build(chosen: list[Entry], again: bool) -> None:
-    """Build some entries, then write the cards and the table of all that are there."""
-    if not os.access(zoo_folder(), os.W_OK):
-        raise InputError(f"the zoo's folder {zoo_folder()} is not writable")
-    for number, entry in enumerate(chosen, start=1):
-        print(f"{entry.name} ({number} of {len(chosen)})", flush=True)
-        build(entry, again)
-    there = [entry for entry in entries() if entry.is_built]
-    for entry in there:
-        write_text(entry.folder / "README.md", card(entry))
-    write_text(zoo_folder() / "README.md", table(there))
-
-
-def _check(chosen: list[Entry], episodes: int, whole: bool) -> bool:
-    """Check some entries, and the table if these are all; whether everything holds."""
-    if not 1 <= episodes <= EPISODES:
-        raise InputError(f"--episodes must be from 1 to {EPISODES}, got {episodes}")
-    wrong = [line for entry in progress(chosen, "checking", "policy") for line in check(entry, episodes)]
-    if whole and read_text(zoo_folder() / "README.md") != table(chosen):
-        wrong.append("the table in README.md is not what the files say")
-    for line in wrong:
-        say(line)
-    if not wrong:
-        print(f"{len(chosen)} cards hold")
-    return not wrong
+    run(options)
 
 
 if __name__ == "__main__":

@@ -10,12 +10,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from tb2rl.commands.train import requested
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import read_text, read_yaml, top_folder
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.train import parse as parse_training
-from tb2rl.train import requested
 
 CLOSED_MAZES = ("loop", "circuit", "round", "maze")  # around `wall` is open floor: a robot that drives away is safe
 ELSEWHERE = "elsewhere.json"  # in an entry's folder, beside files of its run folder

@@ -10,25 +10,22 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import HParam, TensorBoardOutputFormat
+from stable_baselines3.common.logger import TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import hparams
 
 _WINDOW = 100  # episodes in a running mean
 
 
 class Statistics(BaseCallback):
-    """Episode statistics in TensorBoard that Stable-Baselines3 does not know of, and the hyper-parameters.
-
-    Args:
-        hyperparameters: A tree of plain values.
+    """Episode statistics in TensorBoard that Stable-Baselines3 does not know of.
 
     Attributes:
         lengths: Control steps of each episode so far.
     """
 
-    def __init__(self, hyperparameters: Mapping[str, Any]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.hyperparameters = hyperparameters
         self._failed: deque[bool] = deque(maxlen=_WINDOW)
         self._distances: deque[float] = deque(maxlen=_WINDOW)
         self.lengths: list[int] = []
@@ -40,11 +37,6 @@ class Statistics(BaseCallback):
         self._failed.extend(map(bool, state["failed"]))
         self._distances.extend(map(float, state["distances"]))
         self.lengths.extend(map(int, state["lengths"]))
-
-    def _on_training_start(self) -> None:
-        names = ("rollout/ep_rew_mean", "rollout/ep_len_mean", "rollout/failure_rate", "eval/score")
-        table = HParam(_flat(self.hyperparameters), dict.fromkeys(names, 0.0))
-        self.logger.record("hparams", table, exclude=("stdout", "log", "json", "csv"))
 
     def _on_step(self) -> bool:
         ended = np.flatnonzero(self.locals["dones"])
@@ -100,11 +92,17 @@ class TensorBoard(TensorBoardOutputFormat):
     Args:
         folder: Of the event files.
         done: Control steps that the training had done when it was resumed, else 0.
+        hyperparameters: A tree of plain values, for the table of all runs.
     """
 
-    def __init__(self, folder: Path, done: int) -> None:
+    def __init__(self, folder: Path, done: int, hyperparameters: Mapping[str, Any]) -> None:
         self.writer = SummaryWriter(log_dir=str(folder), purge_step=done + 1 if done else None)
         self._is_closed = False
+        # Without the first summary, a list of columns: TensorBoard would take one run's list for all of them, and leave
+        # out what only other agents have. Where there is none, it gathers the columns from all runs.
+        _columns, *values = hparams(_flat(hyperparameters), {})
+        for summary in values:
+            self.writer._get_file_writer().add_summary(summary)
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

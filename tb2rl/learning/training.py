@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -86,20 +86,30 @@ class _Checkpoint:
     content: Mapping[str, Any]
 
 
-def train_config(config: Config, folder: str | Path, progress_bar: bool = False, verbose: int = 0) -> Training:
-    """`train` for a resolved config."""
-    return _train(config, Path(folder), None, progress_bar, verbose)
+def train_config(
+    config: Config,
+    folder: str | Path,
+    progress_bar: bool = False,
+    verbose: int = 0,
+    began: Callable[[Path], object] | None = None,
+) -> Training:
+    """`train` for a resolved config; `began` is called with the run folder when nothing was refused."""
+    return _train(config, Path(folder), None, progress_bar, verbose, began)
 
 
 def resume(
-    folder: str | Path, total_timesteps: int | None = None, progress_bar: bool = False, verbose: int = 0
+    folder: str | Path,
+    total_timesteps: int | None = None,
+    progress_bar: bool = False,
+    verbose: int = 0,
+    began: Callable[[Path], object] | None = None,
 ) -> Training:
     """Go on with the training of a run folder from its last checkpoint, as if nothing had happened.
 
     Args:
         folder: The run folder.
         total_timesteps: A larger total than the run was begun with; schedules then stretch over it.
-        progress_bar, verbose: As in `train`.
+        progress_bar, verbose, began: As in `train_config`.
 
     Raises:
         InputError: If there is nothing to resume, or it does not fit.
@@ -118,10 +128,17 @@ def resume(
         config = replace(config, train=replace(config.train, total_timesteps=total_timesteps))
     if content["timesteps"] >= config.train.total_timesteps:
         raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; raise --total-timesteps to go on")
-    return _train(config, run.folder, _Checkpoint(file, content), progress_bar, verbose)
+    return _train(config, run.folder, _Checkpoint(file, content), progress_bar, verbose, began)
 
 
-def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progress_bar: bool, verbose: int) -> Training:
+def _train(
+    config: Config,
+    folder: Path,
+    checkpoint: _Checkpoint | None,
+    progress_bar: bool,
+    verbose: int,
+    began: Callable[[Path], object] | None,
+) -> Training:
     settings = config.train
     check_learns(config)
     with machine_troubles_named(folder), ExitStack() as resources:
@@ -132,7 +149,7 @@ def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progres
         evaluator = resources.enter_context(_evaluator(config)) if settings.eval_freq else None
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
         resources.enter_context(run.lock())
-        statistics, stop = Statistics(config.to_dict()), StopOnInterrupt()
+        statistics, stop = Statistics(), StopOnInterrupt()
         checkpoints = Checkpoints(run, settings.save_freq, settings.keep)
         remembering: list[Any] = [
             statistics,
@@ -149,8 +166,10 @@ def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progres
         if checkpoint:
             watching.insert(0, _restore(algorithm, run, checkpoint, remembering))
         done = algorithm.num_timesteps
-        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done)]))
+        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done, config.to_dict())]))
         resources.callback(algorithm.logger.close)
+        if began:
+            began(run.folder)
         started = time.monotonic()
         with stop:
             with learning_troubles_named(algorithm, run):

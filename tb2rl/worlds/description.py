@@ -52,7 +52,7 @@ class Description:
     walls: tuple[Wall, ...] = ()
     boxes: tuple[Box, ...] = ()
     posts: tuple[Post, ...] = ()
-    drawing: str = ""  # `#` wall, `S` start, `G` goal, anything else free
+    drawing: str = ""  # `#` wall, `S` start, `G` goal, `.` or a blank free
     cell: Positive = 2.0  # [m] side of a character of the drawing: a corridor with room to turn
     start: Pose | None = None
     goal: Pose | None = None
@@ -75,7 +75,10 @@ def world_from(content: Any, name: str) -> World:
         InputError: If it does not fit.
     """
     said = build(Description, content, f"world {name}")
-    drawn = read_drawing(said.drawing, said.cell)
+    try:
+        drawn = read_drawing(said.drawing, said.cell)
+    except InputError as error:
+        raise InputError(f"world {name}: {error}") from None
     start, goal = said.start or drawn.start, said.goal or drawn.goal
     if start is None:
         raise InputError(f"world {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")

@@ -1,10 +1,11 @@
-"""Worlds as text drawings: `#` for a wall, `S` for the start, `G` for the goal, anything else is free floor."""
+"""Worlds as text drawings: `#` for a wall, `S` for the start, `G` for the goal, `.` or a blank for free floor."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from tb2rl.errors import InputError
 from tb2rl.values import Pose
 from tb2rl.worlds.world import BoxShape
 
@@ -22,8 +23,13 @@ def read_drawing(text: str, cell: float) -> Drawing:
     """Read a drawing whose characters are squares with sides of `cell` [m].
 
     Runs of `#` become one box, and equal runs above each other one larger box.
+
+    Raises:
+        InputError: For any other character, or a second start or goal.
     """
-    lines = text.rstrip().splitlines()[::-1]
+    lines = text.rstrip(" \n").split("\n")
+    _check(lines)
+    lines.reverse()
     marks: dict[str, Pose] = {}
     runs: dict[tuple[int, int], list[int]] = {}  # (first, last column) -> rows, to stack equal runs into one box
     for row, line in enumerate(lines):
@@ -38,6 +44,22 @@ def read_drawing(text: str, cell: float) -> Drawing:
             length, width = (last - first + 1) * cell, (top - bottom + 1) * cell
             boxes.append(((first + last + 1) / 2 * cell, (bottom + top + 1) / 2 * cell, length, width, 0.0))
     return Drawing(boxes, marks.get("S"), marks.get("G"))
+
+
+def _check(lines: Sequence[str]) -> None:
+    seen: dict[str, str] = {}  # where the start and the goal are
+    for row, line in enumerate(lines, start=1):
+        for column, mark in enumerate(line, start=1):
+            place = f"line {row}, column {column}"
+            if mark not in "#SG. ":
+                raise InputError(
+                    f"the drawing has {mark!r} in {place}; "
+                    "it takes # (wall), S (start), G (goal), and . or a blank (free floor)"
+                )
+            if mark in seen:
+                raise InputError(f"the drawing has a second {mark} in {place}; the first is in {seen[mark]}")
+            if mark in "SG":
+                seen[mark] = place
 
 
 def _stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:

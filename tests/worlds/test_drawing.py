@@ -1,5 +1,7 @@
 """Worlds as text drawings."""
 
+import re
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,6 +28,32 @@ def test_a_drawing_has_its_origin_at_the_lower_left_and_its_marks_in_the_middle_
 def test_equal_runs_of_a_drawing_become_one_box():
     assert len(read_drawing(DRAWING, 2.0).boxes) == 4  # a row each below and above, a column each side
     assert len(read_drawing("#S..#\n#.###\n#.###\n#####", 2.0).boxes) == 4
+
+
+def test_a_blank_and_a_dot_are_free_floor():
+    assert read_drawing("#####\n#S  #\n#####", 2.0) == read_drawing("#####\n#S..#\n#####", 2.0)
+
+
+@pytest.mark.parametrize(
+    ("drawing", "words"),
+    [
+        (
+            "#####\n#S.x#\n#####",
+            "has 'x' in line 2, column 4; it takes # (wall), S (start), G (goal), and . or a blank",
+        ),
+        ("#####\n#Sé.#\n#####", "has 'é' in line 2, column 3;"),
+        ("\n####\n#\tS#\n####", r"has '\t' in line 3, column 2;"),
+        ("####\n#S #\n####\t", r"has '\t' in line 3, column 5;"),
+        ("####\n#S.#\x0c\n####", r"has '\x0c' in line 2, column 5;"),
+        ("####\n#s.#\n####", "has 's' in line 2, column 2;"),
+        ("#####\n#S..#\n#..S#\n#####", "has a second S in line 3, column 4; the first is in line 2, column 2"),
+        ("#####\n#SGG#\n#####", "has a second G in line 2, column 4; the first is in line 2, column 3"),
+    ],
+)
+def test_what_does_not_belong_into_a_drawing_is_refused_with_its_place(drawing, words):
+    with pytest.raises(InputError, match=re.escape(f"world mine: the drawing {words}")) as error:
+        world_from({"drawing": drawing}, "mine")
+    assert "\n" not in str(error.value)
 
 
 def test_a_drawing_without_marks_has_neither_start_nor_goal():

@@ -9,7 +9,7 @@ from io import StringIO
 
 import pytest
 
-from tb2rl.zoo import building, entry
+from tb2rl.zoo import building, entry, keeping
 
 keeper = import_module("tb2rl.zoo.__main__")
 
@@ -90,7 +90,7 @@ def test_a_build_trains_nothing_that_is_there_as_its_recipe_says(monkeypatch, ca
     monkeypatch.setattr(building, "train", lambda arguments: pytest.fail("trained"))
     monkeypatch.setattr(building, "evaluate", lambda *arguments, **settings: pytest.fail("evaluated"))
     written = []
-    monkeypatch.setattr(keeper, "write_text", lambda path, text: written.append((path, text)))
+    monkeypatch.setattr(keeping, "write_text", lambda path, text: written.append((path, text)))
     keeper.main(["build", "maze-loop-dqn", "wall-wall-ppo"])
     assert capsys.readouterr().out.splitlines() == ["maze-loop-dqn (1 of 2)", "wall-wall-ppo (2 of 2)"]
     assert len(written) == 19, "all cards and the table"

@@ -1,0 +1,59 @@
+"""What `evaluate` does, see `tb2rl.evaluate`: a table, and JSON where it belongs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from tb2rl.commands.policy import chosen_policy
+from tb2rl.errors import InputError
+from tb2rl.files import write_text
+from tb2rl.judging.evaluation import Evaluation
+from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, evaluate
+from tb2rl.judging.rollout import LARGEST_SEED
+from tb2rl.runs.config import Config
+from tb2rl.runs.folder import Run
+from tb2rl.showing.table import print_evaluation
+
+
+def run(options: argparse.Namespace) -> None:
+    """Evaluate a policy, print a table, write JSON."""
+    for name, standard in (("episodes", EPISODES), ("steps", STEPS), ("seed", SEED)):
+        if getattr(options, name) is None:
+            setattr(options, name, standard)
+    check(options)
+    policy, config = chosen_policy(options)
+    conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed", "workers")}
+    evaluation = evaluate(policy, config, progress=True, **conditions)
+    name = options.agent or options.policy
+    print_evaluation(evaluation, f"{name} in {evaluation.task.world}")
+    _write(evaluation, config, name, options)
+
+
+def check(options: argparse.Namespace) -> None:
+    """Raise an `InputError` where options do not go together, or do not fit."""
+    if (options.policy is None) == (options.agent is None):
+        raise InputError("name either a policy (a run folder, a checkpoint, zoo:NAME) or an --agent")
+    if options.policy and options.task:
+        raise InputError("--task goes with --agent; a policy keeps the task that it was trained at")
+    workers = 1 if options.workers is None else options.workers
+    if min(options.episodes, options.steps, workers) < 1 or not 0 <= options.seed <= LARGEST_SEED:
+        raise InputError(f"--episodes, --steps and --workers must be at least 1, and --seed from 0 to {LARGEST_SEED}")
+    if options.json and not options.json.absolute().parent.is_dir():
+        raise InputError(f"cannot write {options.json}: there is no folder {options.json.absolute().parent}")
+
+
+def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.Namespace) -> None:
+    """Put the evaluation into the file that is named, or the standard one into its run folder."""
+    standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not options.set
+    tree, arrays = evaluation.tree(config, name)
+    if options.json:
+        try:
+            write_text(options.json, json.dumps(tree, indent=1) + "\n")
+        except OSError as error:
+            raise InputError(f"cannot write {options.json}: {error.strerror}") from None
+    elif options.policy and standard and Path(options.policy).is_dir():
+        Run.open(Path(options.policy)).write_evaluation(tree, arrays)
+    else:
+        print("not written: only the standard evaluation of a run folder is kept there; --json FILE keeps any")

@@ -1,0 +1,109 @@
+"""What `play` does, see `tb2rl.play`: a window, a film, or the keyboard."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from contextlib import closing, suppress
+from pathlib import Path
+
+from tb2rl.commands.policy import chosen_policy
+from tb2rl.envs.scene import Scene
+from tb2rl.errors import InputError, unknown
+from tb2rl.judging.progress import say
+from tb2rl.judging.rollout import Moment, Policy
+from tb2rl.runs.checkpoint import SUFFIX
+from tb2rl.runs.config import Config
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.showing.cameras import CAMERAS
+from tb2rl.showing.film import STEPS, check_film, check_numbers, drives, film, open_env
+from tb2rl.showing.keyboard import Teleop
+from tb2rl.showing.terminal import steer_in_terminal
+from tb2rl.showing.window import Window, has_display, watch
+
+
+def run(options: argparse.Namespace) -> None:
+    """Play, and say how the episodes went."""
+    if options.steps is None:
+        options.steps = STEPS
+    check(options)
+    if options.teleop:
+        config = resolve("random", options.task, settings=parse_settings(options.set))
+        drive_by_keyboard(config.scene, options.seed, options.camera)
+        return
+    policy, config = chosen_policy(options)
+    if options.video or not has_display():
+        _film(policy, config, options)
+    else:
+        _show(policy, config, options)
+
+
+def check(options: argparse.Namespace) -> None:
+    """Raise an `InputError` where options do not go together, or do not fit."""
+    if [options.policy is not None, options.agent is not None, options.teleop].count(True) != 1:
+        raise InputError("name either a policy (a run folder, a checkpoint, zoo:NAME), or an --agent, or --teleop")
+    if options.policy and options.task:
+        raise InputError("--task goes with --agent and --teleop; a policy keeps the task that it was trained at")
+    if options.teleop and options.video:
+        raise InputError("--video films a policy; --teleop shows what you drive in the terminal")
+    if options.camera not in CAMERAS:
+        raise unknown("--camera", options.camera, CAMERAS)
+    check_numbers(options.episodes, options.steps, options.seed, options.speed)
+    if options.video:
+        check_film(options.video, options.camera)
+
+
+def _film(policy: Policy, config: Config, options: argparse.Namespace) -> None:
+    path = film(
+        policy,
+        options.video or f"{_film_name(options)}.mp4",
+        config,
+        episodes=options.episodes,
+        steps=options.steps,
+        seed=options.seed,
+        camera=options.camera,
+        speed=options.speed,
+        listener=_teller(config.scene),
+        progress=True,
+    )
+    print(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+
+
+def _film_name(options: argparse.Namespace) -> str:
+    """What a film is called after its policy."""
+    if options.agent is not None:
+        return options.agent.replace(":", ".")
+    return Path(options.policy.removeprefix("zoo:")).resolve().name.removesuffix(SUFFIX)
+
+
+def _show(policy: Policy, config: Config, options: argparse.Namespace) -> None:
+    policy, env = open_env(policy, config, {}, options.steps)
+    with closing(env), closing(Window(env.scene, options.camera)) as window, suppress(KeyboardInterrupt):
+        driven = drives(env, policy, options.episodes, options.seed, _teller(env.scene))
+        watch(driven, env.scene.task.control_period, window, options.speed)
+
+
+def _teller(scene: Scene) -> Callable[[int, Moment], None]:
+    """What prints a line at the end of each episode."""
+
+    def tell(episode: int, last: Moment) -> None:
+        seconds, distance = last.step * scene.task.control_period, last.info["distance"]
+        say(
+            f"episode {episode}: {last.info['ended']} after {last.step} steps ({seconds:.1f} s), "
+            f"{distance:.1f} m, {distance / seconds:.3f} m/s, return {last.total:g}"
+        )
+
+    return tell
+
+
+def drive_by_keyboard(scene: Scene, seed: int, camera: str = "above") -> None:
+    """Let the user drive, in the terminal, and in the window if there is a display."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise InputError("--teleop reads keys from a terminal and draws on it, and here stdin or stdout is not one")
+    with closing(Teleop(scene, seed)) as teleop:
+        if has_display():
+            with closing(Window(scene, camera)) as window:
+                steer_in_terminal(teleop, window.show)
+        else:
+            steer_in_terminal(teleop, lambda start, pose: True)

@@ -1,0 +1,36 @@
+"""The policy that a command line names, and the task that it drives at; see `tb2rl.policy_arguments`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from tb2rl.errors import InputError
+from tb2rl.judging.rollout import Policy
+from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.config import Config
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.runs.loading import config_of, load
+
+
+def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
+    """The policy that the arguments of `add_policy_arguments` name, and what it is to do.
+
+    Raises:
+        InputError: If there is no such policy, or a setting does not fit.
+    """
+    settings = parse_settings(options.set)
+    if options.agent is not None:
+        config = resolve(options.agent, options.task, settings=settings)
+        return make_baseline(config), config
+    policy = load(options.policy)
+    return policy, config_of(policy).with_task(_task_settings(settings))
+
+
+def _task_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes to the task of a trained policy by the names of its fields, from dotted keys."""
+    for key in settings:
+        if not key.startswith("task."):
+            raise InputError(f"only the task of a trained policy can be changed (task.KEY=VALUE), got {key!r}")
+    return {key.removeprefix("task."): value for key, value in settings.items()}

@@ -1,0 +1,141 @@
+"""What `train` does, see `tb2rl.train`: one training or several, and what they came to."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tb2rl.errors import InputError
+from tb2rl.files import write_text
+from tb2rl.judging.evaluator import EPISODES, PASSED, evaluate
+from tb2rl.judging.statistics import bootstrap_interval
+from tb2rl.learning.statistics import tutorial_scores
+from tb2rl.learning.training import Training, default_folder, resume, train_config
+from tb2rl.runs.config import Config
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.runs.loading import load
+from tb2rl.showing.table import print_evaluation
+
+_FLAGS = (
+    "total_timesteps", "episodes", "seed", "simulation", "n_envs", "device", "eval_freq", "save_freq", "keep",
+)  # fmt: skip
+_MOST_SEEDS = 1000
+
+
+def run(options: argparse.Namespace) -> None:
+    """Train, say where the run is, evaluate."""
+    if options.resume:
+        others = {"agent", "task", "preset", "set", "name", "seeds", *_FLAGS} - {"total_timesteps"}
+        if any(getattr(options, name) not in (None, []) for name in others):
+            raise InputError("--resume goes on with what the run's config says; only --total-timesteps can be raised")
+        _finish(resume(options.resume, options.total_timesteps, _bar(options), options.verbose, _say_resumed), options)
+        return
+    config = requested(options)
+    folder = _folder(config, options.name)
+    if options.seeds is None:
+        _train_and_evaluate(config, folder, options)
+        return
+    if options.seed is not None or options.no_evaluation:
+        raise InputError("--seeds goes neither with --seed nor with --no-evaluation")
+    seeds = parse_seeds(options.seeds)
+    if folder.exists():
+        raise InputError(f"{folder} exists already; choose another --name")
+    summaries = {}
+    for seed in seeds:
+        seeded = replace(config, train=replace(config.train, seed=seed))
+        summary = _train_and_evaluate(seeded, folder / f"seed-{seed}", options)
+        if summary is None:  # interrupted
+            return
+        summaries[seed] = summary
+    _print_seeds(summaries, folder)
+
+
+def requested(options: argparse.Namespace) -> Config:
+    """The config that a command line asks for."""
+    flags = {f"train.{name}": getattr(options, name) for name in _FLAGS if getattr(options, name) is not None}
+    return resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds as the command line has them: "0..4" or "0,3,7".
+
+    Raises:
+        InputError: If it is neither.
+    """
+    first, dots, last = text.partition("..")
+    try:
+        seeds = list(range(int(first), int(last) + 1)) if dots else [int(part) for part in text.split(",")]
+    except ValueError:
+        seeds = []
+    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds) or len(seeds) > _MOST_SEEDS:
+        raise InputError(f"--seeds takes different seeds, such as 0..4 or 0,3,7, at most {_MOST_SEEDS}, got {text!r}")
+    return seeds
+
+
+def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespace) -> dict[str, Any] | None:
+    began = partial(_say_began, config)
+    return _finish(train_config(config, folder, _bar(options), options.verbose, began), options)
+
+
+def _say_began(config: Config, folder: Path) -> None:
+    settings = config.train
+    environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
+    print(
+        f"training {config.agent_name} at {config.task_name} in {config.task.world}: {settings.total_timesteps} steps, "
+        f"{environments}, seed {settings.seed}\n"
+        f"run folder: {folder} (watch it: tensorboard --logdir runs)",
+        flush=True,
+    )
+
+
+def _say_resumed(folder: Path) -> None:
+    print(f"resuming {folder}", flush=True)
+
+
+def _finish(training: Training, options: argparse.Namespace) -> dict[str, Any] | None:
+    """Say how a training went, and give the summary of its standard evaluation; None if it was interrupted."""
+    rate = training.timesteps / training.seconds
+    print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
+    print(tutorial_scores(training.lengths))
+    if options.no_evaluation or training.interrupted:
+        return None
+    run = training.run
+    print(f"standard evaluation of its best policy in PyBullet: {EPISODES} episodes, about half a minute", flush=True)
+    evaluation = evaluate(load(run.folder), progress=True)
+    summary = print_evaluation(evaluation, f"{run.folder} in {evaluation.task.world}")
+    run.write_evaluation(*evaluation.tree(run.config, str(run.folder)))
+    return summary
+
+
+def _print_seeds(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
+    """Print what several seeds came to, and keep it as `seeds.json`."""
+    rates = [summary["success_rate"] for summary in summaries.values()]
+    distances = [summary["mean_distance"] for summary in summaries.values()]
+    failed = [seed for seed, summary in summaries.items() if summary["success_rate"] < PASSED]
+    figures: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "passed_from": PASSED}
+    print(f"{len(summaries)} seeds in {folder}")
+    for name, values, scale, unit in (("success", rates, 100, "%"), ("distance", distances, 1, "m")):
+        low, high = bootstrap_interval(values)
+        mean = sum(values) / len(values)
+        figures[name] = {"each": values, "mean": mean, "interval": [low, high]}
+        print(f"  {name}: mean {scale * mean:.1f} {unit}, 95 % interval {scale * low:.1f} to {scale * high:.1f} {unit}")
+    named = f": {', '.join(map(str, failed))}" if failed else ""
+    print(f"  failed (success below {100 * PASSED:.0f} %): {len(failed)} of {len(summaries)}{named}")
+    write_text(folder / "seeds.json", json.dumps(figures, indent=1) + "\n")
+
+
+def _bar(options: argparse.Namespace) -> bool:
+    return not options.no_progress and not options.verbose and sys.stderr.isatty()
+
+
+def _folder(config: Config, name: str | None) -> Path:
+    folder = default_folder(config)
+    if name and (Path(name).name != name or name == ".."):
+        raise InputError(f"--name is the name of a folder, without a path, got {name!r}")
+    return folder.with_name(name) if name else folder
