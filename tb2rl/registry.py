@@ -23,6 +23,8 @@ from tb2rl.tasks import Task
 from tb2rl.worlds import World
 from tb2rl.worlds.readers import READERS, read_world
 
+ANY_POLICY = "MlpPolicy"  # or CnnPolicy, MlpLstmPolicy, ...: what the algorithm has for such observations
+
 
 @dataclass(frozen=True)
 class Agent:
@@ -30,13 +32,14 @@ class Agent:
 
     Attributes:
         algorithm: A Stable-Baselines3 `BaseAlgorithm`, as "module:Class"; None for an agent that does not learn.
-        policy: The algorithm's name for its policy; for an agent that does not learn a `BasePolicy`, as "module:Class".
+        policy: The algorithm's name for its policy, `ANY_POLICY` for the one that reads what is observed; for an
+            agent that does not learn a `BasePolicy`, as "module:Class".
         observation: The observation mode it wants, "discrete" or "raw".
         only: Whether it can work with no other mode.
     """
 
     algorithm: str | None
-    policy: str = "MlpPolicy"
+    policy: str = ANY_POLICY
     observation: str = "raw"
     only: bool = False
 

@@ -13,6 +13,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import HParam, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 
+from tb2rl.errors import InputError
+
 _WINDOW = 100  # episodes in a running mean
 
 
@@ -47,6 +49,9 @@ class Statistics(BaseCallback):
         self.logger.record("hparams", table, exclude=("stdout", "log", "json", "csv"))
 
     def _on_step(self) -> bool:
+        if "dones" not in self.locals:  # ARS, which rates whole policies, or an algorithm of a user's own
+            name = type(self.model).__name__
+            raise InputError(f"{name} does not tell its callbacks of every step (rewards, dones, infos), as others do")
         ended = np.flatnonzero(self.locals["dones"])
         for i in ended:
             info = self.locals["infos"][i]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -54,10 +55,13 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
 
 
 def check_learns(config: Config) -> None:
-    """Raise an `InputError` if the agent of a config does not learn."""
+    """Raise an `InputError` if the agent of a config does not learn, or not from what the environments tell it."""
     name = config.agent_name
-    if find_agent(name).algorithm is None:
+    algorithm = find_agent(name).algorithm
+    if algorithm is None:
         raise InputError(f"agent {name} does not learn; try it with `python -m tb2rl.evaluate --agent {name}`")
+    if "action_masks" in inspect.signature(import_object(algorithm).predict).parameters:
+        raise InputError(f"agent {name} needs masks of the actions that are allowed, and here all of them always are")
 
 
 def refusal(config: Config, reason: str) -> InputError:
