@@ -52,7 +52,8 @@ def _networks_for(observation_space: spaces.Space) -> tuple[str, ...]:
     """How names of policies begin that read such observations, the best first."""
     if isinstance(observation_space, spaces.Dict):
         return ("MultiInput",)
-    if is_image_space(observation_space) and min(observation_space.shape[1:]) >= _SMALLEST_IMAGE:
+    _, *sides = observation_space.shape or (0,)
+    if is_image_space(observation_space) and min(sides) >= _SMALLEST_IMAGE:
         return ("Cnn", "Mlp")
     return ("Mlp",)
 

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import pytest
+import torch as th
 
 from tb2rl import evaluate, make_env
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.registry import agent_names, find_agent, find_world
-from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
 from tb2rl.tasks.wander import Wander
 
@@ -29,6 +30,15 @@ def test_the_result_does_not_depend_on_the_number_of_processes(name, outcomes):
     )
     assert outcomes(alone) == outcomes(shared)
     assert alone.summary() == shared.summary()
+
+
+def test_a_memory_is_kept_in_every_process(outcomes):
+    settings = {"task.observation": "raw", "train.n_envs": 1, "agent.policy_kwargs.lstm_hidden_size": 8}
+    config = resolve("sb3_contrib:RecurrentPPO", settings=settings)
+    policy = make_algorithm(config, Spaces.vectorised(config))
+    th.nn.init.normal_(policy.policy.action_net.weight)  # else it does the same everywhere
+    alone, shared = (evaluate(policy, config, episodes=3, steps=40, workers=workers) for workers in (1, 2))
+    assert outcomes(alone) == outcomes(shared)
 
 
 def test_the_same_evaluation_twice_gives_the_same_result(run, outcomes):
