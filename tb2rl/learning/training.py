@@ -23,7 +23,7 @@ from tb2rl.learning.environments import make_vec_env
 from tb2rl.learning.statistics import EpisodeLines, Statistics, TensorBoard
 from tb2rl.learning.troubles import learning_troubles_named, machine_troubles_named
 from tb2rl.learning.watcher import Watcher
-from tb2rl.runs.algorithm import check_learns, make_algorithm
+from tb2rl.runs.algorithm import check_device, check_learns, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
@@ -124,7 +124,9 @@ def resume(
 def _train(config: Config, folder: Path, checkpoint: _Checkpoint | None, progress_bar: bool, verbose: int) -> Training:
     settings = config.train
     check_learns(config)
+    check_device(config)
     with machine_troubles_named(folder), ExitStack() as resources:
+        resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
         th.set_num_threads(settings.torch_threads)
         env = make_vec_env(config)
         resources.callback(env.close)
