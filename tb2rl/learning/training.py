@@ -34,7 +34,7 @@ from tb2rl.tasks import Task
 
 
 def train(
-    agent: str | None = None,
+    agent: str | type[BaseAlgorithm] | None = None,
     task: str | type[Task] | None = None,
     *,
     preset: str | None = None,
@@ -47,8 +47,9 @@ def train(
     """Train an agent and leave a run folder.
 
     Args:
-        agent: Its name in the registry, or "module:Class".
-        task: The task's name, or "module:Class".
+        agent: Its name in the registry, "module:Class", or the class of its algorithm.
+        task: The task's name, "module:Class", or its class. A class of a notebook or of a script is found again there;
+            for a run that is to be loaded anywhere else, save the class in a file.
         preset: The name of a file in `configs`, or the path of one.
         settings: Single settings by dotted key, such as {"task.world": "circuit"}.
         folder: The run folder; None: `runs/<task>/<agent>/<date and time>`.
