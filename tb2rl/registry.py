@@ -9,6 +9,7 @@ import inspect
 import os
 import pkgutil
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from tb2rl.tasks import Task
     from tb2rl.worlds import World
 
+ANY_POLICY = "MlpPolicy"  # or CnnPolicy, MlpLstmPolicy, ...: what the algorithm has for such observations
+
 
 @dataclass(frozen=True)
 class Agent:
@@ -31,13 +34,14 @@ class Agent:
 
     Attributes:
         algorithm: A Stable-Baselines3 `BaseAlgorithm`, as "module:Class"; None for an agent that does not learn.
-        policy: The algorithm's name for its policy; for an agent that does not learn a `BasePolicy`, as "module:Class".
+        policy: The algorithm's name for its policy, `ANY_POLICY` for the one that reads what is observed; for an
+            agent that does not learn a `BasePolicy`, as "module:Class".
         observation: The observation mode it wants, "discrete" or "raw".
         only: Whether it can work with no other mode.
     """
 
     algorithm: str | None
-    policy: str = "MlpPolicy"
+    policy: str = ANY_POLICY
     observation: str = "raw"
     only: bool = False
 
@@ -203,6 +207,8 @@ def import_object(reference: str) -> Any:
         InputError: If there is no such module or name; what goes wrong inside a module shows as it is.
     """
     module_name, _, attribute = reference.partition(":")
+    if module_name == "__main__":
+        return _of_main(attribute)
     if not all(part.isidentifier() and part != "__main__" for part in module_name.split(".")):
         raise InputError(f"cannot import {reference!r}: it should read module:Class")
     try:
@@ -214,6 +220,31 @@ def import_object(reference: str) -> Any:
     if not hasattr(module, attribute):
         raise InputError(f"cannot import {reference!r}: module {module_name!r} has no {attribute!r}")
     return getattr(module, attribute)
+
+
+def _of_main(name: str) -> Any:
+    """What the script or the notebook that runs now calls so; looking runs nothing, and functions are not for it.
+
+    Raises:
+        InputError: If it has made no such class, nor such an agent, robot or world.
+    """
+    found = vars(sys.modules["__main__"]).get(name)
+    if not isinstance(found, type | Agent | Robot | World):
+        where = f"it was made in another script or notebook; save __main__:{name} in a file, and name it module:{name}"
+        raise InputError(one_line(f"cannot import '__main__:{name}': {where}"))
+    return found
+
+
+def reference_to(kind: type) -> str:
+    """A class as "module:Class", by which a run finds it again.
+
+    Raises:
+        InputError: If that is not the class.
+    """
+    reference = f"{kind.__module__}:{kind.__qualname__}"
+    if import_object(reference) is not kind:
+        raise InputError(f"{reference} means another class by now; give that one, or define this one again")
+    return reference
 
 
 def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[], list[str]]) -> Any:

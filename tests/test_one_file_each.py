@@ -94,6 +94,11 @@ FILES = {
         class Pictured(Wander):
             def sensors(self, setup):
                 return (*super().sensors(setup), Bars())
+
+        @dataclass(frozen=True)
+        class Seen(Wander):
+            def sensors(self, setup):
+                return (Bars(),)
         """,
     "small.py": """
         from dataclasses import replace
@@ -137,6 +142,8 @@ LEARNERS = {  # what is new, and with which agent it is trained
     "two sensors, in classes": ("qlearn", "compass:Guided", {"task.beams": 3}),
     "an image": ("stable_baselines3:PPO", "picture:Pictured", {**PPO, **RAW}),
     "a robot": ("dqn", "maze", {**OFF_POLICY, "task.robot": "small:ROBOT"}),
+    "one image": ("stable_baselines3:PPO", "picture:Seen", {**PPO, **RAW}),
+    "a memory": ("sb3_contrib:RecurrentPPO", "maze", {**PPO, **RAW}),
     "an algorithm of sb3-contrib": ("quantiles:AGENT", "maze", {**OFF_POLICY, **RAW}),
 }
 

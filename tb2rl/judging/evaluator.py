@@ -16,16 +16,21 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 
+from tb2rl.envs.make import changed
 from tb2rl.envs.processes import main_hidden, process_context, processors
-from tb2rl.envs.scene import Scene
+from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.errors import InputError
 from tb2rl.judging.evaluation import Episode, Evaluation
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import Policy, roll_out
 from tb2rl.judging.spaces import check_observes
+from tb2rl.registry import find_task
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
 from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.tasks import Task
+from tb2rl.values import build
 
 EPISODES, STEPS = 100, 1500
 SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
@@ -127,15 +132,20 @@ def evaluate(
     config: Config | None = None,
     settings: Mapping[str, Any] | None = None,
     *,
+    task: str | Task | type[Task] | None = None,
+    observation: str | None = None,
     progress: bool = False,
     **conditions: Any,
 ) -> Evaluation:
     """Evaluate a policy; the standard evaluation unless `conditions` say otherwise.
 
     Args:
-        policy: A loaded policy, a reference that `load` takes, or anything with `predict`.
-        config: What it is to do; None: what it was trained to do.
+        policy: A loaded policy, a reference that `load` takes, or anything with `predict`, such as a model of
+            Stable-Baselines3 that was trained without tb2rl.
+        config: What it is to do; None: the task, else what it was trained to do.
         settings: Changes to the task by name, for example {"world": "circuit"}.
+        task: What it is to do: a task's name, "module:Class", a `Task` or its class; in place of `config`.
+        observation: How it observes that task, "discrete" or "raw"; None: as its observation space says.
         progress: Whether to draw a bar, where there is a terminal.
         conditions: Arguments of `Evaluator`: episodes, steps, seed, workers.
 
@@ -145,10 +155,35 @@ def evaluate(
     """
     if isinstance(policy, str | Path):
         policy = load(policy)
-    config = (config or config_of(policy)).with_task(settings or {})
-    check_observes(policy, config.scene)
-    with Evaluator(config.scene, **conditions) as evaluator:
+    scene = _scene(policy, config, task, observation, settings or {})
+    check_observes(policy, scene)
+    with Evaluator(scene, **conditions) as evaluator:
         return evaluator.run(getattr(policy, "policy", policy), progress)
+
+
+def _scene(
+    policy: Any,
+    config: Config | None,
+    task: str | Task | type[Task] | None,
+    observation: str | None,
+    settings: Mapping[str, Any],
+) -> Scene:
+    """What a policy is to do, see `evaluate`."""
+    if task is None:
+        if observation is not None:
+            raise InputError("observation= goes with task=; else a policy observes as it was trained to")
+        if config is None and not hasattr(policy, "trained_with"):
+            name = type(policy).__name__
+            raise InputError(f"{name} does not come from tb2rl.load or tb2rl.train: name its task, such as task='maze'")
+        return (config or config_of(policy)).with_task(settings).scene
+    if config is not None:
+        raise InputError("name either a config or a task")
+    if observation is None:
+        numbers = isinstance(getattr(policy, "observation_space", None), spaces.Box | spaces.Dict)
+        observation = "raw" if numbers else "discrete"
+    if not isinstance(task, Task):
+        task = build(find_task(task), {}, "task")
+    return make_scene(changed(task, settings), observation)
 
 
 _env: TurtleBot2Env  # of a worker process

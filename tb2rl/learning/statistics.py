@@ -14,6 +14,8 @@ from stable_baselines3.common.logger import TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
+from tb2rl.errors import InputError
+
 _WINDOW = 100  # episodes in a running mean
 
 
@@ -39,6 +41,9 @@ class Statistics(BaseCallback):
         self.lengths.extend(map(int, state["lengths"]))
 
     def _on_step(self) -> bool:
+        if "dones" not in self.locals:  # ARS, which rates whole policies, or an algorithm of a user's own
+            name = type(self.model).__name__
+            raise InputError(f"{name} does not tell its callbacks of every step (rewards, dones, infos), as others do")
         ended = np.flatnonzero(self.locals["dones"])
         for i in ended:
             info = self.locals["infos"][i]

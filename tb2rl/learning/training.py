@@ -23,7 +23,7 @@ from tb2rl.learning.environments import make_vec_env
 from tb2rl.learning.statistics import EpisodeLines, Statistics, TensorBoard
 from tb2rl.learning.troubles import learning_troubles_named, machine_troubles_named
 from tb2rl.learning.watcher import Watcher
-from tb2rl.runs.algorithm import check_learns, make_algorithm
+from tb2rl.runs.algorithm import check_device, check_learns, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
@@ -34,7 +34,7 @@ from tb2rl.tasks import Task
 
 
 def train(
-    agent: str | None = None,
+    agent: str | type[BaseAlgorithm] | None = None,
     task: str | type[Task] | None = None,
     *,
     preset: str | None = None,
@@ -47,8 +47,9 @@ def train(
     """Train an agent and leave a run folder.
 
     Args:
-        agent: Its name in the registry, or "module:Class".
-        task: The task's name, or "module:Class".
+        agent: Its name in the registry, "module:Class", or the class of its algorithm.
+        task: The task's name, "module:Class", or its class. A class of a notebook or of a script is found again there;
+            for a run that is to be loaded anywhere else, save the class in a file.
         preset: The name of a file in `configs`, or the path of one.
         settings: Single settings by dotted key, such as {"task.world": "circuit"}.
         folder: The run folder; None: `runs/<task>/<agent>/<date and time>`.
@@ -141,7 +142,9 @@ def _train(
 ) -> Training:
     settings = config.train
     check_learns(config)
+    check_device(config)
     with machine_troubles_named(folder), ExitStack() as resources:
+        resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
         th.set_num_threads(settings.torch_threads)
         env = make_vec_env(config)
         resources.callback(env.close)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Mapping
-from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -106,14 +105,18 @@ class Watcher(BaseCallback):
         return self._largest_value() > _DIVERGED * self._largest_reward / (1.0 - gamma)
 
     def _largest_value(self) -> float:
-        """The largest value that the policy now expects, 0 where it has no values, or needs a memory for them."""
-        policy: Any = self.model.policy
+        """The largest value that the policy now expects, 0 where it has no values."""
+        model: Any = self.model
+        policy = model.policy
         if hasattr(policy, "q"):
             return float(policy.q.abs().max())
         with th.no_grad():
-            observations = policy.obs_to_tensor(self.model._last_obs)[0]
+            observations = policy.obs_to_tensor(model._last_obs)[0]
             if hasattr(policy, "q_net"):
                 return float(policy.q_net(observations).abs().max())
-            if hasattr(policy, "predict_values") and len(signature(policy.predict_values).parameters) == 1:
+            if hasattr(model, "_last_lstm_states"):  # the values depend on what is remembered, too
+                begins = th.as_tensor(model._last_episode_starts, dtype=th.float32, device=model.device)
+                return float(policy.predict_values(observations, model._last_lstm_states.vf, begins).abs().max())
+            if hasattr(policy, "predict_values"):
                 return float(policy.predict_values(observations).abs().max())
         return 0.0

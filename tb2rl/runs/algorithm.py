@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -38,14 +39,14 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
     """
     agent = agent_for(config.agent_name, config.scene.observation_space)
     check_learns(config)
-    _check_device(config.train.device)
+    device = _device(config.train.device)
     try:
         with _few_weights():
             return import_object(str(agent.algorithm))(
                 agent.policy,
                 env,
                 seed=config.train.seed,
-                device=config.train.device,
+                device=device if _is_here(device) else "cpu",  # a policy drives on any machine
                 **algorithm_arguments(config.agent_arguments),
                 **arguments,
             )
@@ -54,10 +55,13 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
 
 
 def check_learns(config: Config) -> None:
-    """Raise an `InputError` if the agent of a config does not learn."""
+    """Raise an `InputError` if the agent of a config does not learn, or not from what the environments tell it."""
     name = config.agent_name
-    if find_agent(name).algorithm is None:
+    algorithm = find_agent(name).algorithm
+    if algorithm is None:
         raise InputError(f"agent {name} does not learn; try it with `python -m tb2rl.evaluate --agent {name}`")
+    if "action_masks" in inspect.signature(import_object(algorithm).predict).parameters:
+        raise InputError(f"agent {name} needs masks of the actions that are allowed, and here all of them always are")
 
 
 def refusal(config: Config, reason: str) -> InputError:
@@ -95,13 +99,28 @@ def _few_weights() -> Iterator[None]:
         hook.remove()
 
 
-def _check_device(name: str) -> None:
-    try:  # a table has no use for one, and yet it should exist
-        kind = get_device(name).type
+def check_device(config: Config) -> None:
+    """Raise an `InputError` if the device that a config trains on is not there: on another one it would take longer."""
+    name = config.train.device
+    if not _is_here(_device(name)):
+        raise InputError(f"train.device {name!r} cannot be used: torch finds none on this machine; take cpu or auto")
+
+
+def _device(name: str) -> th.device:
+    """The device of a name, whether it is there or not: a table has no use for one, and yet its name should exist."""
+    try:
+        device = get_device(name) if name == "auto" else th.device(name)
     except (RuntimeError, ValueError, TypeError) as error:
         raise InputError(one_line(f"train.device {name!r} cannot be used: {error}")) from None
-    if kind not in ("cpu", "cuda", "mps"):
+    if device.type not in ("cpu", "cuda", "mps"):
         raise InputError(f"train.device {name!r} cannot be used: take cpu, cuda or auto")
+    return device
+
+
+def _is_here(device: th.device) -> bool:
+    if device.type == "cuda":
+        return (device.index or 0) < th.cuda.device_count()
+    return device.type != "mps" or th.backends.mps.is_available()
 
 
 def make_baseline(config: Config) -> BasePolicy:

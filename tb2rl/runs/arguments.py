@@ -15,10 +15,11 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import torch as th
 from annotated_types import Gt, Le
 from gymnasium import spaces
+from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.utils import LinearSchedule
 
 from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.registry import Agent, find_agent, import_object
+from tb2rl.registry import ANY_POLICY, Agent, find_agent, import_object
 from tb2rl.values import build, checked
 
 LIBRARY_ERRORS = (  # what torch, numpy and Stable-Baselines3 raise for values of the right type that do not fit
@@ -30,16 +31,31 @@ _GIVEN_BY_TRAIN = {
     "observation_space", "action_space", "replay_buffer_class", "replay_buffer_kwargs", "rollout_buffer_class",
     "rollout_buffer_kwargs",
 }  # fmt: skip
+_SMALLEST_IMAGE = 36  # rows or columns that Stable-Baselines3's convolutions need
 _GIVEN = {  # to policies and what they are made of; the last two are for CUDA graphs and for gradients of gradients
     "self", "observation_space", "action_space", "lr_schedule", "params", "capturable", "differentiable",
 }  # fmt: skip
 
 
 def agent_for(name: str, observation_space: spaces.Space) -> Agent:
-    """The agent of a name, with a policy that reads such observations: an image beside numbers needs another one."""
+    """The agent of a name; if it leaves its policy open, with the one of its algorithm for such observations."""
     agent = find_agent(name)
-    several = isinstance(observation_space, spaces.Dict)
-    return replace(agent, policy="MultiInputPolicy") if several and agent.policy == "MlpPolicy" else agent
+    if agent.algorithm is None or agent.policy != ANY_POLICY:
+        return agent
+    policies = getattr(import_object(agent.algorithm), "policy_aliases", {})
+    # A recurrent algorithm calls them MlpLstmPolicy and so on.
+    fitting = [policy for kind in _networks_for(observation_space) for policy in policies if policy.startswith(kind)]
+    return replace(agent, policy=fitting[0]) if fitting else agent
+
+
+def _networks_for(observation_space: spaces.Space) -> tuple[str, ...]:
+    """How names of policies begin that read such observations, the best first."""
+    if isinstance(observation_space, spaces.Dict):
+        return ("MultiInput",)
+    _, *sides = observation_space.shape or (0,)
+    if is_image_space(observation_space) and min(sides) >= _SMALLEST_IMAGE:
+        return ("Cnn", "Mlp")
+    return ("Mlp",)
 
 
 def check_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any]:

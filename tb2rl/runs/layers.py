@@ -12,7 +12,7 @@ from typing import Any
 
 from tb2rl.errors import InputError
 from tb2rl.files import find_file, parse_yaml, read_yaml, top_folder
-from tb2rl.registry import find_agent, find_task
+from tb2rl.registry import find_agent, find_task, reference_to
 from tb2rl.runs.arguments import is_schedule
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.plain import check_plain, check_sections
@@ -22,7 +22,7 @@ DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
 
 
 def resolve(
-    agent: str | None = None,
+    agent: str | type | None = None,
     task: str | type[Task] | None = None,
     preset: str | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -30,7 +30,7 @@ def resolve(
     """Put the layers together and check the result.
 
     Args:
-        agent: The agent's name; None: the preset's, else `DEFAULT_AGENT`.
+        agent: The agent's name, or its algorithm; None: the preset's, else `DEFAULT_AGENT`.
         task: The task's name, or its class; None: the preset's, else `DEFAULT_TASK`.
         preset: The name of a file in `configs`, or the path of one.
         settings: Single settings by dotted key, such as {"agent.gamma": 0.9}.
@@ -42,9 +42,9 @@ def resolve(
     single = _nest(settings or {})
     for layer in (chosen, single):
         check_plain(layer, "")
+    agent = reference_to(agent) if isinstance(agent, type) else agent
+    task = reference_to(task) if isinstance(task, type) else task
     agent = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
-    if isinstance(task, type):
-        task = f"{task.__module__}:{task.__qualname__}"
     task = task or _first("name", single, chosen, "task") or DEFAULT_TASK
     find_agent(agent), find_task(task)  # say that a name is unknown before anything else
     simulation = _first("simulation", single, chosen, "train")

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 
+import gymnasium as gym
 import numpy as np
 import pytest
+import torch as th
+from stable_baselines3 import A2C
 
 from tb2rl import evaluate, make_env
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.registry import agent_names, find_agent, find_world
-from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
 from tb2rl.tasks.wander import Wander
 
@@ -29,6 +32,15 @@ def test_the_result_does_not_depend_on_the_number_of_processes(name, outcomes):
     )
     assert outcomes(alone) == outcomes(shared)
     assert alone.summary() == shared.summary()
+
+
+def test_a_memory_is_kept_in_every_process(outcomes):
+    settings = {"task.observation": "raw", "train.n_envs": 1, "agent.policy_kwargs.lstm_hidden_size": 8}
+    config = resolve("sb3_contrib:RecurrentPPO", settings=settings)
+    policy = make_algorithm(config, Spaces.vectorised(config))
+    th.nn.init.normal_(policy.policy.action_net.weight)  # else it does the same everywhere
+    alone, shared = (evaluate(policy, config, episodes=3, steps=40, workers=workers) for workers in (1, 2))
+    assert outcomes(alone) == outcomes(shared)
 
 
 def test_the_same_evaluation_twice_gives_the_same_result(run, outcomes):
@@ -148,8 +160,8 @@ def test_observations_may_be_mappings(pictured, ahead):
     assert evaluate(policy, config, episodes=2, steps=5, workers=1).summary()["episodes"] == 2
 
 
-def test_a_policy_of_unknown_origin_needs_a_config():
-    with pytest.raises(InputError, match="no config"):
+def test_a_policy_of_unknown_origin_needs_a_task():
+    with pytest.raises(InputError, match=r"object does not come from .*: name its task, such as task='maze'"):
         evaluate(object())
 
 
@@ -158,3 +170,48 @@ def test_settings_change_the_task(run):
     assert (evaluation.task.world, evaluation.scene.world.name, evaluation.task.noise) == ("circuit", "circuit", 0.1)
     with pytest.raises(InputError, match="did you mean 'world'"):
         evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)
+
+
+# ---- models that were trained without tb2rl
+
+
+@pytest.fixture
+def own():
+    """A function that makes an untrained model of Stable-Baselines3 for an environment of Gymnasium's."""
+    return lambda **arguments: A2C("MlpPolicy", gym.make("tb2rl:TurtleBot2Maze-v0", **arguments))
+
+
+@pytest.mark.parametrize("observation", ["raw", "discrete"])
+@pytest.mark.parametrize("task", ["maze", Wander, Wander(start_clearance=1.0)], ids=["name", "class", "task"])
+def test_a_model_of_ones_own_is_evaluated_at_a_task(observation, task, own, outcomes):
+    model = own(observation=observation, simulation="kinematic")
+    config = resolve("random", settings={"task.observation": observation})
+    if isinstance(task, Wander):
+        config = config.with_task({"start_clearance": 1.0})
+    evaluation = evaluate(model, task=task, episodes=2, steps=10, workers=1)
+    assert outcomes(evaluation) == outcomes(evaluate(model, config, episodes=2, steps=10, workers=1))
+    assert evaluation.scene.observation == observation
+
+
+def test_the_task_of_a_model_of_ones_own_has_settings(own):
+    model = own(observation="raw", simulation="kinematic", beams=9)
+    evaluation = evaluate(model, task="maze", settings={"beams": 9, "world": "circuit"}, episodes=1, steps=3, workers=1)
+    assert (evaluation.task.world, evaluation.scene.laser.beams) == ("circuit", 9)
+    with pytest.raises(InputError, match="knows the observation Box"):
+        evaluate(model, task="maze", episodes=1, steps=3, workers=1)
+    with pytest.raises(InputError, match="knows the observation Box"):
+        evaluate(model, task="maze", observation="discrete", episodes=1, steps=3, workers=1)
+
+
+def test_a_policy_of_the_zoo_is_evaluated_at_another_task():
+    evaluation = evaluate("zoo:maze-loop-qlearn", task="maze", settings={"world": "circuit"}, episodes=1, steps=3)
+    assert evaluation.task.world == "circuit"
+
+
+def test_what_a_model_of_ones_own_is_to_do_is_said_once(own, run):
+    with pytest.raises(InputError, match=r"A2C does not come from tb2rl.load or tb2rl.train: name its task"):
+        evaluate(own(observation="raw", simulation="kinematic"))
+    with pytest.raises(InputError, match="either a config or a task"):
+        evaluate(run, resolve(), task="maze")
+    with pytest.raises(InputError, match="observation= goes with task="):
+        evaluate(run, observation="raw")

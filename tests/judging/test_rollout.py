@@ -13,7 +13,7 @@ import torch as th
 from tb2rl import make_env
 from tb2rl.errors import InputError
 from tb2rl.judging.rollout import roll_out
-from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
 
 
@@ -92,6 +92,35 @@ def test_a_recurrent_policy_gets_back_what_it_remembers(env):
         for _ in range(4):
             next(moments)
     assert policy.given == [None, 1, 2, 3] * 2, "an episode begins without memories"
+
+
+@pytest.fixture
+def remembering():
+    """A network with a memory, without training, whose actions depend on what it remembers."""
+    settings = {"task.observation": "raw", "train.n_envs": 1, "agent.policy_kwargs.lstm_hidden_size": 8}
+    config = resolve("sb3_contrib:RecurrentPPO", settings=settings)
+    policy = make_algorithm(config, Spaces.vectorised(config)).policy
+    th.manual_seed(5)  # one that does not run into the next wall
+    for parameter in (*policy.lstm_actor.parameters(), *policy.action_net.parameters()):
+        th.nn.init.normal_(parameter)
+    return policy
+
+
+def test_a_network_with_a_memory_drives_as_stable_baselines_lets_it(remembering):
+    with closing(make_env("maze", "raw", episode_steps=60)) as env:
+        driven = [int(moment.action) for moment in roll_out(env, remembering, seed=5)]
+        observation, _ = env.reset(seed=5)
+        expected, forgotten, memory, over = [], [], None, False
+        while not over:
+            forgotten.append(int(remembering.predict(observation, deterministic=True)[0]))
+            begins = np.array([memory is None])
+            action, memory = remembering.predict(observation, memory, episode_start=begins, deterministic=True)
+            expected.append(int(action))
+            observation, _, terminated, truncated, _ = env.step(action)
+            over = terminated or truncated
+    assert driven == expected
+    assert driven[0] == forgotten[0]
+    assert driven != forgotten, "what it remembers makes a difference"
 
 
 def test_an_action_that_does_not_exist_is_refused(env):

@@ -13,6 +13,7 @@ SB3, CONTRIB = "stable_baselines3", "sb3_contrib"
 ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2}
 OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 200, "agent.batch_size": 16}  # full when it is saved
 EXPLORING = {"agent.use_sde": True}  # with matrices of noise, drawn once a rollout
+MEMORY = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.noise": 0.01}
 ALGORITHMS = {
     "A2C": (f"{SB3}:A2C", "maze", {"agent.n_steps": 8}),
@@ -31,6 +32,11 @@ ALGORITHMS = {
     "SAC, noisy": (f"{SB3}:SAC", "my_tasks:Glide", {**OFF_POLICY, **EXPLORING, "agent.train_freq": 8}),
     "QRDQN": (f"{CONTRIB}:QRDQN", "maze", OFF_POLICY),
     "TQC": (f"{CONTRIB}:TQC", "my_tasks:Glide", OFF_POLICY),
+    "CrossQ": (f"{CONTRIB}:CrossQ", "my_tasks:Glide", OFF_POLICY),
+    "TRPO": (f"{CONTRIB}:TRPO", "maze", {"agent.n_steps": 16, "agent.batch_size": 32}),
+    "RecurrentPPO": (f"{CONTRIB}:RecurrentPPO", "maze", {**ON_POLICY, **MEMORY}),
+    "RecurrentPPO, an image": (f"{CONTRIB}:RecurrentPPO", "my_tasks:Pictured", {**ON_POLICY, **MEMORY}),
+    "RecurrentPPO, noisy": (f"{CONTRIB}:RecurrentPPO", "my_tasks:Glide", {**ON_POLICY, **MEMORY, **EXPLORING}),
     "TQC, noisy": (f"{CONTRIB}:TQC", "my_tasks:Glide", {**OFF_POLICY, **EXPLORING}),
 }
 SOON = {  # for a training of 2048 steps
@@ -41,6 +47,7 @@ SOON = {  # for a training of 2048 steps
 
 
 TWIN_ONLY = {"A2C, noisy", "PPO, often noisy", "DQN, three steps", "SAC, fixed entropy", "TQC, noisy"}
+TWIN_ONLY |= {"TRPO", "CrossQ", "RecurrentPPO, an image", "RecurrentPPO, noisy"}
 TWIN = [pytest.param(name, "kinematic", 4, id=f"{name} in the twin") for name in ALGORITHMS]
 PYBULLET = [
     pytest.param(name, "bullet", 2, id=f"{name} in PyBullet", marks=() if name == "SAC" else pytest.mark.slow)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
+import torch as th
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tb2rl import load
 from tb2rl.envs.processes import ProcessVecEnv
+from tb2rl.errors import InputError
 from tb2rl.learning import training
 from tb2rl.learning.training import train_config
+from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
+from tb2rl.runs.folder import Run
 
 BULLET = {"simulation": "bullet", "total_timesteps": 300, "n_envs": 1}
 
@@ -81,3 +86,33 @@ def test_training_may_have_a_time_limit_of_its_own(simulation, small, tmp_path):
     config = small(**{**BULLET, "simulation": simulation, "episode_steps": 4})
     assert max(train_config(config, tmp_path / "run").lengths) == 4
     assert load(tmp_path / "run").trained_with.task.episode_steps > 4
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_torch_gets_its_threads_back(fails, small, tmp_path, monkeypatch):
+    during, before = [], th.get_num_threads()
+    if fails:
+        monkeypatch.setattr(training, "make_algorithm", lambda *_: during.append(th.get_num_threads()) or 1 / 0)
+    else:
+        make = training.make_algorithm
+        monkeypatch.setattr(training, "make_algorithm", lambda *a: during.append(th.get_num_threads()) or make(*a))
+    th.set_num_threads(3)
+    try:
+        with pytest.raises(ZeroDivisionError) if fails else nullcontext():
+            train_config(small(torch_threads=2), tmp_path / "run")
+        assert (during, th.get_num_threads()) == ([2], 3)
+    finally:
+        th.set_num_threads(before)
+
+
+@pytest.mark.parametrize("device", ["cuda", "cuda:99", "mps"])
+def test_a_device_that_is_not_there_trains_nothing_and_loads_all_the_same(device, small, tmp_path, monkeypatch):
+    monkeypatch.setattr(th.cuda, "device_count", lambda: 0)
+    monkeypatch.setattr(th.backends.mps, "is_available", lambda: False)
+    config = small("stable_baselines3:A2C", device=device)
+    run = Run.create(tmp_path / "run", config)
+    run.save(make_algorithm(config, Spaces.vectorised(config)), "final/policy")  # as if another machine had trained it
+    assert load(run.folder).device.type == "cpu"
+    with pytest.raises(InputError, match=f"train.device '{device}' cannot be used: torch finds none"):
+        train_config(config, tmp_path / "another")
+    assert not (tmp_path / "another").exists()

@@ -98,3 +98,9 @@ def test_an_error_in_a_task_keeps_its_traceback(small, tmp_path, monkeypatch):
         with pytest.raises(ValueError, match="could not be broadcast") as bug:
             train_config(config, tmp_path / simulation)
         assert not isinstance(bug.value, InputError)
+
+
+def test_an_algorithm_that_does_not_tell_of_its_steps_is_refused(small, tmp_path):
+    with pytest.raises(InputError, match="ARS does not tell its callbacks of every step") as refused:
+        train_config(small("sb3_contrib:ARS"), tmp_path / "run")
+    assert "\n" not in str(refused.value)

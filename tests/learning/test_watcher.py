@@ -39,6 +39,18 @@ def test_a_network_whose_values_run_away_is_named(small, tmp_path, capsys):
     assert ADVICE["values"] in capsys.readouterr().err
 
 
+def test_the_values_of_a_network_with_a_memory_are_watched_too(small, tmp_path, capsys):
+    settings = {
+        "agent.learning_rate": 1000.0,
+        "agent.gamma": 0.5,
+        "agent.n_steps": 16,
+        "agent.policy_kwargs.lstm_hidden_size": 8,
+    }
+    config = small("sb3_contrib:RecurrentPPO", settings=settings, n_envs=8, total_timesteps=256)
+    train_config(config, tmp_path / "run")
+    assert ADVICE["values"] in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("agent", ["qlearn", "ppo"])
 def test_a_training_that_learns_is_left_alone(agent, small, tmp_path, capsys):
     training = train_config(small(agent, n_envs=64, total_timesteps=150_000), tmp_path / "run")

@@ -71,6 +71,10 @@ def test_what_a_library_refuses_is_one_line_that_names_the_settings(agent, setti
     assert [key for key in settings if key.removeprefix("agent__") not in message] == []
 
 
+def test_an_algorithm_that_wants_masks_of_actions_is_refused(refused):
+    assert "agent sb3_contrib:MaskablePPO needs masks" in refused(make, "sb3_contrib:MaskablePPO")
+
+
 @pytest.mark.parametrize("device", ["nowhere", "meta", "cpu:x", ""])
 def test_a_device_that_cannot_be_used_is_refused(device, refused):
     assert "train.device" in refused(make, "ppo", train__device=device)

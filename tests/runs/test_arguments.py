@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
@@ -86,3 +87,23 @@ def test_an_image_beside_numbers_needs_a_policy_that_reads_both():
     assert agent_for("dqn", box).policy == "MlpPolicy"
     assert agent_for("dqn", spaces.Dict(numbers=box)).policy == "MultiInputPolicy"
     assert agent_for("qlearn", spaces.Dict(numbers=box)).policy == "QTable"
+    assert agent_for("wallfollower", box).policy == find_agent("wallfollower").policy
+
+
+def test_an_algorithm_has_its_own_names_for_its_policies():
+    box, agent = spaces.Box(0.0, 1.0, (3,)), "sb3_contrib:RecurrentPPO"
+    assert agent_for(agent, box).policy == "MlpLstmPolicy"
+    assert agent_for(agent, spaces.Dict(numbers=box)).policy == "MultiInputLstmPolicy"
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "side", "policy"),
+    [
+        ("stable_baselines3:PPO", 36, "CnnPolicy"),
+        ("stable_baselines3:PPO", 35, "MlpPolicy"),  # too small for the convolutions
+        ("sb3_contrib:RecurrentPPO", 36, "CnnLstmPolicy"),
+        ("sb3_contrib:CrossQ", 36, "MlpPolicy"),  # which has no other
+    ],
+)
+def test_one_image_is_read_by_convolutions_where_there_are_some(algorithm, side, policy):
+    assert agent_for(algorithm, spaces.Box(0, 255, (1, 36, side), np.uint8)).policy == policy

@@ -1,0 +1,124 @@
+"""What is defined in a script or in a notebook's cell is trained with, and comes back where it is still defined."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from tb2rl import load, train
+from tb2rl.errors import InputError
+from tb2rl.registry import import_object
+from tb2rl.runs.layers import resolve
+
+MINE = """
+    from dataclasses import dataclass
+
+    from stable_baselines3 import A2C
+
+    import tb2rl
+    from tb2rl.sensors import Sensor
+    from tb2rl.tasks.wander import Wander
+
+    class Speed(Sensor):
+        name, unit, low, high = "speed", "m/s", -1.0, 1.0
+
+        def read(self, reading):
+            return reading.twist[:, :1]
+
+    @dataclass(frozen=True)
+    class Hurry(Wander):
+        hurry: float = 2.0
+
+        def sensors(self, setup):
+            return (*super().sensors(setup), Speed())
+
+        def judge(self, before, action, after):
+            outcome = super().judge(before, action, after)
+            outcome.reward[:] = self.hurry * after.twist[:, 0]
+            return outcome
+
+    class Mine(A2C):
+        pass
+    """
+USED = """
+    few = dict(n_envs=2, simulation="SIMULATION", total_timesteps=32, eval_freq=32, eval_episodes=2, eval_steps=5)
+    settings = {"agent.n_steps": 8, "task.beams": 9}
+    trained = tb2rl.train(Mine, Hurry, folder="run", settings=settings, **few)
+    policy = tb2rl.load("run")
+    assert type(trained) is type(policy) is Mine
+    assert type(policy.trained_with.task) is Hurry
+    assert policy.observation_space.names == ("laser",) * 9 + ("speed",)
+    shared = tb2rl.evaluate(policy, episodes=2, steps=5, workers=2)
+    assert shared.summary() == tb2rl.evaluate(policy, episodes=2, steps=5, workers=1).summary()
+    print("names", policy.trained_with.agent_name, policy.trained_with.task_name)
+    """
+SAYS = "names __main__:Mine __main__:Hurry"
+
+
+def elsewhere(run: Path) -> str:
+    """What loading a run says in a program that has no such class."""
+    with pytest.raises(InputError) as refused:
+        load(run)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+def test_classes_of_main_are_trained_with(tmp_path, monkeypatch):
+    defined = {"__name__": "__main__"}
+    exec(dedent(MINE), defined)
+    for name in ("Mine", "Hurry"):
+        monkeypatch.setattr(sys.modules["__main__"], name, defined[name], raising=False)
+    few = {"n_envs": 2, "simulation": "kinematic", "total_timesteps": 32, "eval_freq": 0}
+    trained = train(defined["Mine"], defined["Hurry"], folder=tmp_path / "run", settings={"agent.n_steps": 8}, **few)
+    assert type(load(tmp_path / "run")) is type(trained) is defined["Mine"]
+    assert type(trained.trained_with.task) is defined["Hurry"]
+    monkeypatch.undo()
+    assert "save __main__:Mine in a file, and name it module:Mine" in elsewhere(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_a_script_trains_with_its_own_classes_in_processes(tmp_path):
+    code = dedent(MINE) + dedent(USED).replace("SIMULATION", "bullet")
+    (tmp_path / "script.py").write_text(code)  # without a guard against being run again
+    command = [sys.executable, "-W", "ignore", "script.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100)
+    assert (done.returncode, done.stdout.splitlines()[-1:]) == (0, [SAYS]), done.stderr
+    assert "in a file" in elsewhere(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_a_notebook_trains_with_the_classes_of_its_cells(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Jupyter's own packages
+        from nbclient import NotebookClient
+        from nbformat.v4 import new_code_cell, new_notebook
+
+        used = USED.replace("SIMULATION", "kinematic")
+        notebook = new_notebook(cells=[new_code_cell(dedent(part)) for part in (MINE, used)])
+        NotebookClient(notebook, timeout=100, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    printed = [output["text"] for output in notebook.cells[1].outputs if output.get("name") == "stdout"]
+    assert SAYS in "".join(printed)
+    assert "in a file" in elsewhere(tmp_path / "run")
+
+
+@pytest.mark.parametrize("what", ["Nothing", "run", "__getattr__", ""])
+def test_only_classes_that_are_there_are_looked_up_and_nothing_is_run(what, monkeypatch):
+    main = sys.modules["__main__"]
+    for name in ("run", "__getattr__"):
+        monkeypatch.setattr(main, name, lambda *_: pytest.fail("it was run"), raising=False)
+    with pytest.raises(InputError, match="cannot import '__main__:"):
+        import_object(f"__main__:{what}")
+
+
+def test_a_class_that_its_name_does_not_lead_to_is_refused():
+    class Wander:
+        pass
+
+    Wander.__module__, Wander.__qualname__ = "tb2rl.tasks.wander", "Wander"
+    with pytest.raises(InputError, match="means another class by now"):
+        resolve(task=Wander)
