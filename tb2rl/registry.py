@@ -228,6 +228,9 @@ def _of_main(name: str) -> Any:
     Raises:
         InputError: If it has made no such class, nor such an agent, robot or world.
     """
+    from tb2rl.robots import Robot
+    from tb2rl.worlds import World
+
     found = vars(sys.modules["__main__"]).get(name)
     if not isinstance(found, type | Agent | Robot | World):
         where = f"it was made in another script or notebook; save __main__:{name} in a file, and name it module:{name}"
