@@ -150,7 +150,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.path = [self.reading.pose[0]]
 
     @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # Gymnasium has a plain attribute
+    def spec(self) -> EnvSpec | None:  # Gymnasium has a plain attribute
         """How `gymnasium.make` made it, with the task's time limit."""
         return self._spec
 
