@@ -43,8 +43,7 @@ from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
-from tb2rl.simulation import SIMULATIONS
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation import SIMULATIONS, check_bullet
 from tb2rl.tasks.wander import Wander
 
 BEAMS = (6, 36, 720)
@@ -84,7 +83,6 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     env = TurtleBot2Env(scene)
     rng = np.random.default_rng(0)
     env.reset(seed=0)
-    assert isinstance(env.simulation, BulletSimulation)
     whole, bare = [], []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
@@ -234,7 +232,7 @@ def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], b
     return times, False
 
 
-def _time_bare(simulation: BulletSimulation, commands: np.ndarray) -> float:
+def _time_bare(simulation: Any, commands: np.ndarray) -> float:
     total = 0.0
     for told in commands:
         simulation.set_wheel_speeds(told[None])
@@ -264,9 +262,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--in", nargs="+", dest="simulations", choices=SIMULATIONS, default=["kinematic"],
                         help="where the part trained trains (default: kinematic; bullet takes minutes)")  # fmt: skip
     options = parser.parse_args(arguments)
-    for part in options.parts:
+    for part in options.parts or PARTS:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
+        if part != "twin":
+            check_bullet(f"part {part}")
     if not options.seconds > 0 or options.seeds < 1:
         raise InputError(f"--seconds must be above 0 and --seeds at least 1, got {options.seconds}, {options.seeds}")
     if options.json and not options.json.absolute().parent.is_dir():
