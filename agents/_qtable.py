@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from numba import njit
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 
+from tb2rl.compiled import njit
 from tb2rl.errors import InputError
 
 LARGEST = 50_000_000  # values in a table; 800 MB with their visits

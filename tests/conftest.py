@@ -1,9 +1,14 @@
-"""What the tests of several rooms need: setups by the names of worlds, and readings made by hand."""
+"""What the tests of several rooms need: setups of named worlds, readings made by hand, a user who may not write."""
 
 from __future__ import annotations
 
 import math
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,3 +87,56 @@ def write_package(tmp_path, monkeypatch):
         monkeypatch.syspath_prepend(tmp_path)
 
     return write
+
+
+_NOBODY = 65534
+
+
+class Guest:
+    """A user who may read everything and write next to nothing, as in the image of a container.
+
+    Root takes another user for it, who may still read what root may: Python can stand in root's home.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.is_root, self._locked = os.geteuid() == 0, list[Path]()
+        self.scratch = self.own(folder)
+
+    def own(self, folder: Path) -> Path:
+        """A new folder that this user may write to."""
+        folder.mkdir()
+        if self.is_root:
+            os.chown(folder, _NOBODY, _NOBODY)
+        return folder
+
+    def lock(self, folder: Path) -> None:
+        """Let this user write nowhere in a folder until the test is over."""
+        for place in (folder, *folder.rglob("*/")):
+            if place.is_dir() and not place.is_symlink():
+                self._locked.append(place)
+                place.chmod(0o555)
+
+    def unlock(self) -> None:
+        """Undo it, so that the folders can be removed."""
+        for place in self._locked:
+            place.chmod(0o755)
+
+    def run(self, command: Sequence[str], **variables: str) -> subprocess.CompletedProcess[str]:
+        """Run a command as this user: with a home that cannot be, and `scratch` for temporary files."""
+        reading = ["--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search"]
+        user = ["setpriv", f"--reuid={_NOBODY}", f"--regid={_NOBODY}", "--clear-groups", *reading]
+        ours = ("NUMBA", "TB2RL", "XDG", "PYTEST")
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
+        env = {**kept, "HOME": "/nonexistent", "TMPDIR": str(self.scratch), "PYTHONDONTWRITEBYTECODE": "1", **variables}
+        words = [*(user if self.is_root else ()), *command]
+        return subprocess.run(words, cwd=self.scratch, env=env, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def guest(tmp_path):
+    """A `Guest`."""
+    if os.name != "posix" or (os.geteuid() == 0 and not shutil.which("setpriv")):
+        pytest.skip("there is no user here who may not write: that takes setpriv, or not to be root")
+    user = Guest(tmp_path / "scratch")
+    yield user
+    user.unlock()

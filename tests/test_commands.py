@@ -18,7 +18,7 @@ from tb2rl.registry import agent_names, task_names
 from tb2rl.showing import film
 from tb2rl.showing.cameras import CAMERAS
 
-NAMES = ("train", "evaluate", "play", "report", "benchmark", "convert", "zoo.__main__")
+NAMES = ("train", "evaluate", "play", "report", "benchmark", "convert", "warm", "zoo.__main__")
 COMMANDS = {name.removesuffix(".__main__"): import_module(f"tb2rl.{name}") for name in NAMES}
 FILES = {
     "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",

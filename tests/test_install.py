@@ -7,9 +7,12 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import time
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 CHECKOUT = Path(__file__).parent.parent
 USE = """
@@ -41,6 +44,15 @@ IDS = """
 import gymnasium, tb2rl
 env = gymnasium.make("tb2rl:TurtleBot2Maze-v0", simulation="kinematic", disable_env_checker=True)
 print(len([name for name in gymnasium.registry if "TurtleBot2" in name]), env.reset(seed=0)[0].shape)
+"""
+COMPILED = """
+import sys
+from numba.core.dispatcher import Dispatcher
+
+modules = [vars(module) for name, module in sys.modules.items() if name.startswith("tb2rl.")]
+ours = [value for module in modules for value in module.values() if isinstance(value, Dispatcher)]
+assert ours
+print(sum(sum(each.stats.cache_misses.values()) for each in ours))
 """
 PIP = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
 
@@ -77,6 +89,24 @@ def installed(tmp_path_factory):
     return python
 
 
+@pytest.mark.parametrize(
+    ("system", "processor", "python", "required"),
+    [
+        ("linux", "x86_64", "3.11", True),
+        ("linux", "x86_64", "3.12", False),
+        ("linux", "aarch64", "3.11", False),
+        ("darwin", "arm64", "3.11", False),
+        ("win32", "AMD64", "3.11", False),
+    ],
+)
+def test_pybullet_is_required_only_where_it_need_not_be_compiled(system, processor, python, required):
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    (bullet,) = (found for found in map(Requirement, project["dependencies"]) if found.name == "pybullet")
+    machine = {"sys_platform": system, "platform_machine": processor, "python_version": python}
+    assert bullet.marker.evaluate(machine) == required
+    assert [Requirement(each).name for each in project["optional-dependencies"]["bullet"]] == ["pybullet"]
+
+
 @pytest.mark.slow
 def test_a_wheel_has_everything_that_the_checkout_has(installed, tmp_path):
     where, *names = run([installed, "-I", "-c", USE], tmp_path)
@@ -109,13 +139,43 @@ def test_an_installed_report_finds_its_template(installed, tmp_path):
 
 @pytest.mark.slow
 def test_an_installed_policy_drives_in_the_first_cell_of_the_notebook(installed, tmp_path):
-    cells = json.loads((CHECKOUT / "zoo" / "quickstart.ipynb").read_text(encoding="utf-8"))["cells"]
-    first = next("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    assert "zoo:" in first
-    *_, steps, distance = run([installed, "-I", "-c", f"{first}\nprint(env._steps, info['distance'])"], tmp_path)[
-        -1
-    ].split()
+    code = f"{first_cell()}\nprint(env._steps, info['distance'])"
+    steps, distance = run([installed, "-I", "-c", code], tmp_path)[-1].split()
     assert (int(steps), float(distance) > 10.0) == (200, True)
+
+
+@pytest.mark.slow
+def test_what_nobody_may_write_to_drives_and_uses_what_was_compiled_in_the_image(installed, guest, tmp_path):
+    (package,) = Path(installed).parent.parent.glob("lib/*/site-packages/tb2rl")
+    for folder in package.rglob("__pycache__"):
+        shutil.rmtree(folder)
+    guest.lock(package)
+    warnings, _ = drive_as(guest, installed)
+    assert warnings.count("RuntimeWarning: tb2rl:") == 1
+    assert "NUMBA_CACHE_DIR" in warnings
+    guest.unlock()
+    assert "compiled" in run([installed, "-I", "-m", "tb2rl.warm"], tmp_path)[0]
+    guest.lock(package)
+    for simulation in ("kinematic", "bullet"):
+        assert drive_as(guest, installed, simulation) == ("", 0), "nothing is compiled"
+
+
+def first_cell() -> str:
+    """The code of the notebook's first cell."""
+    cells = json.loads((CHECKOUT / "zoo" / "quickstart.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = next("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert 'simulation="kinematic"' in code
+    return code
+
+
+def drive_as(guest, python: str, simulation: str = "kinematic") -> tuple[str, int]:
+    """Run the first cell as a guest: what it says on stderr, and how many functions it compiled."""
+    code = first_cell().replace("kinematic", simulation)
+    started = time.monotonic()
+    done = guest.run([python, "-I", "-c", f"{code}\n{COMPILED}"])
+    assert done.returncode == 0, done.stderr
+    print(f"first cell in {simulation}: {time.monotonic() - started:.1f} s")
+    return done.stderr, int(done.stdout)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ CHECKOUT = Path(__file__).parent.parent
 MODULES = [*(CHECKOUT / "tb2rl").rglob("*.py"), *(CHECKOUT / "agents").glob("*.py"), *(CHECKOUT / "zoo").glob("*.py")]
 ROOMS = sorted(file.parent for file in (CHECKOUT / "tb2rl").glob("*/__init__.py"))
 DOORS = ("agents", "configs", "zoo", "tb2rl/worlds", "tb2rl/robots", "tb2rl/tasks", "tb2rl/sensors")
-FOR_AGENTS = {"tb2rl.registry", "tb2rl.values", "tb2rl.errors"}
+FOR_AGENTS = {"tb2rl.registry", "tb2rl.values", "tb2rl.compiled", "tb2rl.errors"}
 
 
 def lines(module: Path) -> int:
@@ -87,3 +87,7 @@ def test_which_endings_count_as_failed_only_tasks_say():
 
 def test_only_the_physics_imports_pybullet():
     assert mentioning(r"(?m)^\s*(import|from) pybullet") <= {"tb2rl/simulation/physics.py"}
+
+
+def test_only_one_module_takes_numbas_compiler():
+    assert mentioning(r"(?m)^\s*from numba import .*\bnjit|@numba") == set()

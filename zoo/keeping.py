@@ -9,6 +9,7 @@ from tb2rl.errors import InputError
 from tb2rl.files import read_text, write_text
 from tb2rl.judging.evaluator import EPISODES
 from tb2rl.judging.progress import progress, say
+from tb2rl.simulation import check_bullet
 from tb2rl.zoo.building import build
 from tb2rl.zoo.cards import card, table
 from tb2rl.zoo.checking import check
@@ -17,6 +18,7 @@ from tb2rl.zoo.entry import Entry, entries, zoo_folder
 
 def run(options: argparse.Namespace) -> None:
     """Build the zoo or check it; status 1 if a card does not hold."""
+    check_bullet("the zoo, whose cards are of PyBullet,")
     chosen = entries(options.names)
     if options.what == "build":
         _build(chosen, options.again)

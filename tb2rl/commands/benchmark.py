@@ -30,8 +30,7 @@ from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
-from tb2rl.simulation import SIMULATIONS
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation import SIMULATIONS, check_bullet
 from tb2rl.tasks.wander import Wander
 
 BEAMS = (6, 36, 720)
@@ -71,7 +70,6 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     env = TurtleBot2Env(scene)
     rng = np.random.default_rng(0)
     env.reset(seed=0)
-    assert isinstance(env.simulation, BulletSimulation)
     whole, bare = [], []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
@@ -221,7 +219,7 @@ def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], b
     return times, False
 
 
-def _time_bare(simulation: BulletSimulation, commands: np.ndarray) -> float:
+def _time_bare(simulation: Any, commands: np.ndarray) -> float:
     total = 0.0
     for told in commands:
         simulation.set_wheel_speeds(told[None])
@@ -242,9 +240,11 @@ def machine() -> str:
 
 def run(options: argparse.Namespace) -> None:
     """Measure, print a table, write JSON."""
-    for part in options.parts:
+    for part in options.parts or PARTS:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
+        if part != "twin":
+            check_bullet(f"part {part}")
     for simulation in options.simulations:
         if simulation not in SIMULATIONS:
             raise unknown("simulation", simulation, SIMULATIONS)

@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
-from numba import njit
 
+from tb2rl.compiled import njit
 from tb2rl.errors import InputError
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges

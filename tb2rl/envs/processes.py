@@ -30,8 +30,11 @@ PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet", "stable_baselines3.
 
 
 def process_context() -> Any:
-    """How processes start: from a clean server (a plain fork would copy torch's threads), or anew without one."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
+    """How processes start: from a clean server (a plain fork would copy torch's threads), elsewhere than on Linux anew.
+
+    macOS has such a server, too, but its libraries do not bear a fork.
+    """
+    if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,6 +34,7 @@ class Episode:
     actions: np.ndarray  # of each step: shape (length,), whole numbers, or (length, 2), float32
 
 
+_SIMULATION = Literal["bullet", "kinematic"]
 _ARRAYS = ("path", "actions")
 _FIGURES = tuple(field.name for field in fields(Episode) if field.name not in _ARRAYS)
 
@@ -46,11 +47,13 @@ class Evaluation:
         episodes: At least one.
         scene: Where and at which task; its time limit is that of the episodes.
         seed: Of the start poses and of all noise.
+        simulation: "bullet", or "kinematic": where PyBullet is missing, the fast twin is the judge.
     """
 
     episodes: Sequence[Episode]
     scene: Scene
     seed: int
+    simulation: str = "bullet"
 
     @property
     def task(self) -> Task:
@@ -69,6 +72,7 @@ class Evaluation:
             "episodes": len(self.episodes),
             "steps": self.steps,
             "seed": self.seed,
+            "simulation": self.simulation,
             **_rate("failure_free", [not failed for failed in self._each("failed")]),
             **_rate("success", self._each("success")),
             "touch_free_rate": float(np.mean([not touched for touched in self._each("touched")])),
@@ -121,6 +125,7 @@ def kept_evaluation(run: Run) -> Evaluation:
     try:
         episodes = _episodes_from(tree["each"], arrays)
         steps, seed = checked(Count, tree["steps"], "steps"), checked(int, tree["seed"], "seed")
+        simulation = checked(_SIMULATION, tree.get("simulation", "bullet"), "simulation")  # older files do not say it
         task = config_from(tree["config"]).task
     except (LookupError, TypeError, ValueError) as error:  # an InputError is a ValueError
         raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation: {error!s}")) from None
@@ -129,7 +134,7 @@ def kept_evaluation(run: Run) -> Evaluation:
     space = run.config.scene.action_space
     if any(episode.actions.shape[1:] != space.shape for episode in episodes):
         raise InputError(f"{run.folder}: {EVALUATION} has other actions than the task in config.yaml")
-    return Evaluation(episodes, run.config.scene.changed(episode_steps=steps), seed)
+    return Evaluation(episodes, run.config.scene.changed(episode_steps=steps), seed, simulation)
 
 
 def _episodes_from(each: Sequence[Mapping[str, Any]], arrays: Mapping[str, Sequence[np.ndarray]]) -> list[Episode]:

@@ -1,4 +1,7 @@
-"""Driving the episodes of an evaluation, spread over processes; the standard one is the judge of every policy."""
+"""Driving the episodes of an evaluation, spread over processes; the standard one is the judge of every policy.
+
+They drive in PyBullet, or in its fast twin where PyBullet is missing: an `Evaluation` says in which.
+"""
 
 from __future__ import annotations
 
@@ -28,6 +31,7 @@ from tb2rl.judging.spaces import check_observes
 from tb2rl.registry import find_task
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
+from tb2rl.simulation import judge
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Task
 from tb2rl.values import build
@@ -57,14 +61,14 @@ class Evaluator:
         seed: int = SEED,
         workers: int | None = None,
     ) -> None:
-        self.scene, self.seed = scene.changed(episode_steps=steps), seed
+        self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judge()
         draws = GeneratorDraws(np.random.default_rng(seed), episodes)
         self.poses = scene.changed(start="random").task.begin(scene.setup, draws).pose
         workers = min(workers or processors(), episodes)
         self._pool = None
         if workers > 1:
-            pickled = (cloudpickle.dumps(self.scene),)
-            self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_open_env, initargs=pickled)
+            arguments = (cloudpickle.dumps(self.scene), self.simulation)
+            self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_open_env, initargs=arguments)
 
     def run(self, policy: Policy, progress: bool = False) -> Evaluation:
         """Drive all episodes.
@@ -75,10 +79,10 @@ class Evaluator:
         """
         episodes = self._drive_here(policy) if self._pool is None else self._drive_in(self._pool, policy)
         shown = progress_bar(episodes, "evaluating", "episode", total=len(self.poses), shown=progress)
-        return Evaluation(list(shown), self.scene, self.seed)
+        return Evaluation(list(shown), self.scene, self.seed, self.simulation)
 
     def _drive_here(self, policy: Policy) -> Iterator[Episode]:
-        with closing(TurtleBot2Env(self.scene)) as env:
+        with closing(TurtleBot2Env(self.scene, simulation=self.simulation)) as env:
             for i, pose in enumerate(self.poses):
                 yield evaluate_episode(env, policy, pose, self.seed + i)
 
@@ -189,11 +193,11 @@ def _scene(
 _env: TurtleBot2Env  # of a worker process
 
 
-def _open_env(scene: bytes) -> None:
+def _open_env(scene: bytes, simulation: str) -> None:
     global _env
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that asked decides
     th.set_num_threads(1)
-    _env = TurtleBot2Env(pickle.loads(scene))
+    _env = TurtleBot2Env(pickle.loads(scene), simulation=simulation)
 
 
 def _drive_one(policy: Path, pose: np.ndarray, seed: int) -> Episode:

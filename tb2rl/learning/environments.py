@@ -15,6 +15,7 @@ from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.learning.trees import fill
 from tb2rl.runs.config import Config
+from tb2rl.simulation import check_bullet
 
 
 def make_vec_env(config: Config) -> VecEnv:
@@ -24,6 +25,7 @@ def make_vec_env(config: Config) -> VecEnv:
     scene = config.scene if steps is None else config.scene.changed(episode_steps=steps)
     if settings.simulation == "kinematic":
         return BatchVecEnv(scene, settings.n_envs, settings.reward_scale)
+    check_bullet("a training in simulation 'bullet' (unlike 'kinematic', its fast twin)")  # before processes start
     functions: list[Callable[[], gym.Env]] = [partial(_make_env, scene, settings.reward_scale)] * settings.n_envs
     return DummyVecEnv(functions) if len(functions) == 1 else ProcessVecEnv(functions)
 

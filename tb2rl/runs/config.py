@@ -31,7 +31,7 @@ class TrainSettings:
     episodes: Count | None = None  # stop after so many, over all environments, if that comes first
     episode_steps: Count | None = None  # time limit while training, more starts if it is short; None: the task's
     seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
-    simulation: Literal["bullet", "kinematic"] = "bullet"  # what it trains in; evaluations always drive in PyBullet
+    simulation: Literal["bullet", "kinematic"] = "bullet"  # what it trains in; PyBullet judges either way
     n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # environments, shared out among parallel processes
     device: str = "cpu"
     torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # two: 15 % for ppo in the twin, nothing for dqn

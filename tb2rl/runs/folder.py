@@ -59,6 +59,8 @@ class Run:
         try:
             staging.mkdir(parents=True)
             cls(staging, config).write_config()
+            if folder.exists():
+                folder.rmdir()  # it is empty; Windows replaces no folder
             staging.replace(folder)
         except OSError as error:
             raise InputError(f"cannot write the run folder {folder}: {error.strerror}") from None
@@ -222,5 +224,5 @@ def versions() -> dict[str, str]:
 def _version(package: str) -> str:
     try:
         return version(package)
-    except PackageNotFoundError:  # a checkout that is not installed
-        return "unknown"
+    except PackageNotFoundError:  # tb2rl in a checkout, PyBullet where it has no wheel
+        return "not installed"

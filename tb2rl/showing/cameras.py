@@ -10,8 +10,7 @@ from tb2rl.envs.scene import Scene
 from tb2rl.pictures.above import WorldPicture
 from tb2rl.showing.pictures import goal_of
 from tb2rl.showing.shots import Shot
-from tb2rl.showing.stage import Stage
-from tb2rl.simulation import Start
+from tb2rl.simulation import Start, check_bullet
 from tb2rl.worlds.geometry import cast
 
 _CHASE_SIZE = (640, 360)  # [px]
@@ -62,6 +61,9 @@ class ChaseCamera:
     rate = 10  # a picture takes several times as long as one from above
 
     def __init__(self, scene: Scene) -> None:
+        check_bullet("camera 'chase' (unlike 'above')")
+        from tb2rl.showing.stage import Stage  # PyBullet may be missing
+
         self._task, self._stage = scene.task, Stage(scene.setup)
 
     def picture(self, shot: Shot) -> np.ndarray:

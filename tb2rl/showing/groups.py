@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ from tb2rl.errors import InputError
 from tb2rl.judging.statistics import bootstrap_interval
 from tb2rl.runs.config import Config
 from tb2rl.showing.palettes import GROUPS, colours
-from tb2rl.showing.subjects import Subject, without_seed
+from tb2rl.showing.subjects import Subject, shared_path, without_seed
 
 
 @dataclass(frozen=True)
@@ -77,8 +76,8 @@ def grouped(subjects: Iterable[Subject]) -> list[Group]:
 
 def _name(names: Sequence[str], everyone: Sequence[str]) -> str:
     """What the names of some runs have in common, and those of no others."""
-    shared = os.path.commonpath(names)
-    theirs = [name for name in everyone if shared and os.path.commonpath([shared, name]) == shared]
+    shared = shared_path(names)
+    theirs = [name for name in everyone if shared and shared_path([shared, name]) == shared]
     return shared if len(names) == 1 or theirs == list(names) else f"{names[0]} and {len(names) - 1} more"
 
 

@@ -119,8 +119,19 @@ def names_of(folders: Sequence[Path]) -> list[str]:
     """What the page calls runs: the names of zoo entries, of other folders what their paths do not have in common."""
     zoo = top_folder("zoo").resolve()
     others = [folder for folder in folders if folder.parent != zoo]
-    shared = os.path.commonpath([folder.parent for folder in others]) if others else ""
-    return [f"zoo:{folder.name}" if folder.parent == zoo else os.path.relpath(folder, shared) for folder in folders]
+    shared = shared_path([str(folder.parent) for folder in others])
+    return [
+        f"zoo:{folder.name}" if folder.parent == zoo else str(folder.relative_to(shared) if shared else folder)
+        for folder in folders
+    ]
+
+
+def shared_path(paths: Sequence[str]) -> str:
+    """What paths begin with in common; "" where that is nothing, as on two drives of Windows."""
+    try:
+        return os.path.commonpath(paths)
+    except ValueError:
+        return ""
 
 
 def read_subject(folder: Path, name: str, progress: bool = False) -> Subject:

@@ -27,6 +27,8 @@ def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
     table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
     table.add_row("endings", "", ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items()))
     Console().print(table)
+    if evaluation.simulation != "bullet":
+        print("driven in the fast twin, since PyBullet is not installed: these are not PyBullet's figures")
     return summary
 
 

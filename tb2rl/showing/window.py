@@ -17,8 +17,7 @@ from tb2rl.errors import InputError
 from tb2rl.judging.rollout import Moment
 from tb2rl.showing.pictures import goal_of
 from tb2rl.showing.shots import shots
-from tb2rl.showing.stage import show
-from tb2rl.simulation import Start
+from tb2rl.simulation import Start, check_bullet, judge
 
 _RATE = 30  # poses a second
 _OPENING = 60.0  # [s] that a window may take to open
@@ -36,6 +35,9 @@ class Window:
     """
 
     def __init__(self, scene: Scene, camera: str = "above") -> None:
+        check_bullet("the window")
+        from tb2rl.showing.stage import show  # PyBullet may be missing
+
         self._task = scene.task
         context = multiprocessing.get_context("spawn")  # clean, and without torch: it opens in a second
         self._pipe, theirs = context.Pipe()
@@ -74,8 +76,8 @@ class Window:
 
 
 def has_display() -> bool:
-    """Whether windows can be expected to open; only on Linux a variable tells."""
-    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
+    """Whether PyBullet's window can be expected to open; only on Linux a variable tells."""
+    return judge() == "bullet" and (not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY")))
 
 
 def watch(drives: Iterable[Iterator[Moment]], period: float, window: Window, speed: float) -> None:

@@ -1,11 +1,14 @@
 """What moves: robots in their worlds, what they are told, and what they read.
 
 Everything carries a leading robot axis. `bullet` simulates one robot in PyBullet's physics, the judge of every policy;
-`kinematic` is its fast twin, for thousands. Imported from here: worlds, robots, and what all need.
+`kinematic` is its fast twin, for thousands, and judges where PyBullet is missing. Imported from here: worlds, robots,
+and what all need.
 """
 
 from __future__ import annotations
 
+from functools import cache
+from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,7 +19,17 @@ from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
 from tb2rl.simulation.streams import Draws
 
-__all__ = ["SIMULATIONS", "Draws", "Reading", "Setup", "Simulation", "Start", "simulate"]
+__all__ = [
+    "SIMULATIONS",
+    "Draws",
+    "Reading",
+    "Setup",
+    "Simulation",
+    "Start",
+    "check_bullet",
+    "judge",
+    "simulate",
+]
 
 SIMULATIONS = ("bullet", "kinematic")
 
@@ -43,15 +56,34 @@ class Simulation(Protocol):
         """Free what the simulation holds."""
 
 
+@cache
+def judge() -> str:
+    """The simulation that evaluations and films drive in: PyBullet's, or the twin where PyBullet cannot be imported."""
+    try:
+        import_module("tb2rl.simulation.physics")
+    except ImportError:
+        return "kinematic"
+    return "bullet"
+
+
+def check_bullet(what: str) -> None:
+    """Raise an `InputError` where PyBullet is missing, which `what` needs."""
+    if judge() != "bullet":
+        raise InputError(
+            f"{what} needs PyBullet, which is not installed: pip install pybullet (it compiles where there is no wheel)"
+        )
+
+
 def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
     """The simulation of a name, with one robot; only what is asked for is imported.
 
     Raises:
-        InputError: For an unknown name, or a window that cannot be.
+        InputError: For an unknown name, a window that cannot be, or PyBullet where it is not installed.
     """
     if name not in SIMULATIONS:
         raise unknown("simulation", name, SIMULATIONS)
     if name == "bullet":
+        check_bullet("simulation 'bullet' (unlike its fast twin 'kinematic')")
         from tb2rl.simulation.bullet import BulletSimulation
 
         return BulletSimulation(setup, window)

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from tb2rl.compiled import njit
 from tb2rl.robots import robot
 from tb2rl.simulation.setup import PARAMETERS, PHYSICS_RATE, WORLD
 from tb2rl.simulation.streams import normal

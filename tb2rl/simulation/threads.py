@@ -17,7 +17,7 @@ from typing import Any
 import numba
 
 # As many as this process may use processors, or as the shell's variable of this name says.
-THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+THREADS: int = numba.config.NUMBA_NUM_THREADS
 
 
 def share_out(work: Callable[..., Any], count: int, *arguments: Any) -> None:

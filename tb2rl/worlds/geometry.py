@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from tb2rl.compiled import njit
 
 _PARALLEL = 1e-12  # direction components below this count as parallel to a side; avoids 0 / 0
 

@@ -14,7 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tb2rl.envs.make import make_env
-from tb2rl.envs.processes import ProcessVecEnv
+from tb2rl.envs.processes import ProcessVecEnv, process_context
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
@@ -142,3 +142,19 @@ def test_close_ends_the_processes():
     env.close()
     assert not started & set(multiprocessing.active_children())
     env.close()  # once more does no harm
+
+
+def test_only_on_linux_processes_come_from_a_fork(monkeypatch):
+    assert process_context().get_start_method() == ("forkserver" if sys.platform == "linux" else "spawn")
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert process_context().get_start_method() == "spawn"
+
+
+@pytest.mark.slow
+def test_processes_that_start_anew_serve_as_well(monkeypatch):
+    monkeypatch.setattr("tb2rl.envs.processes.process_context", lambda: multiprocessing.get_context("spawn"))
+    env = ProcessVecEnv([partial(make_env, simulation="kinematic")] * 2, processes=2)
+    env.reset()
+    _, rewards, _, infos = env.step(np.zeros(2, dtype=int))
+    env.close()
+    assert (rewards.shape, len(infos)) == ((2,), 2)

@@ -124,6 +124,17 @@ def test_what_is_kept_is_read_back(keep, outcomes):
     assert [each["failed"] for each in written["each"]] == [episode.failed for episode in back.episodes]
 
 
+def test_an_evaluation_says_in_which_simulation_it_drove(keep, monkeypatch):
+    monkeypatch.setattr("tb2rl.judging.evaluator.judge", lambda: "kinematic")  # as where PyBullet is missing
+    folder = keep()
+    assert json.loads((folder / EVALUATION).read_text())["simulation"] == "kinematic"
+    assert kept_evaluation(Run.open(folder)).simulation == "kinematic"
+    changed(folder, lambda tree: tree.pop("simulation"))
+    assert kept_evaluation(Run.open(folder)).simulation == "bullet", "when all were"
+    changed(folder, put("simulation", value="gazebo"))
+    assert_refused(folder, "simulation", "gazebo")
+
+
 def test_continuous_actions_are_read_back(cruise, tmp_path, outcomes):
     config = resolve("stable_baselines3:PPO", cruise)
     policy = make_baseline(resolve("random", cruise, settings={"task.observation": "raw"}))

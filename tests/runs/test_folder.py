@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +25,19 @@ def run(tmp_path) -> Run:
 
 def files(run: Run) -> set[str]:
     return {str(file.relative_to(run.folder)) for file in run.folder.rglob("*") if file.is_file()}
+
+
+def test_an_empty_folder_becomes_the_run_folder_where_folders_replace_no_folders_too(tmp_path, monkeypatch):
+    replace = Path.replace
+
+    def as_on_windows(self, target):
+        if Path(target).is_dir():
+            raise PermissionError(13, "Access is denied")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", as_on_windows)
+    (tmp_path / "run").mkdir()
+    assert files(Run.create(tmp_path / "run", resolve("qlearn"))) == {"config.yaml"}
 
 
 # ---- the config

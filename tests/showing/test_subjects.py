@@ -35,6 +35,14 @@ def test_runs_are_called_by_what_their_paths_do_not_share(seeds, goal_run):
     assert apart[0].endswith("seeds/seed-0")
 
 
+def test_runs_on_two_drives_are_called_by_their_whole_paths(seeds, goal_run, monkeypatch):
+    def two_drives(paths):
+        raise ValueError("Paths don't have the same drive")
+
+    monkeypatch.setattr("os.path.commonpath", two_drives)  # as on Windows
+    assert names_of([seeds / "seed-0", goal_run]) == [str(seeds / "seed-0"), str(goal_run)]
+
+
 @pytest.mark.parametrize(
     ("reference", "said"),
     [

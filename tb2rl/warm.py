@@ -1,0 +1,33 @@
+"""Compile all that gets compiled ahead, for the image of a container.
+
+    python -m tb2rl.warm
+
+Where the compiled code lies: in NUMBA_CACHE_DIR if that is set, else beside the installed files. Both are used later,
+though they cannot be written then.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from tb2rl.errors import ArgumentParser, command
+
+
+@command
+def main(arguments: list[str] | None = None) -> None:
+    """Do a little of all that needs compiled code: train in the twin, evaluate, film."""
+    ArgumentParser(prog="python -m tb2rl.warm", description=(__doc__ or "").splitlines()[0]).parse_args(arguments)
+    from tb2rl.learning.training import train  # only now: it imports what takes seconds
+    from tb2rl.showing.film import film
+
+    with TemporaryDirectory() as folder:
+        short: dict[str, Any] = {"n_envs": 2, "total_timesteps": 64, "eval_episodes": 1, "eval_steps": 2}
+        policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
+        film(policy, Path(folder, "film.gif"), steps=2)
+    print("compiled; what comes next starts without")
+
+
+if __name__ == "__main__":
+    main()
