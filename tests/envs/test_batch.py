@@ -222,9 +222,9 @@ def failure_free_in_the_twin(policy, poses, steps):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["zoo:maze-loop-qlearn", "zoo:maze-loop-dqn"])
 def test_a_policy_is_as_good_in_both_simulations(name):
-    """200 episodes of 1 500 control steps from the same start poses."""
+    """100 episodes of 1 500 control steps from the same start poses."""
     policy = tb2rl.load(name)
-    with Evaluator(config_of(policy).scene, episodes=200) as evaluator:
+    with Evaluator(config_of(policy).scene, episodes=100) as evaluator:
         in_physics = evaluator.run(policy.policy).summary()["failure_free_rate"]
     in_twin = failure_free_in_the_twin(policy, evaluator.poses, evaluator.scene.task.episode_steps)
     assert in_twin == pytest.approx(in_physics, abs=0.02)

@@ -58,7 +58,9 @@ def test_copies_drive_as_each_would_alone(env):
     assert not np.array_equal(alone[:1000], other[:1000])
 
 
-def test_one_that_is_sent_to_a_process_drives_on_there(env):
+@pytest.mark.parametrize("simulation", ["bullet", pytest.param("kinematic", marks=pytest.mark.slow)])
+def test_one_that_is_sent_to_a_process_drives_on_there(simulation):
+    env = _made(simulation)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         there = pool.submit(follow, env, range(STEPS)).result()
     np.testing.assert_array_equal(there, follow(env, range(STEPS)))

@@ -22,7 +22,7 @@ from tb2rl.registry import TASKS, find_agent, find_task, import_object
 from tb2rl.runs.arguments import check_arguments
 from tb2rl.runs.config import TrainSettings
 
-SHARES = 6  # of the extremes, one for each key; with `-m fuzz` each key has all
+SHARES = 12  # of the extremes, one for each key; with `-m fuzz` each key has all
 NAN, INF = float("nan"), float("inf")
 LINE = {"start": 0.1, "end": 0.1, "fraction": 1.0}
 

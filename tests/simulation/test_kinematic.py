@@ -56,7 +56,9 @@ def test_the_rims_speed_up_as_the_robots_numbers_say(told, pushes, together, cou
     np.testing.assert_allclose((speeds[5] - speeds[0]) / 5 * PHYSICS_RATE, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", world_names())
+@pytest.mark.parametrize(
+    "name", [name if name in ("loop", "wall") else pytest.param(name, marks=pytest.mark.slow) for name in world_names()]
+)
 def test_random_commands_end_where_they_do_in_pybullet(name, make_setup, make_bullet, start_at):
     """200 sequences of 5 s in each world, a new command over the whole range of the robot at each control step."""
     setup, rng, count = make_setup(name, beams=2), np.random.default_rng(1), 200
