@@ -42,6 +42,9 @@ class Evaluator:
         steps: Control steps at most in an episode.
         seed: Of the start poses and of all noise.
         workers: Processes; None: one for each processor, 1: this one alone.
+
+    Raises:
+        InputError: If an environment of the scene cannot be opened, for example because of its robot's URDF file.
     """
 
     def __init__(
@@ -58,6 +61,7 @@ class Evaluator:
         workers = min(workers or processors(), episodes)
         self._pool = None
         if workers > 1:
+            TurtleBot2Env(self.scene).close()  # says here, and not in a process that then breaks, what cannot be opened
             pickled = (cloudpickle.dumps(self.scene),)
             self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_open_env, initargs=pickled)
 
