@@ -19,6 +19,7 @@ from typing import Any, get_type_hints
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import find_file, top_folder
 from tb2rl.robots import Robot
+from tb2rl.robots.robot import check_robot
 from tb2rl.tasks import Task
 from tb2rl.worlds import World
 from tb2rl.worlds.readers import READERS, read_world
@@ -107,11 +108,12 @@ def find_robot(name: str) -> Robot:
     """The robot of a name, or of "module:ROBOT".
 
     Raises:
-        InputError: If there is none; the message lists the known ones.
+        InputError: If there is none (the message lists the known ones), or its numbers cannot be those of a robot.
     """
     found = _imported("robot", name) if ":" in name else _find(name, "robot", _robots(), robot_names)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
+    check_robot(found)
     return found
 
 
