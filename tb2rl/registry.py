@@ -140,7 +140,10 @@ def find_world(reference: str) -> World:
     else:
         if not os.path.isfile(code[2]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
             raise InputError(one_line(f"there is no world file {code[2]}"))
-        found = read_world(Path(code[2]), _maker(code[1]))
+        reader = _maker(code[1])
+        if not inspect.signature(reader).parameters:
+            raise InputError(one_line(f"world {reference!r}: {code[1]} reads no file; write {code[1]}"))
+        found = read_world(Path(code[2]), reader)
     if not isinstance(found, World):
         raise InputError(one_line(f"world {reference!r} is not a tb2rl.worlds.World but {type(found).__name__}"))
     return found
