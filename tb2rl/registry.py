@@ -208,6 +208,7 @@ def import_object(reference: str) -> Any:
 
 def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[], list[str]]) -> Any:
     if ":" in name:
+        _check_is_module(name)
         return import_object(name)
     if name not in references:
         raise unknown(kind, name, names())
@@ -217,9 +218,16 @@ def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[
 def _imported(kind: str, reference: str) -> Any:
     """What "module:Name" refers to; the error says what of a task's settings it was to be."""
     try:
+        _check_is_module(reference)
         return import_object(reference)
     except InputError as error:
         raise InputError(f"{kind}: {error}") from None
+
+
+def _check_is_module(reference: str) -> None:
+    module, _, attribute = reference.partition(":")
+    if module.endswith(".py") and module[:-3].isidentifier():
+        raise InputError(f"cannot import {reference!r}: a module has no .py; write {module[:-3]}:{attribute}")
 
 
 def _robots() -> dict[str, str]:

@@ -117,8 +117,8 @@ class World:
         reachable = [part for part in shapely.get_parts(open_space) if part.intersects(start)]
         if not reachable:
             raise InputError(
-                f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to "
-                f"one, so there is no free space around it; move it (if task.start_clearance is {clearance:g}, lower it)"
+                f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to one, "
+                f"so there is no free space around it; move it, or lower task.start_clearance if it is {clearance:g}"
             )
         return reachable[0]
 
