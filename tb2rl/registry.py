@@ -114,13 +114,14 @@ def find_robot(name: str) -> Robot:
     """The robot of a name, or of "module:ROBOT".
 
     Raises:
-        InputError: If there is none; the message lists the known ones.
+        InputError: If there is none (the message lists the known ones), or its numbers cannot be those of a robot.
     """
-    from tb2rl.robots import Robot
+    from tb2rl.robots.robot import Robot, check_robot
 
     found = _imported("robot", name) if ":" in name else _find(name, "robot", _robots(), robot_names)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
+    check_robot(found)
     return found
 
 
@@ -150,7 +151,10 @@ def find_world(reference: str) -> World:
     else:
         if not os.path.isfile(code[2]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
             raise InputError(one_line(f"there is no world file {code[2]}"))
-        found = read_world(Path(code[2]), _maker(code[1]))
+        reader = _maker(code[1])
+        if not inspect.signature(reader).parameters:
+            raise InputError(one_line(f"world {reference!r}: {code[1]} reads no file; write {code[1]}"))
+        found = read_world(Path(code[2]), reader)
     if not isinstance(found, World):
         raise InputError(one_line(f"world {reference!r} is not a tb2rl.worlds.World but {type(found).__name__}"))
     return found
@@ -252,6 +256,7 @@ def reference_to(kind: type) -> str:
 
 def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[], list[str]]) -> Any:
     if ":" in name:
+        _check_is_module(name)
         return import_object(name)
     if name not in references:
         raise unknown(kind, name, names())
@@ -261,9 +266,16 @@ def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[
 def _imported(kind: str, reference: str) -> Any:
     """What "module:Name" refers to; the error says what of a task's settings it was to be."""
     try:
+        _check_is_module(reference)
         return import_object(reference)
     except InputError as error:
         raise InputError(f"{kind}: {error}") from None
+
+
+def _check_is_module(reference: str) -> None:
+    module, _, attribute = reference.partition(":")
+    if module.endswith(".py") and module[:-3].isidentifier():
+        raise InputError(f"cannot import {reference!r}: a module has no .py; write {module[:-3]}:{attribute}")
 
 
 def _robots() -> dict[str, str]:

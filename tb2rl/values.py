@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Annotated, Any, TypeVar
 
 from annotated_types import Ge, Gt, Le, Len
-from pydantic import AfterValidator, ConfigDict, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from tb2rl.errors import InputError, one_line, unknown
 
@@ -24,7 +24,21 @@ Count = Annotated[int, Ge(1), Le(2**31 - 1)]
 CountOrZero = Annotated[int, Ge(0), Le(2**31 - 1)]
 Point = tuple[float, float]
 
-Pose = tuple[float, float, float]  # x [m], y [m], yaw [rad]
+
+def _three(value: Any) -> Any:
+    if isinstance(value, list | tuple) and len(value) != 3:
+        raise ValueError("must be [x, y, yaw], in m and rad")
+    return value
+
+
+def _no_object(value: Any) -> Any:
+    if not _is_plain(value):
+        raise ValueError('must be a name, or "module:NAME" of what a file of yours defines')
+    return value
+
+
+Pose = Annotated[tuple[float, float, float], BeforeValidator(_three)]  # x [m], y [m], yaw [rad]
+Name = Annotated[str, BeforeValidator(_no_object)]  # of an object, which a config can only name
 
 
 def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
@@ -35,6 +49,7 @@ def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
 
 Edges = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_increasing)]  # borders of classes
 
+_UNKNOWN = "unexpected_keyword_argument"  # pydantic's word for a key that a dataclass does not have
 _CHECKS = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
@@ -53,6 +68,10 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
         raise InputError(f"{where}: expected a mapping of keys to values, got {values!r}")
     known = [field.name for field in dataclasses.fields(cls) if field.init]  # type: ignore[arg-type]
     for key in values:
+        if key not in known and untyped(cls, key):
+            raise InputError(
+                f"{where}.{key}: a setting needs a type in its class; write {key}: float = ..., or another"
+            )
         if key not in known:
             raise unknown(f"key of {where}", key, known)
     return checked(type_with_checks(cls), dict(values), where)
@@ -72,6 +91,26 @@ def checked(kind: Any, value: Any, where: str) -> Any:
     try:
         return adapter.validate_python(value)
     except ValidationError as error:
-        first = error.errors()[0]
+        found = error.errors()
+        first = next((one for one in found if one["type"] == _UNKNOWN), found[0])
         place = ".".join([where, *map(str, first["loc"])])
-        raise InputError(one_line(f"{place}: {first['msg']}, got {one_line(repr(first['input']), 200)}")) from None
+        missing = ", ".join(str(one["loc"][-1]) for one in found if one["type"] == "missing")
+        said = first["msg"].removeprefix("Value error, ")
+        if missing and first["type"] == _UNKNOWN:
+            said += f" (and {missing} is missing)"
+        raise InputError(one_line(f"{place}: {said}, got {one_line(_shown(first['input']), 200)}")) from None
+
+
+def untyped(cls: type, key: str) -> bool:
+    """Whether a class has an attribute that was meant as a field, `bonus = 5.0`, but for its type."""
+    typed = any(key in vars(base).get("__annotations__", {}) for base in cls.__mro__)
+    return not typed and isinstance(getattr(cls, key, None), bool | int | float | str | tuple | list)
+
+
+def _is_plain(value: Any) -> bool:
+    return value is None or isinstance(value, bool | int | float | str | list | tuple | dict)
+
+
+def _shown(value: Any) -> str:
+    """A value that a user gave; of an object its class alone, for it may hold thousands of numbers."""
+    return repr(value) if _is_plain(value) else f"an object of class {type(value).__name__}"

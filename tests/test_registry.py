@@ -15,6 +15,7 @@ from tb2rl.registry import (
     find_agent,
     find_robot,
     find_task,
+    find_world,
     import_object,
     robot_names,
     task_names,
@@ -172,3 +173,11 @@ def test_an_error_inside_a_users_module_shows_as_it_is(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModuleNotFoundError, match="a_package_that_is_missing"):
         find_agent("my_broken_agent:Mine")
+
+
+@pytest.mark.parametrize(
+    ("find", "kind"), [(find_task, ""), (find_agent, ""), (find_robot, "robot: "), (find_world, "world: ")]
+)
+def test_a_module_with_its_ending_is_refused_with_the_right_words(find, kind):
+    with pytest.raises(InputError, match=rf"^{kind}cannot import 'errand\.py:IT': .* write errand:IT$"):
+        find("errand.py:IT")

@@ -73,6 +73,11 @@ def test_a_world_can_be_made_by_code(my_worlds):
     assert find_world("my_worlds:make") is find_world("my_worlds:POST")
 
 
+def test_a_function_that_reads_nothing_wants_no_path(my_worlds):
+    with pytest.raises(InputError, match="my_worlds:make reads no file; write my_worlds:make"):
+        find_world(f"my_worlds:make:{my_worlds / 'post.radius'}")
+
+
 def test_a_robot_drives_in_a_world_that_code_made(my_worlds):
     env = make_env("maze", "raw", world="my_worlds:POST", start="fixed", beams=1)
     seen, _ = env.reset()

@@ -15,8 +15,8 @@ _NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
 class Nearness(BaseFeaturesExtractor):
     """Distances as nearness 1 / (offset + d), so that a metre counts where it matters; all else scaled to [-1, 1].
 
-    The observation space says which numbers are distances by their unit, "m" (see `tb2rl.envs.encodings.Numbers`); of a
-    plain `Box` all are.
+    The observation space says which numbers are distances: their unit is "m" (see `tb2rl.envs.encodings.Numbers`), and
+    they cannot be below 0. A plain `Box` has no units, so there all that cannot be below 0 are.
 
     Args:
         observation_space: Raw observations.
@@ -39,7 +39,8 @@ class Nearness(BaseFeaturesExtractor):
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
         self.middle, self.spread, self.offset = middle, spread, offset
         units = getattr(observation_space, "units", ("m",) * observation_space.shape[0])
-        self.register_buffer("_is_distance", th.tensor([unit == "m" for unit in units]))
+        distances = [unit == "m" and low >= 0 for unit, low in zip(units, observation_space.low, strict=True)]
+        self.register_buffer("_is_distance", th.tensor(distances))
         self.register_buffer("_largest", th.as_tensor(observation_space.high))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:

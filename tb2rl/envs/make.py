@@ -16,7 +16,7 @@ from tb2rl.envs.vector_env import BatchVectorEnv
 from tb2rl.errors import InputError, UnknownArgumentError
 from tb2rl.registry import find_task
 from tb2rl.tasks import Task
-from tb2rl.values import build
+from tb2rl.values import build, untyped
 
 _ARGUMENTS = ("observation", "render_mode", "simulation")  # of `make_env`, beside the task's settings
 
@@ -35,7 +35,8 @@ def make_env(
         observation: "discrete" or "raw"; None: the policy's, else "discrete".
         render_mode: None, "rgb_array" or "human", see `TurtleBot2Env`.
         simulation: "bullet" (PyBullet's physics) or "kinematic" (its fast twin).
-        settings: Fields of the task to set, for example `world="circuit"`.
+        settings: Fields of the task to set, for example `world="circuit"`; a world or a robot of one's own by its
+            name, "module:WORLD".
 
     Raises:
         InputError: For an unknown name, or a value that does not fit.
@@ -51,7 +52,7 @@ def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> S
     kind = type(what) if isinstance(what, Task) else find_task(what)
     known = [field.name for field in fields(kind)]
     for name in settings:
-        if name not in known:
+        if name not in known and not untyped(kind, name):  # of which `build` says more
             raise UnknownArgumentError("make_env", name, [*_ARGUMENTS, *known])
     task = changed(what, settings) if isinstance(what, Task) else build(kind, settings, "task")
     return make_scene(task, observation or "discrete")

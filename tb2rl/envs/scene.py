@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
+from tb2rl.envs.rehearsal import rehearse
 from tb2rl.errors import InputError, unknown
 from tb2rl.registry import find_robot, find_world
 from tb2rl.robots import Laser, Robot
@@ -105,5 +106,5 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
     setup = Setup(robot, laser, worlds)
     for world in worlds:
         world.free_space(robot.radius)  # says that there is no room at the start
-    task.begin(setup, GeneratorDraws(np.random.default_rng(0)))  # says that a start or a goal cannot be
-    return Scene(task, observation, setup, encode(observation, task.sensors(setup)), task.actions)
+    actions, sensors = rehearse(task, setup)
+    return Scene(task, observation, setup, encode(observation, sensors), actions)

@@ -51,6 +51,9 @@ class Evaluator:
         steps: Control steps at most in an episode.
         seed: Of the start poses and of all noise.
         workers: Processes; None: one for each processor, 1: this one alone.
+
+    Raises:
+        InputError: If an environment of the scene cannot be opened, for example because of its robot's URDF file.
     """
 
     def __init__(
@@ -67,6 +70,8 @@ class Evaluator:
         workers = min(workers or processors(), episodes)
         self._pool = None
         if workers > 1:
+            # Says here, and not in a process that then breaks, what cannot be opened.
+            TurtleBot2Env(self.scene, simulation=self.simulation).close()
             arguments = (cloudpickle.dumps(self.scene), self.simulation)
             self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_open_env, initargs=arguments)
 

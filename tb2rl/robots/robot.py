@@ -7,26 +7,35 @@ of the robot's frame lies on the floor under the middle of the axle.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import Strict
+
+from tb2rl.errors import InputError
+from tb2rl.values import build
 
 # The columns of a robot's parameters, which the compiled kernels read: one row for each robot.
 RADIUS, WHEEL_SEPARATION, MAX_SPEED, MAX_TURN_RATE, WHEEL_ACCELERATION, WHEEL_COUPLING = range(6)
+
+Number = Annotated[float, Strict()]  # and no string that reads like one: the kernels take it as it is
+Above0 = Annotated[Number, Gt(0)]
 
 
 @dataclass(frozen=True)
 class Laser:
     """A planar laser scanner above the middle of the axle; its beams sweep from right to left, both ends included."""
 
-    beams: int = 720
+    beams: Annotated[int, Strict(), Ge(1)] = 720
     indices: tuple[int, ...] | None = None  # the beams that are read, counted from the right; None: all
-    noise: float = 0.0  # [m] standard deviation of the Gaussian on every finite reading
-    field_of_view: float = math.pi  # [rad]
-    min_range: float = 0.1  # [m]
-    max_range: float = 30.0  # [m] nothing within: the reading is inf (REP 117)
+    noise: Annotated[Number, Ge(0)] = 0.0  # [m] standard deviation of the Gaussian on every finite reading
+    field_of_view: Annotated[Above0, Le(math.tau)] = math.pi  # [rad]
+    min_range: Annotated[Number, Ge(0)] = 0.1  # [m]
+    max_range: Above0 = 30.0  # [m] nothing within: the reading is inf (REP 117)
 
     @cached_property
     def angles(self) -> np.ndarray:
@@ -40,9 +49,9 @@ class Laser:
 class Camera:
     """A colour and depth camera that looks along x."""
 
-    position: tuple[float, float, float]  # [m] in the robot's frame
-    field_of_view: float  # [rad] vertical
-    range: tuple[float, float]  # [m] nearest and farthest depth
+    position: tuple[Number, Number, Number]  # [m] in the robot's frame
+    field_of_view: Annotated[Above0, Lt(math.pi)]  # [rad] vertical
+    range: tuple[Above0, Above0]  # [m] nearest and farthest depth
 
 
 @dataclass(frozen=True)
@@ -73,14 +82,14 @@ class Robot:
     name: str
     urdf: Path
     wheel_joints: tuple[str, str]
-    radius: float
-    wheel_radius: float
-    wheel_separation: float
-    wheel_torque: float
-    max_speed: float
-    max_turn_rate: float
-    wheel_acceleration: float
-    wheel_coupling: float
+    radius: Above0
+    wheel_radius: Above0
+    wheel_separation: Above0
+    wheel_torque: Above0
+    max_speed: Above0
+    max_turn_rate: Above0
+    wheel_acceleration: Above0
+    wheel_coupling: Number
     laser: Laser
     camera: Camera
 
@@ -94,3 +103,20 @@ class Robot:
         """Commands (v [m/s], w [rad/s]) cut to what the base can do, shape (..., 2)."""
         fastest = (self.max_speed, self.max_turn_rate)
         return np.clip(commands, np.negative(fastest), fastest)
+
+
+def check_robot(robot: Robot) -> None:
+    """Hold a robot against the types of its fields.
+
+    Raises:
+        InputError: If a number is a string, not finite, or too small or too large to be one of a robot.
+    """
+    build(type(robot), asdict(robot), f"robot {robot.name}")
+    for name, (nearest, farthest) in {
+        "laser.min_range and max_range": (robot.laser.min_range, robot.laser.max_range),
+        "camera.range": robot.camera.range,
+    }.items():
+        if not nearest < farthest:
+            raise InputError(
+                f"robot {robot.name}.{name}: the first must be below the second, got {nearest}, {farthest}"
+            )

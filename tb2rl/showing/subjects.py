@@ -111,7 +111,8 @@ def _folders(reference: str) -> list[Path]:
         return [folder]
     inside = sorted(file.parent for file in folder.glob("*/config.yaml"))
     if not inside:
-        raise InputError(f"{folder} is neither a run folder nor a folder of them: there is no config.yaml in it")
+        deeper = next((f"; take {file.parent.parent}" for file in sorted(folder.rglob("config.yaml"))), "")
+        raise InputError(f"{folder} is neither a run folder nor a folder of them: no config.yaml is in it{deeper}")
     return inside
 
 

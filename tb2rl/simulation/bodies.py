@@ -19,6 +19,7 @@ FLOOR_FRICTION = 1.0  # rubber on a dry floor
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
 WALL_GROUP = 2  # of collisions: what laser rays are to hit
 _EVERYTHING = -1
+_ALIKE = 0.01  # share by which a robot's number and its URDF file's may differ
 _SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
 
 
@@ -126,7 +127,7 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
     """Load a robot's URDF file.
 
     Raises:
-        InputError: If PyBullet cannot load it, or it lacks the wheels' joints.
+        InputError: If PyBullet cannot load it, it lacks the wheels' joints, or its wheels are not those of the robot.
     """
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MERGE_FIXED_LINKS
     try:
@@ -139,6 +140,7 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
     if missing:
         raise InputError(f"robot {robot.name}: {robot.urdf} has no joint {missing[0]!r}; it has {', '.join(names)}")
     wheels = names[robot.wheel_joints[0]], names[robot.wheel_joints[1]]
+    _check_wheels(client, body, wheels, robot)
     # Casters roll: merged into the base, they and it are free of friction. The wheels grip.
     undamped = {"linearDamping": 0.0, "angularDamping": 0.0, "jointDamping": 0.0, "physicsClientId": client}
     pybullet.changeDynamics(body, -1, lateralFriction=0.0, **undamped)
@@ -146,3 +148,33 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
         pybullet.changeDynamics(body, wheel, lateralFriction=1.0, **undamped)
     centre_x, _, centre_z = pybullet.getDynamicsInfo(body, -1, client)[3]
     return RobotBody(client, body, wheels, (centre_x, centre_z))
+
+
+def _check_wheels(client: int, body: int, wheels: tuple[int, int], robot: Robot) -> None:
+    """Hold the wheels of a body that was just loaded against the numbers of its robot, which the twin drives by."""
+    left, right = (pybullet.getLinkState(body, wheel, physicsClientId=client)[4][1] for wheel in wheels)
+    if not left > 0.0 > right:
+        raise InputError(
+            f"robot {robot.name}: wheel_joints names the left wheel (y > 0) and then the right one; "
+            f"{robot.wheel_joints[0]!r} is at y = {left:.4g} m, {robot.wheel_joints[1]!r} at y = {right:.4g} m"
+        )
+    found: list[tuple[str, float, float | None]] = [("wheel_separation", robot.wheel_separation, left - right)]
+    found += [("wheel_radius", robot.wheel_radius, _wheel_radius(client, body, wheel)) for wheel in wheels]
+    for name, said, has in found:
+        if has is not None and abs(said - has) > _ALIKE * has:
+            raise InputError(f"robot {robot.name}: {name} is {said:.4g} m, but {has:.4g} m in {robot.urdf}")
+
+
+def _wheel_radius(client: int, body: int, wheel: int) -> float | None:
+    """The radius of a wheel that collides as a sphere or a cylinder [m]; None for other shapes."""
+    shapes = pybullet.getCollisionShapeData(body, wheel, client)
+    if len(shapes) != 1:
+        return None
+    _, _, kind, sizes, file, *_ = shapes[0]
+    if kind == pybullet.GEOM_SPHERE:
+        return sizes[0]
+    if kind == pybullet.GEOM_MESH and file == b"unknown_file":  # what PyBullet makes of a URDF file's cylinder
+        axis = pybullet.getJointInfo(body, wheel, client)[13]
+        corners = np.array(pybullet.getMeshData(body, wheel, physicsClientId=client)[1])
+        return float(np.linalg.norm(np.cross(corners, axis), axis=1).max())
+    return None

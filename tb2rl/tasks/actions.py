@@ -61,7 +61,7 @@ class Commands(Actions):
         commands: v [m/s] and w [rad/s] by name, at least one.
 
     Raises:
-        InputError: If there is none of them, or a name that is not free, such as `space`.
+        InputError: If there is none of them, one is not two numbers, or a name is not free, such as `space`.
     """
 
     space: spaces.Discrete
@@ -70,7 +70,7 @@ class Commands(Actions):
         if not commands:
             raise InputError("a task needs at least one action")
         self.names = tuple(commands)
-        self.table = np.array(list(commands.values()), dtype=float).reshape(len(commands), 2)
+        self.table = np.array([_pair(command, name, "v [m/s] and w [rad/s]") for name, command in commands.items()])
         self.space = spaces.Discrete(len(self.names))
         self.fastest = float(np.abs(self.table[:, 0]).max())
         taken = [name for name in self.names if hasattr(self, name)]
@@ -115,6 +115,9 @@ class Velocities(Actions):
     Args:
         forward: Slowest and fastest v [m/s].
         turn: Least and largest w [rad/s].
+
+    Raises:
+        InputError: If one is not two numbers, the smaller one first.
     """
 
     space: spaces.Box
@@ -122,7 +125,11 @@ class Velocities(Actions):
     _BARELY = 0.25  # of the largest speed or turn rate: below this it does not count as going or turning
 
     def __init__(self, forward: tuple[float, float], turn: tuple[float, float]) -> None:
-        self.low, self.high = np.array([forward[0], turn[0]]), np.array([forward[1], turn[1]])
+        ranges = [_pair(forward, "forward", "the slowest and the fastest [m/s]")]
+        ranges.append(_pair(turn, "turn", "the least and the largest [rad/s]"))
+        self.low, self.high = np.array(ranges).T
+        if (self.low > self.high).any():
+            raise InputError(f"Velocities takes the smaller number first, got forward={forward}, turn={turn}")
         self.space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.fastest = float(np.abs(forward).max())
 
@@ -149,3 +156,13 @@ class Velocities(Actions):
     def describe(self, action: Any) -> str:
         v, w = self.commands(np.asarray([action]))[0]
         return f"{v:.2f}, {w:+.2f}"
+
+
+def _pair(values: Any, name: str, meaning: str) -> np.ndarray:
+    try:
+        pair = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        pair = np.empty(0)
+    if pair.shape != (2,) or not np.isfinite(pair).all():
+        raise InputError(one_line(f"action {name!r} needs two numbers, {meaning}, got {values!r}"))
+    return pair

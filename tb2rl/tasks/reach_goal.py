@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from tb2rl.errors import InputError
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.goal import GoalBearing, GoalDistance
 from tb2rl.simulation import Draws, Reading, Setup, Start
@@ -42,9 +41,6 @@ class ReachGoal(Wander):
         start = super().begin(setup, draws)
         if self.goal is not None:
             start.goal[:] = self.goal
-        elif np.isnan(start.goal).any():
-            name = setup.worlds[0].name
-            raise InputError(f"world {name} has no goal; set task.goal to [x, y], or a goal in the world's file")
         if self.bounds is not None:
             start.bounds[:] = self.bounds
         return start

@@ -14,7 +14,7 @@ from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
-from tb2rl.values import Count, Edges, NonNegative, Positive
+from tb2rl.values import Count, Edges, Name, NonNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Task(ABC):
 
     goal_task: ClassVar[bool] = False  # whether its episodes succeed at a goal, and not by lasting
 
-    robot: str = "turtlebot2"  # a built-in name, or "module:ROBOT"
-    world: str = "loop"  # a built-in name, the path of a file, "module:reader:path" or "module:WORLD"
+    robot: Name = "turtlebot2"  # a built-in name, or "module:ROBOT"
+    world: Name = "loop"  # a built-in name, the path of a file, "module:reader:path" or "module:WORLD"
     start: Literal["fixed", "random"] = "random"
     start_clearance: Annotated[Positive, Le(100)] = 0.6  # [m] to walls and the bounds, of a random start
     control_period: Annotated[float, Gt(0), Le(60)] = 0.2  # [s] an action lasts

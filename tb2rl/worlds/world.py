@@ -6,14 +6,15 @@ Every obstacle is an oriented box or a round post: laser, physics and pictures a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, one_line
 from tb2rl.values import Point, Pose
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
 
@@ -73,13 +74,23 @@ class World:
             description: One line for people.
 
         Raises:
-            InputError: If there is neither an obstacle nor a rectangle, or the rectangle is empty.
+            InputError: If there is neither an obstacle nor a rectangle, the rectangle is empty, a shape is not what it
+                should be, or the goal is outside or in an obstacle.
         """
-        box_rows, post_rows = _box_rows(boxes), np.array(list(posts), dtype=float).reshape(-1, 3)
-        bounds = bounds or _extent(box_rows, post_rows, name)
+        box_rows = _box_rows(_shapes(boxes, "box", ("x", "y", "length", "width", "yaw"), name))
+        post_rows = np.array(_shapes(posts, "post", ("x", "y", "radius"), name)).reshape(-1, 3)
+        _numbers(start, ("x", "y", "yaw"), f"world {name}: the start")
+        bounds = _extent(box_rows, post_rows, name) if bounds is None else bounds
+        _numbers(bounds, ("x from", "y from", "x to", "y to"), f"world {name}: bounds")
         if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise InputError(f"world {name}: bounds must be x from, y from, x to, y to, got {list(bounds)}")
-        return cls(name, box_rows, post_rows, start, goal, bounds, description)
+        world = cls(name, box_rows, post_rows, start, goal, bounds, description)
+        if goal is not None:
+            x, y, _ = _numbers(goal, ("x", "y", "yaw"), f"world {name}: the goal")
+            if not world.contains((x, y)) or world.clearance(x, y) == 0.0:
+                where = "inside an obstacle" if world.contains((x, y)) else "outside its bounds"
+                raise InputError(f"world {name}: the goal ({x:g}, {y:g}) is {where}")
+        return world
 
     @property
     def obstacles(self) -> BaseGeometry:
@@ -106,8 +117,8 @@ class World:
         reachable = [part for part in shapely.get_parts(open_space) if part.intersects(start)]
         if not reachable:
             raise InputError(
-                f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to "
-                "one, so there is no free space around it; move it or lower task.start_clearance"
+                f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to one, "
+                f"so there is no free space around it; move it, or lower task.start_clearance if it is {clearance:g}"
             )
         return reachable[0]
 
@@ -154,7 +165,29 @@ def post_shape(row: np.ndarray) -> BaseGeometry:
     return shapely.Point(row[:2]).buffer(row[2], quad_segs=32)
 
 
-def _box_rows(boxes: Iterable[BoxShape]) -> np.ndarray:
+def _shapes(shapes: Iterable[Iterable[float]], kind: str, names: Sequence[str], world: str) -> list[list[float]]:
+    """Shapes as lists of numbers, checked: all that is neither a place nor an angle is a size."""
+    checked = []
+    for number, shape in enumerate(shapes):
+        where = f"world {world}: {kind} {number} (the first is 0)"
+        checked.append(_numbers(shape, names, where))
+        for name, value in zip(names, checked[-1], strict=True):
+            if name in ("length", "width", "radius") and not value > 0:
+                raise InputError(f"{where} must have a {name} above 0, got {value:g}")
+    return checked
+
+
+def _numbers(values: Any, names: Sequence[str], where: str) -> list[float]:
+    try:
+        numbers = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (len(names),) or not np.isfinite(numbers).all():
+        raise InputError(one_line(f"{where} must be {len(names)} numbers, {', '.join(names)}; got {values!r}"))
+    return numbers.tolist()
+
+
+def _box_rows(boxes: Iterable[Sequence[float]]) -> np.ndarray:
     """The rows of `World.boxes`: turned by 45 degrees at most, those of one orientation together.
 
     A box turned by a quarter is the same box with its sides swapped: so the walls of a square maze share one

@@ -29,3 +29,7 @@ def test_its_middle_spread_and_offset_are_arguments():
 
 def test_all_numbers_of_a_plain_box_are_distances():
     assert features(spaces.Box(0, 30, (2,)), [1.0, 4.0]) == pytest.approx([0.5, 0.2])
+
+
+def test_metres_with_a_sign_are_not_distances():
+    assert features(spaces.Box(np.float32([0, -2]), np.float32([30, 4])), [1.0, -2.0]) == pytest.approx([0.5, -0.5])

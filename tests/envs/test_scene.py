@@ -61,7 +61,10 @@ def write_narrow(folder):
 
 def test_a_world_too_narrow_for_the_robot_is_refused_however_it_starts(tmp_path):
     for start in ("fixed", "random"):
-        with pytest.raises(InputError, match=r"world narrow: the start .* nearer than 0\.178 m to one"):
+        with pytest.raises(
+            InputError,
+            match=r"world narrow: the start .* nearer than 0\.178 m to one.* task\.start_clearance if it is 0\.178",
+        ):
             make_scene(Wander(world=write_narrow(tmp_path), start=start), "raw")
 
 

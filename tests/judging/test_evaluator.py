@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +16,7 @@ from tb2rl import evaluate, make_env
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.registry import agent_names, find_agent, find_world
+from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
 from tb2rl.tasks.wander import Wander
@@ -53,6 +56,14 @@ def test_an_evaluator_serves_several_policies(outcomes):
     with Evaluator(config.scene, episodes=2, steps=10, workers=2) as evaluator:
         first, again = (evaluator.run(make_baseline(config)) for _ in range(2))
     assert outcomes(first) == outcomes(again)
+
+
+@pytest.mark.parametrize("changed", [{"urdf": Path("missing.urdf")}, {"wheel_joints": ("wheel_left", "wheel_rite")}])
+def test_a_robot_that_cannot_be_loaded_is_refused_before_processes_start(changed):
+    scene = resolve("wallfollower").scene
+    unusable = replace(scene, setup=replace(scene.setup, robot=replace(ROBOT, **changed)))
+    with pytest.raises(InputError, match=r"robot turtlebot2: .*(cannot load missing\.urdf|no joint 'wheel_rite')"):
+        Evaluator(unusable, episodes=2, steps=3, workers=2)
 
 
 # ---- where episodes begin, and when they end

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from tb2rl.errors import InputError
 from tb2rl.files import read_yaml, top_folder
 from tb2rl.registry import find_robot, robot_names
 from tb2rl.robots import Laser
@@ -69,6 +70,28 @@ def test_the_casters_stand_on_the_floor_inside_the_base(caster, x):
 def test_a_whole_turtlebot2_weighs_6_3_kg():
     masses = ElementTree.parse(ROBOT.urdf).getroot().iter("mass")
     assert sum(float(mass.get("value")) for mass in masses) == pytest.approx(6.3, abs=0.1)
+
+
+# ---- what cannot be a robot's
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"radius": "0.2"}, r"robot turtlebot2\.radius: .* valid number, got '0.2'"),
+        ({"wheel_radius": 0}, r"robot turtlebot2\.wheel_radius: .* greater than 0, got 0"),
+        ({"max_speed": math.nan}, r"robot turtlebot2\.max_speed: .* finite number, got nan"),
+        ({"wheel_coupling": math.inf}, r"robot turtlebot2\.wheel_coupling: .* finite number, got inf"),
+        ({"laser": Laser(field_of_view=270)}, r"laser\.field_of_view: .* equal to 6\.28.*, got 270"),
+        ({"laser": Laser(min_range=5.0, max_range=2.0)}, r"laser\.min_range and max_range: .* got 5.0, 2.0"),
+        ({"laser": None}, r"robot turtlebot2\.laser: .* instance of Laser, got None"),
+        ({"camera": replace(ROBOT.camera, range=(8.0, 0.05))}, r"camera\.range: .* got 8.0, 0.05"),
+    ],
+)
+def test_numbers_that_cannot_be_a_robots_are_refused_by_its_name(changed, words, monkeypatch):
+    monkeypatch.setattr("tb2rl.robots.turtlebot2.ROBOT", replace(ROBOT, **changed))
+    with pytest.raises(InputError, match=words):
+        find_robot("turtlebot2")
 
 
 # ---- its laser

@@ -59,6 +59,15 @@ def test_what_is_not_a_run_is_refused(reference, said, tmp_path, monkeypatch):
         run_folders([reference])
 
 
+def test_a_folder_whose_runs_lie_deeper_says_where(tmp_path):
+    for run in ("ppo/today", "qlearn/today"):
+        (tmp_path / "Errand" / run).mkdir(parents=True)
+        (tmp_path / "Errand" / run / "config.yaml").touch()
+    with pytest.raises(InputError, match=r"no config\.yaml is in it; take .*Errand/ppo$"):
+        run_folders([str(tmp_path / "Errand")])
+    assert run_folders([str(tmp_path / "Errand" / "ppo")]) == [tmp_path / "Errand" / "ppo" / "today"]
+
+
 def test_a_run_is_read_with_its_evaluation_and_its_curves(seeds):
     subject = read_subject(seeds / "seed-1", "second")
     assert (subject.name, subject.kept, subject.trained) == ("second", True, 24_000)

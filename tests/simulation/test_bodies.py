@@ -71,6 +71,12 @@ def test_the_robot_bumps_into_the_walls_of_the_world_it_is_in(make_setup, make_b
     [
         ({"wheel_joints": ("wheel_left", "wheel_rite")}, ["no joint 'wheel_rite'", "it has wheel_right, wheel_left"]),
         ({"urdf": ROBOT.urdf.with_name("missing.urdf")}, ["robot turtlebot2: PyBullet cannot load", "missing.urdf"]),
+        ({"wheel_separation": 0.24}, ["wheel_separation is 0.24 m, but 0.23 m in", "turtlebot2.urdf"]),
+        ({"wheel_radius": 0.036}, ["wheel_radius is 0.036 m, but 0.035 m in", "turtlebot2.urdf"]),
+        (
+            {"wheel_joints": ROBOT.wheel_joints[::-1]},
+            ["the left wheel (y > 0) and then", "'wheel_right' is at y = -0.115 m, 'wheel_left' at y = 0.115 m"],
+        ),
     ],
 )
 def test_a_robot_that_does_not_fit_its_urdf_is_refused(changed, words, make_setup, make_bullet):
@@ -80,6 +86,28 @@ def test_a_robot_that_does_not_fit_its_urdf_is_refused(changed, words, make_setu
     for word in words:
         assert word in str(error.value)
     assert list(filter(pybullet.isConnected, range(1000))) == clients
+
+
+def test_numbers_of_a_robot_may_be_rounded(make_setup, make_bullet):
+    make_bullet(make_setup(robot=replace(ROBOT, wheel_separation=0.2305, wheel_radius=0.0351)))
+
+
+@pytest.mark.parametrize(
+    ("shape", "known"), [('cylinder radius="0.05" length="0.02"', True), ('box size="1 1 1"', False)]
+)
+def test_a_wheel_that_collides_as_a_cylinder_has_a_radius_too_but_a_box_has_none(
+    shape, known, make_setup, make_bullet, tmp_path
+):
+    turned = f'<collision><origin rpy="1.5707963 0 0"/><geometry><{shape}/></geometry></collision>'
+    sphere = '<collision><geometry><sphere radius="0.035"/></geometry></collision>'
+    (tmp_path / "other.urdf").write_text(ROBOT.urdf.read_text().replace(sphere, turned))
+    other = replace(ROBOT, urdf=tmp_path / "other.urdf")
+    make_bullet(make_setup(robot=replace(other, wheel_radius=0.05)))
+    if known:
+        with pytest.raises(InputError, match=r"wheel_radius is 0\.035 m, but 0\.05 m in .*other\.urdf"):
+            make_bullet(make_setup(robot=other))
+    else:
+        make_bullet(make_setup(robot=other))
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")

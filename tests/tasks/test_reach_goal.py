@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tb2rl.errors import InputError
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.worlds.description import world_from
@@ -83,9 +82,7 @@ def test_reach_goal_takes_goal_and_bounds_from_its_world_unless_it_is_told(make_
     assert told.bounds.tolist() == [[0.0, 0.0, 3.0, 3.0]] * 2
 
 
-def test_reach_goal_in_a_world_without_a_goal_says_what_to_set(make_setup):
-    with pytest.raises(InputError, match=r"world loop has no goal; set task\.goal"):
-        ReachGoal().begin(make_setup("loop"), draws())
+def test_reach_goal_takes_its_own_goal_to_a_world_without_one(make_setup):
     assert ReachGoal(goal=(1, 2)).begin(make_setup("loop"), draws()).goal.tolist() == [[1, 2]]
 
 

@@ -1,14 +1,17 @@
 """What every task keeps to, and a task of one's own."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 from tb2rl import make_env
 from tb2rl.errors import InputError
-from tb2rl.registry import find_robot, find_task, task_names
+from tb2rl.registry import find_robot, find_task, find_world, task_names
 from tb2rl.simulation.streams import GeneratorDraws, StreamDraws
 from tb2rl.tasks import Commands
 from tb2rl.tasks.wander import Wander
+from tb2rl.values import build
 
 
 def draws(robots=1, seed=0):
@@ -186,3 +189,25 @@ def test_a_task_that_does_not_exist_is_refused(own_module, task, words):
         make_env(task)
     for word in words:
         assert word in str(error.value)
+
+
+@dataclass(frozen=True)
+class _Untyped(Wander):
+    bonus = 5.0
+
+
+def test_a_setting_without_a_type_is_refused_by_what_it_lacks():
+    for set_it in (lambda: make_env(_Untyped, bonus=2.0), lambda: build(_Untyped, {"bonus": 2.0}, "task")):
+        with pytest.raises(InputError, match=r"task\.bonus: a setting needs a type .* write bonus: float = "):
+            set_it()
+    with pytest.raises(InputError, match="unknown key of task 'goal_task'"):
+        build(_Untyped, {"goal_task": True}, "task")
+
+
+@pytest.mark.parametrize("settings", [{"world": find_world("loop")}, {"robot": find_robot("turtlebot2")}])
+def test_an_object_in_place_of_its_name_is_refused_with_the_way_to_name_it(settings):
+    ((key, value),) = settings.items()
+    with pytest.raises(InputError) as error:
+        make_env(**settings)
+    way = 'must be a name, or "module:NAME" of what a file of yours defines'
+    assert str(error.value) == f"task.{key}: {way}, got an object of class {type(value).__name__}"

@@ -141,6 +141,38 @@ def test_a_world_without_a_rectangle_is_refused(bounds, words):
         World.from_shapes("mine", start=START, bounds=bounds)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (
+            {"boxes": [(0, 2, 1, 1)]},
+            r"box 1 \(the first is 0\) must be 5 numbers, x, y, length, width, yaw; got \(0, 2, 1",
+        ),
+        ({"boxes": [(0, 2, 1, math.nan, 0)]}, "box 1 .* must be 5 numbers"),
+        ({"boxes": [(0, 2, 1, -0.5, 0)]}, "box 1 .* must have a width above 0, got -0.5"),
+        ({"boxes": [(0, 2, 0, 1, 0)]}, "box 1 .* must have a length above 0, got 0"),
+        ({"boxes": [7]}, "box 1 .* must be 5 numbers, .*; got 7"),
+        ({"posts": [(2, 2, 0)]}, "post 1 .* must have a radius above 0, got 0"),
+        ({"posts": [(2, 2, "wide")]}, "post 1 .* must be 3 numbers, x, y, radius; got"),
+        ({"start": (0, 0)}, r"the start must be 3 numbers, x, y, yaw; got \(0, 0\)"),
+        ({"start": (0, math.inf, 0)}, "the start must be 3 numbers"),
+        ({"bounds": (0, 0, 1)}, "bounds must be 4 numbers, x from, y from, x to, y to; got"),
+        ({"bounds": (-5, -5, math.nan, 5)}, "bounds must be 4 numbers"),
+        ({"goal": (3, 3)}, "the goal must be 3 numbers, x, y, yaw; got"),
+        ({"goal": (0, -1.9, 0)}, r"the goal \(0, -1\.9\) is inside an obstacle"),
+        ({"goal": (-3, 0.4, 0)}, r"the goal \(-3, 0\.4\) is inside an obstacle"),
+        ({"goal": (5.1, 0, 0)}, r"the goal \(5\.1, 0\) is outside its bounds"),
+    ],
+)
+def test_a_shape_or_a_pose_that_cannot_be_is_refused_by_its_number(wrong, words):
+    shapes = {"boxes": [(0, -2, 1, 1, 0)], "posts": [(-3, 0, 0.5)]}
+    for kind in shapes:
+        shapes[kind] += wrong.pop(kind, [])
+    with pytest.raises(InputError, match=f"world mine: {words}") as error:
+        World.from_shapes("mine", **{"start": START, "bounds": BOUNDS, **shapes, **wrong})
+    assert "\n" not in str(error.value)
+
+
 # ---- free space
 
 

@@ -1,0 +1,108 @@
+"""A step that nobody drives: what the methods of a task return is held against what they promise, before a training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tb2rl.errors import InputError, one_line
+from tb2rl.sensors import Sensor
+from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.tasks import Actions, Outcome, Task
+
+_ROBOTS = 2  # one alone would hide `if after.bumped`, and arrays without a robot axis
+
+
+def rehearse(task: Task, setup: Setup) -> tuple[Actions, tuple[Sensor, ...]]:
+    """Two robots begin, read and are judged, without a simulation; returns the task's actions and sensors.
+
+    Raises:
+        InputError: If something has not the type or shape that it must; errors inside of a method show as they are.
+    """
+    actions, where = task.actions, f"task {type(task).__name__}"
+    hint = ", or @property is missing above it" if callable(actions) else ""
+    _demand(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
+    with np.errstate(all="ignore"):  # some tasks divide by a speed, and these robots stand
+        start = task.begin(setup, GeneratorDraws(np.random.default_rng(0), _ROBOTS))
+        _check_start(start, task, setup, where)
+        reading, sensors = _at_rest(start, setup), task.sensors(setup)
+        _demand(isinstance(sensors, tuple | list), f"{where}: sensors must return a tuple: (Compass(),)", sensors)
+        for sensor in sensors:
+            _check_sensor(sensor, reading, where)
+        action = np.zeros((_ROBOTS, *(actions.space.shape or ())), actions.space.dtype)
+        _check_outcome(task.judge(reading, action, reading), task, where)
+    return actions, tuple(sensors)
+
+
+def _check_start(start: Any, task: Task, setup: Setup, where: str) -> None:
+    _demand(isinstance(start, Start), f"{where}: begin must return a Start", start)
+    table, shape = start.table, (_ROBOTS, setup.table.shape[1])
+    _demand(np.shape(table) == shape, f"{where}: begin must return draws.robots rows, here {shape}", table)
+    known = np.isin(start.world, range(len(setup.worlds))).all()
+    _demand(known, f"{where}: begin must name worlds by index, below {len(setup.worlds)}", start.world.tolist())
+    _demand(np.isfinite(start.pose).all(), f"{where}: begin must return finite poses", start.pose.tolist())
+    if task.goal_task and np.isnan(start.goal).any():
+        lacking = setup.worlds[int(start.world[np.isnan(start.goal).any(axis=1).argmax()])].name
+        place = "task.goal to [x, y]" if hasattr(task, "goal") else "start.goal in begin"
+        raise InputError(f"world {lacking} has no goal; set {place}, or a goal in the world's file")
+
+
+def _at_rest(start: Start, setup: Setup) -> Reading:
+    """What robots read that have just begun, far from all walls; nobody can write into it."""
+    table, poses, twists = start.table.copy(), start.pose.copy(), np.zeros((_ROBOTS, 2))
+    ranges = np.full((_ROBOTS, len(setup.laser.angles)), setup.laser.max_range)
+    bumped, nearest = np.zeros(_ROBOTS, dtype=bool), ranges.min(axis=1)
+    for array in (table, poses, twists, ranges, bumped, nearest):
+        array.flags.writeable = False
+    reading = Reading(poses, twists, poses, ranges, bumped, Start(table))
+    vars(reading)["nearest"] = nearest  # its compiled function would be compiled again for arrays of this kind
+    return reading
+
+
+def _check_sensor(sensor: Any, reading: Reading, where: str) -> None:
+    hint = f": write {sensor.__name__}()" if isinstance(sensor, type) else ""
+    _demand(isinstance(sensor, Sensor), f"{where}: sensors must return sensors{hint}", sensor)
+    where = f"sensor {type(sensor).__name__}"
+    said: list[Any] = [getattr(sensor, key, None) for key in ("name", "unit", "shape", "edges", "low", "high")]
+    name, unit, shape, edges, low, high = said
+    _demand(isinstance(name, str) and isinstance(unit, str), f"{where}: name and unit must be strings", (name, unit))
+    counts = isinstance(shape, tuple) and all(isinstance(count, int | np.integer) and count > 0 for count in shape)
+    _demand(counts, f"{where}: shape must be a tuple of counts, such as (1,)", shape)
+    _demand(_numeric(edges) and np.ndim(edges) == 1, f"{where}: edges must be a tuple of numbers", edges)
+    kind: type = np.uint8 if len(shape) == 3 else float
+    below = kind is np.uint8 or (_numeric(low) and _numeric(high) and np.all(np.less(low, high)))
+    _demand(below, f"{where}: low and high must be numbers, low the smaller one", (low, high))
+    values, fits = sensor.read(reading), f"an array of shape {('robots', *shape)}, {kind.__name__}, not NaN"
+    _demand(_is_array(values, shape, kind) and not np.isnan(values).any(), f"sensor {name} must read {fits}", values)
+
+
+def _check_outcome(outcome: Any, task: Task, where: str) -> None:
+    _demand(isinstance(outcome, Outcome), f"{where}: judge must return an Outcome", outcome)
+    _demand(_is_array(outcome.reward, (), float), f"{where}: judge's reward must have shape (robots,)", outcome.reward)
+    succeeded = {} if outcome.succeeded is None else outcome.succeeded
+    for kind, endings in (("failed", outcome.failed), ("succeeded", succeeded)):
+        _demand(isinstance(endings, Mapping), f'{where}: judge must return {kind}={{"name": mask}}', endings)
+        for name, mask in endings.items():
+            _demand(_is_array(mask, (), bool), f"{where}: {kind}[{name!r}] must be bool, shape (robots,)", mask)
+    if outcome.succeeded is None and task.goal_task:
+        raise InputError(f'{where}: goal_task is True, so judge must return succeeded={{"goal": mask}} in the Outcome')
+    if outcome.succeeded is not None and not task.goal_task:
+        raise InputError(f"{where}: judge returned an Outcome with succeeded, so set goal_task = True in the class")
+
+
+def _is_array(value: Any, shape: tuple[int, ...], kind: type) -> bool:
+    return isinstance(value, np.ndarray) and value.shape == (_ROBOTS, *shape) and np.can_cast(value.dtype, kind)
+
+
+def _numeric(value: Any) -> bool:
+    return np.asarray(value).dtype.kind in "iuf"
+
+
+def _demand(holds: Any, what: str, got: Any) -> None:
+    if not holds:
+        array = isinstance(got, np.ndarray) and got.ndim > 0
+        told = f"an array of {got.dtype}, shape {got.shape}" if array else one_line(repr(got), 60)
+        raise InputError(f"{what}; got {told}")
