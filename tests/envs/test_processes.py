@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.spawn
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import cloudpickle
@@ -14,7 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tb2rl.envs.make import make_env
-from tb2rl.envs.processes import ProcessVecEnv
+from tb2rl.envs.processes import ProcessVecEnv, main_hidden
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
@@ -142,3 +144,17 @@ def test_close_ends_the_processes():
     env.close()
     assert not started & set(multiprocessing.active_children())
     env.close()  # once more does no harm
+
+
+def test_the_users_script_is_hidden_from_new_processes_and_from_nobody_else(monkeypatch):
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "__file__", "/home/ada/script.py", raising=False)
+    monkeypatch.setattr(main, "__spec__", None)
+
+    def scripts():
+        return [key for key in multiprocessing.spawn.get_preparation_data("one") if key.startswith("init_main")]
+
+    with ThreadPoolExecutor(1) as other, main_hidden():
+        assert scripts() == []
+        assert (main.__file__, other.submit(scripts).result()) == ("/home/ada/script.py", ["init_main_from_path"])
+    assert scripts() == ["init_main_from_path"]
