@@ -1,4 +1,4 @@
-"""A learner in one file, as CleanRL writes them (Huang et al. 2022): its own loop, and Gymnasium's vectors and wrappers."""
+"""A learner in one file with a loop of its own, as CleanRL writes them (Huang et al. 2022), on Gymnasium's vectors."""
 
 import random
 
@@ -45,8 +45,8 @@ def dqn(seed, total_timesteps=300, num_envs=2, start=60, batch=32):
         real_next_obs = next_obs.copy()
         if "final_info" in infos:
             finals = infos["final_info"]["episode"]
-            for index in np.flatnonzero(infos["final_info"]["_episode"]):
-                episodes.append((float(finals["r"][index]), int(finals["l"][index])))
+            ended = infos["final_info"]["_episode"]
+            episodes += zip(finals["r"][ended].tolist(), finals["l"][ended].tolist(), strict=True)
             for index in np.flatnonzero(truncations):
                 real_next_obs[index] = infos["final_obs"][index]
         memory += zip(obs, real_next_obs, chosen, rewards, terminations, strict=True)

@@ -40,7 +40,10 @@ def test_the_checker_finds_nothing(name, make):
 
 
 def test_an_episode_is_filmed(make, tmp_path):
-    env = wrappers.RecordVideo(make(render_mode="rgb_array", max_episode_steps=7), str(tmp_path / "films"), disable_logger=True)
+    pytest.importorskip("moviepy", reason="moviepy is not installed (gymnasium[other])")
+    env = wrappers.RecordVideo(
+        make(render_mode="rgb_array", max_episode_steps=7), str(tmp_path / "films"), disable_logger=True
+    )
     env.reset(seed=1)
     ended, steps = False, 0
     while not ended:

@@ -1,5 +1,7 @@
 """A dataset of Minari: episodes recorded with their infos, stored, and read back as they were driven."""
 
+import gc
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -7,9 +9,23 @@ import pytest
 from tb2rl.simulation import SIMULATIONS
 
 minari = pytest.importorskip("minari", reason="minari is not installed")
-pytest.importorskip("h5py", reason="h5py is not installed")
+pytest.importorskip("h5py", reason="h5py is not installed (minari[hdf5])")
+pytest.importorskip("jax", reason="jax is not installed (minari[create])")
 
 
+# Minari warns of what a published dataset should tell.
+ABOUT = {
+    "algorithm_name": "random",
+    "author": "Ada",
+    "author_email": "ada@example.org",
+    "code_permalink": "https://example.org/collect.py",
+    "description": "A few short episodes.",
+    "requirements": ["tb2rl"],
+    "eval_env": "TurtleBot2Maze-v0",
+}
+
+
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # of Minari's own folder
 @pytest.mark.parametrize("simulation", SIMULATIONS)
 @pytest.mark.parametrize("env_id", ["tb2rl:TurtleBot2Maze-v0", "tb2rl:TurtleBot2MazeRaw-v0"])
 def test_a_dataset_gives_back_what_was_driven(env_id, simulation, tmp_path, monkeypatch):
@@ -17,8 +33,10 @@ def test_a_dataset_gives_back_what_was_driven(env_id, simulation, tmp_path, monk
     env = gym.make(env_id, simulation=simulation, max_episode_steps=12)
     collector = minari.DataCollector(env, record_infos=True)
     driven = [drive(collector, seed) for seed in range(3)]
-    made = collector.create_dataset("turtlebot2/maze/test-v0", algorithm_name="random", description="a test")
+    made = collector.create_dataset("turtlebot2/maze/test-v0", **ABOUT)
     collector.close()
+    del collector
+    gc.collect()  # Minari leaves its folder to Python
     assert made.total_episodes == 3
 
     dataset = minari.load_dataset("turtlebot2/maze/test-v0")

@@ -47,6 +47,7 @@ def test_episodes_in_threads_are_those_of_one_thread(study, simulation, capfd):
         np.testing.assert_array_equal(trial.user_attrs["pose"], pose)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", ["qlearn", "stable_baselines3:PPO"])
 def test_trainings_in_threads_end_with_a_policy_each(study, agent, tmp_path, capfd):
     def objective(trial):
