@@ -11,9 +11,11 @@ import os
 import pickle
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
+from multiprocessing import spawn
 from multiprocessing.connection import Connection
 from typing import Any, NoReturn
 
@@ -43,16 +45,29 @@ def process_context() -> Any:
 
 @contextmanager
 def main_hidden() -> Iterator[None]:
-    """Start processes during the block without the user's script: they would run it again, from its first line."""
-    main = sys.modules["__main__"]
-    kept = {name: getattr(main, name) for name in ("__spec__", "__file__") if hasattr(main, name)}
-    for name in kept:
-        setattr(main, name, None)
+    """Start processes in this thread without the user's script: they would run it again, from its first line.
+
+    Other threads go on as before, and so does the module `__main__`: they may be asking where it comes from.
+    """
+    before = getattr(_hiding, "main", False)
+    _hiding.main = True
     try:
         yield
     finally:
-        for name, value in kept.items():
-            setattr(main, name, value)
+        _hiding.main = before
+
+
+_hiding = threading.local()
+_preparation_data = spawn.get_preparation_data
+
+
+def _data_without_main(name: str) -> dict[str, Any]:
+    """What `multiprocessing` tells a new process of this name; it has no switch for leaving the script out."""
+    data = _preparation_data(name)
+    return {k: v for k, v in data.items() if not (getattr(_hiding, "main", False) and k.startswith("init_main_from_"))}
+
+
+spawn.get_preparation_data = _data_without_main
 
 
 def processors() -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.spawn
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import cloudpickle
@@ -14,7 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tb2rl.envs.make import make_env
-from tb2rl.envs.processes import ProcessVecEnv, process_context
+from tb2rl.envs.processes import ProcessVecEnv, main_hidden, process_context
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
@@ -158,3 +160,17 @@ def test_processes_that_start_anew_serve_as_well(monkeypatch):
     _, rewards, _, infos = env.step(np.zeros(2, dtype=int))
     env.close()
     assert (rewards.shape, len(infos)) == ((2,), 2)
+
+
+def test_the_users_script_is_hidden_from_new_processes_and_from_nobody_else(monkeypatch):
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "__file__", "/home/ada/script.py", raising=False)
+    monkeypatch.setattr(main, "__spec__", None)
+
+    def scripts():
+        return [key for key in multiprocessing.spawn.get_preparation_data("one") if key.startswith("init_main")]
+
+    with ThreadPoolExecutor(1) as other, main_hidden():
+        assert scripts() == []
+        assert (main.__file__, other.submit(scripts).result()) == ("/home/ada/script.py", ["init_main_from_path"])
+    assert scripts() == ["init_main_from_path"]
