@@ -67,7 +67,7 @@ def task_names() -> list[str]:
 
 def robot_names() -> list[str]:
     """Every robot that has a name: the built-in ones and the entry points of `tb2rl.robots`."""
-    return sorted(_robots())
+    return sorted({*ROBOTS, *_plugins("robots")})
 
 
 def world_names() -> list[str]:
@@ -83,7 +83,7 @@ def find_agent(name: str) -> Agent:
     """
     if name in _agent_files():
         return import_module(f"tb2rl.agents.{name}").AGENT
-    found = _find(name, "agent", _plugins("agents"), agent_names)
+    found = _find(name, "agent", {}, agent_names)
     if isinstance(found, Agent):
         return found
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -101,7 +101,7 @@ def find_task(name: str | type[Task]) -> type[Task]:
     """
     from tb2rl.tasks import Task
 
-    found = name if isinstance(name, type) else _find(name, "task", {**_plugins("tasks"), **TASKS}, task_names)
+    found = name if isinstance(name, type) else _find(name, "task", TASKS, task_names)
     if not (isinstance(found, type) and issubclass(found, Task)) or inspect.isabstract(found):
         raise InputError(f"task {name!r} is not a class derived from tb2rl.tasks.Task with actions and judge")
     settings = [key for key, kind in found.__annotations__.items() if not _is_class_variable(kind)]
@@ -118,7 +118,7 @@ def find_robot(name: str) -> Robot:
     """
     from tb2rl.robots.robot import Robot, check_robot
 
-    found = _imported("robot", name) if ":" in name else _find(name, "robot", _robots(), robot_names)
+    found = _imported("robot", name) if ":" in name else _find(name, "robot", ROBOTS, robot_names)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
     check_robot(found)
@@ -140,11 +140,8 @@ def find_world(reference: str) -> World:
 
     code = _MADE_BY_CODE.fullmatch(reference)
     if code is None:
-        readers = READERS | {f".{ending}": _maker(found) for ending, found in _plugins("worlds").items()}
         path = find_file(reference, _worlds_folder(), "world")
-        if path.suffix not in readers:
-            raise unknown(f"ending of the world file {one_line(reference, 100)}:", path.suffix, readers)
-        found: Any = read_world(path, readers[path.suffix])
+        found: Any = read_world(path, READERS.get(path.suffix) or _plugged_reader(reference, path.suffix))
     elif code[2] is None:
         found = _imported("world", code[1])
         found = found if isinstance(found, World) else _made(code[1])
@@ -176,6 +173,16 @@ def _maker(reference: str) -> Callable[..., World]:
         name = reference.partition(":")[2]
         raise InputError(f"world {reference!r}: a function that makes worlds says so: def {name}(...) -> World")
     return found
+
+
+def _plugged_reader(reference: str, ending: str) -> Callable[[Path], World]:
+    """What another package reads files with that end so."""
+    from tb2rl.worlds.readers import READERS
+
+    plugins = {f".{plugged}": function for plugged, function in _plugins("worlds").items()}
+    if ending not in plugins:
+        raise unknown(f"ending of the world file {one_line(reference, 100)}:", ending, {*READERS, *plugins})
+    return _maker(plugins[ending])
 
 
 def _made(reference: str) -> World:
@@ -254,10 +261,11 @@ def reference_to(kind: type) -> str:
     return reference
 
 
-def _find(name: str, kind: str, references: Mapping[str, str], names: Callable[[], list[str]]) -> Any:
+def _find(name: str, kind: str, ours: Mapping[str, str], names: Callable[[], list[str]]) -> Any:
     if ":" in name:
         _check_is_module(name)
         return import_object(name)
+    references = ours if name in ours else _plugins(f"{kind}s")
     if name not in references:
         raise unknown(kind, name, names())
     return import_object(references[name])
@@ -278,14 +286,11 @@ def _check_is_module(reference: str) -> None:
         raise InputError(f"cannot import {reference!r}: a module has no .py; write {module[:-3]}:{attribute}")
 
 
-def _robots() -> dict[str, str]:
-    return {**_plugins("robots"), **ROBOTS}
-
-
 def _agent_files() -> list[str]:
     names = [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))])]
     return [name for name in names if not name.startswith("_")]
 
 
 def _plugins(kind: str) -> dict[str, str]:
+    """What other packages name; to go through all that are installed takes milliseconds."""
     return {point.name: point.value for point in entry_points(group=f"tb2rl.{kind}")}

@@ -62,6 +62,7 @@ def printed(done: subprocess.CompletedProcess[str]) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_an_evaluation_drives_in_the_twin_and_says_so(run):
     command = "-m tb2rl.evaluate zoo:maze-loop-dqn --episodes 2 --steps 5 --workers 2 --json figures.json"
     assert printed(run(*command.split())).count("driven in the fast twin") == 1

@@ -76,7 +76,7 @@ def test_a_resumed_training_is_the_uninterrupted_one(
     [
         ("qlearn", "kinematic", 4),
         ("ppo", "kinematic", 4),
-        ("qlearn", "bullet", 2),
+        pytest.param("qlearn", "bullet", 2, marks=pytest.mark.slow),
         pytest.param("dqn", "kinematic", 4, marks=pytest.mark.slow),
         pytest.param("ppo", "bullet", 2, marks=pytest.mark.slow),
         pytest.param("dqn", "bullet", 2, marks=pytest.mark.slow),

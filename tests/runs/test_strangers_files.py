@@ -62,7 +62,7 @@ def failures(report: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [line for line in report if line["outcome"] not in ("works", "refused")]
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(LARGE, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [20, pytest.param(LARGE, marks=pytest.mark.slow)])
 def test_a_damaged_checkpoint_works_or_is_refused_in_one_line(count, runs, tmp_path):
     report = tried(runs, f"damage {count}", tmp_path)
     assert len(report) >= count

@@ -87,7 +87,7 @@ def test_the_map_shows_the_kind_of_velocities_that_a_policy_takes_there(cruise):
             assert names[shown.actions[heading, place]] == expected
 
 
-@pytest.mark.parametrize("task", ["maze", "wall"])
+@pytest.mark.parametrize("task", ["maze", pytest.param("wall", marks=pytest.mark.slow)])
 def test_the_map_is_empty_just_where_an_episode_ends_at_once(task, seeds, goal_run):
     policy = load({"maze": seeds / "seed-0", "wall": goal_run}[task])
     shown = action_map(policy, policy.trained_with.scene)
