@@ -32,10 +32,10 @@ def drive(forward, seed, simulation):
 def test_episodes_in_threads_are_those_of_one_thread(study, simulation, capfd):
     def objective(trial):
         forward = trial.suggest_int("forward", 1, 9)
-        print(f"trial {trial.number} begins")
+        print(f"trial {trial.number} begins\n", end="")  # in one piece
         total, pose = drive(forward, trial.number, simulation)
         trial.set_user_attr("pose", pose.tolist())
-        print(f"trial {trial.number} ends")
+        print(f"trial {trial.number} ends\n", end="")
         return total
 
     study.optimize(objective, n_trials=6, n_jobs=2)
