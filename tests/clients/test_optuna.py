@@ -62,7 +62,7 @@ def test_trainings_in_threads_end_with_a_policy_each(study, agent, tmp_path, cap
             eval_freq=0,
             seed=trial.number,
         )
-        print(f"trial {trial.number} trained")
+        print(f"trial {trial.number} trained\n", end="")
         return tb2rl.evaluate(policy, episodes=1, steps=40, workers=1).episodes[0].episode_return
 
     study.optimize(objective, n_trials=4, n_jobs=2)
