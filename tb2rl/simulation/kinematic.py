@@ -19,8 +19,8 @@ from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
 from tb2rl.simulation.threads import share_out
 
-ROBOT, BEAM = 0.4e-6, 5e-9  # [s] what a step costs a thread, for each robot and for each of its beams
-WORTH_THREADS = 0.2e-3  # [s] of work; to wake a thread costs up to 0.09 ms, and more on a busy machine
+ROBOT, BEAM = 0.25e-6, 4e-9  # [s] what a step costs a thread, for each robot and for each of its beams
+WORTH_THREADS = 0.4e-3  # [s] of work; to wake a thread costs 0.1 ms, and more on a busy machine
 _LARGEST_VARIATION = 10.0  # of a robot's parameters, times its own
 
 

@@ -51,6 +51,7 @@ def test_the_number_of_processors_changes_nothing_but_the_time(small, tmp_path, 
 )
 def test_the_number_of_threads_changes_nothing_but_the_time(agent, settings, small, differences, tmp_path, monkeypatch):
     config = small(agent, settings=settings, n_envs=600, total_timesteps=6000)
+    monkeypatch.setattr("tb2rl.simulation.kinematic.WORTH_THREADS", 0.0)
     ends = []
     for threads in (1, 3):
         monkeypatch.setattr("tb2rl.simulation.threads.THREADS", threads)
