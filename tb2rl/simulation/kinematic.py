@@ -20,7 +20,7 @@ from tb2rl.simulation.start import Start
 from tb2rl.simulation.threads import share_out
 
 ROBOT, BEAM = 0.25e-6, 4e-9  # [s] what a step costs a thread, for each robot and for each of its beams
-WORTH_THREADS = 0.4e-3  # [s] of work; to wake a thread costs 0.1 ms, and more on a busy machine
+WORTH_THREADS = 0.25e-3  # [s] of work; to wake a thread costs 0.1 ms, and more on a busy machine
 _LARGEST_VARIATION = 10.0  # of a robot's parameters, times its own
 
 
