@@ -20,6 +20,7 @@ from tb2rl.simulation.start import Start
 from tb2rl.simulation.threads import share_out
 
 ROBOT, BEAM = 0.25e-6, 4e-9  # [s] what a step costs a thread, for each robot and for each of its beams
+WAKING = 0.06e-3  # [s] until another thread has begun
 WORTH_THREADS = 0.25e-3  # [s] of work; to wake a thread costs 0.1 ms, and more on a busy machine
 _LARGEST_VARIATION = 10.0  # of a robot's parameters, times its own
 
@@ -80,8 +81,9 @@ class KinematicSimulation:
             poses, rims, commands, duration, self._start.table, self._boxes, self._posts, self._parts,
             self._beams, self._limits, self._streams, twists, bumped, ranges,
         )  # fmt: skip
-        if self.robots * (ROBOT + BEAM * ranges.shape[1]) > WORTH_THREADS:
-            share_out(step_block, self.robots, *data)
+        cost = ROBOT + BEAM * ranges.shape[1]
+        if self.robots * cost > WORTH_THREADS:
+            share_out(step_block, self.robots, int(WAKING / cost), *data)
         else:
             step_block(0, self.robots, *data)
 

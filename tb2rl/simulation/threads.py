@@ -21,14 +21,21 @@ import numba
 THREADS: int = numba.config.NUMBA_NUM_THREADS
 
 
-def share_out(work: Callable[..., Any], count: int, *arguments: Any) -> None:
-    """Call `work(first, last, *arguments)` for parts of the range from 0 to `count`, one for each thread, and wait."""
-    mine, *theirs = pairwise(count * number // THREADS for number in range(THREADS + 1))
+def share_out(work: Callable[..., Any], count: int, lead: int, *arguments: Any) -> None:
+    """Call `work(first, last, *arguments)` for parts of the range from 0 to `count`, one for each thread, and wait.
+
+    The part of the thread that asks is larger by `lead`, what it gets done before another one is awake.
+    """
+    first = min(count, (count + lead * (THREADS - 1)) // THREADS)
+    others = THREADS - 1
+    theirs = (
+        list(pairwise(first + (count - first) * number // others for number in range(others + 1))) if others else []
+    )
     done: SimpleQueue[BaseException | None] = SimpleQueue()
     for part in theirs:
         _tasks().put((work, (*part, *arguments), done))
     try:
-        work(*mine, *arguments)
+        work(0, first, *arguments)
     finally:
         errors = [done.get() for _ in theirs]
     for error in filter(None, errors):

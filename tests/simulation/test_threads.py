@@ -13,14 +13,15 @@ from tb2rl.simulation.threads import share_out
 
 @pytest.mark.parametrize("count", [1, 2, 10, 1001])
 @pytest.mark.parametrize("number", [1, 2, 5])
-def test_every_part_is_done_once(count, number, monkeypatch):
+@pytest.mark.parametrize("lead", [0, 7, 5000])
+def test_every_part_is_done_once(count, number, lead, monkeypatch):
     monkeypatch.setattr(threads, "THREADS", number)
     done = np.zeros(count, int)
 
     def work(first, last, amount):
         done[first:last] += amount
 
-    share_out(work, count, 3)
+    share_out(work, count, lead, 3)
     assert (done == 3).all()
 
 
@@ -28,7 +29,7 @@ def test_an_error_in_any_part_arrives(monkeypatch):
     monkeypatch.setattr(threads, "THREADS", 2)
     for wrong in (0, 5):
         with pytest.raises(ZeroDivisionError):
-            share_out(lambda first, last, wrong=wrong: 1 / (first - wrong), 10)
+            share_out(lambda first, last, wrong=wrong: 1 / (first - wrong), 10, 0)
 
 
 @pytest.mark.skipif(not hasattr(threads.os, "fork"), reason="this system does not fork")
