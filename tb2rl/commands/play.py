@@ -21,7 +21,7 @@ from tb2rl.showing.film import STEPS, check_film, check_numbers, drives, film, o
 from tb2rl.showing.keyboard import Teleop
 from tb2rl.showing.terminal import steer_in_terminal
 from tb2rl.showing.window import Window, has_display, watch
-from tb2rl.simulation import judge
+from tb2rl.simulation import judging_simulation
 
 
 def run(options: argparse.Namespace) -> None:
@@ -68,7 +68,7 @@ def _film(policy: Policy, config: Config, options: argparse.Namespace) -> None:
         listener=_teller(config.scene),
         progress=True,
     )
-    if judge() != "bullet":
+    if judging_simulation() != "bullet":
         print("driven in the fast twin, since PyBullet is not installed")
     print(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
 

@@ -21,7 +21,7 @@ from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
 from tb2rl.showing.table import print_evaluation
-from tb2rl.simulation import judge
+from tb2rl.simulation import judging_simulation
 
 _FLAGS = (
     "total_timesteps", "episodes", "seed", "simulation", "n_envs", "device", "eval_freq", "save_freq", "keep",
@@ -107,7 +107,7 @@ def _finish(training: Training, options: argparse.Namespace) -> dict[str, Any] |
     if options.no_evaluation or training.interrupted:
         return None
     run = training.run
-    where = "PyBullet" if judge() == "bullet" else "the fast twin"
+    where = "PyBullet" if judging_simulation() == "bullet" else "the fast twin"
     print(f"standard evaluation of its best policy in {where}: {EPISODES} episodes, about half a minute", flush=True)
     evaluation = evaluate(load(run.folder), progress=True)
     summary = print_evaluation(evaluation, f"{run.folder} in {evaluation.task.world}")

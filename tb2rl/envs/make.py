@@ -54,17 +54,19 @@ def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> S
     for name in settings:
         if name not in known and not untyped(kind, name):  # of which `build` says more
             raise UnknownArgumentError("make_env", name, [*_ARGUMENTS, *known])
-    task = changed(what, settings) if isinstance(what, Task) else build(kind, settings, "task")
-    return make_scene(task, observation or "discrete")
+    return make_scene(make_task(what, settings), observation or "discrete")
 
 
-def changed(task: Task, settings: Mapping[str, Any]) -> Task:
-    """The task with some of its fields set, all checked again.
+def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
+    """A task from its name, "module:Class", its class, or another task some of whose fields are to change.
 
     Raises:
-        InputError: For an unknown setting, or a value that does not fit.
+        InputError: For an unknown name or setting, or a value that does not fit.
     """
-    return build(type(task), {**{field.name: getattr(task, field.name) for field in fields(task)}, **settings}, "task")
+    if not isinstance(what, Task):
+        return build(find_task(what), settings, "task")
+    now = {field.name: getattr(what, field.name) for field in fields(what)}
+    return build(type(what), {**now, **settings}, "task")
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> TurtleBot2Env:

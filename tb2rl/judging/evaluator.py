@@ -19,7 +19,7 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 
-from tb2rl.envs.make import changed
+from tb2rl.envs.make import make_task
 from tb2rl.envs.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.envs.single import TurtleBot2Env
@@ -28,13 +28,11 @@ from tb2rl.judging.evaluation import Episode, Evaluation
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import Policy, roll_out
 from tb2rl.judging.spaces import check_observes
-from tb2rl.registry import find_task
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
-from tb2rl.simulation import judge
+from tb2rl.simulation import judging_simulation
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Task
-from tb2rl.values import build
 
 EPISODES, STEPS = 100, 1500
 SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
@@ -64,7 +62,7 @@ class Evaluator:
         seed: int = SEED,
         workers: int | None = None,
     ) -> None:
-        self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judge()
+        self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judging_simulation()
         draws = GeneratorDraws(np.random.default_rng(seed), episodes)
         self.poses = scene.changed(start="random").task.begin(scene.setup, draws).pose
         workers = min(workers or processors(), episodes)
@@ -190,9 +188,7 @@ def _scene(
     if observation is None:
         numbers = isinstance(getattr(policy, "observation_space", None), spaces.Box | spaces.Dict)
         observation = "raw" if numbers else "discrete"
-    if not isinstance(task, Task):
-        task = build(find_task(task), {}, "task")
-    return make_scene(changed(task, settings), observation)
+    return make_scene(make_task(task, settings), observation)
 
 
 _env: TurtleBot2Env  # of a worker process

@@ -24,7 +24,7 @@ from tb2rl.showing.cameras import CAMERAS, Camera
 from tb2rl.showing.caption import with_caption
 from tb2rl.showing.shots import Shot, shots
 from tb2rl.showing.writers import WRITERS
-from tb2rl.simulation import judge
+from tb2rl.simulation import judging_simulation
 
 STEPS = 300  # control steps: a minute
 _SLOWEST, _FASTEST = 0.1, 100.0
@@ -44,7 +44,7 @@ def open_env(
         policy = load(policy)
     scene = (config or config_of(policy)).with_task({**settings, "episode_steps": steps}).scene
     check_observes(policy, scene)
-    return policy, TurtleBot2Env(scene, simulation=judge())
+    return policy, TurtleBot2Env(scene, simulation=judging_simulation())
 
 
 def drives(

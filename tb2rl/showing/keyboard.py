@@ -11,7 +11,7 @@ from tb2rl.envs.encodings import ranges_to_bins
 from tb2rl.envs.scene import Scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.robots import Laser, Robot
-from tb2rl.simulation import Reading, judge
+from tb2rl.simulation import Reading, judging_simulation
 
 STILL = np.zeros(2)  # a command: v [m/s], w [rad/s]
 STEERING = {"w": (0.1, 0.0), "s": (-0.1, 0.0), "a": (0.0, 0.5), "d": (0.0, -0.5)}  # what a key adds to the command
@@ -27,7 +27,7 @@ class Teleop:
     """
 
     def __init__(self, scene: Scene, seed: int) -> None:
-        self.scene, self.env = scene, TurtleBot2Env(scene, simulation=judge())
+        self.scene, self.env = scene, TurtleBot2Env(scene, simulation=judging_simulation())
         self.command = STILL
         self.news = ""
         self.env.reset(seed=seed)

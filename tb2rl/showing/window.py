@@ -17,7 +17,7 @@ from tb2rl.errors import InputError
 from tb2rl.judging.rollout import Moment
 from tb2rl.showing.pictures import goal_of
 from tb2rl.showing.shots import shots
-from tb2rl.simulation import Start, check_bullet, judge
+from tb2rl.simulation import Start, check_bullet, judging_simulation
 
 _RATE = 30  # poses a second
 _OPENING = 60.0  # [s] that a window may take to open
@@ -77,7 +77,9 @@ class Window:
 
 def has_display() -> bool:
     """Whether PyBullet's window can be expected to open; only on Linux a variable tells."""
-    return judge() == "bullet" and (not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY")))
+    return judging_simulation() == "bullet" and (
+        not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
+    )
 
 
 def watch(drives: Iterable[Iterator[Moment]], period: float, window: Window, speed: float) -> None:

@@ -27,7 +27,7 @@ __all__ = [
     "Simulation",
     "Start",
     "check_bullet",
-    "judge",
+    "judging_simulation",
     "simulate",
 ]
 
@@ -57,7 +57,7 @@ class Simulation(Protocol):
 
 
 @cache
-def judge() -> str:
+def judging_simulation() -> str:
     """The simulation that evaluations and films drive in: PyBullet's, or the twin where PyBullet cannot be imported."""
     try:
         import_module("tb2rl.simulation.physics")
@@ -68,7 +68,7 @@ def judge() -> str:
 
 def check_bullet(what: str) -> None:
     """Raise an `InputError` where PyBullet is missing, which `what` needs."""
-    if judge() != "bullet":
+    if judging_simulation() != "bullet":
         raise InputError(
             f"{what} needs PyBullet, which is not installed: pip install pybullet (it compiles where there is no wheel)"
         )

@@ -1,8 +1,8 @@
 """Compiled work shared out among threads of this process, which sleep while there is none.
 
 OpenMP's threads spin while they wait, which slows everything on a busy machine unless it is told otherwise before any
-library loads it, and a process that is forked after they have run dies in them. A pool of Python's has neither fault,
-and costs no more, as long as the work lets go of the interpreter (`nogil`).
+library loads it, and a process that is forked after they have run dies in them. Python's threads have neither fault,
+as long as the work lets go of the interpreter (`nogil`).
 """
 
 from __future__ import annotations
@@ -27,10 +27,8 @@ def share_out(work: Callable[..., Any], count: int, lead: int, *arguments: Any) 
     The part of the thread that asks is larger by `lead`, what it gets done before another one is awake.
     """
     first = min(count, (count + lead * (THREADS - 1)) // THREADS)
-    others = THREADS - 1
-    theirs = (
-        list(pairwise(first + (count - first) * number // others for number in range(others + 1))) if others else []
-    )
+    borders = [first + (count - first) * number // max(THREADS - 1, 1) for number in range(THREADS)]
+    theirs = list(pairwise(borders))
     done: SimpleQueue[BaseException | None] = SimpleQueue()
     for part in theirs:
         _tasks().put((work, (*part, *arguments), done))
