@@ -68,7 +68,9 @@ class QTable(BasePolicy):
             raise InputError("a Q-table needs observation=discrete: distance classes, not raw ranges")
         states, actions = math.prod(self.shape), int(action_space.n)
         if states * actions > LARGEST:
-            raise InputError(f"a table of {states} states is too large; take fewer task.beams or task.edges")
+            raise InputError(
+                f"a table of {states} states is too large; take fewer task.beams, task.edges or task.frames"
+            )
         self.q = th.nn.Parameter(th.full((states, actions), initial_value, dtype=th.float64), requires_grad=False)
         self.visits = th.nn.Parameter(th.zeros((states, actions), dtype=th.int64), requires_grad=False)
 

@@ -45,7 +45,8 @@ class WallFollower(BasePolicy):
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
-        beams = sum(name == "laser" for name in getattr(observation_space, "names", ()))
+        self._frames = getattr(observation_space, "frames", 1)
+        beams = sum(name == "laser" for name in getattr(observation_space, "names", ())) // self._frames
         if beams < 5:
             raise InputError(f"the wall follower needs at least 5 beams over 180 degrees, got {beams}")
         self.side, self.ahead, self.guard = side, ahead, guard
@@ -56,7 +57,8 @@ class WallFollower(BasePolicy):
         self._right, self._front, self._left = angles < -25.0, angles.abs() <= 25.0, angles > 25.0
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        observation = observation[:, : len(self._front)]
+        latest = observation[:, -observation.shape[1] // self._frames :]
+        observation = latest[:, : len(self._front)]
         abeam, oblique = observation[:, 0], observation[:, self._oblique]
         # The angle of the wall from two sides of a triangle and the angle between them.
         angle = th.atan2(oblique * math.cos(self._between) - abeam, oblique * math.sin(self._between))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tb2rl.envs.encodings import Observations, put_rows, rows
+from tb2rl.envs.encodings import Observations, rows
 from tb2rl.envs.scene import Scene
 from tb2rl.simulation import Reading, Start
 from tb2rl.simulation.kinematic import KinematicSimulation
@@ -54,7 +54,7 @@ class Batch:
 
     def __init__(self, scene: Scene, robots: int) -> None:
         self.scene, self.task, self.robots = scene, scene.task, robots
-        self._observe, self._actions = scene.encoding, scene.actions
+        self._observer, self._actions = scene.observer(), scene.actions
         self.simulation = KinematicSimulation(scene.setup, robots)
         self.seed(None)
 
@@ -71,7 +71,7 @@ class Batch:
         self._lengths = np.zeros(robots, dtype=np.int64)
         self._returns, self.distances = np.zeros(robots), np.zeros(robots)
         self.reading = self.simulation.reset(self._starts(np.arange(robots)), noise)
-        return self._observe(self.reading)
+        return self._observer.begin(self.reading)
 
     def step(self, actions: np.ndarray) -> Step:
         """Hold an action of each robot, shape (robots, ...), for a control period."""
@@ -84,14 +84,14 @@ class Batch:
         moved = after.pose - before.pose
         self.distances += np.hypot(moved[:, 0], moved[:, 1])
         truncated = (self._lengths >= self.task.episode_steps) & ~terminated
-        observations, finals = self._observe(after), None
+        observations, finals = self._observer.go_on(after), None
         ended = (terminated | truncated).nonzero()[0]
         if ended.size:
             infos = infos_of(after, ended, self.distances[ended], outcome)
             finals = Finals(ended, rows(observations, ended), infos, self._returns[ended], self._lengths[ended])
             self._lengths[ended], self._returns[ended], self.distances[ended] = 0, 0.0, 0.0
             after = self.simulation.restart(ended, self._starts(ended), after)
-            put_rows(observations, ended, self._observe(after.some(ended)))
+            self._observer.begin_some(ended, after.some(ended), observations)
         self.reading = after
         return Step(observations, outcome.reward, terminated, truncated, finals)
 
@@ -100,6 +100,7 @@ class Batch:
         return {
             "simulation": self.simulation.state(),
             "reading": self.reading.state(),
+            "frames": self._observer.state(),
             "keys": self._keys.copy(),
             "draws": self._draws.copy(),
             "lengths": self._lengths.copy(),
@@ -116,6 +117,7 @@ class Batch:
         """
         self.simulation.restore(state["simulation"])
         self.reading = Reading.from_state(state["reading"])
+        self._observer.restore(state["frames"])
         self._keys, self._draws = state["keys"].copy(), state["draws"].copy()
         self._lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
         self.distances = state["distances"].copy()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, Protocol
 
 import numpy as np
@@ -40,7 +41,10 @@ class Numbers(spaces.Box):
     Attributes:
         units: Of each number, such as "m" or "rad".
         names: The sensor of each number.
+        frames: How many observations stand one after the other, the oldest first.
     """
+
+    frames = 1
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         low = np.concatenate([np.full(sensor.shape, sensor.low, np.float32) for sensor in sensors])
@@ -48,6 +52,13 @@ class Numbers(spaces.Box):
         super().__init__(low, high, dtype=np.float32)
         self.units = tuple(sensor.unit for sensor in sensors for _ in range(sensor.shape[0]))
         self.names = tuple(sensor.name for sensor in sensors for _ in range(sensor.shape[0]))
+
+    def repeated(self, frames: int) -> Numbers:
+        """The box of so many of these observations, one after the other."""
+        several = copy(self)
+        spaces.Box.__init__(several, np.tile(self.low, frames), np.tile(self.high, frames), dtype=np.float32)
+        several.units, several.names, several.frames = self.units * frames, self.names * frames, frames
+        return several
 
 
 class Classes:

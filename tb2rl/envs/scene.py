@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
+from tb2rl.envs.frames import Observer, stacked_space
 from tb2rl.envs.rehearsal import rehearse
 from tb2rl.errors import InputError, unknown
 from tb2rl.registry import find_robot, find_world
@@ -28,7 +29,8 @@ class Scene:
         task: The task.
         observation: How it is observed, "discrete" or "raw".
         setup: The robot, its laser and the worlds.
-        encoding: From a reading to what a learner observes.
+        encoding: From one reading to one observation; see `observer`.
+        observation_space: What a learner observes.
         actions: What the robot can be told to do.
     """
 
@@ -36,6 +38,7 @@ class Scene:
     observation: str
     setup: Setup
     encoding: Encoding
+    observation_space: spaces.Space
     actions: Actions
 
     @property
@@ -54,11 +57,6 @@ class Scene:
         return self.setup.worlds[0]
 
     @property
-    def observation_space(self) -> spaces.Space:
-        """What a learner observes."""
-        return self.encoding.space
-
-    @property
     def action_space(self) -> spaces.Space:
         """What a learner does."""
         return self.actions.space
@@ -68,6 +66,10 @@ class Scene:
         """Where an episode is to get, x and y [m], for pictures; None for a task without a goal."""
         x, y = self.task.begin(self.setup, GeneratorDraws(np.random.default_rng(0))).goal[0].tolist()
         return (x, y) if self.task.goal_task else None
+
+    def observer(self) -> Observer:
+        """What turns the readings of some robots into what they observe, from their episodes' first one on."""
+        return Observer(self.encoding, self.observation_space, self.task.frames)
 
     def changed(self, **settings: Any) -> Scene:
         """The scene with other settings of its task, but for its robot and its world, which are made already.
@@ -107,4 +109,5 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
     for world in worlds:
         world.free_space(robot.radius)  # says that there is no room at the start
     actions, sensors = rehearse(task, setup)
-    return Scene(task, observation, setup, encode(observation, sensors), actions)
+    encoding = encode(observation, sensors)
+    return Scene(task, observation, setup, encoding, stacked_space(encoding.space, task.frames), actions)

@@ -29,6 +29,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     | action | of the task's `actions`, held for `control_period`: `Discrete` commands, or a `Box` of speeds |
     | observation "discrete" | `MultiDiscrete`: the class of each of the sensors' numbers, the laser's beams first |
     | observation "raw" | `Box`, float32: these numbers as they are; with images a `Dict`, or one image alone |
+    | with `frames=4` of the task | the last four of these, see `Observer` |
     | reward, termination | the task's; a crash terminates |
     | truncation | after `episode_steps` control steps |
 
@@ -64,7 +65,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         modes = [mode for mode in _RENDER_MODES if mode != "human" or simulation == "bullet"]
         self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = scene.observation_space, scene.action_space
-        self._observe, self._actions = scene.encoding, scene.actions
+        self._observer, self._actions = scene.observer(), scene.actions
         self.simulation = simulate(simulation, scene.setup, window=render_mode == "human")
         self.reading: Reading | None = None  # the latest; None before the first reset
         self._spec: EnvSpec | None = None
@@ -80,7 +81,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.reading = self.simulation.reset(self._start(options or {}), self.np_random)
         self._steps, self._distance = 0, 0.0
         self.path = [self.reading.pose[0]]
-        return row(self._observe(self.reading), 0), info_of(self.reading, 0, 0.0, None)
+        return row(self._observer.begin(self.reading), 0), info_of(self.reading, 0, 0.0, None)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Hold an action for a control period.
@@ -104,7 +105,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         ending = outcome.ending(0, truncated)
         terminated = ending is not None and ending.name != TIME_LIMIT
         info = info_of(after, 0, self._distance, ending)
-        return row(self._observe(after), 0), float(outcome.reward[0]), terminated, truncated, info
+        return row(self._observer.go_on(after), 0), float(outcome.reward[0]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """The picture of the moment, seen from above, shape (height, width, 3), uint8; None for the window."""
@@ -134,6 +135,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         return {
             "simulation": self.simulation.state(),
             "reading": self.reading.state(),
+            "frames": self._observer.state(),
             "steps": self._steps,
             "distance": self._distance,
             "generator": self.np_random.bit_generator.state,
@@ -145,6 +147,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             self.simulation.reset(Start.proposed(self.scene.setup, 1), self.np_random)
         self.simulation.restore(state["simulation"])
         self.reading = Reading.from_state(state["reading"])
+        self._observer.restore(state["frames"])
         self._steps, self._distance = int(state["steps"]), float(state["distance"])
         self.np_random.bit_generator.state = state["generator"]
         self.path = [self.reading.pose[0]]

@@ -62,7 +62,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap:
     actions, states = [], []
     for start in _starts(scene, places):
         reading = simulation.reset(start, np.random.default_rng(0))
-        observations = scene.encoding(reading)
+        observations = scene.observer().begin(reading)
         taken = np.array(policy.predict(observations, deterministic=True)[0])
         over = scene.task.judge(reading, np.zeros_like(taken), reading).terminated
         actions.append(np.where(over, OVER, scene.actions.kinds(taken)))

@@ -37,6 +37,7 @@ class Task(ABC):
     beams: Annotated[int, Ge(1), Le(100_000)] | None = None  # of the laser, ends included; None: the observation's
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # to read; None: all
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
+    frames: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first
     edges: Edges = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
 
     @property

@@ -13,6 +13,7 @@ import pytest
 from tb2rl import make_env
 from tb2rl.sensors import Sensor
 from tb2rl.tasks import Outcome, Task, Velocities
+from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # other processes cannot import it
@@ -67,6 +68,12 @@ def glide():
 @pytest.fixture(params=[Alone, Beside])
 def image_task(request):
     """A task that observes an image: alone, or beside the laser's ranges."""
+    return request.param
+
+
+@pytest.fixture(params=[(Wander, "discrete"), (Wander, "raw"), (ReachGoal, "raw"), (Alone, "raw"), (Beside, "raw")])
+def observed(request):
+    """A task and how it is observed: classes, numbers, an image, both."""
     return request.param
 
 

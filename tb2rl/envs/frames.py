@@ -1,0 +1,113 @@
+"""What a learner observes as time goes by: the last observation, or the last few stacked, so that it sees changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from tb2rl.envs.encodings import Encoding, Numbers, Observations, put_rows, row
+from tb2rl.errors import InputError
+from tb2rl.simulation import Reading
+
+
+class Observer:
+    """Turns the readings of some robots into what they observe: each as it is, or the last few as one.
+
+    Numbers and classes stand one after the other, the oldest first; of images, the channels do. Where an episode
+    begins, its first observation stands for those before it, as in Gymnasium's `FrameStackObservation`. (That wrapper
+    has no version for a batch. Stable-Baselines3's `VecFrameStack` fills with zeros, which to a laser are walls, and
+    knows no classes.)
+
+    Args:
+        encoding: From one reading to one observation.
+        space: Of one robot's stacked observation, see `stacked_space`.
+        frames: How many observations are stacked.
+    """
+
+    def __init__(self, encoding: Encoding, space: spaces.Space, frames: int) -> None:
+        self._encode, self._space, self._frames = encoding, space, frames
+        self._stack: Observations = None  # the latest; with one frame it is not kept
+
+    def begin(self, reading: Reading) -> Observations:
+        """What the robots observe where the episodes of all of them begin."""
+        first = self._first(reading)
+        if self._frames > 1:
+            self._stack = deepcopy(first)
+        return first
+
+    def go_on(self, reading: Reading) -> Observations:
+        """What the robots observe a step later."""
+        latest = self._encode(reading)
+        if self._frames == 1:
+            return latest
+        self._stack = _each(lambda new, old: np.concatenate([old[:, new.shape[1] :], new], axis=1), latest, self._stack)
+        return deepcopy(self._stack)  # whoever gets it may write into it
+
+    def begin_some(self, robots: np.ndarray, reading: Reading, observations: Observations) -> None:
+        """Put the first observations of new episodes into the observations of all robots, in place.
+
+        Args:
+            robots: Indices of those whose episodes begin, shape (n,).
+            reading: Of these alone, n rows.
+            observations: From `go_on`.
+        """
+        first = self._first(reading)
+        put_rows(observations, robots, first)
+        if self._frames > 1:
+            put_rows(self._stack, robots, first)
+
+    def state(self) -> Observations:
+        """The frames so far, in arrays of their own; None with one frame."""
+        return deepcopy(self._stack)
+
+    def restore(self, state: Observations) -> None:
+        """Go on from a `state`.
+
+        Raises:
+            ValueError: If these are no observations.
+        """
+        if self._frames > 1:
+            robots = len(next(iter(state.values())) if isinstance(state, dict) else state)
+            if not all(self._space.contains(row(state, robot)) for robot in range(robots)):
+                raise ValueError("the stacked observations lie outside the observation space")
+            self._stack = deepcopy(state)
+
+    def _first(self, reading: Reading) -> Observations:
+        observations = self._encode(reading)
+        if self._frames == 1:
+            return observations
+        return _each(lambda new: np.concatenate([new] * self._frames, axis=1), observations)
+
+
+def stacked_space(space: spaces.Space, frames: int) -> spaces.Space:
+    """The space of so many stacked observations.
+
+    Raises:
+        InputError: If stacked images have more channels than rows or columns: Stable-Baselines3 would mistake them.
+    """
+    if frames == 1:
+        return space
+    if isinstance(space, spaces.Dict):
+        return spaces.Dict({name: stacked_space(part, frames) for name, part in space.items()})
+    if isinstance(space, spaces.MultiDiscrete):
+        return spaces.MultiDiscrete(np.tile(space.nvec, frames))
+    if isinstance(space, Numbers):
+        return space.repeated(frames)
+    channels, *sides = space.shape or ()
+    if frames * channels > min(sides):
+        raise InputError(
+            f"task.frames={frames} makes images of {frames * channels} channels, more than their {min(sides)} "
+            "rows or columns; take fewer"
+        )
+    return spaces.Box(0, 255, (frames * channels, *sides), np.uint8)
+
+
+def _each(function: Callable[..., np.ndarray], observations: Observations, *others: Any) -> Observations:
+    """A function of arrays, applied to each part of observations."""
+    if isinstance(observations, dict):
+        return {name: function(part, *(other[name] for other in others)) for name, part in observations.items()}
+    return function(observations, *others)
