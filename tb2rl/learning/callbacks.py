@@ -16,6 +16,7 @@ from stable_baselines3.common.logger import Image
 from tb2rl.judging.evaluator import Evaluator
 from tb2rl.learning.state import Stateful, capture
 from tb2rl.runs.folder import Run
+from tb2rl.runs.normalisation import driving_policy
 from tb2rl.showing.pictures import draw_paths
 
 _PATHS_DRAWN = 5
@@ -62,7 +63,7 @@ class Evaluate(BaseCallback):
     def evaluate(self, progress: bool = False) -> None:
         """Evaluate the policy as it is now; with `progress`, a bar on a terminal says how far this is."""
         started = time.monotonic()
-        evaluation = self.evaluator.run(self.model.policy, progress)
+        evaluation = self.evaluator.run(driving_policy(self.model), progress)
         summary = {"timesteps": self.num_timesteps, **evaluation.summary()}
         summary["seconds"] = round(time.monotonic() - started, 3)
         summary["elapsed"] = self._elapsed()

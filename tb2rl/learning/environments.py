@@ -7,7 +7,8 @@ from functools import partial
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+import numpy as np
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, unwrap_vec_normalize
 
 from tb2rl.envs.processes import ProcessVecEnv
 from tb2rl.envs.scene import Scene
@@ -31,8 +32,16 @@ def make_vec_env(config: Config) -> VecEnv:
 
 
 def state_of(env: VecEnv) -> Any:
-    """The state of all environments in plain values and arrays: one tree of a batch, else a list of them."""
-    return env.state() if hasattr(env, "state") else env.env_method("state")
+    """The state of all environments in plain values and arrays: one tree of a batch, else a list of them.
+
+    Where `VecNormalize` is around them, a tree with its own state beside theirs, but for its statistics, which are
+    saved with the policy.
+    """
+    state = env.state() if hasattr(env, "state") else env.env_method("state")
+    around = unwrap_vec_normalize(env)
+    if around is None:
+        return state
+    return {"inner": state, "returns": around.returns.copy(), "observations": around.get_original_obs()}
 
 
 def restore(env: VecEnv, state: Any) -> None:
@@ -42,6 +51,11 @@ def restore(env: VecEnv, state: Any) -> None:
         ValueError: If it is not one of such environments.
     """
     state = fill(state_of(env), state, "environments")
+    around = unwrap_vec_normalize(env)
+    if around is not None:
+        around.returns, around.old_obs, state = state["returns"], state["observations"], state["inner"]
+        if not np.isfinite(around.returns).all():
+            raise ValueError("environments.returns are not finite")
     if hasattr(env, "restore"):
         env.restore(state)
         return

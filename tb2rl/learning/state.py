@@ -78,12 +78,16 @@ def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Seque
             setattr(algorithm, name, value)
         algorithm.ep_info_buffer = _queue(algorithm.ep_info_buffer, _episode)
         algorithm.ep_success_buffer = _queue(algorithm.ep_success_buffer, bool)
-        for i in range(algorithm.env.num_envs):
-            if not algorithm.observation_space.contains(row(algorithm._last_obs, i)):
-                raise ValueError("the last observation lies outside the observation space")
         if state["replay_buffer"] is not None:
             _refill(algorithm.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]
         environments.restore(algorithm.env, state["environments"])
+        last = algorithm._last_obs
+        if (around := algorithm.get_vec_normalize_env()) is not None:
+            last = algorithm._last_original_obs = around.get_original_obs()
+            algorithm._last_obs = around.normalize_obs(last)
+        for i in range(algorithm.env.num_envs):
+            if not algorithm.observation_space.contains(row(last, i)):
+                raise ValueError("the last observation lies outside the observation space")
         for callback, remembered in zip(callbacks, state["callbacks"], strict=True):
             callback.restore(remembered)
         set_generators(algorithm, state["generators"])
@@ -95,7 +99,12 @@ def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Seque
 def _begin(algorithm: BaseAlgorithm) -> None:
     """What `learn` sets up where nothing was learned yet."""
     assert algorithm.env is not None
+    around = algorithm.get_vec_normalize_env()
+    if around is not None:
+        around.training = False  # its statistics are put back already, and this reset does not count
     algorithm._last_obs = algorithm.env.reset()  # type: ignore[assignment]
+    if around is not None:
+        around.training = True
     algorithm._last_episode_starts = np.ones(algorithm.env.num_envs, dtype=bool)
     algorithm.ep_info_buffer = deque(maxlen=algorithm._stats_window_size)
     algorithm.ep_success_buffer = deque(maxlen=algorithm._stats_window_size)

@@ -21,6 +21,7 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.registry import find_agent, import_object
 from tb2rl.runs.arguments import LIBRARY_ERRORS, agent_for, algorithm_arguments
 from tb2rl.runs.config import Config
+from tb2rl.runs.normalisation import agree, normalised
 
 MOST_WEIGHTS = 100_000_000  # in all networks of an algorithm; 400 MB
 MOST_LAYERS = 2_000  # arrays of weights, in all networks of an algorithm
@@ -31,7 +32,7 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
 
     Args:
         config: Its agent learns.
-        env: What it is to learn in.
+        env: What it is to learn in; normalised here if the config says so.
         arguments: More of the algorithm's own, by name.
 
     Raises:
@@ -40,9 +41,10 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
     agent = agent_for(config.agent_name, config.scene.observation_space)
     check_learns(config)
     device = _device(config.train.device)
+    env = normalised(env, config.train)
     try:
         with _few_weights():
-            return import_object(str(agent.algorithm))(
+            algorithm = import_object(str(agent.algorithm))(
                 agent.policy,
                 env,
                 seed=config.train.seed,
@@ -52,6 +54,8 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
             )
     except LIBRARY_ERRORS as error:
         raise refusal(config, str(error)) from None
+    agree(algorithm)
+    return algorithm
 
 
 def check_learns(config: Config) -> None:

@@ -36,6 +36,8 @@ class TrainSettings:
     device: str = "cpu"
     torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # two: 15 % for ppo in the twin, nothing for dqn
     reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # of what the agent sees; logs are unscaled
+    norm_obs: bool = False  # numbers observed, by the mean and spread of all so far: Stable-Baselines3's VecNormalize
+    norm_reward: bool = False  # by the spread of discounted returns; whatever the reward_scale
     eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
     eval_episodes: Annotated[int, Ge(1), Le(100_000)] = 20
     eval_steps: Count = 1000  # control steps at most in an episode of these

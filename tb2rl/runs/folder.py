@@ -33,6 +33,7 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.files import read_text, read_yaml, write_text
 from tb2rl.runs.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
+from tb2rl.runs.normalisation import statistics_of
 
 EVALUATIONS = "evaluations.jsonl"
 EVALUATION, PATHS = "evaluation.json", f"episodes{SUFFIX}"  # files of the standard evaluation
@@ -122,6 +123,7 @@ class Run:
             "versions": versions(),
             "config": self.config.to_dict(),
             "policy": algorithm.policy.state_dict(),
+            "normalisation": statistics_of(algorithm),
             **more,
         }
         with _writing(path):

@@ -19,6 +19,7 @@ from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import Run
+from tb2rl.runs.normalisation import driving_policy
 from tb2rl.runs.parameters import load_parameters
 
 
@@ -39,6 +40,7 @@ def load(reference: str | Path) -> BaseAlgorithm:
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     load_parameters(algorithm, {**content, "training": None}, file)
+    algorithm.policy = driving_policy(algorithm)
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
 

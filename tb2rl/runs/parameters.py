@@ -17,6 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from tb2rl.errors import InputError, one_line
 from tb2rl.runs.arguments import LIBRARY_ERRORS
+from tb2rl.runs.normalisation import load_statistics
 
 _LARGEST = 1e9  # of any weight
 _SINGLE = ("step", "mu_product")  # of an optimiser, one number for all of a layer's weights
@@ -42,7 +43,8 @@ def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: 
 
     Args:
         algorithm: Gets the parameters, and the number of timesteps.
-        content: "timesteps" and "policy"; where it has a "training" too, the "others" and "tensors" in that.
+        content: "timesteps" and "policy"; where it has a "training" too, the "others" and "tensors" in that; where
+            the config normalises, "normalisation", see `statistics_of`.
         file: Where they come from, for the message.
 
     Raises:
@@ -54,6 +56,7 @@ def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: 
             if array.dtype.kind == "f" and not (np.abs(array) < _LARGEST).all():
                 raise ValueError("it holds weights that learning does not lead to")
         algorithm.policy.load_state_dict(_tensors(content["policy"]))
+        load_statistics(algorithm, content.get("normalisation"))
         if training := content.get("training"):
             others, tensors = _names(algorithm)
             for name in others:

@@ -14,6 +14,8 @@ ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2}
 OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 200, "agent.batch_size": 16}  # full when it is saved
 EXPLORING = {"agent.use_sde": True}  # with matrices of noise, drawn once a rollout
 MEMORY = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
+NORMALISED = {"train.norm_obs": True, "train.norm_reward": True}
+FRAMES = {"task.frames": 4}
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.noise": 0.01}
 ALGORITHMS = {
     "A2C": (f"{SB3}:A2C", "maze", {"agent.n_steps": 8}),
@@ -37,6 +39,18 @@ ALGORITHMS = {
     "RecurrentPPO": (f"{CONTRIB}:RecurrentPPO", "maze", {**ON_POLICY, **MEMORY}),
     "RecurrentPPO, an image": (f"{CONTRIB}:RecurrentPPO", "my_tasks:Pictured", {**ON_POLICY, **MEMORY}),
     "RecurrentPPO, noisy": (f"{CONTRIB}:RecurrentPPO", "my_tasks:Glide", {**ON_POLICY, **MEMORY, **EXPLORING}),
+    "PPO, normalised": (f"{SB3}:PPO", "maze", {**ON_POLICY, **NORMALISED}),
+    "PPO, only rewards normalised": (f"{SB3}:PPO", "maze", {**ON_POLICY, "train.norm_reward": True}),
+    "PPO, frames": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES}),
+    "PPO, frames of classes": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES, "task.observation": "discrete"}),
+    "DQN, an image, normalised frames": (f"{SB3}:DQN", "my_tasks:Pictured", {**OFF_POLICY, **NORMALISED, **FRAMES}),
+    "TD3, normalised": (f"{SB3}:TD3", "my_tasks:Glide", {**OFF_POLICY, **NORMALISED}),
+    "SAC, normalised frames": (f"{SB3}:SAC", "my_tasks:Glide", {**OFF_POLICY, **NORMALISED, **FRAMES}),
+    "RecurrentPPO, normalised frames": (
+        f"{CONTRIB}:RecurrentPPO",
+        "my_tasks:Glide",
+        {**ON_POLICY, **MEMORY, **NORMALISED, **FRAMES},
+    ),
     "TQC, noisy": (f"{CONTRIB}:TQC", "my_tasks:Glide", {**OFF_POLICY, **EXPLORING}),
 }
 SOON = {  # for a training of 2048 steps
@@ -46,8 +60,9 @@ SOON = {  # for a training of 2048 steps
 }
 
 
+LONGER = {"SAC", "TD3", "RecurrentPPO", *(name for name in ALGORITHMS if "frames" in name or "normalised" in name)}
 TWIN_ONLY = {"A2C, noisy", "PPO, often noisy", "DQN, three steps", "SAC, fixed entropy", "TQC, noisy"}
-TWIN_ONLY |= {"TRPO", "CrossQ", "RecurrentPPO, an image", "RecurrentPPO, noisy"}
+TWIN_ONLY |= {"TRPO", "CrossQ", "RecurrentPPO, an image", "RecurrentPPO, noisy", "PPO, only rewards normalised"}
 TWIN = [pytest.param(name, "kinematic", 4, id=f"{name} in the twin") for name in ALGORITHMS]
 PYBULLET = [
     pytest.param(name, "bullet", 2, id=f"{name} in PyBullet", marks=() if name == "SAC" else pytest.mark.slow)
@@ -61,12 +76,13 @@ def test_a_resumed_training_is_the_uninterrupted_one(
     name, simulation, environments, small, killed, differences, tmp_path
 ):
     agent, task, settings = ALGORITHMS[name]
-    train = {"simulation": simulation, "n_envs": environments, "total_timesteps": 512, "save_freq": 256, "keep": 9}
+    steps = 1024 if name in LONGER else 512
+    train = {"simulation": simulation, "n_envs": environments, "total_timesteps": steps, "save_freq": steps // 2, "keep": 9}
     config = small(agent, task, {**SMALL, **settings}, episode_steps=40, **train)
     whole = train_config(config, tmp_path / "whole").run
     assert len(whole.checkpoints) == 2
     resumed = killed(whole, tmp_path / "resumed")
-    assert resume(resumed.folder).timesteps == 256
+    assert resume(resumed.folder).timesteps == steps // 2
     assert differences(*(read_checkpoint(run.checkpoints[0]) for run in (whole, resumed))) == []
     assert differences(*(read_checkpoint(run.policy_file) for run in (whole, resumed))) == []
 
