@@ -20,8 +20,11 @@ from tb2rl.runs.loading import load
 from tb2rl.runs.parameters import load_parameters
 
 
-def export_policy(reference: str | Path, file: Path) -> None:
+def export_policy(reference: str | Path, file: Path) -> list[Path]:
     """Write a policy as a zip that its algorithm's own `load` opens, for example `stable_baselines3.DQN.load`.
+
+    Returns:
+        The files that were written: beside the zip of a policy that normalises, one for `VecNormalize.load`.
 
     Raises:
         InputError: If there is no such policy, or the file cannot be written.
@@ -31,10 +34,15 @@ def export_policy(reference: str | Path, file: Path) -> None:
         raise InputError(f"cannot write {file}: it is a folder, or its folder does not exist")
     if hasattr(algorithm, "replay_buffer_class"):
         algorithm.replay_buffer_class = None  # Stable-Baselines3 chooses it again, and warns if it finds its own choice
+    files = [file]
     try:
         algorithm.save(file)
+        if env := algorithm.get_vec_normalize_env():
+            files.append(file.with_name(f"{file.stem}-vecnormalize.pkl"))
+            env.save(str(files[-1]))
     except OSError as error:
         raise InputError(f"cannot write {file}: {error.strerror or error}") from None
+    return files
 
 
 def import_policy(
@@ -106,5 +114,5 @@ def run(options: argparse.Namespace) -> None:
         raise InputError("--agent, --task and --set go with --trust")
     if Path(options.source).suffix == ".zip":
         raise InputError(f"to read {options.source} is to run the code in it; say so with --trust")
-    export_policy(options.source, options.target)
-    print(f"wrote {options.target}")
+    for file in export_policy(options.source, options.target):
+        print(f"wrote {file}")

@@ -41,6 +41,8 @@ def load(reference: str | Path) -> BaseAlgorithm:
         raise InputError(f"{file}: {error}") from None
     load_parameters(algorithm, {**content, "training": None}, file)
     algorithm.policy = driving_policy(algorithm)
+    if env := algorithm.get_vec_normalize_env():
+        env.training = False  # for users who ask Stable-Baselines3 for it
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
 

@@ -65,7 +65,7 @@ def agree(algorithm: BaseAlgorithm) -> None:
 
 
 def statistics_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
-    """Means, variances and counts of all that was met, as a tree for `write_checkpoint`; empty if nothing is normalised."""
+    """Mean, variance and count of all that was met, a tree for `write_checkpoint`; empty if nothing is normalised."""
     env = algorithm.get_vec_normalize_env()
     if env is None:
         return {}

@@ -46,6 +46,12 @@ MY_TASKS = """
         "An image beside the laser's ranges."
         def sensors(self, setup):
             return (*super().sensors(setup), Picture())
+
+    @dataclass(frozen=True)
+    class OnlyPicture(Wander):
+        "An image alone."
+        def sensors(self, setup):
+            return (Picture(),)
     """
 TIMED = {"elapsed"}  # what a clock says
 

@@ -77,7 +77,13 @@ def test_a_resumed_training_is_the_uninterrupted_one(
 ):
     agent, task, settings = ALGORITHMS[name]
     steps = 1024 if name in LONGER else 512
-    train = {"simulation": simulation, "n_envs": environments, "total_timesteps": steps, "save_freq": steps // 2, "keep": 9}
+    train = {
+        "simulation": simulation,
+        "n_envs": environments,
+        "total_timesteps": steps,
+        "save_freq": steps // 2,
+        "keep": 9,
+    }
     config = small(agent, task, {**SMALL, **settings}, episode_steps=40, **train)
     whole = train_config(config, tmp_path / "whole").run
     assert len(whole.checkpoints) == 2

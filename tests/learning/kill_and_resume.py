@@ -1,0 +1,136 @@
+"""Whole trainings, killed with SIGKILL halfway and resumed, held against the same ones that nobody disturbed.
+
+    python tests/learning/kill_and_resume.py          # all, 20 000 steps each: a quarter of an hour on two cores
+    python tests/learning/kill_and_resume.py SAC      # those whose name begins so
+
+What is compared, to the bit: the last checkpoint (weights, optimisers, replay buffer, statistics, generators,
+environments), the best and the final policy, and the evaluations on the way. Exit status 1 if anything differs.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from conftest import _differences
+
+from tb2rl.runs.checkpoint import read_checkpoint
+from tb2rl.runs.folder import Run
+from tb2rl.tasks import Outcome, Velocities
+from tb2rl.tasks.wander import Wander
+
+STEPS = 20_000
+SB3, CONTRIB = "stable_baselines3", "sb3_contrib"
+FRAMES = ["task.frames=4"]
+NORMALISED = ["train.norm_obs=true", "train.norm_reward=true"]
+ON_POLICY = ["agent.n_steps=128", "agent.batch_size=128", "agent.n_epochs=4"]
+OFF_POLICY = ["agent.buffer_size=8000", "agent.learning_starts=1000", "agent.batch_size=64"]  # full when it is killed
+MEMORY = ["agent.policy_kwargs.lstm_hidden_size=32"]
+TRAININGS = {
+    "SAC": (f"{SB3}:SAC", "Glide", OFF_POLICY),
+    "TD3": (f"{SB3}:TD3", "Glide", OFF_POLICY),
+    "RecurrentPPO": (f"{CONTRIB}:RecurrentPPO", "Glide", [*ON_POLICY, *MEMORY]),
+    "PPO, normalised": (f"{SB3}:PPO", "Glide", [*ON_POLICY, *NORMALISED]),
+    "SAC, normalised frames": (f"{SB3}:SAC", "Glide", [*OFF_POLICY, *NORMALISED, *FRAMES]),
+    "TD3, normalised frames": (f"{SB3}:TD3", "Glide", [*OFF_POLICY, *NORMALISED, *FRAMES]),
+    "RecurrentPPO, normalised frames": (
+        f"{CONTRIB}:RecurrentPPO",
+        "Glide",
+        [*ON_POLICY, *MEMORY, *NORMALISED, *FRAMES],
+    ),
+    "DQN, frames in PyBullet": (f"{SB3}:DQN", "maze", [*OFF_POLICY, *FRAMES, "train.simulation=bullet"]),
+}
+
+
+@dataclass(frozen=True)
+class Glide(Wander):
+    """Wander at any speed."""
+
+    actions = Velocities(forward=(-0.1, 0.5), turn=(-1.0, 1.0))
+
+    def judge(self, before, action, after):
+        crashed = after.bumped | (after.nearest < self.crash_range)
+        return Outcome(np.where(crashed, -10.0, after.twist[:, 0]), failed={"crash": crashed})
+
+
+def begin(name: str, run: str, cwd: Path) -> tuple[subprocess.Popen, Path]:
+    """The process of a training, and its folder."""
+    agent, task, settings = TRAININGS[name]
+    task = f"{Path(__file__).stem}:{task}" if task == "Glide" else task
+    train = [
+        "agent.policy_kwargs.net_arch=[64,64]",
+        "train.eval_episodes=2",
+        "train.eval_steps=50",
+        f"train.save_freq={STEPS // 2}",
+        "train.keep=2",
+    ]
+    train += ["train.simulation=kinematic", "train.n_envs=4", f"train.eval_freq={STEPS // 8}", "task.noise=0.01"]
+    flags = ["--name", run, "--total-timesteps", str(STEPS), "--set", *train, *settings]
+    folder = cwd / "runs" / task.rpartition(":")[2] / agent.rpartition(":")[2] / run
+    return command(["--agent", agent, "--task", task, *flags], cwd), folder
+
+
+def command(arguments: list[str], cwd: Path) -> subprocess.Popen:
+    path = os.pathsep.join([str(Path(__file__).parents[2]), str(Path(__file__).parent)])
+    words = [sys.executable, "-m", "tb2rl.train", "--no-evaluation", *arguments]
+    return subprocess.Popen(words, cwd=cwd, env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.DEVNULL)
+
+
+def evaluations(folder: Path) -> list[dict]:
+    file = folder / "evaluations.jsonl"
+    lines = file.read_text().splitlines() if file.exists() else []
+    return [{k: v for k, v in json.loads(line).items() if k not in ("seconds", "elapsed")} for line in lines]
+
+
+def kill_past_the_checkpoint(process: subprocess.Popen, folder: Path) -> int:
+    """Kill a training once it has evaluated after its checkpoint; returns the steps that it had by then."""
+    while not (evaluations(folder) and evaluations(folder)[-1]["timesteps"] > STEPS // 2 + STEPS // 8):
+        assert process.poll() is None, "it was over before it could be killed"
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    return evaluations(folder)[-1]["timesteps"]
+
+
+def compare(name: str, cwd: Path) -> list[str]:
+    """What differs between a training that was killed and one that was not."""
+    whole, folder = begin(name, "whole", cwd)
+    assert whole.wait() == 0
+    process, killed = begin(name, "killed", cwd)
+    lost = kill_past_the_checkpoint(process, killed)
+    checkpoints = Run.open(killed).checkpoints
+    print(f"{name}: killed after {lost} steps, goes on from {checkpoints[0].stem}", flush=True)
+    assert command(["--resume", str(killed)], cwd).wait() == 0
+    runs = [Run.open(folder), Run.open(killed)]
+    files = [
+        [run.checkpoints[0], run.folder / "best/policy.safetensors", run.folder / "final/policy.safetensors"]
+        for run in runs
+    ]
+    found = [line for pair in zip(*files, strict=True) for line in _differences(*map(read_checkpoint, pair))]
+    if evaluations(folder) != evaluations(killed) or len(evaluations(folder)) < 8:
+        found.append("evaluations.jsonl")
+    return found
+
+
+def main() -> None:
+    """Compare those whose names were given, else all."""
+    wanted = tuple(sys.argv[1:]) or ("",)
+    failed = 0
+    for name in (name for name in TRAININGS if name.startswith(wanted)):
+        with TemporaryDirectory() as cwd:
+            started, found = time.monotonic(), compare(name, Path(cwd))
+        print(f"{name}: {found or 'equal to the bit'} ({time.monotonic() - started:.0f} s)", flush=True)
+        failed += bool(found)
+    sys.exit(failed > 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""Statistics from a file: those of the policy's own training, or refused in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tb2rl.learning.training import train_config
+from tb2rl.runs.layers import resolve
+from tb2rl.runs.loading import load
+
+SETTINGS = {
+    "agent.n_steps": 16,
+    "agent.batch_size": 32,
+    "agent.n_epochs": 1,
+    "agent.policy_kwargs.net_arch": [8],
+    "train.simulation": "kinematic",
+    "train.n_envs": 4,
+    "train.total_timesteps": 64,
+    "train.eval_freq": 0,
+    "train.norm_obs": True,
+    "train.norm_reward": True,
+}
+NAN = float("nan")
+
+
+@pytest.fixture(scope="module")
+def policy_file(tmp_path_factory):
+    """A policy that normalises; not to be changed."""
+    config = resolve("stable_baselines3:PPO", settings=SETTINGS)
+    return train_config(config, tmp_path_factory.mktemp("normalised") / "run").run.policy_file
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        ("normalisation", ..., "lacks the statistics"),
+        ("normalisation", {}, ""),
+        ("normalisation", [1], "lacks the statistics"),
+        ("normalisation/observations", {}, "lacks the statistics"),
+        ("normalisation/observations/numbers", None, ""),
+        ("normalisation/observations/numbers/mean", ..., ""),
+        ("normalisation/observations/numbers/mean", lambda mean: mean[:-1], "numbers have another shape or type"),
+        ("normalisation/observations/numbers/mean", lambda mean: mean.astype(np.float32), "another shape or type"),
+        ("normalisation/observations/numbers/var", lambda var: var[None], "another shape or type"),
+        ("normalisation/observations/numbers/var", 1.0, "another shape or type"),
+        ("normalisation/observations/numbers/mean", lambda mean: mean * NAN, "not finite"),
+        ("normalisation/observations/numbers/var", lambda var: var + float("inf"), "not finite"),
+        ("normalisation/observations/numbers/var", lambda var: -var, "negative variance"),
+        ("normalisation/observations/numbers/count", NAN, "no count"),
+        ("normalisation/observations/numbers/count", -1.0, "no count"),
+        ("normalisation/observations/numbers/count", "x", "no count"),
+        ("normalisation/rewards/var", lambda var: np.array(-var), "rewards have a negative variance"),
+        ("normalisation/rewards", ..., ""),
+    ],
+)
+def test_statistics_that_do_not_fit_are_refused(place, value, said, policy_file, edited, refused, tmp_path):
+    file = edited(policy_file, tmp_path / "policy.safetensors", place, value)
+    message = refused(load, file)
+    assert message.startswith(f"{file} does not fit its config")
+    assert said in message
