@@ -124,7 +124,7 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
     env.seed(0)
     env.reset()
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
-    results = np.empty((robots, 2)), np.empty(robots, dtype=bool), np.empty((robots, beams))
+    results = np.empty((robots, 2)), np.empty(robots), np.empty(robots, dtype=bool), np.empty((robots, beams))
     whole: list[float] = []
     bare: list[float] = []
     end = time.perf_counter() + seconds

@@ -81,8 +81,7 @@ class Batch:
         terminated = outcome.terminated
         self._lengths += 1
         self._returns += outcome.reward
-        moved = after.pose - before.pose
-        self.distances += np.hypot(moved[:, 0], moved[:, 1])
+        self.distances += self.simulation.moved
         truncated = (self._lengths >= self.task.episode_steps) & ~terminated
         observations, finals = self._observer.go_on(after), None
         ended = (terminated | truncated).nonzero()[0]
@@ -144,7 +143,7 @@ def infos_of(reading: Reading, robots: np.ndarray, distances: np.ndarray, outcom
         distances: How far each has driven [m], shape (n,).
         outcome: Of all robots.
     """
-    names, failed, success = zip(*(outcome.ending(robot, timed_out=True) for robot in robots.tolist()), strict=True)
+    names, failed, success = zip(*outcome.endings(robots), strict=True)
     return {
         "pose": reading.pose[robots],
         "distance": distances,

@@ -31,7 +31,12 @@ class KinematicSimulation:
     Args:
         setup: The robot, its laser and the worlds.
         robots: How many.
+
+    Attributes:
+        moved: How far from where it was the last step took each robot [m], shape (robots,).
     """
+
+    moved: np.ndarray
 
     def __init__(self, setup: Setup, robots: int = 1) -> None:
         self.setup, self.laser, self.robots = setup, setup.laser, robots
@@ -57,10 +62,10 @@ class KinematicSimulation:
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         poses, rims = self._poses.copy(), self._rims.copy()  # readings keep what they show
-        twists, bumped = np.empty_like(rims), np.empty(self.robots, dtype=bool)
+        twists, moved, bumped = np.empty_like(rims), np.empty(self.robots), np.empty(self.robots, dtype=bool)
         ranges = np.empty((self.robots, self._beams.shape[1]))
-        self.advance(poses, rims, np.ascontiguousarray(commands, dtype=float), duration, twists, bumped, ranges)
-        self._poses, self._rims, self._bumped = poses, rims, bumped
+        self.advance(poses, rims, np.ascontiguousarray(commands, dtype=float), duration, twists, moved, bumped, ranges)
+        self._poses, self._rims, self._bumped, self.moved = poses, rims, bumped, moved
         return Reading(poses, twists, poses, ranges, bumped, self._start)
 
     def advance(
@@ -70,6 +75,7 @@ class KinematicSimulation:
         commands: np.ndarray,
         duration: float,
         twists: np.ndarray,
+        moved: np.ndarray,
         bumped: np.ndarray,
         ranges: np.ndarray,
     ) -> None:
@@ -79,7 +85,7 @@ class KinematicSimulation:
         """
         data = (
             poses, rims, commands, duration, self._start.table, self._boxes, self._posts, self._parts,
-            self._beams, self._limits, self._streams, twists, bumped, ranges,
+            self._beams, self._limits, self._streams, twists, moved, bumped, ranges,
         )  # fmt: skip
         cost = ROBOT + BEAM * ranges.shape[1]
         if self.robots * cost > WORTH_THREADS:
