@@ -11,6 +11,7 @@ import pytest
 from tb2rl import benchmark
 from tb2rl.commands import benchmark as work
 from tb2rl.commands.benchmark import PARTS, Figure, learners
+from tb2rl.envs.processes import processors
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.threads import THREADS
@@ -34,7 +35,9 @@ def test_the_table_has_a_figure_for_everything(brief, tmp_path, capsys):
     for robots in (1, 100):
         assert values[f"twin, {robots} robots, 6 beams: step / bare kernel"] > 1
     assert values["twin, 100 robots, 6 beams: step"] > values["PyBullet, 6 beams: step"]
-    assert values["PyBullet, 2 environments in parallel processes"] > 1
+    together, alone = "PyBullet, 2 environments in parallel processes", values["PyBullet, one environment alone"]
+    shares = [value for name, value in values.items() if name.startswith(f"{together} / (")]
+    assert shares == [pytest.approx(values[together] / alone / processors(), rel=0.5)]
     printed = capsys.readouterr().out
     assert tree["machine"].split(",")[0] in printed
     assert all(name in printed for name in values)

@@ -61,7 +61,7 @@ class Conditions:
 def measure_physics(conditions: Conditions) -> list[Figure]:
     """The environment's step, alone and in parallel processes."""
     figures = [figure for beams in BEAMS for figure in measure_step(beams, conditions.seconds)]
-    return [*figures, measure_processes(ENVIRONMENTS, conditions.seconds)]
+    return [*figures, *measure_processes(ENVIRONMENTS, conditions.seconds)]
 
 
 def measure_step(beams: int, seconds: float) -> list[Figure]:
@@ -92,19 +92,43 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     ]
 
 
-def measure_processes(environments: int, seconds: float) -> Figure:
-    """Environments in parallel processes, stepped at random."""
-    env = ProcessVecEnv([partial(gym.make, "tb2rl:TurtleBot2Maze-v0")] * environments)
-    env.seed(0)
-    env.reset()
+def measure_processes(environments: int, seconds: float) -> list[Figure]:
+    """Environments in parallel processes and one alone, in turns: what a machine can do changes from second to second.
+
+    All are stepped at random, and begin anew where their episodes end.
+    """
+    make = partial(gym.make, "tb2rl:TurtleBot2Maze-v0")
+    together, alone = ProcessVecEnv([make] * environments), make()
+    together.seed(0)
+    together.reset()
+    alone.reset(seed=0)
     rng = np.random.default_rng(0)
-    steps, start = 0, time.perf_counter()
-    while time.perf_counter() < start + seconds:
-        env.step(rng.integers(3, size=environments))
-        steps += environments
-    rate = steps / (time.perf_counter() - start)
-    env.close()
-    return Figure(f"PyBullet, {environments} environments in parallel processes", rate, "steps/s")
+    rates = []
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        actions = rng.integers(3, size=(_BLOCK, environments))
+        start = time.perf_counter()
+        for some in actions:
+            together.step(some)
+        between = time.perf_counter()
+        for action in actions.flat[: 4 * _BLOCK]:
+            _, _, terminated, truncated, _ = alone.step(action)
+            if terminated or truncated:
+                alone.reset()
+        rates.append(
+            (actions.size / (between - start), min(4 * _BLOCK, actions.size) / (time.perf_counter() - between))
+        )
+    together.close()
+    alone.close()
+    many, one = np.array(rates).T
+    name = f"PyBullet, {environments} environments in parallel processes"
+    return [
+        Figure("PyBullet, one environment alone", float(np.median(one)), "steps/s"),
+        Figure(name, float(np.median(many)), "steps/s"),
+        Figure(
+            f"{name} / ({processors()} processors x one alone)", float(np.median(many / one) / processors()), "ratio"
+        ),
+    ]
 
 
 def measure_twin(conditions: Conditions) -> list[Figure]:

@@ -123,14 +123,17 @@ class BulletSimulation:
         self._driven.append((commands.copy(), duration))
         self._set_duration(duration)
         self.set_wheel_speeds(commands)
-        bumped = False
-        if self.world.clearance(*self._place) > self.setup.robot.radius + self._max_speed * duration + _MARGIN:
-            self.advance()
-        else:  # near a wall: a touch may be shorter than a control step
-            for _ in range(self._steps):
-                pybullet.stepSimulation(self._client)
-                bumped = bumped or self._touches_a_wall()
+        free, bumped = self._free_steps(duration), False
+        self.advance(free)
+        for _ in range(free, self._steps):  # near a wall: a touch may be shorter than a control step
+            pybullet.stepSimulation(self._client)
+            bumped = bumped or self._touches_a_wall()
         return self._read(bumped)
+
+    def _free_steps(self, duration: float) -> int:
+        """How many physics steps of the control step cannot take the robot to a wall, even at its top speed."""
+        gap = max(self.world.clearance(*self._place) - self.setup.robot.radius - _MARGIN, 0.0)
+        return int(min(gap / max(self._max_speed * duration, 1e-9), 1.0) * self._steps)
 
     def set_wheel_speeds(self, commands: np.ndarray) -> None:
         """Tell the wheel motors the speeds for `commands` (1, 2), v [m/s] and w [rad/s]."""
@@ -148,10 +151,13 @@ class BulletSimulation:
                 physicsClientId=self._client,
             )
 
-    def advance(self) -> None:
-        """Run the physics for the duration last set: the bare stepping that `benchmark` compares `step` with."""
+    def advance(self, steps: int | None = None) -> None:
+        """Run so many steps of the physics, None: for the duration last set.
+
+        The bare stepping that `benchmark` compares `step` with.
+        """
         client, step = self._client, pybullet.stepSimulation
-        for _ in range(self._steps):
+        for _ in range(self._steps if steps is None else steps):
             step(client)
 
     def state(self) -> dict[str, Any]:

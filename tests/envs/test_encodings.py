@@ -1,6 +1,8 @@
 """What an agent observes of a reading: the classes of its numbers, or the numbers themselves, or images."""
 
 import math
+import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -216,3 +218,14 @@ class Flat(Odometry):
 def test_a_sensor_that_reads_another_shape_than_it_says_is_named(mode, make_reading):
     with pytest.raises(InputError, match=r"sensor x must read an array of shape .*robots.*, 1.* it has shape \(2,\)"):
         encode(mode, [beams(3), Flat()])(make_reading([1.0, 2.0]))
+
+
+def test_raw_ranges_are_written_in_one_pass(make_setup):
+    encoding = encode("raw", [LaserRanges(make_setup("loop", beams=36).laser, ())])
+    reading = SimpleNamespace(ranges=np.full((1000, 36), 2.0))
+    encoding(reading)  # compiles
+    tracemalloc.start()
+    observations = encoding(reading)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.2 * observations.nbytes

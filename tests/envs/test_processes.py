@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import multiprocessing.spawn
+import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -44,6 +45,32 @@ class Numbered(gym.Env):
 
     def plus(self, term: int, factor: int = 1) -> int:
         return self.number + term * factor
+
+
+class Counting(gym.Env):
+    """An environment that counts its steps, and says in which process it is."""
+
+    observation_space, action_space = gym.spaces.Box(-1, 99, (1,), np.float64), gym.spaces.Discrete(2)
+    steps = 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1), {}
+
+    def step(self, action):
+        self.steps += 1
+        return np.full(1, float(self.steps)), float(self.steps), False, False, {"process": os.getpid()}
+
+
+class Uncopied(Counting):
+    """Its infos say what must not be done with them."""
+
+    def __deepcopy__(self, memo):
+        pytest.fail("copied")
+
+    def step(self, action):
+        *step, info = super().step(action)
+        return *step, {**info, "environment": self}
 
 
 def maker_of(task=Wander, observation="discrete") -> partial:
@@ -100,6 +127,35 @@ def test_environments_of_one_seed_start_in_different_places():
     assert len({tuple(info["pose"]) for info in infos}) == 3
 
 
+def test_this_process_has_the_first_share_and_waits_for_nobody_meanwhile():
+    env = ProcessVecEnv([Counting] * 4, processes=2)
+    env.reset()
+    _, _, _, infos = env.step(np.zeros(4, int))
+    env.close()
+    where = [info["process"] for info in infos]
+    assert where[:2] == [os.getpid()] * 2
+    assert where[2] == where[3] != os.getpid()
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_step_does_not_overwrite_what_the_last_one_returned(processes):
+    env = ProcessVecEnv([Counting] * 2, processes)
+    env.reset()
+    first, second = (env.step(np.zeros(2, int)) for _ in range(2))
+    env.close()
+    for before, after in zip(first[:2], second[:2], strict=True):
+        assert before.ravel().tolist() == [1, 1]
+        assert after.ravel().tolist() == [2, 2]
+
+
+def test_infos_are_not_copied_on_their_way():
+    env = ProcessVecEnv([Uncopied], processes=1)
+    env.reset()
+    _, _, _, infos = env.step(np.zeros(1, int))
+    assert [info["environment"].steps for info in infos] == [1]
+    env.close()
+
+
 @pytest.mark.parametrize("processes", [1, 2, 9])
 def test_attributes_and_methods_go_to_the_environments_that_are_meant(processes):
     env = numbered(5, processes)
@@ -140,7 +196,7 @@ def test_close_ends_the_processes():
     before = set(multiprocessing.active_children())
     env = numbered(3, 2)
     started = set(multiprocessing.active_children()) - before
-    assert len(started) == 2
+    assert len(started) == 1  # the other share is in this process
     env.close()
     assert not started & set(multiprocessing.active_children())
     env.close()  # once more does no harm

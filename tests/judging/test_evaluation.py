@@ -125,7 +125,9 @@ def test_what_is_kept_is_read_back(keep, outcomes):
 
 
 def test_an_evaluation_says_in_which_simulation_it_drove(keep, monkeypatch):
-    monkeypatch.setattr("tb2rl.judging.evaluator.judging_simulation", lambda: "kinematic")  # as where PyBullet is missing
+    monkeypatch.setattr(
+        "tb2rl.judging.evaluator.judging_simulation", lambda: "kinematic"
+    )  # as where PyBullet is missing
     folder = keep()
     assert json.loads((folder / EVALUATION).read_text())["simulation"] == "kinematic"
     assert kept_evaluation(Run.open(folder)).simulation == "kinematic"

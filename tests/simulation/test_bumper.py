@@ -9,6 +9,7 @@ import shapely
 from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Start
+from tb2rl.simulation.bullet import BulletSimulation
 
 TARGETS = {
     "a wall": {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]},
@@ -92,3 +93,30 @@ def test_the_bumper_remembers_a_touch_within_a_long_step(make_track):
     (reading,) = track.drive([(0.5, 0.0)], 1.5)
     assert reading.bumped[0]
     assert track.gaps([reading]) > 0.1  # and has long passed
+
+
+def test_contacts_are_asked_for_only_where_a_touch_is_possible(make_track, monkeypatch):
+    asked = []
+    feel = BulletSimulation._touches_a_wall
+    monkeypatch.setattr(BulletSimulation, "_touches_a_wall", lambda self: asked.append(1) or feel(self))
+    track = make_track(TARGETS["a wall"])
+    for gap, most in ((0.3, 0), (0.1, 7), (0.05, 13), (0.005, 16)):  # in the 16 physics steps of 0.2 s
+        track.place(-0.1 - ROBOT.radius - gap)
+        asked.clear()
+        track.drive([(0.05, 1.0)])
+        assert len(asked) <= most
+    assert asked
+
+
+def test_a_touch_is_felt_as_if_every_physics_step_were_asked_for(make_track, monkeypatch):
+    track, rng = make_track(TARGETS["a corner"]), np.random.default_rng(0)
+    commands = rng.uniform((0.2, -1.0), (ROBOT.max_speed, 1.0), (300, 2)) * rng.choice([1, 1, -1], (300, 1))
+
+    def felt():
+        track.place(-1.2)
+        return track.record(track.drive(commands))
+
+    spared = felt()
+    monkeypatch.setattr("tb2rl.simulation.bullet._MARGIN", math.inf)
+    assert (felt() == spared).all()
+    assert 5 < spared[:, -1].sum() < 295

@@ -206,3 +206,14 @@ def test_a_robot_with_its_wheels_twice_as_far_apart_turns_half_as_fast_at_first(
     own, wide = twin.step(np.full((2, 2), (0.0, 9.0)), 0.1).twist[:, 1]
     assert wide == pytest.approx(own / 2)
     assert twin.step(np.full((2, 2), (0.0, 1.0)), 2.0).twist[:, 1] == pytest.approx([1.0, 1.0])
+
+
+def test_it_says_how_far_each_robot_moved(make_setup):
+    setup, rng = make_setup("loop"), np.random.default_rng(0)
+    simulation, start = KinematicSimulation(setup, 100), Start.proposed(setup, 100)
+    start.pose[:] = setup.worlds[0].random_poses(rng, 100, 0.2)
+    before = simulation.reset(start, rng).pose
+    for _ in range(5):
+        after = simulation.step(rng.uniform(-1, 1, (100, 2)), 0.2).pose
+        assert (simulation.moved == np.hypot(*(after - before)[:, :2].T)).all()
+        before = after

@@ -49,6 +49,15 @@ def test_of_several_endings_the_first_counts_and_failed_ones_before_the_others()
     assert [outcome.ending(robot, timed_out=True).failed for robot in range(4)] == [True, True, True, False]
 
 
+@pytest.mark.parametrize("succeeded", [None, {}, {"goal": where(0, 1, 2), "home": where(0, 3)}])
+@pytest.mark.parametrize("failed", [{}, {"crash": where(0)}, {"crash": where(1), "stuck": where(0, 1)}])
+def test_the_endings_of_several_robots_are_those_of_each(failed, succeeded):
+    outcome = Outcome(REWARD, failed, succeeded)
+    for robots in ([0, 1, 2, 3], [3, 0], [2]):
+        each = [outcome.ending(robot, timed_out=True) for robot in robots]
+        assert outcome.endings(np.array(robots)) == each
+
+
 def test_the_time_limit_is_a_success_of_a_task_without_a_goal_only():
     lasted = Outcome(REWARD, failed={"crash": where(0)})
     assert lasted.ending(1, timed_out=True) == Ending(TIME_LIMIT, failed=False, success=True)
