@@ -49,6 +49,24 @@ def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
 
 Edges = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_increasing)]  # borders of classes
 
+
+def _sensors(value: Any) -> Any:
+    """A list of names, each alone or as the one key of a mapping to arguments."""
+    if not isinstance(value, list | tuple) or not value:
+        raise ValueError("must be a list of sensors, such as [laser, twist]")
+    for entry in value:
+        if not isinstance(entry, str | Mapping):
+            raise ValueError("must name each sensor, or give its name with arguments, such as {camera: {width: 64}}")
+        if isinstance(entry, Mapping) and len(entry) != 1:
+            raise ValueError("must give each sensor by itself: [{camera: {width: 64}}, laser]")
+        if isinstance(entry, Mapping) and not isinstance(next(iter(entry.values())), Mapping | None):
+            raise ValueError("must give a sensor's arguments as a mapping, such as {camera: {width: 64}}")
+    return value
+
+
+Arguments = dict[str, Any]
+Observed = Annotated[tuple[str | dict[str, Arguments | None], ...], Len(1, 100), BeforeValidator(_sensors)]
+
 _UNKNOWN = "unexpected_keyword_argument"  # pydantic's word for a key that a dataclass does not have
 _CHECKS = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 

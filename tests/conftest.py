@@ -37,9 +37,11 @@ def _reading(
     twist=(0.0, 0.0),
     goal=(math.nan, math.nan),
     bounds=(-9.0, -9.0, 9.0, 9.0),
+    **others,
 ) -> Reading:
     """A reading of as many robots as the longest argument has; a single value is the same for all.
 
+    `others` are further fields of the reading, at rest if they are left out.
     `ranges` are (robots, beams) or (beams,); without them each robot has three beams, the middle one of `nearest` [m].
     """
     pose, twist = np.atleast_2d(np.array(pose, float)), np.atleast_2d(np.array(twist, float))
@@ -51,13 +53,16 @@ def _reading(
     start = Start.proposed(_setup(), robots)
     start.goal[:], start.bounds[:] = goal, bounds
     pose = np.broadcast_to(pose, (robots, 3))
+    twist = np.broadcast_to(twist, (robots, 2))
+    at_rest = {"odometry_twist": twist, "command": np.zeros((robots, 2)), "acceleration": np.zeros(robots)}
     return Reading(
         pose=pose,
-        twist=np.broadcast_to(twist, (robots, 2)),
+        twist=twist,
         odometry=pose if odometry is None else np.broadcast_to(np.array(odometry, float), (robots, 3)),
         ranges=np.broadcast_to(ranges, (robots, ranges.shape[1])),
         bumped=np.broadcast_to(np.array(bumped), robots),
         start=start,
+        **(at_rest | others),
     )
 
 

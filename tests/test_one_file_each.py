@@ -111,6 +111,13 @@ FILES = {
             radius=0.12, wheel_separation=0.16, max_speed=0.3,
         )
         """,
+    "dark.py": """
+        from tb2rl.sensors.camera import Camera
+
+        class Dark(Camera):
+            def read(self, reading):
+                return super().read(reading) // 2
+        """,
     "quantiles.py": """
         from tb2rl.registry import Agent
 
@@ -134,6 +141,7 @@ SMALLER |= {'joint name="wheel_left"': 'joint name="port"', 'joint name="wheel_r
 PPO = {"agent.n_steps": 32, "agent.batch_size": 32, "agent.n_epochs": 1}
 OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 1000, "agent.batch_size": 16}
 RAW = {"task.observation": "raw"}
+IMAGES = ("stable_baselines3:PPO", "maze")
 LEARNERS = {  # what is new, and with which agent it is trained
     "a world format": ("ppo", "maze", {**PPO, "task.world": "blocks:read:{folder}/yard.blocks"}),
     "continuous actions, ppo": ("ppo", "cruise:Cruise", PPO),
@@ -141,6 +149,9 @@ LEARNERS = {  # what is new, and with which agent it is trained
     "two sensors": ("ppo", "compass:Guided", PPO),
     "two sensors, in classes": ("qlearn", "compass:Guided", {"task.beams": 3}),
     "an image": ("stable_baselines3:PPO", "picture:Pictured", {**PPO, **RAW}),
+    "a camera": (*IMAGES, {**PPO, **RAW, "task.observe": ["camera"]}),
+    "a camera and more": (*IMAGES, {**PPO, **RAW, "task.observe": ["camera", "laser", "twist", "bumper"]}),
+    "a camera of ones own": (*IMAGES, {**PPO, **RAW, "task.observe": [{"dark:Dark": {"width": 36}}]}),
     "a robot": ("dqn", "maze", {**OFF_POLICY, "task.robot": "small:ROBOT"}),
     "one image": ("stable_baselines3:PPO", "picture:Seen", {**PPO, **RAW}),
     "a memory": ("sb3_contrib:RecurrentPPO", "maze", {**PPO, **RAW}),

@@ -53,6 +53,7 @@ class Batch:
     reading: Reading
 
     def __init__(self, scene: Scene, robots: int) -> None:
+        scene.check("kinematic")
         self.scene, self.task, self.robots = scene, scene.task, robots
         self._observer, self._actions = scene.observer(), scene.actions
         self.simulation = KinematicSimulation(scene.setup, robots)
@@ -115,7 +116,7 @@ class Batch:
             ValueError: If a step from it would not end, or leave the worlds.
         """
         self.simulation.restore(state["simulation"])
-        self.reading = Reading.from_state(state["reading"])
+        self.reading = Reading.from_state(state["reading"], self.simulation)
         self._observer.restore(state["frames"])
         self._keys, self._draws = state["keys"].copy(), state["draws"].copy()
         self._lengths, self._returns = state["lengths"].copy(), state["returns"].copy()

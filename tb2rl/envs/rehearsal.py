@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tb2rl.envs.observed import observed_sensors
 from tb2rl.errors import InputError, one_line
 from tb2rl.sensors import Sensor
 from tb2rl.simulation import Reading, Setup, Start
@@ -28,13 +29,22 @@ def rehearse(task: Task, setup: Setup) -> tuple[Actions, tuple[Sensor, ...]]:
     with np.errstate(all="ignore"):  # some tasks divide by a speed, and these robots stand
         start = task.begin(setup, GeneratorDraws(np.random.default_rng(0), _ROBOTS))
         _check_start(start, task, setup, where)
-        reading, sensors = _at_rest(start, setup), task.sensors(setup)
-        _demand(isinstance(sensors, tuple | list), f"{where}: sensors must return a tuple: (Compass(),)", sensors)
+        reading, own = _at_rest(start, setup), task.sensors(setup)
+        _demand(isinstance(own, tuple | list), f"{where}: sensors must return a tuple: (Compass(),)", own)
+        sensors = observed_sensors(task, tuple(own), setup)
         for sensor in sensors:
             _check_sensor(sensor, reading, where)
         action = np.zeros((_ROBOTS, *(actions.space.shape or ())), actions.space.dtype)
         _check_outcome(task.judge(reading, action, reading), task, where)
-    return actions, tuple(sensors)
+    return actions, sensors
+
+
+class _NothingInSight:
+    """Images of robots that see nothing at all."""
+
+    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        sizes = len(reading.pose), height, width
+        return np.zeros((*sizes, 3), dtype=np.uint8), np.full(sizes, np.inf, dtype=np.float32)
 
 
 def _check_start(start: Any, task: Task, setup: Setup, where: str) -> None:
@@ -54,10 +64,11 @@ def _at_rest(start: Start, setup: Setup) -> Reading:
     """What robots read that have just begun, far from all walls; nobody can write into it."""
     table, poses, twists = start.table.copy(), start.pose.copy(), np.zeros((_ROBOTS, 2))
     ranges = np.full((_ROBOTS, len(setup.laser.angles)), setup.laser.max_range)
-    bumped, nearest = np.zeros(_ROBOTS, dtype=bool), ranges.min(axis=1)
-    for array in (table, poses, twists, ranges, bumped, nearest):
+    bumped, still, nearest = np.zeros(_ROBOTS, dtype=bool), np.zeros(_ROBOTS), ranges.min(axis=1)
+    for array in (table, poses, twists, ranges, bumped, still, nearest):
         array.flags.writeable = False
-    reading = Reading(poses, twists, poses, ranges, bumped, Start(table))
+    truth = poses, twists
+    reading = Reading(*truth, *truth, ranges, bumped, twists, still, Start(table), _NothingInSight())
     vars(reading)["nearest"] = nearest  # its compiled function would be compiled again for arrays of this kind
     return reading
 
@@ -76,7 +87,9 @@ def _check_sensor(sensor: Any, reading: Reading, where: str) -> None:
     below = kind is np.uint8 or (_numeric(low) and _numeric(high) and np.all(np.less(low, high)))
     _demand(below, f"{where}: low and high must be numbers, low the smaller one", (low, high))
     values, fits = sensor.read(reading), f"an array of shape {('robots', *shape)}, {kind.__name__}, not NaN"
-    _demand(_is_array(values, shape, kind) and not np.isnan(values).any(), f"sensor {name} must read {fits}", values)
+    shaped = _is_array(values, shape, kind)
+    hint = " (there is no goal in this task's episodes)" if shaped and np.isnan(reading.goal).any() else ""
+    _demand(shaped and not np.isnan(values).any(), f"sensor {name} must read {fits}{hint}", values)
 
 
 def _check_outcome(outcome: Any, task: Task, where: str) -> None:

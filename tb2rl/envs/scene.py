@@ -15,6 +15,7 @@ from tb2rl.envs.rehearsal import rehearse
 from tb2rl.errors import InputError, unknown
 from tb2rl.registry import find_robot, find_world
 from tb2rl.robots import Laser, Robot
+from tb2rl.sensors import Sensor
 from tb2rl.simulation import Setup
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Actions, Task
@@ -32,6 +33,7 @@ class Scene:
         encoding: From one reading to one observation; see `observer`.
         observation_space: What a learner observes.
         actions: What the robot can be told to do.
+        sensors: What is read, before it is encoded.
     """
 
     task: Task
@@ -40,6 +42,7 @@ class Scene:
     encoding: Encoding
     observation_space: spaces.Space
     actions: Actions
+    sensors: tuple[Sensor, ...]
 
     @property
     def robot(self) -> Robot:
@@ -70,6 +73,11 @@ class Scene:
     def observer(self) -> Observer:
         """What turns the readings of some robots into what they observe, from their episodes' first one on."""
         return Observer(self.encoding, self.observation_space, self.task.frames)
+
+    def check(self, simulation: str) -> None:
+        """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what a sensor reads."""
+        for sensor in self.sensors:
+            sensor.check(simulation)
 
     def changed(self, **settings: Any) -> Scene:
         """The scene with other settings of its task, but for its robot and its world, which are made already.
@@ -110,4 +118,5 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
         world.free_space(robot.radius)  # says that there is no room at the start
     actions, sensors = rehearse(task, setup)
     encoding = encode(observation, sensors)
-    return Scene(task, observation, setup, encoding, stacked_space(encoding.space, task.frames), actions)
+    space = stacked_space(encoding.space, task.frames)
+    return Scene(task, observation, setup, encoding, space, actions, sensors)

@@ -66,6 +66,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = scene.observation_space, scene.action_space
         self._observer, self._actions = scene.observer(), scene.actions
+        scene.check(simulation)
         self.simulation = simulate(simulation, scene.setup, window=render_mode == "human")
         self.reading: Reading | None = None  # the latest; None before the first reset
         self._spec: EnvSpec | None = None
@@ -146,7 +147,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         if self.reading is None:  # the simulation learns where its noise comes from
             self.simulation.reset(Start.proposed(self.scene.setup, 1), self.np_random)
         self.simulation.restore(state["simulation"])
-        self.reading = Reading.from_state(state["reading"])
+        self.reading = Reading.from_state(state["reading"], self.simulation)
         self._observer.restore(state["frames"])
         self._steps, self._distance = int(state["steps"]), float(state["distance"])
         self.np_random.bit_generator.state = state["generator"]

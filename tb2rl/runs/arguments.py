@@ -68,7 +68,10 @@ def check_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any
     fitting = _fitting(algorithm, arguments, "agent", _GIVEN_BY_TRAIN)
     if agent.algorithm and fitting.get("policy_kwargs") is not None:
         policy = algorithm.policy_aliases.get(agent.policy) or import_object(agent.policy)
-        where, inner = "agent.policy_kwargs", _fitting(policy, fitting["policy_kwargs"], "agent.policy_kwargs", _GIVEN)
+        where = "agent.policy_kwargs"
+        # A preset can undo what one below it says: null is the library's own default.
+        chosen = {key: value for key, value in fitting["policy_kwargs"].items() if value is not None}
+        inner = _fitting(policy, chosen, where, _GIVEN)
         for part in ("features_extractor", "optimizer"):
             if inner.get(f"{part}_kwargs") is not None:
                 kind = inner.get(f"{part}_class") or inspect.signature(policy).parameters[f"{part}_class"].default

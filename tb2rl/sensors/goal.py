@@ -7,7 +7,11 @@ import math
 import numpy as np
 
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation.reading import Reading
+from tb2rl.simulation import Reading
+from tb2rl.values import Edges
+
+DISTANCE_EDGES: Edges = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
+BEARING_EDGES: Edges = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
 
 
 class GoalDistance(Sensor):
@@ -20,7 +24,7 @@ class GoalDistance(Sensor):
     name, unit = "goal distance", "m"
     low, high = 0.0, 100.0
 
-    def __init__(self, edges: tuple[float, ...] = ()) -> None:
+    def __init__(self, edges: Edges = DISTANCE_EDGES) -> None:
         self.edges = edges
 
     def read(self, reading: Reading) -> np.ndarray:
@@ -38,7 +42,7 @@ class GoalBearing(Sensor):
     name, unit = "goal bearing", "rad"
     low, high = -math.pi, math.pi
 
-    def __init__(self, edges: tuple[float, ...] = ()) -> None:
+    def __init__(self, edges: Edges = BEARING_EDGES) -> None:
         self.edges = edges
 
     def read(self, reading: Reading) -> np.ndarray:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from tb2rl.robots import Laser
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation.reading import Reading
+from tb2rl.simulation import Reading, Setup
+from tb2rl.values import Edges
 
 
 class LaserRanges(Sensor):
@@ -19,10 +23,14 @@ class LaserRanges(Sensor):
 
     name, unit = "laser", "m"
 
-    def __init__(self, laser: Laser, edges: tuple[float, ...]) -> None:
+    def __init__(self, laser: Laser, edges: Edges) -> None:
         self.low, self.high = laser.min_range, laser.max_range
         self.edges = edges
         self.shape = (len(laser.angles),)
+
+    @classmethod
+    def given(cls, setup: Setup) -> Mapping[str, Any]:
+        return {"laser": setup.laser}
 
     def read(self, reading: Reading) -> np.ndarray:
         return reading.ranges

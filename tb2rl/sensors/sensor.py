@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from tb2rl.simulation.reading import Reading
+from tb2rl.simulation import Reading, Setup
 
 
 class Sensor(ABC):
@@ -35,6 +37,14 @@ class Sensor(ABC):
     high: float
     edges: tuple[float, ...] = ()
     shape: tuple[int, ...] = (1,)
+
+    @classmethod
+    def given(cls, setup: Setup) -> Mapping[str, Any]:
+        """The arguments of the class that the robot decides, where `task.observe` names the sensor."""
+        return {}
+
+    def check(self, simulation: str) -> None:  # noqa: B027 (most sensors read in both)
+        """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what it reads."""
 
     @abstractmethod
     def read(self, reading: Reading) -> np.ndarray:

@@ -52,6 +52,9 @@ class Simulation(Protocol):
     def restore(self, state: dict[str, Any]) -> Reading:
         """Go on from a `state` as if nothing had happened since."""
 
+    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
+        """What the robots' cameras see, see `Reading.look`."""
+
     def close(self) -> None:
         """Free what the simulation holds."""
 

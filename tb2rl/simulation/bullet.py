@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ class BulletSimulation:
         self._rng = np.random.default_rng()
         self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels
         self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
+        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), np.zeros(1)  # of the last reading
         self._open()
         self._begin(Start.proposed(setup, 1))
 
@@ -173,6 +175,9 @@ class BulletSimulation:
             "velocity": velocity,
             "wheels": wheels,  # angle [rad] and rate [rad/s] of each
             "odometry": self._odometry,
+            "speed": self._speed,
+            "command": self._command.copy(),
+            "acceleration": self._acceleration.copy(),
             "generator": self._rng.bit_generator.state,
             "start": self._start.table.copy(),
         }
@@ -183,7 +188,9 @@ class BulletSimulation:
         self._odometry = tuple(state["odometry"])
         reading = self._read(bumped=False)
         self._rng.bit_generator.state = dict(state["generator"])
-        return reading
+        self._speed = float(state["speed"])
+        self._command, self._acceleration = state["command"].copy(), state["acceleration"].copy()
+        return replace(reading, command=self._command, acceleration=self._acceleration)
 
     def _put(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
         self._put_at, self._driven = (position, orientation, velocity, wheels), []
@@ -213,19 +220,27 @@ class BulletSimulation:
         if laser.noise:
             ranges += laser.noise * self._rng.standard_normal(ranges.shape)
         limit_ranges(ranges, 0, laser.min_range, laser.max_range)
+        earlier, self._speed = self._speed, vx * cos + vy * sin
+        command, duration = self._driven[-1] if self._driven else (np.zeros((1, 2)), math.inf)
+        self._command, self._acceleration = command, np.array([(self._speed - earlier) / duration])
+        odometry, odometry_twist = self._count_wheels()
         return Reading(
             pose=np.array([[x, y, yaw]]),
-            twist=np.array([[vx * cos + vy * sin, turn_rate]]),
-            odometry=np.array([self._count_wheels()]),
+            twist=np.array([[self._speed, turn_rate]]),
+            odometry=np.array([odometry]),
+            odometry_twist=np.array([odometry_twist]),
             ranges=ranges,
             bumped=np.array([bumped]),
+            command=self._command,
+            acceleration=self._acceleration,
             start=self._start,
+            eye=self,
         )
 
-    def _count_wheels(self) -> tuple[float, float, float]:
-        """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give."""
+    def _count_wheels(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
+        """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give; and its speeds."""
         robot = self.setup.robot
-        left, right = (joint[0] for joint in self._joint_states())
+        (left, left_rate), (right, right_rate) = (joint[:2] for joint in self._joint_states())
         step_left = (left - self._angles[0]) * robot.wheel_radius
         step_right = (right - self._angles[1]) * robot.wheel_radius
         self._angles = (left, right)
@@ -236,7 +251,8 @@ class BulletSimulation:
         heading = yaw + turn / 2
         yaw = math.remainder(yaw + turn, math.tau)
         self._odometry = (x + length * math.cos(heading), y + length * math.sin(heading), yaw)
-        return self._odometry
+        rims = left_rate * robot.wheel_radius, right_rate * robot.wheel_radius
+        return self._odometry, (sum(rims) / 2, (rims[1] - rims[0]) / robot.wheel_separation)
 
     def _joint_states(self) -> tuple:
         return pybullet.getJointStates(self._robot, self._wheels, self._client)
@@ -268,4 +284,9 @@ class BulletSimulation:
             Colours, shape (height, width, 3), uint8; depth along the optical axis [m], shape (height, width), float32,
             inf beyond the sensor's range.
         """
-        return look_ahead(self._body, self.setup.robot.camera, width, height)
+        return look_ahead(self._client, np.array(self._body.pose()), self.setup.robot.camera, width, height)
+
+    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the camera sees from where the robot was at a reading, see `Reading.look`."""
+        colours, depth = look_ahead(self._client, reading.pose[0], self.setup.robot.camera, width, height)
+        return colours[None], depth[None]

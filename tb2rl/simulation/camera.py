@@ -7,16 +7,16 @@ import math
 import numpy as np
 
 from tb2rl.robots import Camera
-from tb2rl.simulation.bodies import RobotBody
 from tb2rl.simulation.physics import pybullet
 
 
-def look_ahead(body: RobotBody, camera: Camera, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """What the camera on a robot sees; see `take_picture`."""
-    x, y, yaw = body.pose()
-    ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-    eye = np.array([x, y, 0.0]) + camera.position[0] * ahead + (0.0, 0.0, camera.position[2])
-    return take_picture(body.client, eye, eye + ahead, camera.field_of_view, camera.range, width, height)
+def look_ahead(client: int, pose: np.ndarray, camera: Camera, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """What the camera on a robot at a pose (3,) sees, which does not tilt; see `take_picture`."""
+    x, y, yaw = pose.tolist()
+    ahead, left = np.array([math.cos(yaw), math.sin(yaw), 0.0]), np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    forward, sideways, up = camera.position
+    eye = np.array([x, y, up]) + forward * ahead + sideways * left
+    return take_picture(client, eye, eye + ahead, camera.field_of_view, camera.range, width, height)
 
 
 def take_picture(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tb2rl.robots.robot import WHEEL_SEPARATION
+from tb2rl.simulation.depth import depth_images
 from tb2rl.simulation.kernels import sense_some, step_block
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import Setup
@@ -51,11 +52,17 @@ class KinematicSimulation:
         self._poses, self._rims = self._start.pose.copy(), np.zeros((robots, 2))
         self._streams = np.zeros((robots, 2), dtype=np.uint64)  # key of each, and how often it has read
         self._bumped = np.zeros(robots, dtype=bool)
+        self._twists, self._commands, self._accelerations = (
+            np.zeros((robots, 2)),
+            np.zeros((robots, 2)),
+            np.zeros(robots),
+        )
 
     def reset(self, start: Start, rng: np.random.Generator) -> Reading:
         self._start = start
         self._poses, self._rims = start.pose.copy(), np.zeros((self.robots, 2))
         self._bumped = np.zeros(self.robots, dtype=bool)
+        self._commands, self._accelerations = np.zeros((self.robots, 2)), np.zeros(self.robots)
         self._streams = np.zeros((self.robots, 2), dtype=np.uint64)
         self._streams[:, 0] = rng.integers(2**64, size=self.robots, dtype=np.uint64)
         return self._look()
@@ -64,9 +71,12 @@ class KinematicSimulation:
         poses, rims = self._poses.copy(), self._rims.copy()  # readings keep what they show
         twists, moved, bumped = np.empty_like(rims), np.empty(self.robots), np.empty(self.robots, dtype=bool)
         ranges = np.empty((self.robots, self._beams.shape[1]))
-        self.advance(poses, rims, np.ascontiguousarray(commands, dtype=float), duration, twists, moved, bumped, ranges)
+        commands = np.array(commands, dtype=float, order="C")  # a copy: an episode that ends overwrites it
+        self.advance(poses, rims, commands, duration, twists, moved, bumped, ranges)
+        self._accelerations = (twists[:, 0] - self._twists[:, 0]) / duration
         self._poses, self._rims, self._bumped, self.moved = poses, rims, bumped, moved
-        return Reading(poses, twists, poses, ranges, bumped, self._start)
+        self._twists, self._commands = twists, commands
+        return self._reading(ranges)
 
     def advance(
         self,
@@ -104,13 +114,15 @@ class KinematicSimulation:
         self._start.table[robots] = start.table
         self._poses[robots], self._rims[robots] = start.pose, 0.0
         self._streams[robots, 1] += np.uint64(1)
-        reading.twist[robots], reading.bumped[robots] = 0.0, False
+        for array in (self._twists, self._commands, self._accelerations, self._bumped):
+            array[robots] = 0
         self._sense(robots, reading.ranges)
-        return Reading(self._poses, reading.twist, self._poses, reading.ranges, reading.bumped, self._start)
+        return self._reading(reading.ranges)
 
     def state(self) -> dict[str, Any]:
         """Poses, rim speeds, random streams and starts of all robots."""
         now = {"poses": self._poses, "rims": self._rims, "streams": self._streams, "bumped": self._bumped}
+        now |= {"commands": self._commands, "accelerations": self._accelerations}
         return {**{name: array.copy() for name, array in now.items()}, "start": self._start.table.copy()}
 
     def restore(self, state: Mapping[str, Any]) -> Reading:
@@ -130,6 +142,7 @@ class KinematicSimulation:
         self._start = start
         self._poses, self._rims = state["poses"].copy(), state["rims"].copy()
         self._streams, self._bumped = state["streams"].copy(), state["bumped"].copy()
+        self._commands, self._accelerations = state["commands"].copy(), state["accelerations"].copy()
         return self._look()
 
     def close(self) -> None:
@@ -141,7 +154,18 @@ class KinematicSimulation:
         self._sense(np.arange(self.robots), ranges)
         separation = self._start.parameters[:, WHEEL_SEPARATION]
         speeds = self._rims.mean(axis=1), np.diff(self._rims, axis=1)[:, 0] / separation
-        return Reading(self._poses, np.stack(speeds, axis=1), self._poses, ranges, self._bumped, self._start)
+        self._twists = np.stack(speeds, axis=1)
+        return self._reading(ranges)
+
+    def _reading(self, ranges: np.ndarray) -> Reading:
+        """With the laser's ranges (robots, beams): the wheels do not slip, so odometry is the truth."""
+        truth = self._poses, self._twists
+        return Reading(*truth, *truth, ranges, self._bumped, self._commands, self._accelerations, self._start, self)
+
+    def look(self, reading: Reading, width: int, height: int) -> tuple[None, np.ndarray]:
+        """Depth images, see `Reading.look`; the twin has no colours."""
+        worlds = reading.start.world, self._boxes, self._posts, self._parts
+        return None, depth_images(self.setup.robot.camera, reading.pose, *worlds, width, height)
 
     def _sense(self, robots: np.ndarray, ranges: np.ndarray) -> None:
         worlds = self._start.table, self._boxes, self._posts, self._parts

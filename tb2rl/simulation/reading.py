@@ -5,12 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from tb2rl.errors import InputError
 from tb2rl.simulation.start import Start
 from tb2rl.worlds.geometry import shortest
+
+_ARRAYS = ("pose", "twist", "odometry", "odometry_twist", "ranges", "bumped", "command", "acceleration")
+
+
+class Eye(Protocol):
+    """What a simulation hands over with a reading, so that images are made only when they are asked for."""
+
+    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
+        """What the robots of a reading see, see `Reading.look`."""
 
 
 @dataclass(frozen=True)
@@ -21,17 +31,25 @@ class Reading:
         pose: True x [m], y [m], yaw [rad] in the world's frame, shape (robots, 3).
         twist: True forward speed [m/s] and turn rate [rad/s], shape (robots, 2).
         odometry: x, y, yaw counted from the wheels since the start pose, shape (robots, 3).
+        odometry_twist: Forward speed [m/s] and turn rate [rad/s] by the wheels' speeds, shape (robots, 2).
         ranges: Distances along the laser's beams [m], right to left, inf where nothing was hit, shape (robots, beams).
         bumped: Whether the base touched a wall since the last reading, shape (robots,), bool.
+        command: What each robot was last told, v [m/s] and w [rad/s], shape (robots, 2); 0 at an episode's start.
+        acceleration: Mean forward acceleration since the last reading [m/s^2], shape (robots,); 0 at a start.
         start: How the episode of each robot began: its world, its goal, its bounds.
+        eye: What makes images, see `look`; None for a reading that comes from no simulation.
     """
 
     pose: np.ndarray
     twist: np.ndarray
     odometry: np.ndarray
+    odometry_twist: np.ndarray
     ranges: np.ndarray
     bumped: np.ndarray
+    command: np.ndarray
+    acceleration: np.ndarray
     start: Start
+    eye: Eye | None = None
 
     @cached_property
     def nearest(self) -> np.ndarray:
@@ -43,23 +61,30 @@ class Reading:
         """Where each robot is to get, x, y [m], shape (robots, 2); NaN for a robot without a goal."""
         return self.start.goal
 
+    def look(self, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
+        """What the robots' cameras see, made now: ask the latest reading, for in PyBullet a robot may see itself.
+
+        Returns:
+            Colours, shape (robots, height, width, 3), uint8, None in the twin, which has none; depth along the
+            optical axis [m], shape (robots, height, width), float32, inf beyond the camera's range.
+
+        Raises:
+            InputError: If the reading comes from no simulation.
+        """
+        if self.eye is None:
+            raise InputError("this reading comes from no simulation, so it has no images")
+        return self.eye.look(self, width, height)
+
     @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Reading:
-        """The reading whose `state` this is."""
-        return cls(**{**state, "start": Start(np.array(state["start"]))})
+    def from_state(cls, state: Mapping[str, Any], eye: Eye | None = None) -> Reading:
+        """The reading whose `state` this is; `eye` is that of the simulation that goes on from there."""
+        return cls(**{**state, "start": Start(np.array(state["start"]))}, eye=eye)
 
     def state(self) -> dict[str, Any]:
         """All of it by name, in arrays of its own."""
-        arrays = {name: np.array(getattr(self, name)) for name in ("pose", "twist", "odometry", "ranges", "bumped")}
-        return {**arrays, "start": self.start.table.copy()}
+        return {**{name: np.array(getattr(self, name)) for name in _ARRAYS}, "start": self.start.table.copy()}
 
     def some(self, robots: np.ndarray) -> Reading:
         """The rows of the robots with these indices."""
-        return Reading(
-            self.pose[robots],
-            self.twist[robots],
-            self.odometry[robots],
-            self.ranges[robots],
-            self.bumped[robots],
-            Start(self.start.table[robots]),
-        )
+        arrays = {name: getattr(self, name)[robots] for name in _ARRAYS}
+        return Reading(**arrays, start=Start(self.start.table[robots]), eye=self.eye)

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from tb2rl.sensors import Sensor
-from tb2rl.sensors.goal import GoalBearing, GoalDistance
+from tb2rl.sensors.goal import BEARING_EDGES, DISTANCE_EDGES, GoalBearing, GoalDistance
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.outcome import Outcome
 from tb2rl.tasks.wander import Wander
@@ -31,8 +31,8 @@ class ReachGoal(Wander):
     closer_reward: float = 5.0  # on top of the step's reward
     goal_reward: float = 200.0  # replaces the step's reward
     bounds: Bounds | None = None  # x from, y from, x to, y to [m]; None: the world's
-    distance_edges: Edges = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
-    bearing_edges: Edges = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
+    distance_edges: Edges = DISTANCE_EDGES  # [m]
+    bearing_edges: Edges = BEARING_EDGES  # [rad]
 
     def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
         return (*super().sensors(setup), GoalDistance(self.distance_edges), GoalBearing(self.bearing_edges))

@@ -14,7 +14,7 @@ from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
-from tb2rl.values import Count, Edges, Name, NonNegative, Positive
+from tb2rl.values import Count, Edges, Name, NonNegative, Observed, Positive
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class Task(ABC):
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
     frames: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first
     edges: Edges = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
+    observe: Observed | None = None  # the sensors, by name: see tb2rl/sensors/README.md; None: the task's own
 
     @property
     @abstractmethod

@@ -11,7 +11,9 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import tb2rl
 from tb2rl.envs.encodings import BEAMS
+from tb2rl.errors import InputError
 from tb2rl.registry import world_names
+from tb2rl.sensors.names import SENSORS
 from tb2rl.simulation import SIMULATIONS
 
 
@@ -37,6 +39,25 @@ def test_so_does_a_task_of_any_velocities(observation, simulation, glide, make):
 @pytest.mark.parametrize("simulation", SIMULATIONS)
 def test_so_does_a_task_that_observes_images(simulation, image_task, make):
     env = make(image_task, "raw", simulation=simulation)
+    check_env(env, skip_render_check=True)
+    check_env_for_sb3(env)
+
+
+CAMERAS = {"depth": {}, "colour": {"colour": True, "depth": False}, "both": {"colour": True}}
+LISTS = {name: [name] for name in SENSORS} | {name: [{"camera": kind}] for name, kind in CAMERAS.items()}
+LISTS |= {"all": [*SENSORS], "camera and laser": ["camera", "laser"]}
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("observation", BEAMS)
+@pytest.mark.parametrize("name", LISTS)
+def test_so_does_every_sensor_that_can_be_listed(name, observation, simulation, make):
+    seen = name in {"all", "camera and laser", "camera", *CAMERAS}
+    if (seen and observation == "discrete") or (name in {"colour", "both"} and simulation == "kinematic"):
+        with pytest.raises(InputError, match="camera"):
+            make("wall", observation, simulation=simulation, observe=LISTS[name])
+        return
+    env = make("wall", observation, simulation=simulation, observe=LISTS[name])
     check_env(env, skip_render_check=True)
     check_env_for_sb3(env)
 

@@ -16,6 +16,7 @@ EXPLORING = {"agent.use_sde": True}  # with matrices of noise, drawn once a roll
 MEMORY = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
 NORMALISED = {"train.norm_obs": True, "train.norm_reward": True}
 FRAMES = {"task.frames": 4}
+CAMERA, TOLD = {"camera": {"width": 36, "height": 36}}, ["twist", "last_action"]
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.noise": 0.01}
 ALGORITHMS = {
     "A2C": (f"{SB3}:A2C", "maze", {"agent.n_steps": 8}),
@@ -27,6 +28,8 @@ ALGORITHMS = {
     "DQN": (f"{SB3}:DQN", "maze", OFF_POLICY),
     "DQN, three steps": (f"{SB3}:DQN", "maze", {**OFF_POLICY, "agent.n_steps": 3, "agent.buffer_size": 400}),
     "DQN, an image": (f"{SB3}:DQN", "my_tasks:Pictured", OFF_POLICY),
+    "PPO, a camera": (f"{SB3}:PPO", "maze", {**ON_POLICY, "task.observe": [CAMERA]}),
+    "DQN, a camera and more": (f"{SB3}:DQN", "maze", {**OFF_POLICY, "task.observe": [CAMERA, "laser", "imu", *TOLD]}),
     "DDPG": (f"{SB3}:DDPG", "my_tasks:Glide", OFF_POLICY),
     "TD3": (f"{SB3}:TD3", "my_tasks:Glide", OFF_POLICY),
     "SAC": (f"{SB3}:SAC", "my_tasks:Glide", OFF_POLICY),

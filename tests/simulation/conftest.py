@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
 
 import numpy as np
@@ -14,6 +15,14 @@ from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.worlds.description import world_from
 
 OPEN = {"boxes": [{"centre": [19, 19], "size": [1, 1]}], "bounds": [-20, -20, 20, 20]}
+
+
+def _rows(reading: Reading) -> Iterator[np.ndarray]:
+    """Everything in a reading, each an array (robots, n)."""
+    values = reading.state()
+    del values["start"], values["bumped"]
+    yield from (value.reshape(len(value), -1) for value in values.values())
+    yield reading.bumped[:, None]
 
 
 class Track:
@@ -45,7 +54,7 @@ class Track:
     @staticmethod
     def record(readings) -> np.ndarray:
         """Everything in some readings as one array, to compare to the bit."""
-        return np.array([np.hstack([r.pose, r.twist, r.odometry, r.ranges, r.bumped[:, None]])[0] for r in readings])
+        return np.array([np.hstack([*_rows(r)])[0] for r in readings])
 
 
 @pytest.fixture

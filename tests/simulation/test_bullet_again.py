@@ -49,7 +49,8 @@ def test_it_continues_from_a_restored_state_to_the_bit(steps, noise, make_track)
     state = track.simulation.state()
     expected = track.record(track.drive(random_commands(1)))
     track.drive(random_commands(2))
-    track.simulation.restore(state)
+    restored = track.simulation.restore(state)
+    assert restored.command.tolist() == ([random_commands(0)[steps - 1].tolist()] if steps else [[0.0, 0.0]])
     assert (track.record(track.drive(random_commands(1))) == expected).all()
 
 

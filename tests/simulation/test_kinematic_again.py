@@ -53,6 +53,7 @@ def test_a_restored_state_goes_on_to_the_bit(make_setup, start_at):
             np.testing.assert_array_equal(again.pose, reading.pose)
             np.testing.assert_array_equal(again.ranges, reading.ranges)
             np.testing.assert_array_equal(again.start.table, reading.start.table)
+            np.testing.assert_array_equal(again.acceleration, reading.acceleration)
 
 
 def test_a_state_is_a_copy(make_setup, start_at):
@@ -76,12 +77,27 @@ def test_robots_that_begin_anew_leave_the_others_alone(make_setup, start_at):
     loop = twin.setup.worlds[1]
     assert reading.pose[anew] == pytest.approx(np.array([loop.start] * 2))
     np.testing.assert_array_equal(reading.start.table[anew], start.table)
-    assert (reading.twist[anew] == 0).all()
+    for values in (reading.twist, reading.odometry_twist, reading.command, reading.acceleration, reading.bumped):
+        assert (values[anew] == 0).all()
     ahead = twin.setup.laser.angles.size // 2
     assert reading.ranges[anew, ahead] == pytest.approx(2.5 * 2 + 1.25, abs=0.05)  # up to the corner tile
     others = np.delete(np.arange(30), anew)
     np.testing.assert_array_equal(reading.pose[others], expected.pose[others])
     np.testing.assert_array_equal(reading.ranges[others], expected.ranges[others])
+    np.testing.assert_array_equal(reading.command[others], told[0][others])
+    np.testing.assert_array_equal(reading.acceleration[others], expected.acceleration[others])
+    assert (told[0][anew] != 0).all(), "what the caller told stays the caller's"
+    after = twin.step(told[1], PERIOD)
+    assert after.acceleration[anew] == pytest.approx(after.twist[anew, 0] / PERIOD)
+
+
+def test_a_restored_reading_says_what_was_told_and_felt(make_setup, start_at):
+    twin, told = driven(make_setup, start_at)
+    last = twin.step(told[0], PERIOD)
+    again = KinematicSimulation(twin.setup, 30).restore(twin.state())
+    np.testing.assert_array_equal(again.command, told[0])
+    np.testing.assert_array_equal(again.acceleration, last.acceleration)
+    np.testing.assert_array_equal(again.twist, last.twist)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,19 @@
+"""Whether the robot touches a wall."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tb2rl.sensors.sensor import Sensor
+from tb2rl.simulation import Reading
+
+
+class Bumper(Sensor):
+    """1 if the base touched a wall since the last reading, else 0."""
+
+    name = "bumper"
+    low, high = 0.0, 1.0
+    edges = (0.5,)
+
+    def read(self, reading: Reading) -> np.ndarray:
+        return reading.bumped[:, None].astype(float)

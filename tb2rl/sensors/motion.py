@@ -1,0 +1,128 @@
+"""How the robot moves, as its odometry and its inertial unit (IMU) say, and what it was told.
+
+Odometry counts the wheels, which slip on the floor; the inertial unit feels how the body itself moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tb2rl.robots import Robot
+from tb2rl.sensors.sensor import Sensor
+from tb2rl.simulation import Reading, Setup
+from tb2rl.values import Edges
+
+
+class _Motion(Sensor):
+    """One number that lies within what the robot can do.
+
+    Args:
+        robot: What it can do.
+        edges: Borders of the classes, as shares of the largest value.
+    """
+
+    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1)) -> None:
+        self.high = self._largest(robot)
+        self.low = -self.high
+        self.edges = tuple(edge * self.high for edge in edges)
+
+    @classmethod
+    def given(cls, setup: Setup) -> Mapping[str, Any]:
+        return {"robot": setup.robot}
+
+    @staticmethod
+    def _largest(robot: Robot) -> float:
+        raise NotImplementedError
+
+
+class ForwardSpeed(_Motion):
+    """How fast the robot drives ahead, counted from its wheels [m/s].
+
+    Args:
+        robot: Its fastest speed is the limit.
+        edges: Borders of the classes, as shares of that.
+    """
+
+    name, unit = "forward speed", "m/s"
+
+    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1, 0.5)) -> None:
+        super().__init__(robot, edges)
+
+    @staticmethod
+    def _largest(robot: Robot) -> float:
+        return robot.max_speed
+
+    def read(self, reading: Reading) -> np.ndarray:
+        return reading.odometry_twist[:, :1]
+
+
+class TurnRate(_Motion):
+    """How fast the robot turns to the left, counted from its wheels [rad/s].
+
+    Args:
+        robot: Its fastest turn is the limit.
+        edges: Borders of the classes, as shares of that.
+    """
+
+    name, unit = "turn rate", "rad/s"
+
+    @staticmethod
+    def _largest(robot: Robot) -> float:
+        return robot.max_turn_rate
+
+    def read(self, reading: Reading) -> np.ndarray:
+        return reading.odometry_twist[:, 1:]
+
+
+class YawRate(TurnRate):
+    """How fast the robot truly turns to the left, as a gyroscope feels it [rad/s]; arguments as of `TurnRate`."""
+
+    name = "yaw rate"
+
+    def read(self, reading: Reading) -> np.ndarray:
+        return reading.twist[:, 1:]
+
+
+class ForwardAcceleration(_Motion):
+    """The mean acceleration ahead since the last reading, as an accelerometer feels it [m/s^2].
+
+    Args:
+        robot: What its motors can do is the limit; the blow of a wall is cut to it.
+        edges: Borders of the classes, as shares of that.
+    """
+
+    name, unit = "forward acceleration", "m/s^2"
+
+    @staticmethod
+    def _largest(robot: Robot) -> float:
+        return robot.wheel_acceleration + abs(robot.wheel_coupling)
+
+    def read(self, reading: Reading) -> np.ndarray:
+        return reading.acceleration[:, None]
+
+
+class LastAction(Sensor):
+    """What the robot was last told, v and w, as shares of its fastest speed and its fastest turn; 0 at the start.
+
+    Shares, so that one sensor has one unit, and networks see numbers of one size, whatever the robot.
+
+    Args:
+        robot: What it can do.
+        edges: Borders of the classes of both shares.
+    """
+
+    name, shape = "last action", (2,)
+    low, high = -1.0, 1.0
+
+    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1)) -> None:
+        self._fastest, self.edges = np.array([robot.max_speed, robot.max_turn_rate]), edges
+
+    @classmethod
+    def given(cls, setup: Setup) -> Mapping[str, Any]:
+        return {"robot": setup.robot}
+
+    def read(self, reading: Reading) -> np.ndarray:
+        return reading.command / self._fastest

@@ -1,0 +1,20 @@
+"""The names of the sensors that a task's setting `observe` can list."""
+
+from __future__ import annotations
+
+from tb2rl.sensors.bumper import Bumper
+from tb2rl.sensors.camera import Camera
+from tb2rl.sensors.goal import GoalBearing, GoalDistance
+from tb2rl.sensors.laser import LaserRanges
+from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
+from tb2rl.sensors.sensor import Sensor
+
+SENSORS: dict[str, tuple[type[Sensor], ...]] = {
+    "bumper": (Bumper,),
+    "camera": (Camera,),
+    "goal": (GoalDistance, GoalBearing),
+    "imu": (YawRate, ForwardAcceleration),
+    "laser": (LaserRanges,),
+    "last_action": (LastAction,),
+    "twist": (ForwardSpeed, TurnRate),
+}

@@ -1,0 +1,192 @@
+"""What `observe` lists is what is observed, wherever the setting comes from, or it is refused in one line."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from tb2rl import make_env
+from tb2rl.envs.make import make_task
+from tb2rl.envs.scene import make_scene
+from tb2rl.errors import InputError
+from tb2rl.runs.config import config_from
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.sensors import Sensor
+from tb2rl.sensors.names import SENSORS
+from tb2rl.tasks.wander import Wander
+
+MINE = """
+from tb2rl.sensors import Sensor
+from tb2rl.sensors.camera import Camera
+
+class Compass(Sensor):
+    name, unit, low, high = "compass", "rad", -4.0, 4.0
+
+    def __init__(self, edges: tuple[float, ...] = (0.0,), offset: float = 0.0) -> None:
+        self.edges, self.offset = edges, offset
+
+    def read(self, reading):
+        return reading.odometry[:, 2:] + self.offset
+
+class Needy(Compass):
+    def __init__(self, north: float) -> None:
+        super().__init__()
+
+class Black(Camera):
+    def read(self, reading):
+        return 0 * super().read(reading)
+"""
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """The module `my_sensors` with sensors of a user's own."""
+    (tmp_path / "my_sensors.py").write_text(MINE)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    sys.modules.pop("my_sensors", None)
+
+
+def sensors(observe, task="maze", observation="raw", **settings):
+    """The sensors of a task that observes a list."""
+    return make_scene(make_task(task, {"observe": observe, **settings}), observation).sensors
+
+
+def names(observe, task="maze", **settings):
+    return [sensor.name for sensor in sensors(observe, task, **settings)]
+
+
+def test_without_it_a_task_observes_its_own_sensors():
+    assert names(None) == ["laser"]
+    assert names(None, "wall") == ["laser", "goal distance", "goal bearing"]
+
+
+def test_sensors_are_observed_in_the_order_of_the_list():
+    assert names(["bumper", "twist", "laser"]) == ["bumper", "forward speed", "turn rate", "laser"]
+    assert names(["imu", "last_action"]) == ["yaw rate", "forward acceleration", "last action"]
+
+
+def test_a_sensor_that_the_task_has_keeps_the_tasks_edges():
+    (laser,) = sensors(["laser"], edges=(0.5, 0.6))
+    assert laser.edges == (0.5, 0.6)
+    distance, bearing = sensors(["goal"], "wall", distance_edges=(1.0,))
+    assert distance.edges == (1.0,)
+    assert len(bearing.edges) == 8
+
+
+def test_a_task_without_the_laser_can_observe_it_all_the_same():
+    @dataclass(frozen=True)
+    class Blind(Wander):
+        def sensors(self, setup):
+            return ()
+
+    (laser,) = sensors(["laser"], Blind, edges=(0.5, 0.6), beams=5)
+    assert (laser.edges, laser.shape) == ((0.5, 0.6), (5,))
+
+
+def test_a_name_takes_the_arguments_of_its_class():
+    (camera,) = sensors([{"camera": {"colour": True, "depth": True, "width": 48, "height": 40}}])
+    assert camera.shape == (4, 40, 48)
+    (laser,) = sensors([{"laser": {"edges": [1.0, 2.0]}}])
+    assert laser.edges == (1.0, 2.0)
+    assert names([{"twist": {}}, {"camera": None}]) == ["forward speed", "turn rate", "camera"]
+
+
+def test_a_sensor_of_ones_own_is_named_by_its_module(mine):
+    compass, black = sensors([{"my_sensors:Compass": {"offset": 1.0}}, {"my_sensors:Black": {"width": 36}}])
+    assert (compass.offset, black.shape) == (1.0, (1, 64, 36))
+    env = make_env("maze", "raw", simulation="kinematic", observe=["my_sensors:Compass", "my_sensors:Black"])
+    seen, info = env.reset(seed=0)
+    assert seen["numbers"] == pytest.approx(info["pose"][2:])
+    assert not seen["camera"].any()
+
+
+@pytest.mark.parametrize(
+    ("observe", "words"),
+    [
+        (["lazer"], "did you mean 'laser'?"),
+        ("laser", "must be a list of sensors, such as .laser, twist., got 'laser'"),
+        ([], "must be a list of sensors"),
+        ([3], "must name each sensor"),
+        ([{"laser": {}, "twist": {}}], "each sensor by itself"),
+        ([{"camera": 64}], "arguments as a mapping"),
+        (["laser", "laser"], "sensor 'laser' is listed twice"),
+        (["camera", {"camera": {"width": 36}}], "sensor 'camera' is listed twice"),
+        ([{"camera": {"widht": 36}}], "did you mean 'width'? known: colour, depth, height, width"),
+        ([{"camera": {"camera": 1}}], "unknown argument of task.observe.camera: 'camera'"),
+        ([{"camera": {"width": 0}}], r"task.observe.camera.width: .* greater than or equal to 4, got 0"),
+        ([{"camera": {"depth": False}}], "sees nothing"),
+        ([{"laser": {"edges": [2, 1]}}], "task.observe.laser.edges: must strictly increase"),
+        ([{"imu": {"edges": [1]}}], "being several sensors: .*motion:YawRate and .*motion:ForwardAcceleration"),
+        (["goal"], "there is no goal in this task's episodes"),
+        (["os:system"], "'os:system' is not a class derived from tb2rl.sensors.Sensor"),
+        (["tb2rl.sensors:Sensor"], "is not a class derived from tb2rl.sensors.Sensor with read"),
+        (["nowhere:Sensor"], "task.observe: cannot import 'nowhere:Sensor'"),
+        (["my_sensors:Needy"], "task.observe.my_sensors:Needy: it needs north"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(observe, words, mine):
+    with pytest.raises(InputError, match=words.replace("?", r"\?")) as refused:
+        sensors(observe)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_table_refuses_a_camera():
+    with pytest.raises(InputError, match="camera is an image, which has no classes; take observation=raw"):
+        sensors(["laser", "camera"], observation="discrete")
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_colours_are_refused_in_the_twin_before_anything_drives(vector):
+    make = gym.make_vec if vector else gym.make
+    with pytest.raises(InputError, match="only simulation 'bullet' has a camera with colours"):
+        make(
+            "tb2rl:TurtleBot2MazeRaw-v0",
+            simulation="kinematic",
+            observe=[{"camera": {"colour": True}}],
+        )
+
+
+def test_a_camera_above_the_walls_is_refused_in_the_twin(tmp_path, monkeypatch):
+    text = "from dataclasses import replace\nfrom tb2rl.robots.turtlebot2 import ROBOT\n"
+    text += "ROBOT = replace(ROBOT, camera=replace(ROBOT.camera, position=(0.0, 0.0, 0.6)))\n"
+    (tmp_path / "tall.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    for simulation in ("bullet", "kinematic"):
+        scene = make_scene(make_task("maze", {"robot": "tall:ROBOT", "observe": ["camera"]}), "raw")
+        if simulation == "bullet":
+            scene.check(simulation)
+        else:
+            with pytest.raises(InputError, match=r"below the top of the walls \(0\.5 m\).* 0\.6 m high"):
+                scene.check(simulation)
+
+
+@pytest.mark.parametrize("entry", ["task.observe=[twist, {camera: {width: 36, height: 40}}]"])
+def test_it_survives_the_command_line_and_a_run_folder(entry):
+    config = resolve("stable_baselines3:PPO", "maze", settings=parse_settings([entry]))
+    again = config_from(config.to_dict())
+    assert again.task == config.task
+    assert again.to_dict() == config.to_dict()
+    assert config.to_dict()["task"]["observe"] == ["twist", {"camera": {"width": 36, "height": 40}}]
+    assert again.scene.observation_space["camera"].shape == (1, 40, 36)
+
+
+def test_gymnasium_and_batches_observe_the_same(make):
+    observe = ["laser", "twist", "last_action", "bumper", {"camera": {"width": 36, "height": 36}}]
+    arguments = {"simulation": "kinematic", "observe": observe, "start": "fixed", "beams": 5}
+    alone, many = make("maze", "raw", **arguments), gym.make_vec("tb2rl:TurtleBot2MazeRaw-v0", 3, **arguments)
+    first, _ = alone.reset(seed=0)
+    firsts, _ = many.reset(seed=0)
+    for action in (0, 1, 0):
+        for name, values in first.items():
+            np.testing.assert_array_equal(firsts[name], np.stack([values] * 3))
+        first, firsts = alone.step(action)[0], many.step(np.full(3, action))[0]
+    many.close()
+
+
+def test_all_names_are_those_of_sensors():
+    assert all(issubclass(kind, Sensor) for kinds in SENSORS.values() for kind in kinds)

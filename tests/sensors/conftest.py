@@ -1,0 +1,27 @@
+"""Robots that are driven in both simulations, to hold what sensors read against where they went."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from tb2rl.simulation import SIMULATIONS, Start, simulate
+
+PERIOD = 0.2  # [s] of a command
+
+
+@pytest.fixture(params=SIMULATIONS)
+def drive(request, make_setup):
+    """A function from a world, a pose and commands to the first reading and those after each command."""
+
+    def readings(world, pose, commands):
+        setup = make_setup(world, beams=3)
+        start = Start.proposed(setup, 1)
+        start.pose[:] = pose
+        with closing(simulate(request.param, setup)) as simulation:
+            first = simulation.reset(start, np.random.default_rng(0))
+            return [first, *(simulation.step(np.array([command]), PERIOD) for command in commands)]
+
+    return readings

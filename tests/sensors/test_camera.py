@@ -1,0 +1,64 @@
+"""The camera as a sensor: images of uint8, channels first, as Stable-Baselines3 wants them."""
+
+import numpy as np
+import pytest
+
+from tb2rl.errors import InputError
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.sensors.camera import Camera
+
+REACH = 8.0  # [m] of the TurtleBot2's camera
+
+
+class Painted:
+    """An eye that sees an image of its own, and counts how often it is asked."""
+
+    def __init__(self, colours, depth):
+        self.colours, self.depth, self.asked = np.asarray(colours), np.asarray(depth, np.float32), 0
+
+    def look(self, reading, width, height):
+        self.asked += 1
+        assert self.depth.shape[1:] == (height, width)
+        return self.colours, self.depth
+
+
+@pytest.fixture
+def eye():
+    """Two robots' images of 2 rows and 5 columns."""
+    colours = np.arange(60, dtype=np.uint8).reshape(2, 2, 5, 3)
+    depth = [[[0.0, 2.0, 4.0, 8.0, np.inf]] * 2, [[1.0] * 5] * 2]
+    return Painted(colours, depth)
+
+
+def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_is(eye, make_reading):
+    images = Camera(ROBOT.camera, width=5, height=2).read(make_reading(pose=[(0, 0, 0)] * 2, eye=eye))
+    assert (images.dtype, images.shape) == (np.uint8, (2, 1, 2, 5))
+    assert images[0, 0].tolist() == [[0, 64, 128, 255, 255]] * 2
+    assert (images[1] == round(255 / REACH)).all()
+
+
+def test_colours_come_first_and_depth_is_the_last_channel(eye, make_reading):
+    reading = make_reading(pose=[(0, 0, 0)] * 2, eye=eye)
+    colours = Camera(ROBOT.camera, colour=True, depth=False, width=5, height=2).read(reading)
+    both = Camera(ROBOT.camera, colour=True, width=5, height=2).read(reading)
+    np.testing.assert_array_equal(colours, eye.colours.transpose(0, 3, 1, 2))
+    np.testing.assert_array_equal(both[:, :3], colours)
+    assert (both[1, 3] == round(255 / REACH)).all()
+
+
+def test_images_are_made_when_they_are_read_and_not_before(eye, make_reading):
+    reading = make_reading(pose=[(0, 0, 0)] * 2, eye=eye)
+    reading.some(np.array([1])), reading.state()
+    assert eye.asked == 0
+    Camera(ROBOT.camera, width=5, height=2).read(reading)
+    assert eye.asked == 1
+
+
+def test_a_reading_that_comes_from_no_simulation_has_no_images(make_reading):
+    with pytest.raises(InputError, match="comes from no simulation"):
+        Camera(ROBOT.camera).read(make_reading())
+
+
+def test_a_camera_that_sees_nothing_is_refused():
+    with pytest.raises(InputError, match="sees nothing"):
+        Camera(ROBOT.camera, colour=False, depth=False)
