@@ -12,6 +12,7 @@ import shapely
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from tb2rl.envs.scene import Scene
+from tb2rl.errors import InputError
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.streams import GeneratorDraws
@@ -48,13 +49,19 @@ class ActionMap:
         return [list(box_shape(row).exterior.coords) for row in self.world.boxes]
 
 
-def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap:
+def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     """What the greedy policy does, at rest, at places all over the free space and at headings all around.
+
+    All places are seen at once, by the robots of the twin; None where it cannot show what a sensor reads.
 
     Args:
         policy: What drives.
         scene: What it was trained to do; its laser is taken without noise.
     """
+    try:
+        scene.check("kinematic")
+    except InputError:
+        return None
     table: Any = policy.policy
     scene = scene.changed(noise=0.0)
     places, side = _places(scene.world, scene.robot.radius)

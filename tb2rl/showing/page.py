@@ -47,7 +47,7 @@ class Row:
     subject: Subject
     ways: Markup  # the paths of the evaluation
     time: Markup  # where its time was spent
-    map: ActionMap  # what the policy does at each place
+    map: ActionMap | None  # what the policy does at each place; None: see `action_map`
 
     @classmethod
     def drawn(cls, group: Group, subject: Subject) -> Row:

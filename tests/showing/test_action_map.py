@@ -47,6 +47,12 @@ def test_known_is_a_share_of_the_states_that_the_robot_can_go_on_from():
     assert (shown.actions >= 0).sum() < 0.1 * (shown.actions != OVER).sum(), "which few poses lead to"
 
 
+def test_what_pybullet_alone_can_show_has_no_map():
+    colours = {"task.observe": [{"camera": {"colour": True}}]}
+    config = resolve("stable_baselines3:DQN", "maze", settings={"agent.buffer_size": 9, **colours})
+    assert action_map(make_algorithm(config, Spaces.vectorised(config)), config.scene) is None
+
+
 def test_the_map_shows_the_action_that_the_policy_takes_there(seeds):
     policy, rng = load(seeds / "seed-0"), np.random.default_rng(0)
     policy.policy.visits[:] = 1
