@@ -19,13 +19,15 @@ from tb2rl.errors import ArgumentParser, command
 def main(arguments: list[str] | None = None) -> None:
     """Do a little of all that needs compiled code: train in the twin, evaluate, film."""
     ArgumentParser(prog="python -m tb2rl.warm", description=(__doc__ or "").splitlines()[0]).parse_args(arguments)
-    from tb2rl.learning.training import train  # only now: it imports what takes seconds
+    from tb2rl.envs.make import make_env  # only now: it imports what takes seconds
+    from tb2rl.learning.training import train
     from tb2rl.showing.film import film
 
     with TemporaryDirectory() as folder:
         short: dict[str, Any] = {"n_envs": 2, "total_timesteps": 64, "eval_episodes": 1, "eval_steps": 2}
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
         film(policy, Path(folder, "film.gif"), steps=2)
+    make_env("maze", "raw", simulation="kinematic", observe=["camera"]).reset()
     print("compiled; what comes next starts without")
 
 

@@ -34,6 +34,14 @@ def test_equal_seeds_make_equal_algorithms():
     assert not all(th.equal(value, other[name]) for name, value in one.items())
 
 
+@pytest.mark.parametrize(("more", "reader"), [([], "NatureCNN"), (["laser", "twist"], "CombinedExtractor")])
+def test_the_camera_preset_undoes_what_the_agents_preset_says_of_numbers(more, reader):
+    observe = [{"camera": {"width": 48, "height": 40}}, *more]
+    config = resolve("ppo", preset="camera", settings={"task.observe": observe, "train.n_envs": 8})
+    algorithm = make_algorithm(config, Spaces.vectorised(config))
+    assert type(algorithm.policy.features_extractor).__name__ == reader
+
+
 @pytest.mark.parametrize("agent", ["random", "wallfollower"])
 def test_an_agent_that_does_not_learn_is_a_policy_alone(agent, refused):
     config = resolve(agent)
