@@ -51,7 +51,10 @@ TASKS = {
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }
-ROBOTS = {"turtlebot2": "tb2rl.robots.turtlebot2:ROBOT"}
+ROBOTS = {
+    "turtlebot2": "tb2rl.robots.turtlebot2:ROBOT",
+    "turtlebot3": "tb2rl.robots.turtlebot3:ROBOT",
+}
 _MADE_BY_CODE = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(.+))?")  # module:WORLD, or module:reader:path
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
-from tb2rl.envs.scene import Scene, make_scene
+from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vector_env import BatchVectorEnv
 from tb2rl.errors import InputError, UnknownArgumentError
@@ -63,6 +63,7 @@ def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
     Raises:
         InputError: For an unknown name or setting, or a value that does not fit.
     """
+    settings = with_robots_settings(settings)
     if not isinstance(what, Task):
         return build(find_task(what), settings, "task")
     now = {field.name: getattr(what, field.name) for field in fields(what)}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -90,6 +91,22 @@ class Scene:
         return _assemble(replace(self.task, **settings), self.observation, self.robot, self.setup.worlds)
 
 
+def with_robots_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a task, and beneath them those that suit the robot that they name.
+
+    Raises:
+        InputError: If there is no such robot, or it brings what is not a setting of every task.
+    """
+    name = settings.get("robot")
+    if not isinstance(name, str):  # it stays as it was, or whoever reads the settings refuses it
+        return dict(settings)
+    suiting, known = find_robot(name).task_settings, [each.name for each in fields(Task)]
+    for key in suiting:
+        if key not in known:
+            raise unknown(f"key of robot {name}.task_settings", key, known)
+    return {**suiting, **settings}
+
+
 def make_scene(task: Task, observation: str) -> Scene:
     """The scene that a task's settings describe.
 
@@ -112,11 +129,15 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
         raise InputError(f"task.beam_indices names beam {named}, but the laser has {beams} beams, counted from 0")
     if task.start_clearance < robot.radius:
         raise InputError(f"task.start_clearance must be at least {robot.name}'s radius, {robot.radius:g} m")
-    laser = replace(robot.laser, beams=beams, indices=task.beam_indices, noise=task.noise)
+    field = task.field_of_view or robot.laser.field_of_view
+    if field > robot.laser.field_of_view:
+        sees = f"{robot.name}'s laser sees {robot.laser.field_of_view:.4g} rad"
+        raise InputError(f"task.field_of_view cannot be {field:.4g}: {sees}")
+    laser = replace(robot.laser, beams=beams, indices=task.beam_indices, noise=task.noise, field_of_view=field)
     setup = Setup(robot, laser, worlds)
     for world in worlds:
         world.free_space(robot.radius)  # says that there is no room at the start
     actions, sensors = rehearse(task, setup)
     encoding = encode(observation, sensors)
     space = stacked_space(encoding.space, task.frames)
-    return Scene(task, observation, setup, encoding, space, actions, sensors)
+    return Scene(task, observation, setup, encoding, space, actions.within(robot), sensors)

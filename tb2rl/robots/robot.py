@@ -7,10 +7,11 @@ of the robot's frame lies on the floor under the middle of the axle.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -28,7 +29,10 @@ Above0 = Annotated[Number, Gt(0)]
 
 @dataclass(frozen=True)
 class Laser:
-    """A planar laser scanner above the middle of the axle; its beams sweep from right to left, both ends included."""
+    """A planar laser scanner above the middle of the axle; its beams sweep from right to left, both ends included.
+
+    Of a full circle both ends are one beam, which looks back, and comes first.
+    """
 
     beams: Annotated[int, Strict(), Ge(1)] = 720
     indices: tuple[int, ...] | None = None  # the beams that are read, counted from the right; None: all
@@ -41,7 +45,10 @@ class Laser:
     def angles(self) -> np.ndarray:
         """Directions of the beams that are read, in the robot's frame [rad], shape (beams,), ascending."""
         half = self.field_of_view / 2
-        angles = np.linspace(-half, half, self.beams) if self.beams > 1 else np.zeros(1)
+        if self.field_of_view == math.tau or self.beams == 1:  # one beam looks ahead, the others lie around it
+            angles = (np.arange(self.beams) - self.beams // 2) * self.field_of_view / self.beams
+        else:
+            angles = np.linspace(-half, half, self.beams)
         return angles if self.indices is None else angles[list(self.indices)]
 
 
@@ -77,6 +84,8 @@ class Robot:
             other [m/s^2].
         laser: Its laser scanner.
         camera: Its camera.
+        task_settings: What suits it in any task, fields of `tb2rl.tasks.Task` by name: they come along where a setting
+            names the robot, before what is set beside it.
     """
 
     name: str
@@ -92,6 +101,7 @@ class Robot:
     wheel_coupling: Number
     laser: Laser
     camera: Camera
+    task_settings: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @cached_property
     def parameters(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from tb2rl.envs.scene import Scene, make_scene
+from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.errors import InputError
 from tb2rl.registry import absolute_world, find_agent, find_task
 from tb2rl.runs.arguments import agent_for, check_arguments
@@ -89,7 +89,7 @@ class Config:
         if not settings:
             return self
         tree = self.to_dict()
-        tree["task"].update(settings)
+        tree["task"].update(with_robots_settings(settings))
         return config_from(tree)
 
 

@@ -1,8 +1,8 @@
 """Where the values of a config come from: layers of presets and settings, of which later ones win.
 
 The defaults of the signatures, `configs/tasks/TASK.yaml`, `configs/agents/AGENT.yaml`, what differs for the agent in
-the fast twin (`configs/kinematic/AGENT.yaml`) and at this task (`configs/tasks/TASK-AGENT.yaml`), a preset that the
-user names, single settings (`agent.gamma=0.9`).
+the fast twin (`configs/kinematic/AGENT.yaml`) and at this task (`configs/tasks/TASK-AGENT.yaml`), what suits the robot
+(`Robot.task_settings`), a preset that the user names, single settings (`agent.gamma=0.9`).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from tb2rl.envs.scene import with_robots_settings
 from tb2rl.errors import InputError
 from tb2rl.files import find_file, parse_yaml, read_yaml, top_folder
 from tb2rl.registry import find_agent, find_task, reference_to
@@ -54,8 +55,10 @@ def resolve(
         _built_in("kinematic", agent) if simulation == "kinematic" else {},
         _built_in("tasks", f"{task}-{agent}"),
     ]
+    robot = _first("robot", single, chosen, "task")
+    suiting = {"task": with_robots_settings({"robot": robot})} if robot else {}
     tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
-    for layer in (*built_in, chosen, single):
+    for layer in (*built_in, suiting, chosen, single):
         _merge(tree, layer)
     tree["agent"]["name"], tree["task"]["name"] = agent, task
     return config_from(tree)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
-from typing import Any
+from copy import copy
+from typing import Any, Self
 
 import numpy as np
 from gymnasium import spaces
 
 from tb2rl.errors import InputError, one_line
+from tb2rl.robots import Robot
 
 Command = tuple[float, float]  # v [m/s], w [rad/s]
 
@@ -20,16 +22,23 @@ class Actions(ABC):
     Attributes:
         space: What an action is, for Gymnasium.
         names: Names for kinds of actions, for people: in charts, maps and films.
-        fastest: The largest speed |v| that an action commands [m/s].
     """
 
     space: spaces.Space
     names: tuple[str, ...]
-    fastest: float
+
+    @property
+    @abstractmethod
+    def fastest(self) -> float:
+        """The largest speed |v| that an action commands [m/s]."""
 
     @abstractmethod
     def commands(self, actions: np.ndarray) -> np.ndarray:
         """What actions tell the base: v [m/s] and w [rad/s], (robots, ...) to (robots, 2)."""
+
+    @abstractmethod
+    def within(self, robot: Robot) -> Self:
+        """These actions, without what a robot cannot do."""
 
     @abstractmethod
     def kinds(self, actions: np.ndarray) -> np.ndarray:
@@ -72,7 +81,6 @@ class Commands(Actions):
         self.names = tuple(commands)
         self.table = np.array([_pair(command, name, "v [m/s] and w [rad/s]") for name, command in commands.items()])
         self.space = spaces.Discrete(len(self.names))
-        self.fastest = float(np.abs(self.table[:, 0]).max())
         taken = [name for name in self.names if hasattr(self, name)]
         if taken:
             raise InputError(f"an action cannot be called {taken[0]!r}, which means something else here")
@@ -85,6 +93,15 @@ class Commands(Actions):
         """These commands and more."""
         present: dict[str, Command] = {name: (v, w) for name, (v, w) in zip(self.names, self.table, strict=True)}
         return Commands(**present, **commands)
+
+    def within(self, robot: Robot) -> Self:
+        cut = copy(self)
+        cut.table = robot.within_limits(self.table)
+        return cut
+
+    @property
+    def fastest(self) -> float:
+        return float(np.abs(self.table[:, 0]).max())
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
         return self.table.take(actions, axis=0)
@@ -131,7 +148,15 @@ class Velocities(Actions):
         if (self.low > self.high).any():
             raise InputError(f"Velocities takes the smaller number first, got forward={forward}, turn={turn}")
         self.space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.fastest = float(np.abs(forward).max())
+
+    def within(self, robot: Robot) -> Self:
+        cut = copy(self)
+        cut.low, cut.high = robot.within_limits(np.array([self.low, self.high]))
+        return cut
+
+    @property
+    def fastest(self) -> float:
+        return float(np.abs([self.low[0], self.high[0]]).max())
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
         shares = (np.clip(actions, -1.0, 1.0).astype(float) + 1.0) / 2.0

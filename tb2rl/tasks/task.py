@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
@@ -35,6 +36,7 @@ class Task(ABC):
     control_period: Annotated[float, Gt(0), Le(60)] = 0.2  # [s] an action lasts
     episode_steps: Count = 1500  # control steps until the time limit truncates
     beams: Annotated[int, Ge(1), Le(100_000)] | None = None  # of the laser, ends included; None: the observation's
+    field_of_view: Annotated[float, Gt(0), Le(math.tau)] | None = None  # [rad] of the beams; None: the laser's whole
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # to read; None: all
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
     frames: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first

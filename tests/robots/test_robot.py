@@ -13,6 +13,7 @@ from tb2rl.registry import find_robot, robot_names
 from tb2rl.robots import Laser
 from tb2rl.robots import robot as columns
 from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 
 TUTORIAL = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]
 
@@ -48,16 +49,21 @@ def test_every_robot_tells_the_kernels_its_numbers_in_the_order_of_their_columns
     assert robot.parameters.shape == (6,)
 
 
+@pytest.mark.parametrize("name", robot_names())
+def test_every_robots_urdf_has_the_radius_of_its_base_and_of_its_wheels(name):
+    robot = find_robot(name)
+    assert numbers("link[@name='base']/collision/geometry/cylinder", "radius", robot) == [robot.radius]
+    for wheel in robot.wheel_joints:
+        assert numbers(f"link[@name='{wheel}']/collision/geometry/sphere", "radius", robot) == [robot.wheel_radius]
+
+
+@pytest.mark.parametrize(("name", "kilograms"), [("turtlebot2", 6.3), ("turtlebot3", 1.0)])
+def test_a_whole_robot_weighs_what_it_should(name, kilograms):
+    masses = ElementTree.parse(find_robot(name).urdf).getroot().iter("mass")
+    assert sum(float(mass.get("value")) for mass in masses) == pytest.approx(kilograms, rel=0.015)
+
+
 # ---- the TurtleBot2
-
-
-def test_the_urdf_has_the_radius_of_the_base():
-    assert numbers("link[@name='base']/collision/geometry/cylinder", "radius") == [ROBOT.radius]
-
-
-@pytest.mark.parametrize("wheel", ROBOT.wheel_joints)
-def test_the_urdf_has_the_radius_of_the_wheels(wheel):
-    assert numbers(f"link[@name='{wheel}']/collision/geometry/sphere", "radius") == [ROBOT.wheel_radius]
 
 
 @pytest.mark.parametrize(("caster", "x"), [("caster_front", 0.115), ("caster_back", -0.135)])
@@ -67,9 +73,22 @@ def test_the_casters_stand_on_the_floor_inside_the_base(caster, x):
     assert abs(x) + radius < ROBOT.radius
 
 
-def test_a_whole_turtlebot2_weighs_6_3_kg():
-    masses = ElementTree.parse(ROBOT.urdf).getroot().iter("mass")
-    assert sum(float(mass.get("value")) for mass in masses) == pytest.approx(6.3, abs=0.1)
+# ---- the TurtleBot3
+
+
+def test_a_turtlebot3_is_a_burger():
+    assert (BURGER.max_speed, BURGER.max_turn_rate) == (0.22, 2.84)
+    assert (BURGER.radius, BURGER.wheel_radius, BURGER.wheel_separation) == (0.105, 0.033, 0.160)
+    assert (BURGER.laser.min_range, BURGER.laser.max_range) == (0.12, 3.5)
+
+
+def test_its_laser_has_a_beam_for_each_degree_all_around():
+    assert np.degrees(BURGER.laser.angles) == pytest.approx(np.arange(-180, 180))
+
+
+def test_its_camera_sees_62_degrees_from_left_to_right_in_a_picture_of_4_to_3():
+    across = 2 * math.atan(math.tan(BURGER.camera.field_of_view / 2) * 4 / 3)
+    assert math.degrees(across) == pytest.approx(62.2)
 
 
 # ---- what cannot be a robot's
@@ -118,6 +137,16 @@ def test_a_single_beam_looks_straight_ahead():
 def test_another_field_of_view_is_swept_from_end_to_end(beams, degrees):
     laser = Laser(beams=beams, field_of_view=math.radians(270))
     assert np.degrees(laser.angles) == pytest.approx(degrees)
+
+
+@pytest.mark.parametrize("beams", [1, 2, 7, 36, 360])
+def test_of_a_full_circle_no_two_beams_look_in_the_same_direction_and_one_looks_ahead(beams):
+    angles = Laser(beams=beams, field_of_view=math.tau).angles
+    assert len(angles) == beams
+    assert 0.0 in angles
+    assert np.diff(angles, append=angles[0] + math.tau) == pytest.approx(math.tau / beams)
+    mirrored = np.sort(np.remainder(-angles, math.tau))
+    assert mirrored == pytest.approx(np.sort(np.remainder(angles, math.tau))), "as far to the left as to the right"
 
 
 # ---- its limits

@@ -9,6 +9,7 @@ from contextlib import ExitStack, closing
 import numpy as np
 import pytest
 
+from tb2rl.registry import find_robot, robot_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Reading, Setup, Start
 from tb2rl.simulation.bullet import BulletSimulation
@@ -29,7 +30,7 @@ class Track:
     """One robot in PyBullet, to be placed and driven."""
 
     def __init__(self, simulation: BulletSimulation) -> None:
-        self.simulation, self.world = simulation, simulation.setup.worlds[0]
+        self.simulation, self.world, self.robot = simulation, simulation.setup.worlds[0], simulation.setup.robot
 
     def place(self, x=0.0, y=0.0, yaw=0.0, seed=0) -> Reading:
         """The first reading of an episode that begins here."""
@@ -43,7 +44,7 @@ class Track:
 
     def gaps(self, readings) -> np.ndarray:
         """Distances between the base and the nearest wall [m], all around, shape (readings,)."""
-        return np.array([self.world.clearance(*reading.pose[0, :2]) for reading in readings]) - ROBOT.radius
+        return np.array([self.world.clearance(*reading.pose[0, :2]) for reading in readings]) - self.robot.radius
 
     @staticmethod
     def gap(pose, other) -> tuple[float, float]:
@@ -57,6 +58,12 @@ class Track:
         return np.array([np.hstack([*_rows(r)])[0] for r in readings])
 
 
+@pytest.fixture(params=robot_names())
+def robot(request):
+    """Each robot that has a name."""
+    return find_robot(request.param)
+
+
 @pytest.fixture
 def make_bullet():
     """A function from a setup to its simulation in PyBullet, which is closed after the test."""
@@ -66,11 +73,11 @@ def make_bullet():
 
 @pytest.fixture
 def make_track(make_setup, make_bullet):
-    """A function from the content of a world's file, and fields of the laser (else of one beam), to a `Track`."""
+    """A function from a world file's content, the robot, and fields of its laser (else of one beam), to a `Track`."""
 
-    def make(content=OPEN, **laser) -> Track:
+    def make(content=OPEN, robot=ROBOT, **laser) -> Track:
         world = world_from({"start": [-2, 0, 0], "bounds": [-5, -5, 5, 5], **content}, "test")
-        return Track(make_bullet(make_setup(world, **{"beams": 1, **laser})))
+        return Track(make_bullet(make_setup(world, robot=robot, **{"beams": 1, **laser})))
 
     return make
 

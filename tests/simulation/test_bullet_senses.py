@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from tb2rl.robots.turtlebot2 import LASER_NOISE
+from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
+from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 
 WALL = {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]}
 WANDER = [(0.5, 0.0), (0.05, 1.0), (0.05, -1.0)]  # v [m/s], w [rad/s]
+
+
+def within_limits(robot, commands):
+    """Commands for a TurtleBot2, slowed down as far as the robot asks for."""
+    return np.array(commands) * (robot.max_speed / TURTLEBOT2.max_speed, 1.0)
 
 
 def odometry_error(track, commands):
@@ -28,18 +35,19 @@ def test_odometry_starts_at_the_start_pose(make_track):
     assert track.place(1.0, -2.0, 0.5).odometry.tolist() == [[1.0, -2.0, 0.5]]
 
 
-def test_odometry_agrees_with_the_true_pose_after_20_s_of_smooth_driving(make_track):
+def test_odometry_agrees_with_the_true_pose_after_20_s_of_smooth_driving(robot, make_track):
     rng, command, commands = np.random.default_rng(0), np.zeros(2), []
     for _ in range(100):
         command = (command + rng.uniform((-0.1, -0.4), (0.1, 0.4))).clip((-0.6, -2.0), (0.6, 2.0))
         commands.append(command)
-    assert odometry_error(make_track(), commands)[0] < 0.02
+    assert odometry_error(make_track(robot=robot), within_limits(robot, commands))[0] < 0.02
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_odometry_agrees_with_the_true_pose_after_20_s_of_a_tasks_actions(seed, make_track):
+def test_odometry_agrees_with_the_true_pose_after_20_s_of_a_tasks_actions(seed, robot, make_track):
     actions = np.random.default_rng(seed).integers(3, size=100)
-    distance, turn = odometry_error(make_track(), [WANDER[action] for action in actions])
+    commands = within_limits(robot, [WANDER[action] for action in actions])
+    distance, turn = odometry_error(make_track(robot=robot), commands)
     assert distance < 0.05
     assert math.degrees(turn) < 3
 
@@ -59,6 +67,15 @@ def test_odometry_does_not_depend_on_how_often_it_is_read(make_track):
 def test_without_noise_the_laser_is_exact(make_track):
     track = make_track(WALL, beams=3)
     assert track.place(-1.5).ranges[0] == pytest.approx([math.inf, 1.4, math.inf])
+
+
+def test_a_turtlebot3_reads_all_around_as_far_as_3_5_m(make_track):
+    track = make_track({"boxes": [{"centre": [3, 0], "size": [0.2, 20]}]}, BURGER, beams=360)
+    behind = track.place(0.5, 0.0, math.pi).ranges[0]
+    assert behind[0] == pytest.approx(2.4)  # the beam of 180 degrees
+    assert behind[180] == math.inf
+    assert track.place(-0.7, 0.0).ranges[0, 180] == math.inf  # the wall is 3.6 m ahead
+    assert track.place(2.85, 0.0).ranges[0, 180] == 0.12  # and here nearer than the laser can tell
 
 
 def test_only_the_beams_with_the_indices_are_read(make_track):

@@ -59,16 +59,16 @@ def test_the_rims_speed_up_as_the_robots_numbers_say(told, pushes, together, cou
 @pytest.mark.parametrize(
     "name", [name if name in ("loop", "wall") else pytest.param(name, marks=pytest.mark.slow) for name in world_names()]
 )
-def test_random_commands_end_where_they_do_in_pybullet(name, make_setup, make_bullet, start_at):
+def test_random_commands_end_where_they_do_in_pybullet(name, robot, make_setup, make_bullet, start_at):
     """200 sequences of 5 s in each world, a new command over the whole range of the robot at each control step."""
-    setup, rng, count = make_setup(name, beams=2), np.random.default_rng(1), 200
+    setup, rng, count = make_setup(name, robot=robot, beams=2), np.random.default_rng(1), 200
     (world,) = setup.worlds
     poses = world.random_poses(rng, count, 0.6)
-    commands = rng.uniform((-ROBOT.max_speed, -2.0), (ROBOT.max_speed, 2.0), (25, count, 2))
+    commands = rng.uniform((-robot.max_speed, -2.0), (robot.max_speed, 2.0), (25, count, 2))
     readings = drive(setup, start_at(setup, poses), commands)
     clear = np.ones(count, dtype=bool)
     for reading in readings[1:]:
-        clear &= [world.clearance(x, y) > ROBOT.radius + 0.05 for x, y, _ in reading.pose]
+        clear &= [world.clearance(x, y) > robot.radius + 0.05 for x, y, _ in reading.pose]
     physics, ends = make_bullet(setup), []
     for i in np.flatnonzero(clear):
         physics.reset(start_at(setup, poses[i : i + 1]), rng)

@@ -8,6 +8,8 @@ import pytest
 from gymnasium import spaces
 
 from tb2rl.errors import InputError
+from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
+from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 from tb2rl.tasks import Commands, Velocities
 
 NAMED = Commands(forward=(0.5, 0.0), left=(0.05, 1.0), right=(0.05, -1.0))
@@ -81,7 +83,7 @@ def test_no_command_at_all_is_refused():
         Commands()
 
 
-@pytest.mark.parametrize("name", ["space", "names", "table", "fastest", "plus", "commands", "nearest"])
+@pytest.mark.parametrize("name", ["space", "names", "table", "fastest", "within", "plus", "commands", "nearest"])
 def test_a_name_that_means_something_else_is_refused(name):
     with pytest.raises(InputError, match=f"an action cannot be called '{name}'"):
         Commands(forward=(0.5, 0.0), **{name: (0.1, 0.0)})
@@ -91,6 +93,32 @@ def test_a_name_that_means_something_else_is_refused(name):
 def test_actions_travel_to_other_processes(actions):
     again = pickle.loads(pickle.dumps(actions))
     assert (again.space, again.names, again.fastest) == (actions.space, actions.names, actions.fastest)
+
+
+# ---- within what a robot can do
+
+
+@pytest.mark.parametrize("actions", [NAMED, ANY], ids=["named", "any"])
+def test_what_a_robot_can_do_stays_to_the_bit(actions):
+    some = np.arange(3) if actions is NAMED else np.random.default_rng(0).uniform(-1, 1, (100, 2))
+    np.testing.assert_array_equal(actions.within(TURTLEBOT2).commands(some), actions.commands(some))
+    assert actions.within(TURTLEBOT2).fastest == actions.fastest == 0.5
+
+
+def test_named_commands_are_cut_to_what_a_robot_can_do():
+    cut = NAMED.plus(back=(-0.7, 9.0)).within(BURGER)
+    assert cut.commands(np.arange(4)).tolist() == [[0.22, 0.0], [0.05, 1.0], [0.05, -1.0], [-0.22, 2.84]]
+    assert (cut.names, cut.back, cut.space.n, cut.fastest) == (("forward", "left", "right", "back"), 3, 4, 0.22)
+    assert NAMED.fastest == 0.5
+
+
+def test_minus_one_to_one_spans_what_a_robot_can_do():
+    cut = Velocities(forward=(-0.1, 0.5), turn=(-2.0, 9.0)).within(BURGER)
+    ends = cut.commands(np.array([(-1.0, -1.0), (1.0, 1.0), (0.0, 0.0)]))
+    assert ends == pytest.approx(np.array([(-0.1, -2.0), (0.22, 2.84), (0.06, 0.42)]))
+    assert (cut.space, cut.fastest) == (ANY.space, 0.22)
+    assert cut.commands(cut.nearest(np.array((0.2, 0.0)))[None])[0] == pytest.approx((0.2, 0.0), abs=1e-6)
+    assert ANY.fastest == 0.5
 
 
 # ---- any velocities
