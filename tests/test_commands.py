@@ -86,7 +86,7 @@ def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
         ("--set task.observation=raw", ["qlearn", "discrete", "'raw'"]),
         ("--set task.beam_indices=[99]", ["task.beam_indices", "99", "beams"]),
         ("--set 'task.edges=[2, 1]'", ["task.edges", "increase"]),
-        ("--set task.robot=turtlebot", ["unknown robot", "did you mean 'turtlebot2'"]),
+        ("--set task.robot=turtelbot2", ["unknown robot", "did you mean 'turtlebot2'"]),
         ("--set task.maze=loop", ["unknown key of task 'maze'", "world"]),
         ("--set task.world=lop", ["did you mean 'loop'", "circuit"]),
         ("--set task.world=missing.yaml", ["missing.yaml"]),

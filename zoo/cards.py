@@ -27,7 +27,7 @@ def overview(built: Sequence[Entry]) -> str:
     """The table of the project's README: a row for each task and world, a column for each agent."""
     agents = list(dict.fromkeys(entry.config.agent_name for entry in built))
     lines = ["| task, world | " + " | ".join(f"`{agent}`" for agent in agents) + " |", "|---" * (len(agents) + 1) + "|"]
-    for place, there in groupby(built, key=lambda entry: (entry.config.task_name, entry.world)):
+    for place, there in groupby(built, key=lambda entry: (entry.config.task_name, entry.place)):
         cells = {
             entry.config.agent_name: f"{percent(entry.good_rate)}, {entry.figures['mean_speed']:.2f} m/s"
             for entry in there

@@ -72,6 +72,11 @@ class Entry:
         return self.config.task.world
 
     @property
+    def place(self) -> str:
+        """The world and, if it is not the usual one, the robot that it was trained with."""
+        return self.config.scene.place
+
+    @property
     def beams(self) -> int:
         """How many beams it observes."""
         return len(self.config.scene.laser.angles)

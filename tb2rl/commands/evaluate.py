@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> None:
     conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed", "workers")}
     evaluation = evaluate(policy, config, progress=True, **conditions)
     name = options.agent or options.policy
-    print_evaluation(evaluation, f"{name} in {evaluation.task.world}")
+    print_evaluation(evaluation, f"{name} in {evaluation.scene.place}")
     _write(evaluation, config, name, options)
 
 

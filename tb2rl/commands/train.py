@@ -88,7 +88,7 @@ def _say_began(config: Config, folder: Path) -> None:
     settings = config.train
     environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
     print(
-        f"training {config.agent_name} at {config.task_name} in {config.task.world}: {settings.total_timesteps} steps, "
+        f"training {config.agent_name} at {config.task_name} in {config.scene.place}: {settings.total_timesteps} steps, "
         f"{environments}, seed {settings.seed}\n"
         f"run folder: {folder} (watch it: tensorboard --logdir runs)",
         flush=True,
@@ -110,7 +110,7 @@ def _finish(training: Training, options: argparse.Namespace) -> dict[str, Any] |
     where = "PyBullet" if judging_simulation() == "bullet" else "the fast twin"
     print(f"standard evaluation of its best policy in {where}: {EPISODES} episodes, about half a minute", flush=True)
     evaluation = evaluate(load(run.folder), progress=True)
-    summary = print_evaluation(evaluation, f"{run.folder} in {evaluation.task.world}")
+    summary = print_evaluation(evaluation, f"{run.folder} in {run.config.scene.place}")
     run.write_evaluation(*evaluation.tree(run.config, str(run.folder)))
     return summary
 

@@ -61,6 +61,12 @@ class Scene:
         return self.setup.worlds[0]
 
     @property
+    def place(self) -> str:
+        """Where what drives, for titles: "loop", or "loop with turtlebot3" if it is not the usual robot."""
+        usual = self.robot.name == Task.robot
+        return self.world.name if usual else f"{self.world.name} with {self.robot.name}"
+
+    @property
     def action_space(self) -> spaces.Space:
         """What a learner does."""
         return self.actions.space

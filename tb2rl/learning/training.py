@@ -157,7 +157,7 @@ def _train(
         remembering: list[Any] = [
             statistics,
             checkpoints,
-            Watcher(settings.total_timesteps, config.task.control_period),
+            Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.fastest),
         ]
         if evaluator:
             evaluation = Evaluate(run, evaluator, settings.eval_freq)

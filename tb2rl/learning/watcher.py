@@ -17,6 +17,7 @@ _EARLIEST = 10_000  # control steps: before, nobody has learned anything
 _LOOKS = 100  # in a training
 _AT_ONCE = 15  # [control steps] an episode that fails before this gives nothing to learn from
 _SLOW = 0.08  # [m/s] the tutorial's robot makes 0.05 while it turns
+_SLOW_SHARE = 0.4  # of the fastest command, of a robot that cannot drive much faster than that
 _DIVERGED = 10.0  # times the largest value that the rewards allow
 
 ADVICE = {
@@ -33,14 +34,15 @@ class Watcher(BaseCallback):
     Args:
         total_timesteps: Control steps of the whole training.
         control_period: Of its task [s].
+        fastest: Speed of the fastest command [m/s].
 
     Attributes:
         warned: The keys of `ADVICE` that were said already; each is said once.
     """
 
-    def __init__(self, total_timesteps: int, control_period: float) -> None:
+    def __init__(self, total_timesteps: int, control_period: float, fastest: float) -> None:
         super().__init__()
-        self.total, self.period = total_timesteps, control_period
+        self.total, self.period, self._slow = total_timesteps, control_period, min(_SLOW, _SLOW_SHARE * fastest)
         self._next = 0
         self._latest: deque[tuple[float, int, float, bool]] = deque(
             maxlen=_EPISODES
@@ -77,7 +79,7 @@ class Watcher(BaseCallback):
             failures = sum(failed) / len(failed)
             late = self.num_timesteps >= self.total / 2
             seen["failing"] = late and failures > 0.9 and float(np.mean(lengths)) < _AT_ONCE
-            seen["spinning"] = failures < 0.5 and sum(distances) / (sum(lengths) * self.period) < _SLOW
+            seen["spinning"] = failures < 0.5 and sum(distances) / (sum(lengths) * self.period) < self._slow
             seen["flat"] = failures > 0.5 and self._return_is_flat()
         for problem, present in seen.items():
             self.logger.record(f"watch/{problem}", float(present))

@@ -51,7 +51,7 @@ class Teleop:
     def lines(self, height: int) -> list[str]:
         """What the terminal shows on at most so many lines."""
         head = [
-            f"{self.scene.world.name}: arrows or w/a/s/d change the speeds, space stops, q ends",
+            f"{self.scene.place}: arrows or w/a/s/d change the speeds, space stops, q ends",
             *reading_lines(self.reading, self.command),
             self.news,
             "",

@@ -98,7 +98,7 @@ def _family(group: Group, tag: str) -> Family:
 def title(groups: Sequence[Group]) -> str:
     """What was trained."""
     subjects = [subject for group in groups for subject in group.subjects]
-    trained = dict.fromkeys(f"{s.config.agent_name} at {s.config.task_name} in {s.scene.world.name}" for s in subjects)
+    trained = dict.fromkeys(f"{s.config.agent_name} at {s.config.task_name} in {s.scene.place}" for s in subjects)
     text = ", ".join(trained)
     return text if len(subjects) == 1 else f"{text}: {len(subjects)} runs"
 

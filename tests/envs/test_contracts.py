@@ -12,16 +12,17 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 import tb2rl
 from tb2rl.envs.encodings import BEAMS
 from tb2rl.errors import InputError
-from tb2rl.registry import world_names
+from tb2rl.registry import robot_names, world_names
 from tb2rl.sensors.names import SENSORS
 from tb2rl.simulation import SIMULATIONS
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
 @pytest.mark.parametrize("observation", BEAMS)
+@pytest.mark.parametrize("robot", robot_names())
 @pytest.mark.parametrize("name", tb2rl.GYM_IDS)
-def test_every_id_keeps_the_contracts_of_gymnasium_and_stable_baselines3(name, observation, simulation):
-    modes = {"observation": observation, "simulation": simulation, "render_mode": "rgb_array"}
+def test_every_id_keeps_the_contracts_of_gymnasium_and_stable_baselines3(name, robot, observation, simulation):
+    modes = {"robot": robot, "observation": observation, "simulation": simulation, "render_mode": "rgb_array"}
     env = gym.make(f"tb2rl:{name}", **modes).unwrapped
     check_env(env, skip_render_check="human" in env.metadata["render_modes"])  # it would open the window
     check_env_for_sb3(env, skip_render_check=False)  # closes it, and goes on
@@ -29,9 +30,10 @@ def test_every_id_keeps_the_contracts_of_gymnasium_and_stable_baselines3(name, o
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("robot", robot_names())
 @pytest.mark.parametrize("observation", BEAMS)
-def test_so_does_a_task_of_any_velocities(observation, simulation, glide, make):
-    env = make(glide, observation, simulation=simulation)
+def test_so_does_a_task_of_any_velocities(observation, robot, simulation, glide, make):
+    env = make(glide, observation, simulation=simulation, robot=robot)
     check_env(env, skip_render_check=True)
     check_env_for_sb3(env)
 

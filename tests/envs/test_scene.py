@@ -1,11 +1,17 @@
 """Names become objects: what a scene holds, and what does not fit together."""
 
+import math
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from tb2rl.envs.encodings import BEAMS
+from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
@@ -30,6 +36,40 @@ def test_the_number_of_beams_is_a_setting_and_so_are_the_ones_that_are_read(mode
     for settings, beams in (({"beams": 12}, 12), ({"beams": 12, "beam_indices": (0, 5, 11)}, 3), ({}, BEAMS[mode])):
         scene = make_scene(Wander(**settings), mode)
         assert scene.observation_space.shape == scene.laser.angles.shape == (beams,)
+
+
+@pytest.mark.parametrize(("mode", "step"), [("discrete", 30), ("raw", 180 / 35)])
+def test_a_turtlebot3_that_sees_all_around_looks_ahead_like_a_turtlebot2_unless_it_is_told_to_look_back(mode, step):
+    ahead, around = (make_task("maze", {"robot": "turtlebot3", **more}) for more in ({}, {"field_of_view": None}))
+    angles = np.degrees(make_scene(ahead, mode).laser.angles)
+    assert angles == pytest.approx(np.arange(-90, 90.1, step))
+    all_around = make_scene(around, mode).laser.angles
+    assert np.diff(all_around, append=all_around[0] + math.tau) == pytest.approx(math.tau / BEAMS[mode])
+
+
+def test_what_suits_a_robot_comes_along_with_its_name_before_what_is_set_beside_it():
+    for settings, period in (({}, 0.4), ({"control_period": 0.3}, 0.3)):
+        task = make_task("maze", {"robot": "turtlebot3", **settings})
+        assert (task.control_period, task.field_of_view, task.crash_range) == (period, math.pi, 0.5)
+    assert make_task("maze", {"robot": "turtlebot2"}) == make_task("maze", {}) == Wander()
+
+
+def test_what_a_robot_brings_must_be_a_setting_of_every_task(monkeypatch):
+    monkeypatch.setattr("tb2rl.robots.turtlebot3.ROBOT", replace(BURGER, task_settings={"control_perod": 0.4}))
+    with pytest.raises(InputError, match=r"key of robot turtlebot3\.task_settings 'control_perod'; did you mean"):
+        make_task("maze", {"robot": "turtlebot3"})
+
+
+def test_a_scene_cuts_the_actions_to_what_its_robot_can_do():
+    scene = make_scene(Wander(robot="turtlebot3", turn_rate=9.0), "raw")
+    assert scene.actions.table.tolist() == [[0.22, 0.0], [0.05, 2.84], [0.05, -2.84]]
+    assert scene.actions.fastest == 0.22
+    assert scene.changed(forward_speed=0.1).actions.fastest == 0.1
+
+
+def test_a_scene_says_in_titles_which_robot_it_has_if_it_is_another_one():
+    assert make_scene(Wander(world="round"), "raw").place == "round"
+    assert make_scene(Wander(robot="turtlebot3"), "raw").place == "loop with turtlebot3"
 
 
 def test_a_scene_knows_the_goal_of_a_task_that_has_one():
@@ -76,8 +116,9 @@ def test_a_world_too_narrow_for_the_robot_is_refused_however_it_starts(tmp_path)
         ("discrete", Wander(beam_indices=(7,)), ["task.beam_indices names beam 7", "7 beams"]),
         ("raw", Wander(start_clearance=2.0), ["no free space", "task.start_clearance"]),
         ("raw", Wander(start_clearance=0.1), ["task.start_clearance", "turtlebot2's radius, 0.178 m"]),
+        ("raw", Wander(field_of_view=4.0), ["task.field_of_view cannot be 4", "turtlebot2's laser sees 3.142 rad"]),
         ("raw", Wander(world="lop"), ["unknown world 'lop'", "did you mean 'loop'"]),
-        ("raw", Wander(robot="turtlebot"), ["unknown robot 'turtlebot'", "did you mean 'turtlebot2'"]),
+        ("raw", Wander(robot="turtelbot2"), ["unknown robot 'turtelbot2'", "did you mean 'turtlebot2'"]),
         ("raw", ReachGoal(world="loop"), ["world loop has no goal", "task.goal"]),
     ],
 )

@@ -219,7 +219,7 @@ def test_a_scene_is_all_that_an_environment_needs():
     [
         ({"worlt": "loop"}, ["unknown setting", "'worlt'", "did you mean 'world'"]),
         ({"world": "lop"}, ["unknown world 'lop'", "did you mean 'loop'"]),
-        ({"robot": "turtlebot"}, ["unknown robot 'turtlebot'", "did you mean 'turtlebot2'"]),
+        ({"robot": "turtelbot2"}, ["unknown robot 'turtelbot2'", "did you mean 'turtlebot2'"]),
         ({"episode_steps": 0}, ["task.episode_steps", "greater than or equal to 1"]),
         ({"noise": -0.1}, ["task.noise"]),
         ({"control_period": np.nan}, ["task.control_period", "finite"]),

@@ -58,8 +58,14 @@ def test_a_training_that_learns_is_left_alone(agent, small, tmp_path, capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_a_robot_that_cannot_drive_fast_is_not_said_to_turn_on_the_spot(small, tmp_path, capsys):
+    speeds = {"task.forward_speed": 0.07, "task.turn_speed": 0.07, "task.turn_rate": 0.1, "task.episode_steps": 100}
+    train_config(small(settings=speeds, n_envs=64, total_timesteps=20_000), tmp_path / "run")
+    assert ADVICE["spinning"] not in capsys.readouterr().err
+
+
 def test_a_return_is_not_flat_after_a_single_look():
-    watcher = Watcher(total_timesteps=900, control_period=0.2)
+    watcher = Watcher(total_timesteps=900, control_period=0.2, fastest=0.5)
     watcher.restore(
         {
             "_next": 0,
@@ -76,7 +82,7 @@ def test_a_return_is_not_flat_after_a_single_look():
 
 
 def test_it_goes_on_with_what_it_has_seen():
-    watcher, other = (Watcher(total_timesteps=900, control_period=0.2) for _ in range(2))
+    watcher, other = (Watcher(total_timesteps=900, control_period=0.2, fastest=0.5) for _ in range(2))
     seen = {"_next": 7, "_latest": [[1.0, 10, 1.5, True]], "_history": [[100, 2.0]], "_largest_reward": 5.0}
     watcher.restore({**seen, "warned": ["flat"]})
     other.restore(watcher.state())

@@ -30,6 +30,27 @@ def test_later_layers_win(tmp_path, monkeypatch):
     assert task.control_period == Wander().control_period, "what no layer sets stands in the signature"
 
 
+def test_what_suits_a_robot_lies_above_the_presets_of_this_folder_and_below_what_the_user_says(tmp_path):
+    (tmp_path / "mine.yaml").write_text("task: {robot: turtlebot3, noise: 0.01}")
+    (tmp_path / "slow.yaml").write_text("task: {robot: turtlebot3, control_period: 1.0}")
+    for preset, settings, period in (
+        ("mine", {}, 0.4),
+        ("slow", {}, 1.0),
+        (None, {"task.robot": "turtlebot3"}, 0.4),
+        ("slow", {"task.control_period": 0.3}, 0.3),
+        ("mine", {"task.robot": "turtlebot2"}, 0.2),
+    ):
+        preset = preset and str(tmp_path / f"{preset}.yaml")
+        for task in ("maze", "wall"):
+            assert resolve("ppo", task, preset, settings).task.control_period == period
+
+
+def test_a_policy_that_is_to_drive_another_robot_gets_what_suits_it():
+    trained = resolve("ppo")
+    assert trained.with_task({"robot": "turtlebot3"}).task.control_period == 0.4
+    assert trained.with_task({"robot": "turtlebot3", "control_period": 0.1}).task.control_period == 0.1
+
+
 def test_the_name_on_the_command_line_wins_over_the_presets():
     assert resolve(preset="tutorial").agent_name == "qlearn"
     assert resolve(settings={"agent.name": "ppo", "task.name": "wall"}).task_name == "wall"
@@ -145,7 +166,7 @@ def test_an_unknown_name_is_refused(arguments, named, refused):
         ({"train.n_envs": 0}, ["train.n_envs", "greater than or equal to 1", "0"]),
         ({"train.reward_scale": -1}, ["train.reward_scale", "greater than 0", "-1"]),
         ({"task.world": "lop"}, ["'lop'", "did you mean 'loop'", "circuit"]),
-        ({"task.robot": "turtlebot"}, ["'turtlebot'", "did you mean 'turtlebot2'"]),
+        ({"task.robot": "turtelbot2"}, ["'turtelbot2'", "did you mean 'turtlebot2'"]),
         ({"task.observation": "raw"}, ["qlearn", "discrete", "'raw'"]),
         ({"task": 3}, ["task"]),
     ],

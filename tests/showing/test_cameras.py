@@ -95,6 +95,18 @@ def test_each_episode_shows_its_own_goal(make, errands):
             assert len(found), (x, y)
 
 
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_turtlebot3_is_shown_smaller_than_a_turtlebot2(camera, make):
+    dark = []
+    for robot in ("turtlebot2", "turtlebot3"):
+        config = make.config(start="fixed", beams=1, robot=robot)
+        policy, env = open_env(make.policy(), config, {}, steps=1)
+        with closing(env), closing(CAMERAS[camera](env.scene)) as eye:
+            picture = eye.picture(next(shots(roll_out(env, policy, 0), period=0.2, rate=10)))
+        dark.append((picture.max(axis=2) < 90).sum())
+    assert 0.1 * dark[0] < dark[1] < 0.5 * dark[0]
+
+
 def test_a_robot_of_another_size_is_shown_as_large_as_it_is(make):
     scene = make.config(start="fixed", beams=1).scene
     sizes = []
