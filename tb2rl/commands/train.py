@@ -88,8 +88,8 @@ def _say_began(config: Config, folder: Path) -> None:
     settings = config.train
     environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
     print(
-        f"training {config.agent_name} at {config.task_name} in {config.scene.place}: {settings.total_timesteps} steps, "
-        f"{environments}, seed {settings.seed}\n"
+        f"training {config.agent_name} at {config.task_name} in {config.scene.place}: "
+        f"{settings.total_timesteps} steps, {environments}, seed {settings.seed}\n"
         f"run folder: {folder} (watch it: tensorboard --logdir runs)",
         flush=True,
     )

@@ -24,8 +24,8 @@ ROBOT = Robot(
     wheel_torque=0.15,  # chosen with the wheels' inertia: 2.5 m/s^2, as its settings for ROS's navigation allow
     max_speed=0.22,
     max_turn_rate=2.84,
-    wheel_acceleration=2.635,  # measured in PyBullet, as is the next one
-    wheel_coupling=-0.089,
+    wheel_acceleration=2.640,  # measured in PyBullet, as is the next one
+    wheel_coupling=-0.094,
     laser=Laser(beams=360, field_of_view=math.tau, min_range=0.12, max_range=3.5),  # LDS-01
     camera=Camera(position=(0.06, 0.0, 0.10), field_of_view=_CAMERA_HEIGHT, range=(0.05, 8.0)),
     # It looks ahead as a TurtleBot2 does; at 0.4 s a step takes it about as far, so that episodes are as long.

@@ -21,10 +21,12 @@ keeper = import_module("tb2rl.zoo.__main__")
 ENTRIES = entries()
 PLACES = ("maze-loop", "maze-circuit", "maze-round", "maze-maze", "my-maze-loop", "wall-wall")
 
+TURTLEBOT3 = "maze-loop-turtlebot3-ppo"
+
 
 def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
-    assert {entry.name for entry in ENTRIES} == expected
+    assert {entry.name for entry in ENTRIES} == expected | {TURTLEBOT3}
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
@@ -91,7 +93,8 @@ def test_the_table_is_what_the_entries_say():
 
 def test_the_overview_has_a_row_for_every_place_and_a_cell_for_every_policy():
     lines = overview(ENTRIES).splitlines()
-    assert len(lines) == 2 + len(PLACES)
+    assert len(lines) == 2 + len(PLACES) + 1
+    assert any(line.startswith("| `maze, loop with turtlebot3` | ") for line in lines)
     assert "`qlearn`" in lines[0]
     assert lines[2].startswith("| `maze, loop` | ")
     assert sum(line.count(" m/s") for line in lines) == len(ENTRIES)
