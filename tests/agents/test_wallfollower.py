@@ -1,11 +1,30 @@
-"""The wall follower drives by the latest observation, whatever stands before it."""
+"""The wall follower drives any robot along the walls, without touching one."""
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import numpy as np
+import pytest
 
 from tb2rl import make_env
 from tb2rl.agents.wallfollower import WallFollower
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.registry import robot_names
+from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.layers import resolve
+
+
+@pytest.mark.parametrize("robot", robot_names())
+def test_it_drives_any_robot_without_a_crash(robot):
+    config = resolve("wallfollower", settings={"task.robot": robot})
+    policy, fastest = make_baseline(config), config.scene.actions.fastest
+    with closing(TurtleBot2Env(config.scene, simulation="kinematic")) as env:
+        observation, _ = env.reset(seed=3)
+        for _ in range(500):
+            observation, _, _, _, info = env.step(policy.predict(observation, deterministic=True)[0])
+            assert info["ended"] == ""
+    assert info["distance"] > 0.7 * fastest * 500 * config.task.control_period
 
 
 def test_it_drives_by_the_latest_of_several_frames():

@@ -17,6 +17,7 @@ from tb2rl.learning import training
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
+from tb2rl.simulation import SIMULATIONS
 
 LEARNERS = [name for name in agent_names() if find_agent(name).algorithm is not None]
 SOON = {"dqn": {"agent.learning_starts": 900}}  # what an agent needs to have learned something when QUICK ends
@@ -186,3 +187,15 @@ def test_an_existing_folder_is_left_alone(small, tmp_path):
     with pytest.raises(InputError, match="exists already"):
         training.train_config(small(seed=1), run.folder)
     assert {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()} == before
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize(("agent", "own"), [("qlearn", {}), ("ppo", {"agent.n_steps": 64, "agent.batch_size": 64})])
+def test_a_turtlebot3_is_trained_evaluated_and_driven_by_what_came_of_it(agent, own, simulation, tmp_path):
+    settings = {"task.robot": "turtlebot3", "task.start": "fixed", **own}
+    policy = train(agent, settings=settings, simulation=simulation, folder=tmp_path / "run", **BARE)
+    env = make_env(load(tmp_path / "run"))
+    assert (env.scene.robot.name, env.scene.task.control_period) == ("turtlebot3", 0.4)
+    env.close()
+    evaluation = evaluate(policy, episodes=1, steps=5, workers=1)
+    assert 0.0 < evaluation.summary()["mean_speed"] <= evaluation.scene.actions.fastest == 0.22
