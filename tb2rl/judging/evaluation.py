@@ -66,7 +66,10 @@ class Evaluation:
         return self.task.episode_steps
 
     def summary(self) -> dict[str, Any]:
-        """The figures, for a table or a JSON file; speeds in m/s, distances in m, rates with 95 % intervals."""
+        """The figures, for a table or a JSON file; speeds in m/s, distances in m, rates with 95 % intervals.
+
+        `median_squares` is how many different squares of 1 m the median episode visits: circling visits few of them.
+        """
         lengths, distances = self._each("length"), self._each("distance")
         return {
             "episodes": len(self.episodes),
@@ -80,6 +83,7 @@ class Evaluation:
             **_mean("return", self._each("episode_return")),
             **_mean("length", lengths),
             "mean_speed": sum(distances) / (sum(lengths) * self.task.control_period),
+            "median_squares": float(np.median([_squares(path) for path in self._each("path")])),
             "endings": dict(sorted(Counter(self._each("ended")).items())),
         }
 
@@ -104,6 +108,12 @@ class Evaluation:
 
     def _each(self, name: str) -> list[Any]:
         return [getattr(episode, name) for episode in self.episodes]
+
+
+def _squares(path: np.ndarray) -> int:
+    """How many different squares of 1 m a path x, y [m], shape (n, 2), has points in."""
+    x, y = np.floor(path).astype(np.int64).T
+    return len(np.unique(x * 2**31 + y))  # one number for each square: faster than unique rows
 
 
 def _rate(name: str, counted: Sequence[bool]) -> dict[str, Any]:

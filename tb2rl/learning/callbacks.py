@@ -20,7 +20,9 @@ from tb2rl.runs.normalisation import driving_policy
 from tb2rl.showing.pictures import draw_paths
 
 _PATHS_DRAWN = 5
-_LOGGED = ("failure_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "mean_speed")
+_LOGGED = (
+    "failure_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "mean_speed", "median_squares",
+)  # fmt: skip
 
 
 class Evaluate(BaseCallback):

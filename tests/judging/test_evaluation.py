@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,21 @@ def test_the_summary_counts_what_happened(make_episode):
     assert summary["endings"] == {"crash": 2, "time limit": 2}
     assert summary["failure_free_interval"] == wilson_interval(2, 4)
     assert evaluation.score == (0.5, 0.0)
+
+
+def test_the_squares_that_the_median_episode_visits_tell_driving_from_circling(make_episode):
+    around = 2 * np.pi * np.arange(100) / 20
+    circling = np.stack([0.5 + 0.4 * np.cos(around), -0.5 + 0.4 * np.sin(around)], axis=1)  # in the square (0, -1)
+    straight = np.stack([np.arange(-20, 80) / 10 + 0.05, np.full(100, 3.5)], axis=1)  # from -2 to 8
+    back_and_forth = np.concatenate([straight, straight[::-1]])
+    episodes = [replace(make_episode(length=1), path=path.astype(np.float32)) for path in (circling, straight, back_and_forth)]
+
+    def squares(*numbers: int) -> float:
+        return Evaluation([episodes[i] for i in numbers], make_scene(Wander(), "raw"), 0).summary()["median_squares"]
+
+    assert (squares(0), squares(1), squares(2)) == (1, 10, 10)
+    assert squares(0, 0, 1) == 1
+    assert squares(0, 1) == 5.5
 
 
 def test_what_failed_is_told_by_the_episode_and_not_by_the_name_of_its_ending(make_episode):
