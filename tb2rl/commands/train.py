@@ -16,7 +16,7 @@ from tb2rl.files import write_text
 from tb2rl.judging.evaluator import EPISODES, PASSED, evaluate
 from tb2rl.judging.statistics import bootstrap_interval
 from tb2rl.learning.statistics import tutorial_scores
-from tb2rl.learning.training import Training, default_folder, resume, train_config
+from tb2rl.learning.training import Training, default_folder, resume, stopped_early, train_config
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
@@ -103,6 +103,8 @@ def _finish(training: Training, options: argparse.Namespace) -> dict[str, Any] |
     """Say how a training went, and give the summary of its standard evaluation; None if it was interrupted."""
     rate = training.timesteps / training.seconds
     print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
+    if training.stopped_after is not None:
+        print(stopped_early(training.run.config, training.stopped_after))
     print(tutorial_scores(training.lengths))
     if options.no_evaluation or training.interrupted:
         return None

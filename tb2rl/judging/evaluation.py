@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
+from gymnasium import spaces
 
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
@@ -92,6 +93,12 @@ class Evaluation:
         """What makes one evaluation better than another: the success rate, then the mean return."""
         return float(np.mean(self._each("success"))), float(np.mean(self._each("episode_return")))
 
+    @property
+    def good_rate(self) -> float:
+        """The share of good episodes: those that reach the goal, or at a task without one those that do not fail."""
+        good = self._each("success") if self.task.goal_task else [not failed for failed in self._each("failed")]
+        return float(np.mean(good))
+
     def tree(self, config: Config, policy: str) -> tuple[dict[str, Any], dict[str, list[np.ndarray]]]:
         """All of it as a run folder keeps it, see `Run.write_evaluation` and `kept_evaluation`.
 
@@ -114,6 +121,11 @@ def _squares(path: np.ndarray) -> int:
     """How many different squares of 1 m a path x, y [m], shape (n, 2), has points in."""
     x, y = np.floor(path).astype(np.int64).T
     return len(np.unique(x * 2**31 + y))  # one number for each square: faster than unique rows
+
+
+def smallest_type(space: spaces.Space) -> np.dtype:
+    """What keeps actions: the smallest integers that hold all named commands, or the type of the velocities."""
+    return np.min_scalar_type(int(space.n) - 1) if isinstance(space, spaces.Discrete) else np.dtype(space.dtype)
 
 
 def _rate(name: str, counted: Sequence[bool]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from tb2rl.envs.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
-from tb2rl.judging.evaluation import Episode, Evaluation
+from tb2rl.judging.evaluation import Episode, Evaluation, smallest_type
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import Policy, roll_out
 from tb2rl.judging.spaces import check_observes
@@ -125,13 +125,8 @@ def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed:
         distance=last.info["distance"],
         episode_return=last.total,
         path=np.array(places, dtype=np.float32),
-        actions=np.array([moment.action for moment in moments], dtype=_smallest_type(env.action_space)),
+        actions=np.array([moment.action for moment in moments], dtype=smallest_type(env.action_space)),
     )
-
-
-def _smallest_type(space: spaces.Space) -> np.dtype:
-    """What keeps actions: the smallest integers that hold all named commands, or the type of the velocities."""
-    return np.min_scalar_type(int(space.n) - 1) if isinstance(space, spaces.Discrete) else np.dtype(space.dtype)
 
 
 def evaluate(

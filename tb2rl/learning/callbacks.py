@@ -13,7 +13,9 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Image
 
+from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.evaluator import Evaluator
+from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning.state import Stateful, capture
 from tb2rl.runs.folder import Run
 from tb2rl.runs.normalisation import driving_policy
@@ -26,28 +28,49 @@ _LOGGED = (
 
 
 class Evaluate(BaseCallback):
-    """Evaluates the greedy policy now and then, keeps the best one, draws the paths of a few episodes.
+    """Evaluates the greedy policy now and then, keeps the best one, stops the training once it is good enough.
 
     Args:
         run: Gets the best policy, and a line for each evaluation.
         evaluator: Drives the episodes.
         freq: Control steps between evaluations.
+        stop_score: The share of good episodes that is good enough; None: never.
+        stop_evaluations: How many evaluations in a row have to reach it.
+
+    Attributes:
+        stopped: Whether it stopped the training.
     """
 
-    def __init__(self, run: Run, evaluator: Evaluator, freq: int) -> None:
+    def __init__(
+        self,
+        run: Run,
+        evaluator: Evaluator | TwinEvaluator,
+        freq: int,
+        stop_score: float | None = None,
+        stop_evaluations: int = 2,
+    ) -> None:
         super().__init__()
         self.run, self.evaluator, self.freq = run, evaluator, freq
+        self.stop_score, self.stop_evaluations = stop_score, stop_evaluations
+        self.stopped = False
+        self._reached = 0  # evaluations in a row
         self._next = freq
         self._best = (-np.inf, -np.inf)
         self._elapsed_before = 0.0
 
     def state(self) -> dict[str, Any]:
-        return {"next": self._next, "best": self._best, "elapsed": self._elapsed()}
+        counts = {"next": self._next, "reached": self._reached, "stopped": self.stopped}
+        return {**counts, "best": self._best, "elapsed": self._elapsed()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         self._next, self._elapsed_before = int(state["next"]), float(state["elapsed"])
+        self._reached, self.stopped = int(state["reached"]), bool(state["stopped"])
         success, mean_return = map(float, state["best"])
         self._best = (success, mean_return)
+
+    def go_on(self) -> None:
+        """Count anew, after it has stopped the training and more steps are asked."""
+        self.stopped, self._reached = False, 0
 
     def _elapsed(self) -> float:
         """Seconds since the training began."""
@@ -59,10 +82,13 @@ class Evaluate(BaseCallback):
     def _on_step(self) -> bool:
         if self._next <= self.num_timesteps < self.locals["total_timesteps"]:  # the end has an evaluation of its own
             self._next = (self.num_timesteps // self.freq + 1) * self.freq
-            self.evaluate()
-        return True
+            evaluation = self.evaluate()
+            good = self.stop_score is not None and evaluation.good_rate >= self.stop_score
+            self._reached = self._reached + 1 if good else 0
+            self.stopped = self._reached >= self.stop_evaluations
+        return not self.stopped
 
-    def evaluate(self, progress: bool = False) -> None:
+    def evaluate(self, progress: bool = False) -> Evaluation:
         """Evaluate the policy as it is now; with `progress`, a bar on a terminal says how far this is."""
         started = time.monotonic()
         evaluation = self.evaluator.run(driving_policy(self.model), progress)
@@ -81,6 +107,7 @@ class Evaluate(BaseCallback):
         picture = draw_paths(evaluation.scene, [episode.path for episode in few], [episode.failed for episode in few])
         self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)
+        return evaluation
 
 
 class Checkpoints(BaseCallback):

@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import Logger
 
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import TRAINING_SEED, Evaluator
+from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning import state
 from tb2rl.learning.callbacks import Checkpoints, Evaluate, StopAfterEpisodes, StopOnInterrupt
 from tb2rl.learning.environments import make_vec_env
@@ -31,6 +32,8 @@ from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import content_config, load
 from tb2rl.runs.parameters import load_parameters
 from tb2rl.tasks import Task
+
+_GO_ON = "raise --total-timesteps to go on"
 
 
 def train(
@@ -77,6 +80,7 @@ class Training:
     seconds: float  # of learning them, evaluations included
     lengths: Sequence[int]  # control steps of each episode
     interrupted: bool
+    stopped_after: int | None  # control steps since it began, if evaluations stopped it before its time was up
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class _Checkpoint:
 
     file: Path
     content: Mapping[str, Any]
+    total_timesteps: int  # that it was to have
 
 
 def train_config(
@@ -123,13 +128,14 @@ def resume(
     config = run.config
     if content_config(content, file) != config or "training" not in content:
         raise InputError(f"{file} is not a checkpoint of the training that {folder} describes")
+    checkpoint = _Checkpoint(file, content, config.train.total_timesteps)
     if total_timesteps is not None:
         if total_timesteps < config.train.total_timesteps:
             raise InputError(f"the run was begun with {config.train.total_timesteps} steps; ask for more, not for less")
         config = replace(config, train=replace(config.train, total_timesteps=total_timesteps))
     if content["timesteps"] >= config.train.total_timesteps:
-        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; raise --total-timesteps to go on")
-    return _train(config, run.folder, _Checkpoint(file, content), progress_bar, verbose, began)
+        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; {_GO_ON}")
+    return _train(config, run.folder, checkpoint, progress_bar, verbose, began)
 
 
 def _train(
@@ -160,7 +166,7 @@ def _train(
             Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.fastest),
         ]
         if evaluator:
-            evaluation = Evaluate(run, evaluator, settings.eval_freq)
+            evaluation = Evaluate(run, evaluator, settings.eval_freq, settings.stop_score, settings.stop_evaluations)
             remembering.append(evaluation)
         if settings.episodes:
             remembering.append(StopAfterEpisodes(settings.episodes))
@@ -168,6 +174,10 @@ def _train(
         watching: list[BaseCallback] = [*remembering, stop, *([EpisodeLines()] if verbose else [])]
         if checkpoint:
             watching.insert(0, _restore(algorithm, run, checkpoint, remembering))
+            if evaluator and evaluation.stopped:
+                if settings.total_timesteps == checkpoint.total_timesteps:
+                    raise InputError(f"{folder} has {stopped_early(config, algorithm.num_timesteps)}; {_GO_ON}")
+                evaluation.go_on()
         done = algorithm.num_timesteps
         algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done, config.to_dict())]))
         resources.callback(algorithm.logger.close)
@@ -180,16 +190,33 @@ def _train(
                 algorithm.learn(left, watching, reset_num_timesteps=checkpoint is None, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
             if not stop.interrupted:
-                if evaluator:
+                if evaluator and not evaluation.stopped:
                     evaluation.evaluate(progress_bar)
                 checkpoints.save()  # it knows the best score, should more steps be asked
         seconds = time.monotonic() - started
-    return Training(run, algorithm.num_timesteps - done, seconds, statistics.lengths, stop.interrupted)
+    timesteps = algorithm.num_timesteps
+    stopped_after = timesteps if evaluator and evaluation.stopped else None
+    return Training(run, timesteps - done, seconds, statistics.lengths, stop.interrupted, stopped_after)
 
 
-def _evaluator(config: Config) -> Evaluator:
+def stopped_early(config: Config, timesteps: int) -> str:
+    """Why a training that its evaluations stopped has ended, in a line."""
     settings = config.train
-    return Evaluator(config.scene, settings.eval_episodes, settings.eval_steps, TRAINING_SEED)
+    return (
+        f"stopped after {timesteps} of {settings.total_timesteps} steps: {settings.stop_evaluations} evaluations in a "
+        f"row reached {100 * (settings.stop_score or 0.0):g} %"
+    )
+
+
+def _evaluator(config: Config) -> Evaluator | TwinEvaluator:
+    settings = config.train
+    conditions = settings.eval_episodes, settings.eval_steps, TRAINING_SEED
+    if settings.eval_simulation == "kinematic":
+        try:
+            return TwinEvaluator(config.scene, *conditions)
+        except InputError as error:
+            print(f"evaluations on the way are in PyBullet, and slower: {error}", flush=True)
+    return Evaluator(config.scene, *conditions)
 
 
 def _restore(

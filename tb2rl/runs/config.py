@@ -20,7 +20,7 @@ from tb2rl.registry import absolute_world, find_agent, find_task
 from tb2rl.runs.arguments import agent_for, check_arguments
 from tb2rl.runs.plain import check_plain, check_sections, plain
 from tb2rl.tasks import Task
-from tb2rl.values import Count, CountOrZero, build
+from tb2rl.values import Count, CountOrZero, Fraction, build
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,11 @@ class TrainSettings:
     norm_obs: bool = False  # numbers observed, by the mean and spread of all so far: Stable-Baselines3's VecNormalize
     norm_reward: bool = False  # by the spread of discounted returns; whatever the reward_scale
     eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
-    eval_episodes: Annotated[int, Ge(1), Le(100_000)] = 20
+    eval_simulation: Literal["bullet", "kinematic"] = "kinematic"  # where these drive: the twin drives all at once
+    eval_episodes: Annotated[int, Ge(1), Le(100_000)] = 1000
     eval_steps: Count = 1000  # control steps at most in an episode of these
+    stop_score: Fraction | None = None  # stop once evaluations reach it: the share of good episodes; None: never
+    stop_evaluations: Count = 2  # so many of them in a row
     save_freq: CountOrZero = 50_000  # control steps between checkpoints; 0: only the last
     keep: Count = 2  # of these checkpoints, the latest
 

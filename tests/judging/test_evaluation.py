@@ -46,7 +46,9 @@ def test_the_squares_that_the_median_episode_visits_tell_driving_from_circling(m
     circling = np.stack([0.5 + 0.4 * np.cos(around), -0.5 + 0.4 * np.sin(around)], axis=1)  # in the square (0, -1)
     straight = np.stack([np.arange(-20, 80) / 10 + 0.05, np.full(100, 3.5)], axis=1)  # from -2 to 8
     back_and_forth = np.concatenate([straight, straight[::-1]])
-    episodes = [replace(make_episode(length=1), path=path.astype(np.float32)) for path in (circling, straight, back_and_forth)]
+    episodes = [
+        replace(make_episode(length=1), path=path.astype(np.float32)) for path in (circling, straight, back_and_forth)
+    ]
 
     def squares(*numbers: int) -> float:
         return Evaluation([episodes[i] for i in numbers], make_scene(Wander(), "raw"), 0).summary()["median_squares"]
