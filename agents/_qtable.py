@@ -41,6 +41,21 @@ def update_table(q, visits, states, actions, targets_of, terminated, rewards, le
         visits[s, a] += 1
 
 
+@njit(cache=True)
+def average_table(averages, q, visits, states, actions, share):
+    """Take the values that were just updated into their running averages; the first ones count alike.
+
+    Args:
+        averages: Shape (states, actions); changed in place.
+        q, visits: As `update_table` left them, same shape.
+        states, actions: The pairs that it updated, shape (robots,).
+        share: Of a new value in its average.
+    """
+    for i in range(states.size):
+        s, a = states[i], actions[i]
+        averages[s, a] += max(share, 1.0 / visits[s, a]) * (q[s, a] - averages[s, a])
+
+
 class QTable(BasePolicy):
     """Action values of every discrete state; the greedy action is the first of the best ones.
 

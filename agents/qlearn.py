@@ -7,17 +7,18 @@ as they do for DQN and PPO. One step of n environments makes n updates, in compi
 from __future__ import annotations
 
 import time
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import torch as th
+from annotated_types import Gt, Le
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
-from tb2rl.agents._qtable import QTable, update_table
+from tb2rl.agents._qtable import QTable, average_table, update_table
 from tb2rl.registry import Agent
 from tb2rl.values import Fraction
 
@@ -44,6 +45,9 @@ class QLearning(BaseAlgorithm):
             it is above `exploration_final_eps`.
         update: "textbook", or "tutorial": the first visit of a pair stores the plain reward, and episodes that ended
             bootstrap like any other step.
+        averaging: None: the policy acts by the values as they are learned, which a large step size moves up and down.
+            A share: it acts by running averages, into which each update takes this share of the pair's new value
+            (Polyak & Juditsky 1992); exploration and targets still use the values themselves.
         stats_window_size, tensorboard_log, policy_kwargs, verbose, seed: As in any Stable-Baselines3 algorithm.
         device: Taken for its sake, and ignored: a table lives on the CPU.
     """
@@ -63,6 +67,7 @@ class QLearning(BaseAlgorithm):
         exploration_fraction: Fraction = 0.8,
         exploration_decay: Fraction | None = None,
         update: Literal["textbook", "tutorial"] = "textbook",
+        averaging: Annotated[float, Gt(0), Le(1)] | None = None,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -91,6 +96,8 @@ class QLearning(BaseAlgorithm):
         self.exploration_fraction = exploration_fraction
         self.exploration_decay = exploration_decay
         self.update = update
+        self.averaging = averaging
+        self._latest: np.ndarray | None = None
         self.exploration_rate = exploration_initial_eps
         if _init_setup_model:
             self._setup_model()
@@ -106,6 +113,8 @@ class QLearning(BaseAlgorithm):
             self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
         )
         self.policy = self.policy.to(self.device)
+        if self.averaging is not None and self._latest is None:  # it is there when a saved learner is loaded
+            self._latest = np.full(self.policy.q.shape, np.nan)  # the values themselves; the policy has their averages
 
     def learn(
         self: Self,
@@ -120,6 +129,8 @@ class QLearning(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         assert self.env is not None
+        if np.isnan(self._values[0, 0]):  # of a new learner, or one whose policy alone was loaded
+            self._values[:] = self.policy.q.numpy()
         if reset_num_timesteps:
             self.exploration_rate = self.exploration_initial_eps
             self._explore_less(self.env.num_envs)
@@ -180,10 +191,10 @@ class QLearning(BaseAlgorithm):
     def _learn_from(
         self, states: np.ndarray, actions: np.ndarray, rewards: np.ndarray, reached: np.ndarray, terminated: np.ndarray
     ) -> None:
-        tutorial = self.update == "tutorial"
+        tutorial, visits = self.update == "tutorial", self.policy.visits.numpy()
         update_table(
-            self.policy.q.numpy(),
-            self.policy.visits.numpy(),
+            self._values,
+            visits,
             states,
             actions,
             reached,
@@ -193,10 +204,17 @@ class QLearning(BaseAlgorithm):
             self.gamma,
             tutorial,
         )
+        if self.averaging is not None:
+            average_table(self.policy.q.numpy(), self._values, visits, states, actions, self.averaging)
+
+    @property
+    def _values(self) -> np.ndarray:
+        """The values that are learned, shape (states, actions)."""
+        return self.policy.q.numpy() if self._latest is None else self._latest
 
     def _choose(self, states: np.ndarray) -> np.ndarray:
         """Actions that explore; the best of equal values at random."""
-        values = self.policy.q.numpy()[states]
+        values = self._values[states]
         explores = self._rng.random(len(states)) < self.exploration_rate
         if self.exploration == "noisy_values":
             width = np.abs(values).max(axis=1) * explores

@@ -49,7 +49,11 @@ def shares_of_choices(bandit):
 def test_the_tutorial_preset_carries_the_tutorials_numbers():
     config = resolve(preset="tutorial")
     assert (config.agent_name, config.task_name, config.observation) == ("qlearn", "maze", "discrete")
-    assert config.agent_arguments == {
+    arguments = dict(config.agent_arguments)
+    assert arguments.pop("exploration_fraction") == 1.0, "which exploration_decay takes the place of"
+    assert (config.train.episode_steps, config.train.stop_score) == (None, None)
+    assert arguments == {
+        "averaging": None,
         "learning_rate": 0.1,
         "gamma": 0.7,
         "exploration": "noisy_values",
@@ -201,3 +205,58 @@ def test_equal_seeds_give_equal_tables_and_others_do_not(frozen_lake):
 
     np.testing.assert_array_equal(table(3), table(3))
     assert not np.array_equal(table(3), table(4))
+
+
+# ---- averages
+
+
+def test_the_policy_acts_by_running_averages_of_the_values(drive):
+    model = QLearning("QTable", drive("terminated"), learning_rate=0.5, gamma=0.0, averaging=0.4)
+    model.learn(8)  # four episodes: state 1 is worth -200, and its values are -100, -150, -175, -187.5
+    first_two = -100.0, (-100.0 - 150.0) / 2  # the first ones count alike
+    third = first_two[1] + 0.4 * (-175.0 - first_two[1])
+    assert model.policy.q[1, 0].item() == pytest.approx(third + 0.4 * (-187.5 - third))
+    assert model._latest[1, 0] == pytest.approx(-187.5)
+
+
+def test_averages_change_neither_what_is_learned_nor_what_is_tried(frozen_lake):
+    plain, averaging = (QLearning("QTable", frozen_lake(), seed=0, averaging=share) for share in (None, 0.01))
+    for model in (plain, averaging):
+        model.learn(2000)
+    np.testing.assert_array_equal(averaging._latest, plain.policy.q)
+    np.testing.assert_array_equal(averaging.policy.visits, plain.policy.visits)
+    assert not np.array_equal(averaging.policy.q, plain.policy.q)
+
+
+def test_averages_wander_less_than_values(bandit):
+    class Noisy(bandit):
+        def step(self, action):
+            return 0, self.np_random.normal(), True, False, {}
+
+    model = QLearning("QTable", make_vec_env(Noisy, 1, seed=0), learning_rate=0.3, seed=0, averaging=0.01)
+    seen = []
+
+    def note(local, _):
+        seen.append((model._latest[0, 0], model.policy.q[0, 0].item()))
+        return True
+
+    model.learn(3000, callback=note)
+    values, averages = np.std(seen[1000:], axis=0)
+    assert averages < values / 4
+
+
+def test_a_table_that_was_loaded_with_its_averages_alone_goes_on_from_them(drive):
+    model = QLearning("QTable", drive("terminated"), learning_rate=0.5, gamma=0.0, averaging=0.5)
+    model.policy.q[:] = 8.0
+    model.learn(2)
+    assert model._latest[0, 0] == 8.0 + 0.5 * (5.0 - 8.0)
+
+
+def test_a_saved_learner_goes_on_with_its_values_and_its_averages(drive, tmp_path):
+    model = QLearning("QTable", drive("terminated"), learning_rate=0.1, averaging=0.1).learn(20)
+    model.save(tmp_path / "model")
+    again = QLearning.load(tmp_path / "model", env=drive("terminated"))
+    for one in (model, again):
+        one.learn(20, reset_num_timesteps=False)
+    np.testing.assert_array_equal(again._latest, model._latest)
+    np.testing.assert_array_equal(again.policy.q, model.policy.q)
