@@ -2,4 +2,4 @@
 
 from tb2rl.registry import Agent
 
-AGENT = Agent("stable_baselines3:DQN")
+AGENT = Agent("stable_baselines3:DQN", actions="named")

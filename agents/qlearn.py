@@ -22,7 +22,7 @@ from tb2rl.agents._qtable import QTable, average_table, update_table
 from tb2rl.registry import Agent
 from tb2rl.values import Fraction
 
-AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True)
+AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True, actions="named")
 
 Self = TypeVar("Self", bound="QLearning")
 

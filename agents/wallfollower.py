@@ -15,6 +15,7 @@ from tb2rl.registry import Agent
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", observation="raw", only=True)
 
 FORWARD, LEFT, RIGHT = 0, 1, 2
+SHARES = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # the same where actions are shares of v and w, -1 to 1
 
 
 class WallFollower(BasePolicy):
@@ -23,7 +24,7 @@ class WallFollower(BasePolicy):
     Args:
         observation_space: `tb2rl.envs.encodings.Numbers`: first the laser's ranges, at least five beams from -90 to +90
             degrees.
-        action_space: Forward, left, right, and whatever else: unused.
+        action_space: Forward, left, right, and whatever else; or v and w, of which -1 is to stand and 0 straight on.
         side: Distance to keep from the wall [m], give or take `tolerance`.
         ahead: Free way to keep ahead [m].
         guard: No beam may read less than this without a turn away [m].
@@ -35,7 +36,7 @@ class WallFollower(BasePolicy):
     def __init__(
         self,
         observation_space: spaces.Space,
-        action_space: spaces.Discrete,
+        action_space: spaces.Space,
         side: float = 0.8,
         ahead: float = 0.85,
         guard: float = 0.6,
@@ -70,4 +71,4 @@ class WallFollower(BasePolicy):
         action[distance < self.side - self.tolerance] = LEFT
         action[left < self.guard] = RIGHT
         action[(front < self.ahead) | (right < self.guard)] = LEFT
-        return action
+        return action if isinstance(self.action_space, spaces.Discrete) else SHARES[action]

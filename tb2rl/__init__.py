@@ -36,10 +36,12 @@ GYM_IDS = {
     "TurtleBot2Maze-v0": {"task": "maze"},
     "MyTurtleBot2Maze-v0": {"task": "my-maze"},
     "TurtleBot2Wall-v0": {"task": "wall"},
+    "TurtleBot2Drive-v0": {"task": "drive"},
     # With raw observations, for programs that can name an environment and pass it no arguments.
     "TurtleBot2MazeRaw-v0": {"task": "maze", "observation": "raw"},
     "MyTurtleBot2MazeRaw-v0": {"task": "my-maze", "observation": "raw"},
     "TurtleBot2WallRaw-v0": {"task": "wall", "observation": "raw"},
+    "TurtleBot2DriveRaw-v0": {"task": "drive", "observation": "raw"},
 }
 for _id, _arguments in GYM_IDS.items():
     gymnasium.register(

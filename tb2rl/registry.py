@@ -38,15 +38,19 @@ class Agent:
             agent that does not learn a `BasePolicy`, as "module:Class".
         observation: The observation mode it wants, "discrete" or "raw".
         only: Whether it can work with no other mode.
+        actions: The actions that it can learn, "named" (`Commands`) or "continuous" (`Velocities`); None: both, or for
+            the algorithm to say.
     """
 
     algorithm: str | None
     policy: str = ANY_POLICY
     observation: str = "raw"
     only: bool = False
+    actions: str | None = None
 
 
 TASKS = {
+    "drive": "tb2rl.tasks.drive:Drive",
     "maze": "tb2rl.tasks.wander:Wander",
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
@@ -230,7 +234,8 @@ def import_object(reference: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name and not (module_name + ".").startswith(error.name + "."):
             raise
-        raise InputError(f"cannot import {reference!r}: there is no module {error.name!r}") from None
+        hint = "; pip install 'tb2rl[contrib]' brings it" if error.name == "sb3_contrib" else ""
+        raise InputError(f"cannot import {reference!r}: there is no module {error.name!r}{hint}") from None
     if not hasattr(module, attribute):
         raise InputError(f"cannot import {reference!r}: module {module_name!r} has no {attribute!r}")
     return getattr(module, attribute)

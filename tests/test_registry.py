@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from tb2rl import load, train
+from tb2rl.commands.benchmark import learners
 from tb2rl.errors import InputError
 from tb2rl.registry import (
     Agent,
@@ -22,6 +23,7 @@ from tb2rl.registry import (
 )
 from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.runs.layers import resolve
 from tb2rl.tasks import Task
 from tb2rl.tasks.wander import Wander
 
@@ -31,8 +33,8 @@ def run(code: str) -> str:
 
 
 def test_the_built_in_agents_tasks_and_robots_have_names():
-    assert {"dqn", "ppo", "qlearn", "random", "wallfollower"} <= set(agent_names())
-    assert {"maze", "my-maze", "wall"} <= set(task_names())
+    assert {"dqn", "ppo", "qlearn", "random", "recurrent_ppo", "sac", "td3", "wallfollower"} <= set(agent_names())
+    assert {"drive", "maze", "my-maze", "wall"} <= set(task_names())
     assert "turtlebot2" in robot_names()
     assert not [name for name in agent_names() if name.startswith("_")], "helpers are not agents"
 
@@ -127,6 +129,14 @@ def test_a_built_in_name_cannot_be_taken_over(write_package):
 
 
 # ---- by module and name
+
+
+def test_an_agent_of_a_package_that_is_missing_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)  # as if it were not installed
+    assert "recurrent_ppo" in agent_names()
+    with pytest.raises(InputError, match=r"no module 'sb3_contrib'; pip install 'tb2rl\[contrib\]' brings it$"):
+        resolve("recurrent_ppo")
+    assert "recurrent_ppo" not in learners()
 
 
 def test_an_algorithm_by_module_and_class_trains(tmp_path):

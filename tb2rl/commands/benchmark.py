@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from tb2rl.errors import InputError, unknown
 from tb2rl.files import write_text
 from tb2rl.judging.evaluator import PASSED, evaluate
 from tb2rl.learning.training import Training, train_config
-from tb2rl.registry import agent_names, find_agent
+from tb2rl.registry import Agent, agent_names, find_agent
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
@@ -210,8 +211,13 @@ def measure_one_trained(agent: str, simulation: str, seed: int) -> list[Figure]:
 
 
 def learners() -> list[str]:
-    """The agents that learn."""
-    return [name for name in agent_names() if find_agent(name).algorithm is not None]
+    """The agents that learn the default task and are installed."""
+    agents = {name: find_agent(name) for name in agent_names()}
+    return [name for name, agent in agents.items() if agent.actions != "continuous" and _is_here(agent)]
+
+
+def _is_here(agent: Agent) -> bool:
+    return agent.algorithm is not None and find_spec(agent.algorithm.partition(":")[0]) is not None
 
 
 PARTS: dict[str, Callable[[Conditions], list[Figure]]] = {

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import get_device
@@ -49,7 +50,7 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
                 env,
                 seed=config.train.seed,
                 device=device if _is_here(device) else "cpu",  # a policy drives on any machine
-                **algorithm_arguments(config.agent_arguments),
+                **algorithm_arguments(config.agent_arguments, config.scene.action_space),
                 **arguments,
             )
     except LIBRARY_ERRORS as error:
@@ -59,12 +60,14 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
 
 
 def check_learns(config: Config) -> None:
-    """Raise an `InputError` if the agent of a config does not learn, or not from what the environments tell it."""
-    name = config.agent_name
-    algorithm = find_agent(name).algorithm
-    if algorithm is None:
+    """Raise an `InputError` if the agent of a config does not learn, or not such actions, or needs to be told more."""
+    name, agent = config.agent_name, find_agent(config.agent_name)
+    if agent.algorithm is None:
         raise InputError(f"agent {name} does not learn; try it with `python -m tb2rl.evaluate --agent {name}`")
-    if "action_masks" in inspect.signature(import_object(algorithm).predict).parameters:
+    actions = "named" if isinstance(config.scene.action_space, spaces.Discrete) else "continuous"
+    if agent.actions not in (None, actions):
+        raise InputError(f"agent {name} learns {agent.actions} actions; those of task {config.task_name} are {actions}")
+    if "action_masks" in inspect.signature(import_object(agent.algorithm).predict).parameters:
         raise InputError(f"agent {name} needs masks of the actions that are allowed, and here all of them always are")
 
 

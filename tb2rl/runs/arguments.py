@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
+import numpy as np
 import torch as th
-from annotated_types import Gt, Le
+from annotated_types import Ge, Gt, Le
 from gymnasium import spaces
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.utils import LinearSchedule
 
@@ -81,15 +83,18 @@ def check_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any
     return fitting
 
 
-def algorithm_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Agent settings as the algorithm takes them: schedules and classes made from their YAML form.
+def algorithm_arguments(settings: Mapping[str, Any], action_space: spaces.Space) -> dict[str, Any]:
+    """Agent settings as the algorithm takes them: schedules, noise and classes made from their YAML form.
 
-    A schedule is {start: 0.5, end: 0.05, fraction: 0.8}, linear over that share of the training; in `policy_kwargs` a
-    class is "module:Class".
+    A schedule is {start: 0.5, end: 0.05, fraction: 0.8}, linear over that share of the training; `action_noise` is
+    {sigma: 0.1}, the standard deviation of Gaussian noise on actions; in `policy_kwargs` a class is "module:Class".
     """
     made: dict[str, Any] = {
         key: _schedule(value, f"agent.{key}") if is_schedule(value) else value for key, value in settings.items()
     }
+    if made.get("action_noise") is not None:
+        noise = np.full(action_space.shape or (), build(_Noise, made["action_noise"], "agent.action_noise").sigma)
+        made["action_noise"] = NormalActionNoise(np.zeros_like(noise), noise)
     if made.get("policy_kwargs") is not None:
         made["policy_kwargs"] = {
             key: _network_class(value, f"agent.policy_kwargs.{key}") if isinstance(value, str) else value
@@ -110,6 +115,11 @@ class _Linear:
     fraction: Annotated[float, Gt(0), Le(1)] = 1.0
 
 
+@dataclass(frozen=True)
+class _Noise:
+    sigma: Annotated[float, Ge(0), Le(10)]  # of actions that span -1 to 1
+
+
 def _schedule(value: Mapping[str, Any], where: str) -> LinearSchedule:
     line = build(_Linear, value, where)
     return LinearSchedule(line.start, line.end, line.fraction)
@@ -127,6 +137,9 @@ def _fitting(kind: Any, arguments: Mapping[str, Any], where: str, given: set[str
         wanted = _parameter_type(constructor, key)
         if isinstance(value, Mapping) and _takes_schedule(wanted):
             _schedule(value, f"{where}.{key}")
+            fitting[key] = value
+        elif value is not None and ActionNoise in get_args(wanted):
+            build(_Noise, value, f"{where}.{key}")
             fitting[key] = value
         elif isinstance(value, str) and get_origin(wanted) is type:
             _network_class(value, f"{where}.{key}")

@@ -9,13 +9,12 @@ import numpy as np
 
 from tb2rl.simulation import Reading
 from tb2rl.tasks.actions import Commands
+from tb2rl.tasks.crashing import Crashing
 from tb2rl.tasks.outcome import Outcome
-from tb2rl.tasks.task import Task
-from tb2rl.values import NonNegative
 
 
 @dataclass(frozen=True)
-class Wander(Task):
+class Wander(Crashing):
     """Forward, left or right; the robot is paid for going straight and fined for coming too close to a wall.
 
     The actions and rewards are the ones of the ROS tutorial that this project follows; the turn rate is not: at its
@@ -27,8 +26,6 @@ class Wander(Task):
     turn_rate: float = 1.0  # [rad/s]
     forward_reward: float = 5.0
     turn_reward: float = 1.0
-    crash_reward: float = -200.0  # replaces the step's reward
-    crash_range: NonNegative = 0.5  # [m] a range below this is a crash; so is any touch of the bumper
 
     @cached_property
     def actions(self) -> Commands:
@@ -39,6 +36,6 @@ class Wander(Task):
         )
 
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
-        crashed = after.bumped | (after.nearest < self.crash_range)
+        crashed = self.crashed(after)
         moving = np.where(action == self.actions.forward, self.forward_reward, self.turn_reward)
         return Outcome(np.where(crashed, self.crash_reward, moving), failed={"crash": crashed})

@@ -1,4 +1,4 @@
-"""The wall follower drives any robot along the walls, without touching one."""
+"""The wall follower drives any robot along the walls without touching one, whether it is told names or speeds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from tb2rl import make_env
+from tb2rl import evaluate, make_env
 from tb2rl.agents.wallfollower import WallFollower
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.registry import robot_names
@@ -42,3 +42,22 @@ def test_it_drives_by_the_latest_of_several_frames():
         if steps[0][2] or steps[0][3]:
             break
     assert len(actions) > 1
+
+
+@pytest.mark.parametrize("agent", ["random", "wallfollower"])
+def test_baselines_drive_with_velocities(agent):
+    config = resolve(agent, "drive")
+    policy = make_baseline(config)
+    observation = config.scene.observation_space.sample()
+    assert policy.predict(observation)[0] in config.scene.action_space
+
+
+def test_the_wall_follower_does_not_crash_whatever_its_actions_are():
+    speeds = []
+    for task in ("maze", "drive"):
+        config = resolve("wallfollower", task)
+        summary = evaluate(make_baseline(config), config, episodes=6, steps=300, workers=1).summary()
+        assert summary["failure_free_rate"] == 1.0
+        speeds.append(summary["mean_speed"])
+    assert speeds[1] == pytest.approx(speeds[0], rel=0.1)
+    assert speeds[1] > 0.3

@@ -60,7 +60,11 @@ SOON = {  # for a training of 2048 steps
     "dqn": {"agent.learning_starts": 300, "agent.target_update_interval": 500, "agent.buffer_size": 1500},
     "ppo": {"agent.n_steps": 32, "agent.batch_size": 64},
     "qlearn": {},
+    "sac": {"agent.learning_starts": 300, "agent.buffer_size": 1500},
+    "td3": {"agent.learning_starts": 300, "agent.buffer_size": 1500},
+    "recurrent_ppo": {"agent.n_steps": 32, "agent.batch_size": 64, "agent.policy_kwargs.lstm_hidden_size": 8},
 }
+TASKS = {"sac": "drive", "td3": "drive"}  # the others: `maze`
 
 
 LONGER = {"SAC", "TD3", "RecurrentPPO", *(name for name in ALGORITHMS if "frames" in name or "normalised" in name)}
@@ -101,6 +105,12 @@ def test_a_resumed_training_is_the_uninterrupted_one(
     [
         ("qlearn", "kinematic", 4),
         ("ppo", "kinematic", 4),
+        ("sac", "kinematic", 4),
+        ("td3", "kinematic", 4),
+        ("recurrent_ppo", "kinematic", 4),
+        pytest.param("sac", "bullet", 2, marks=pytest.mark.slow),
+        pytest.param("td3", "bullet", 2, marks=pytest.mark.slow),
+        pytest.param("recurrent_ppo", "bullet", 2, marks=pytest.mark.slow),
         pytest.param("qlearn", "bullet", 2, marks=pytest.mark.slow),
         pytest.param("dqn", "kinematic", 4, marks=pytest.mark.slow),
         pytest.param("ppo", "bullet", 2, marks=pytest.mark.slow),
@@ -112,7 +122,8 @@ def test_evaluations_and_curves_go_on_without_a_gap(
 ):
     train = {"simulation": simulation, "n_envs": environments, "total_timesteps": 2048, "save_freq": 1024, "keep": 9}
     train |= {"eval_freq": 512, "eval_episodes": 2, "eval_steps": 20, "episode_steps": 60}
-    whole = train_config(small(agent, settings=SOON[agent] | {"task.noise": 0.01}, **train), tmp_path / "whole").run
+    config = small(agent, TASKS.get(agent, "maze"), SOON[agent] | {"task.noise": 0.01}, **train)
+    whole = train_config(config, tmp_path / "whole").run
     resumed = killed(whole, tmp_path / "resumed")
     assert 0 < resume(resumed.folder).timesteps < 2048
     assert differences(*(read_checkpoint(run.checkpoints[0]) for run in (whole, resumed))) == []

@@ -1,4 +1,4 @@
-"""Every agent that learns, learns the default task: trained in the fast twin, evaluated in PyBullet."""
+"""Every agent that learns, learns a task that it can do: trained in the fast twin, evaluated in PyBullet."""
 
 from __future__ import annotations
 
@@ -9,9 +9,17 @@ from tb2rl.registry import agent_names, find_agent
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("agent", [name for name in agent_names() if find_agent(name).algorithm is not None])
-def test_it_learns_to_drive(agent, tmp_path):
-    policy = train(agent, simulation="kinematic", seed=7, eval_freq=0, folder=tmp_path / "run")
+@pytest.mark.parametrize(
+    ("agent", "task"),
+    [
+        (name, "maze")
+        for name in agent_names()
+        if find_agent(name).algorithm and find_agent(name).actions != "continuous"
+    ]
+    + [(name, "drive") for name in agent_names() if find_agent(name).algorithm and find_agent(name).actions != "named"],
+)
+def test_it_learns_to_drive(agent, task, tmp_path):
+    policy = train(agent, task, simulation="kinematic", seed=7, eval_freq=0, folder=tmp_path / "run")
     summary = evaluate(policy, episodes=40, steps=1000).summary()
     assert summary["failure_free_rate"] >= 0.95
     assert summary["mean_speed"] > 0.3  # nor does it stand and turn

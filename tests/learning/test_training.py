@@ -20,7 +20,8 @@ from tb2rl.runs.layers import resolve
 from tb2rl.simulation import SIMULATIONS
 
 LEARNERS = [name for name in agent_names() if find_agent(name).algorithm is not None]
-SOON = {"dqn": {"agent.learning_starts": 900}}  # what an agent needs to have learned something when QUICK ends
+LATE = {"agent.learning_starts": 900}  # what an agent needs to have learned something when QUICK ends
+SOON = {"dqn": LATE, "sac": LATE, "td3": LATE, "recurrent_ppo": {"agent.n_steps": 128}}
 QUICK = {"total_timesteps": 1024, "n_envs": 2, "eval_freq": 512, "eval_episodes": 3, "eval_steps": 60, "save_freq": 512}
 BARE = {"total_timesteps": 300, "n_envs": 1, "eval_freq": 0, "save_freq": 0}
 
@@ -43,7 +44,7 @@ class Trained:
         patch.setattr(training, "make_algorithm", make_algorithm)
         patch.setattr(Evaluator, "run", evaluate_it)
         self.folder, self.evaluated = folder, []
-        train(agent, settings=SOON.get(agent), folder=folder, **QUICK)
+        train(agent, task_of(agent), settings=SOON.get(agent), folder=folder, **QUICK)
         self.end = parameters(self.algorithm.policy)
 
 
@@ -52,6 +53,11 @@ def trained(request, tmp_path_factory):
     """A quick training of each agent."""
     with pytest.MonkeyPatch.context() as patch:
         return Trained(request.param, tmp_path_factory.mktemp(request.param) / "run", patch)
+
+
+def task_of(agent: str) -> str:
+    """A task that the agent can learn."""
+    return "drive" if find_agent(agent).actions == "continuous" else "maze"
 
 
 def parameters(policy: th.nn.Module) -> dict[str, list]:
@@ -86,9 +92,9 @@ def test_a_run_folder_holds_what_it_should_and_nothing_else(trained):
 
 def test_the_config_of_a_run_is_the_one_that_was_resolved(trained):
     folder = trained.folder
-    config = Run.open(folder).config
+    config, agent = Run.open(folder).config, Run.open(folder).config.agent_name
     train_settings = {f"train.{key}": value for key, value in QUICK.items()}
-    assert config == resolve(config.agent_name, settings={**SOON.get(config.agent_name, {}), **train_settings})
+    assert config == resolve(agent, task_of(agent), settings={**SOON.get(agent, {}), **train_settings})
     assert load(folder).trained_with == config
     versions = yaml.safe_load((folder / "config.yaml").read_text())["versions"]
     assert versions["torch"] == th.__version__

@@ -79,6 +79,20 @@ def test_what_a_library_refuses_is_one_line_that_names_the_settings(agent, setti
     assert [key for key in settings if key.removeprefix("agent__") not in message] == []
 
 
+@pytest.mark.parametrize(
+    ("agent", "task", "learns", "has"),
+    [
+        ("qlearn", "drive", "named", "continuous"),
+        ("dqn", "drive", "named", "continuous"),
+        ("sac", "maze", "continuous", "named"),
+        ("td3", "my-maze", "continuous", "named"),
+    ],
+)
+def test_an_agent_that_cannot_do_the_actions_of_a_task_is_refused(agent, task, learns, has, refused):
+    message = refused(make_algorithm, resolve(agent, task), None)
+    assert message == f"agent {agent} learns {learns} actions; those of task {task} are {has}"
+
+
 def test_an_algorithm_that_wants_masks_of_actions_is_refused(refused):
     assert "agent sb3_contrib:MaskablePPO needs masks" in refused(make, "sb3_contrib:MaskablePPO")
 

@@ -13,6 +13,7 @@ from tb2rl.runs.arguments import agent_for, algorithm_arguments, check_arguments
 
 DQN, PPO, SAC = (Agent(f"stable_baselines3:{name}") for name in ("DQN", "PPO", "SAC"))
 NEARNESS = "tb2rl.envs.features:Nearness"
+NAMED = spaces.Discrete(3)
 LINE = {"start": 0.1, "end": 0.01}
 
 
@@ -62,6 +63,10 @@ def test_what_a_signature_knows_is_taken(agent, arguments):
         (find_agent("qlearn"), {"gamma": 1.5}, ["agent.gamma", "less than or equal to 1", "1.5"]),
         (find_agent("qlearn"), {"exploration_decay": -1}, ["agent.exploration_decay", "greater than or equal to 0"]),
         (find_agent("wallfollower"), {"sid": 1.0}, ["'sid'", "did you mean 'side'"]),
+        (find_agent("td3"), {"action_noise": {"sigm": 0.1}}, ["action_noise", "'sigm'", "did you mean 'sigma'"]),
+        (find_agent("td3"), {"action_noise": {"sigma": -0.1}}, ["action_noise.sigma", "-0.1"]),
+        (find_agent("td3"), {"action_noise": {}}, ["action_noise", "sigma"]),
+        (find_agent("sac"), {"action_noise": 0.1}, ["agent.action_noise", "expected a mapping", "0.1"]),
     ],
     ids=str,
 )
@@ -71,15 +76,26 @@ def test_what_it_does_not_know_is_refused(agent, arguments, named, refused):
 
 
 def test_a_schedule_becomes_a_line_over_the_remaining_training():
-    rate = algorithm_arguments({"learning_rate": {"start": 0.5, "end": 0.1, "fraction": 0.8}})["learning_rate"]
+    line = {"learning_rate": {"start": 0.5, "end": 0.1, "fraction": 0.8}}
+    rate = algorithm_arguments(line, NAMED)["learning_rate"]
     assert [rate(remaining) for remaining in (1.0, 0.6, 0.2, 0.0)] == pytest.approx([0.5, 0.3, 0.1, 0.1])
 
 
 def test_classes_in_policy_kwargs_are_imported():
     kwargs = {"activation_fn": "torch.nn:ELU", "features_extractor_class": NEARNESS}
-    made = algorithm_arguments({"policy_kwargs": {**kwargs, "net_arch": [8]}, "gamma": 0.9})
+    made = algorithm_arguments({"policy_kwargs": {**kwargs, "net_arch": [8]}, "gamma": 0.9}, NAMED)
     classes = {"activation_fn": th.nn.ELU, "features_extractor_class": Nearness}
     assert made == {"policy_kwargs": {**classes, "net_arch": [8]}, "gamma": 0.9}
+
+
+def test_action_noise_is_a_normal_distribution_for_every_number_of_an_action():
+    assert check_arguments(find_agent("td3"), {"action_noise": {"sigma": 0.2}}) == {"action_noise": {"sigma": 0.2}}
+    made = algorithm_arguments({"action_noise": {"sigma": 0.2}}, spaces.Box(-1.0, 1.0, (2,)))["action_noise"]
+    drawn = np.array([made() for _ in range(2000)])
+    assert drawn.shape == (2000, 2)
+    assert drawn.std(axis=0) == pytest.approx(0.2, rel=0.1)
+    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.1
+    assert algorithm_arguments({"action_noise": None}, NAMED) == {"action_noise": None}
 
 
 def test_an_image_beside_numbers_needs_a_policy_that_reads_both():

@@ -1,0 +1,46 @@
+"""TurtleBot2Drive pays for metres driven, and less for those in a circle."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tb2rl.tasks.drive import Drive
+from tb2rl.tasks.wander import Wander
+
+STAND = np.zeros((1, 2), np.float32)
+
+
+def reward(after, action=STAND, **settings):
+    return Drive(**settings).judge(after, action, after).reward
+
+
+def test_actions_span_all_speeds_and_turn_rates():
+    actions = Drive().actions
+    ends = actions.commands(np.array([[-1.0, -1.0], [1.0, 1.0], [-1.0, 0.0]]))
+    assert ends.tolist() == [[0.0, -2.0], [0.65, 2.0], [0.0, 0.0]]
+    other = Drive(fastest=0.3, turn_rate=1.0).actions
+    assert other.commands(np.ones((1, 2))).tolist() == [[0.3, 1.0]]
+
+
+def test_a_step_pays_the_metres_driven_whatever_the_action(make_reading):
+    after = make_reading(twist=[(0.65, 0.0), (0.2, 0.0), (0.0, 0.0)])
+    for action in (STAND, STAND + 1.0):
+        assert reward(after, np.repeat(action, 3, axis=0)) == pytest.approx([0.13, 0.04, 0.0])
+    assert reward(after, control_period=0.1) == pytest.approx([0.065, 0.02, 0.0])
+
+
+def test_a_circle_on_one_spot_pays_little_and_turning_fast_costs(make_reading):
+    straight, circle, spinning = reward(make_reading(twist=[(0.65, 0.0), (0.65, 1.3), (0.1, 2.0)]))
+    assert circle == pytest.approx(straight * math.cos(1.3))
+    assert circle < 0.3 * straight
+    assert spinning < 0 < circle
+
+
+def test_a_crash_is_what_it_is_at_the_other_task(make_reading):
+    after = make_reading([0.49, 0.51, 3.0], bumped=[False, False, True], twist=[(0.5, 0.0)] * 3)
+    mine, theirs = (task.judge(after, np.zeros(3), after) for task in (Drive(), Wander()))
+    assert mine.terminated.tolist() == theirs.terminated.tolist() == [True, False, True]
+    assert mine.failed.keys() == theirs.failed.keys() == {"crash"}
+    assert mine.reward.tolist() == pytest.approx([-2.0, 0.1, -2.0])
+    assert mine.succeeded is None
