@@ -155,7 +155,9 @@ def _train(
         env = make_vec_env(config)
         resources.callback(env.close)
         algorithm = make_algorithm(config, env)
-        evaluator = resources.enter_context(_evaluator(config)) if settings.eval_freq else None
+        evaluator = _evaluator(config) if settings.eval_freq else None
+        if evaluator:
+            resources.callback(evaluator.close)
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
         resources.enter_context(run.lock())
         statistics, stop = Statistics(), StopOnInterrupt()
