@@ -36,7 +36,7 @@ def test_the_table_has_a_figure_for_everything(brief, tmp_path, capsys):
         assert values[f"twin, {robots} robots, 6 beams: step / bare kernel"] > 1
     assert values["twin, 100 robots, 6 beams: step"] > values["PyBullet, 6 beams: step"]
     together, alone = "PyBullet, 2 environments in parallel processes", values["PyBullet, one environment alone"]
-    shares = [value for name, value in values.items() if name.startswith(f"{together} / (")]
+    shares = [value for name, value in values.items() if name.startswith("PyBullet, 2 in parallel / (")]
     assert shares == [pytest.approx(values[together] / alone / processors(), rel=0.5)]
     printed = capsys.readouterr().out
     assert tree["machine"].split(",")[0] in printed

@@ -127,7 +127,9 @@ def measure_processes(environments: int, seconds: float) -> list[Figure]:
         Figure("PyBullet, one environment alone", float(np.median(one)), "steps/s"),
         Figure(name, float(np.median(many)), "steps/s"),
         Figure(
-            f"{name} / ({processors()} processors x one alone)", float(np.median(many / one) / processors()), "ratio"
+            f"PyBullet, {environments} in parallel / ({processors()} x one alone)",
+            float(np.median(many / one) / processors()),
+            "ratio",
         ),
     ]
 
