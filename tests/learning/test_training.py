@@ -12,7 +12,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from tb2rl import evaluate, load, make_env, train
 from tb2rl.errors import InputError
-from tb2rl.judging.evaluator import TRAINING_SEED, Evaluator
+from tb2rl.judging.evaluator import TRAINING_SEED
+from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning import training
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
@@ -30,7 +31,7 @@ class Trained:
     """A quick training, and what its policy's parameters were at the start, in each evaluation and at the end."""
 
     def __init__(self, agent: str, folder, patch: pytest.MonkeyPatch) -> None:
-        make, run = training.make_algorithm, Evaluator.run
+        make, run = training.make_algorithm, TwinEvaluator.run
 
         def make_algorithm(*arguments):
             self.algorithm = make(*arguments)
@@ -42,7 +43,7 @@ class Trained:
             return run(evaluator, policy, *more)
 
         patch.setattr(training, "make_algorithm", make_algorithm)
-        patch.setattr(Evaluator, "run", evaluate_it)
+        patch.setattr(TwinEvaluator, "run", evaluate_it)
         self.folder, self.evaluated = folder, []
         train(agent, task_of(agent), settings=SOON.get(agent), folder=folder, **QUICK)
         self.end = parameters(self.algorithm.policy)
@@ -122,7 +123,9 @@ def test_a_run_stands_for_its_best_policy(trained):
 def test_the_best_policy_reproduces_the_figures_that_were_logged(trained):
     logged = [line for line in evaluations(trained.folder) if line["best"]][-1]
     conditions = {"episodes": QUICK["eval_episodes"], "steps": QUICK["eval_steps"], "seed": TRAINING_SEED}
-    again = json.loads(json.dumps(evaluate(trained.folder, workers=1, **conditions).summary()))
+    policy = load(trained.folder)
+    with TwinEvaluator(policy.trained_with.scene, **conditions) as evaluator:
+        again = json.loads(json.dumps(evaluator.run(policy.policy).summary()))
     assert again == {key: logged[key] for key in again}
 
 
