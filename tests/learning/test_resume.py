@@ -60,8 +60,8 @@ SOON = {  # for a training of 2048 steps
     "dqn": {"agent.learning_starts": 300, "agent.target_update_interval": 500, "agent.buffer_size": 1500},
     "ppo": {"agent.n_steps": 32, "agent.batch_size": 64},
     "qlearn": {},
-    "sac": {"agent.learning_starts": 300, "agent.buffer_size": 1500},
-    "td3": {"agent.learning_starts": 300, "agent.buffer_size": 1500},
+    "sac": {"agent.learning_starts": 300, "agent.buffer_size": 1500, "agent.gradient_steps": 1},
+    "td3": {"agent.learning_starts": 300, "agent.buffer_size": 1500, "agent.gradient_steps": 1},
     "recurrent_ppo": {"agent.n_steps": 32, "agent.batch_size": 64, "agent.policy_kwargs.lstm_hidden_size": 8},
 }
 TASKS = {"sac": "drive", "td3": "drive"}  # the others: `maze`

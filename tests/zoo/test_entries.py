@@ -19,13 +19,14 @@ from tb2rl.zoo.entry import CLOSED_MAZES, entries, zoo_folder
 keeper = import_module("tb2rl.zoo.__main__")
 
 ENTRIES = entries()
-PLACES = ("maze-loop", "maze-circuit", "maze-round", "maze-maze", "my-maze-loop", "wall-wall")
+PLACES = ("maze-loop", "maze-circuit", "maze-round", "maze-maze", "my-maze-loop", "wall-wall")  # of every agent
 
 TURTLEBOT3 = "maze-loop-turtlebot3-ppo"
 
 
 def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
+    expected |= {f"drive-loop-{agent}" for agent in ("sac", "td3", "ppo")}
     assert {entry.name for entry in ENTRIES} == expected | {TURTLEBOT3}
 
 
@@ -93,7 +94,7 @@ def test_the_table_is_what_the_entries_say():
 
 def test_the_overview_has_a_row_for_every_place_and_a_cell_for_every_policy():
     lines = overview(ENTRIES).splitlines()
-    assert len(lines) == 2 + len(PLACES) + 1
+    assert len(lines) == 2 + len(PLACES) + 2
     assert any(line.startswith("| `maze, loop with turtlebot3` | ") for line in lines)
     assert "`qlearn`" in lines[0]
     assert lines[2].startswith("| `maze, loop` | ")
