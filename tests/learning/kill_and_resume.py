@@ -1,7 +1,7 @@
 """Whole trainings, killed with SIGKILL halfway and resumed, held against the same ones that nobody disturbed.
 
     python tests/learning/kill_and_resume.py          # all, 20 000 steps each: a quarter of an hour on two cores
-    python tests/learning/kill_and_resume.py SAC      # those whose name begins so
+    python tests/learning/kill_and_resume.py sac      # those whose name begins so
 
 What is compared, to the bit: the last checkpoint (weights, optimisers, replay buffer, statistics, generators,
 environments), the best and the final policy, and the evaluations on the way. Exit status 1 if anything differs.
@@ -15,71 +15,53 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 from conftest import _differences
 
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.folder import Run
-from tb2rl.tasks import Outcome, Velocities
-from tb2rl.tasks.wander import Wander
 
 STEPS = 20_000
 SB3, CONTRIB = "stable_baselines3", "sb3_contrib"
-FRAMES = ["task.frames=4"]
 NORMALISED = ["train.norm_obs=true", "train.norm_reward=true"]
+FRAMES = ["task.frames=4"]
+CAMERA = ["task.observe=[laser, {camera: {width: 36, height: 36}}]"]
+SMALL = ["agent.policy_kwargs.net_arch=[64,64]"]
 ON_POLICY = ["agent.n_steps=64", "agent.batch_size=128", "agent.n_epochs=4"]
 OFF_POLICY = ["agent.buffer_size=8000", "agent.learning_starts=1000", "agent.batch_size=64"]  # full when it is killed
 MEMORY = ["agent.policy_kwargs.lstm_hidden_size=32"]
-TRAININGS = {
-    "SAC": (f"{SB3}:SAC", "Glide", OFF_POLICY),
-    "TD3": (f"{SB3}:TD3", "Glide", OFF_POLICY),
-    "RecurrentPPO": (f"{CONTRIB}:RecurrentPPO", "Glide", [*ON_POLICY, *MEMORY]),
-    "PPO, normalised": (f"{SB3}:PPO", "Glide", [*ON_POLICY, *NORMALISED]),
-    "SAC, normalised frames": (f"{SB3}:SAC", "Glide", [*OFF_POLICY, *NORMALISED, *FRAMES]),
-    "TD3, normalised frames": (f"{SB3}:TD3", "Glide", [*OFF_POLICY, *NORMALISED, *FRAMES]),
+TRAININGS = {  # agent, task, settings
+    "sac": ("sac", "drive", OFF_POLICY),
+    "td3": ("td3", "drive", OFF_POLICY),
+    "recurrent_ppo": ("recurrent_ppo", "drive", ON_POLICY),
+    "SAC, normalised frames": (f"{SB3}:SAC", "drive", [*OFF_POLICY, *SMALL, *NORMALISED, *FRAMES]),
+    "TD3, normalised frames": (f"{SB3}:TD3", "drive", [*OFF_POLICY, *SMALL, *NORMALISED, *FRAMES]),
     "RecurrentPPO, normalised frames": (
         f"{CONTRIB}:RecurrentPPO",
-        "Glide",
-        [*ON_POLICY, *MEMORY, *NORMALISED, *FRAMES],
+        "drive",
+        [*ON_POLICY, *SMALL, *MEMORY, *NORMALISED, *FRAMES],
     ),
-    "DQN, frames in PyBullet": (f"{SB3}:DQN", "maze", [*OFF_POLICY, *FRAMES, "train.simulation=bullet"]),
+    "PPO, normalised": (f"{SB3}:PPO", "maze", [*ON_POLICY, *SMALL, *NORMALISED]),
+    "PPO, normalised frames, camera": (f"{SB3}:PPO", "maze", [*ON_POLICY, *SMALL, *NORMALISED, *FRAMES, *CAMERA]),
+    "SAC, camera": (f"{SB3}:SAC", "drive", [*OFF_POLICY, *SMALL, *CAMERA, "agent.gradient_steps=1"]),
+    "DQN, frames in PyBullet": (f"{SB3}:DQN", "maze", [*OFF_POLICY, *SMALL, *FRAMES, "train.simulation=bullet"]),
 }
-
-
-@dataclass(frozen=True)
-class Glide(Wander):
-    """Wander at any speed."""
-
-    actions = Velocities(forward=(-0.1, 0.5), turn=(-1.0, 1.0))
-
-    def judge(self, before, action, after):
-        crashed = after.bumped | (after.nearest < self.crash_range)
-        return Outcome(np.where(crashed, -10.0, after.twist[:, 0]), failed={"crash": crashed})
 
 
 def begin(name: str, run: str, cwd: Path) -> tuple[subprocess.Popen, Path]:
     """The process of a training, and its folder."""
     agent, task, settings = TRAININGS[name]
-    task = f"{Path(__file__).stem}:{task}" if task == "Glide" else task
-    train = [
-        "agent.policy_kwargs.net_arch=[64,64]",
-        "train.eval_episodes=2",
-        "train.eval_steps=40",
-        f"train.save_freq={STEPS // 2}",
-        "train.keep=2",
-    ]
-    train += ["train.simulation=kinematic", "train.n_envs=16", f"train.eval_freq={STEPS // 5}", "task.noise=0.01"]
-    flags = ["--name", run, "--total-timesteps", str(STEPS), "--set", *train, *settings]
-    folder = cwd / "runs" / task.rpartition(":")[2] / agent.rpartition(":")[2] / run
-    return command(["--agent", agent, "--task", task, *flags], cwd), folder
+    train = ["task.noise=0.01", "train.simulation=kinematic", "train.n_envs=16", "train.stop_score=null"]
+    train += [f"train.eval_freq={STEPS // 5}", "train.eval_episodes=20", "train.eval_steps=100", "train.keep=2"]
+    flags = ["--name", run, "--total-timesteps", str(STEPS), "--save-freq", str(STEPS // 2)]
+    words = ["--agent", agent, "--task", task, *flags, "--set", *train, *settings]
+    return command(words, cwd), cwd / "runs" / task / agent.rpartition(":")[2] / run
 
 
 def command(arguments: list[str], cwd: Path) -> subprocess.Popen:
-    path = os.pathsep.join([str(Path(__file__).parents[2]), str(Path(__file__).parent)])
+    path = str(Path(__file__).parents[2])
     words = [sys.executable, "-m", "tb2rl.train", "--no-evaluation", *arguments]
     return subprocess.Popen(words, cwd=cwd, env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.DEVNULL)
 
