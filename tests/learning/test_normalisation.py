@@ -19,6 +19,7 @@ from tb2rl import evaluate, load, make_env
 from tb2rl.commands.convert import export_policy
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import TRAINING_SEED
+from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning.environments import make_vec_env
 from tb2rl.learning.training import resume, train_config
 from tb2rl.runs.algorithm import Spaces, make_algorithm
@@ -36,7 +37,7 @@ TRAININGS = {
     "PPO": ("stable_baselines3:PPO", "maze", ON_POLICY),
     "PPO, frames": ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.frames": 3}),
     "PPO, an image beside": ("stable_baselines3:PPO", "my_tasks:Pictured", {**ON_POLICY, "task.frames": 2}),
-    "SAC": ("stable_baselines3:SAC", "my_tasks:Glide", OFF_POLICY),
+    "SAC": ("stable_baselines3:SAC", "my_tasks:Glide", {**OFF_POLICY, "train.eval_simulation": "bullet"}),
     "DQN, an image beside": ("stable_baselines3:DQN", "my_tasks:Pictured", OFF_POLICY),
     "RecurrentPPO": (
         "sb3_contrib:RecurrentPPO",
@@ -89,7 +90,11 @@ def test_evaluations_while_training_are_those_of_the_loaded_policy(run):
     lines = (run.folder / "evaluations.jsonl").read_text().splitlines()
     noted = [line for line in map(json.loads, lines) if line["best"]][-1]
     policy = load(run.folder / "best" / "policy.safetensors")
-    here = evaluate(policy, episodes=2, steps=15, seed=TRAINING_SEED, workers=1)  # the training's were in processes
+    if run.config.train.eval_simulation == "kinematic":
+        with TwinEvaluator(run.config.scene, 2, 15, TRAINING_SEED) as evaluator:
+            here = evaluator.run(policy.policy)
+    else:  # the training's were in other processes
+        here = evaluate(policy, episodes=2, steps=15, seed=TRAINING_SEED, workers=1)
     summary = json.loads(json.dumps(here.summary()))
     assert {name: noted[name] for name in summary} == summary
     assert policy.num_timesteps == noted["timesteps"]
