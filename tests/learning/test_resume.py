@@ -121,7 +121,7 @@ def test_evaluations_and_curves_go_on_without_a_gap(
     agent, simulation, environments, small, killed, differences, scalars, tmp_path
 ):
     train = {"simulation": simulation, "n_envs": environments, "total_timesteps": 2048, "save_freq": 1024, "keep": 9}
-    train |= {"eval_freq": 512, "eval_episodes": 2, "eval_steps": 20, "episode_steps": 60}
+    train |= {"eval_freq": 512, "eval_episodes": 2, "eval_steps": 20, "episode_steps": 60, "stop_score": None}
     config = small(agent, TASKS.get(agent, "maze"), SOON[agent] | {"task.noise": 0.01}, **train)
     whole = train_config(config, tmp_path / "whole").run
     resumed = killed(whole, tmp_path / "resumed")
