@@ -25,7 +25,7 @@ def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
     for name, unit in _MEANS:
         table.add_row(name, f"{summary[f'mean_{name}']:.1f}", f"± {summary[f'std_{name}']:.1f} {unit}".rstrip())
     table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
-    table.add_row("visited", f"{summary['median_squares']:g}", "squares of 1 m, the median episode")
+    table.add_row("visited", f"{summary['median_squares']:g}", "squares of 1 m (median)")
     table.add_row("endings", "", ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items()))
     Console().print(table)
     if evaluation.simulation != "bullet":

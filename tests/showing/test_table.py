@@ -24,7 +24,7 @@ def test_the_table_has_the_figures_of_the_evaluation(make, capsys):
         "distance 123.4 ± 0.0 m",
         "return 5.0 ± 0.0",
         "length 2.0 ± 0.0 steps",
-        "visited 1 squares of 1 m, the median episode",
+        "visited 1 squares of 1 m (median)",
         "endings goal 1, out of bounds 1",
     ):
         assert line in lines
