@@ -38,8 +38,7 @@ class Agent:
             agent that does not learn a `BasePolicy`, as "module:Class".
         observation: The observation mode it wants, "discrete" or "raw".
         only: Whether it can work with no other mode.
-        actions: The actions that it can learn, "named" (`Commands`) or "continuous" (`Velocities`); None: both, or for
-            the algorithm to say.
+        actions: What it can learn, "named" (`Commands`) or "continuous" (`Velocities`); None: its algorithm says so.
     """
 
     algorithm: str | None
@@ -55,10 +54,7 @@ TASKS = {
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }
-ROBOTS = {
-    "turtlebot2": "tb2rl.robots.turtlebot2:ROBOT",
-    "turtlebot3": "tb2rl.robots.turtlebot3:ROBOT",
-}
+ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot3")}
 _MADE_BY_CODE = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(.+))?")  # module:WORLD, or module:reader:path
 
 

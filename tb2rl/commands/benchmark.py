@@ -107,30 +107,23 @@ def measure_processes(environments: int, seconds: float) -> list[Figure]:
     rates = []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
-        actions = rng.integers(3, size=(_BLOCK, environments))
         start = time.perf_counter()
-        for some in actions:
-            together.step(some)
+        for actions in rng.integers(3, size=(_BLOCK, environments)):
+            together.step(actions)
         between = time.perf_counter()
-        for action in actions.flat[: 4 * _BLOCK]:
-            _, _, terminated, truncated, _ = alone.step(action)
-            if terminated or truncated:
+        for action in rng.integers(3, size=4 * _BLOCK):
+            if True in alone.step(action)[2:4]:  # terminated, truncated
                 alone.reset()
-        rates.append(
-            (actions.size / (between - start), min(4 * _BLOCK, actions.size) / (time.perf_counter() - between))
-        )
+        rates.append((_BLOCK * environments / (between - start), 4 * _BLOCK / (time.perf_counter() - between)))
     together.close()
     alone.close()
     many, one = np.array(rates).T
     name = f"PyBullet, {environments} environments in parallel processes"
+    share = float(np.median(many / one) / processors())
     return [
         Figure("PyBullet, one environment alone", float(np.median(one)), "steps/s"),
         Figure(name, float(np.median(many)), "steps/s"),
-        Figure(
-            f"PyBullet, {environments} in parallel / ({processors()} x one alone)",
-            float(np.median(many / one) / processors()),
-            "ratio",
-        ),
+        Figure(f"PyBullet, {environments} in parallel / ({processors()} x one alone)", share, "ratio"),
     ]
 
 
@@ -151,7 +144,8 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
     env.seed(0)
     env.reset()
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
-    results = np.empty((robots, 2)), np.empty(robots), np.empty(robots, dtype=bool), np.empty((robots, beams))
+    numbers = [np.empty(shape) for shape in ((robots, 2), robots, robots)]
+    results = *numbers, np.empty(robots, dtype=bool), np.empty((robots, beams))
     whole: list[float] = []
     bare: list[float] = []
     end = time.perf_counter() + seconds

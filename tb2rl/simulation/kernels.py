@@ -171,15 +171,16 @@ def sense(poses, i, cos_beams, sin_beams, boxes, posts, limits, streams, over_x,
 @njit(cache=True, error_model="numpy")
 def step_robots(
     first, last, poses, rims, commands, duration, starts, boxes, posts, cos_beams, sin_beams, limits, streams,
-    over_x, over_y, twists, moved, bumped, ranges,
+    over_x, over_y, twists, moved, accelerations, bumped, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, all in the world of `boxes` and `posts`; see `step_block`."""
     for i in range(first, last):
-        x, y = poses[i, 0], poses[i, 1]
+        x, y, earlier = poses[i, 0], poses[i, 1], 0.5 * (rims[i, 0] + rims[i, 1])
         bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts)
         moved[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
         twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
         twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
+        accelerations[i] = (twists[i, 0] - earlier) / duration
         streams[i, 1] += np.uint64(1)
         sense(poses, i, cos_beams, sin_beams, boxes, posts, limits, streams, over_x, over_y, ranges)
 
@@ -187,13 +188,13 @@ def step_robots(
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, beams, limits, streams,
-    twists, moved, bumped, ranges,
+    twists, moved, accelerations, bumped, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
 
     `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
-    Results are `twists` (robots, 2) v and w [m/s, rad/s], `moved` (robots,) how far from where it was [m], `bumped`
-    (robots,) and `ranges` (robots, beams) [m].
+    Results are `twists` (robots, 2) v and w [m/s, rad/s], `moved` (robots,) how far from where it was [m],
+    `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges` (robots, beams) [m].
     """
     cos_beams, sin_beams = beams[0], beams[1]
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
@@ -205,7 +206,7 @@ def step_block(
         step_robots(
             first, end, poses, rims, commands, duration, starts, boxes[parts[k, 0] : parts[k + 1, 0]],
             posts[parts[k, 1] : parts[k + 1, 1]], cos_beams, sin_beams, limits, streams, over_x, over_y,
-            twists, moved, bumped, ranges,
+            twists, moved, accelerations, bumped, ranges,
         )  # fmt: skip
         first = end
 

@@ -52,11 +52,8 @@ class KinematicSimulation:
         self._poses, self._rims = self._start.pose.copy(), np.zeros((robots, 2))
         self._streams = np.zeros((robots, 2), dtype=np.uint64)  # key of each, and how often it has read
         self._bumped = np.zeros(robots, dtype=bool)
-        self._twists, self._commands, self._accelerations = (
-            np.zeros((robots, 2)),
-            np.zeros((robots, 2)),
-            np.zeros(robots),
-        )
+        self._twists, self._commands = np.zeros((robots, 2)), np.zeros((robots, 2))
+        self._accelerations = np.zeros(robots)
 
     def reset(self, start: Start, rng: np.random.Generator) -> Reading:
         self._start = start
@@ -69,13 +66,12 @@ class KinematicSimulation:
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         poses, rims = self._poses.copy(), self._rims.copy()  # readings keep what they show
-        twists, moved, bumped = np.empty_like(rims), np.empty(self.robots), np.empty(self.robots, dtype=bool)
-        ranges = np.empty((self.robots, self._beams.shape[1]))
+        twists, moved, accelerations = np.empty_like(rims), np.empty(self.robots), np.empty(self.robots)
+        bumped, ranges = np.empty(self.robots, dtype=bool), np.empty((self.robots, self._beams.shape[1]))
         commands = np.array(commands, dtype=float, order="C")  # a copy: an episode that ends overwrites it
-        self.advance(poses, rims, commands, duration, twists, moved, bumped, ranges)
-        self._accelerations = (twists[:, 0] - self._twists[:, 0]) / duration
+        self.advance(poses, rims, commands, duration, twists, moved, accelerations, bumped, ranges)
         self._poses, self._rims, self._bumped, self.moved = poses, rims, bumped, moved
-        self._twists, self._commands = twists, commands
+        self._twists, self._commands, self._accelerations = twists, commands, accelerations
         return self._reading(ranges)
 
     def advance(
@@ -86,6 +82,7 @@ class KinematicSimulation:
         duration: float,
         twists: np.ndarray,
         moved: np.ndarray,
+        accelerations: np.ndarray,
         bumped: np.ndarray,
         ranges: np.ndarray,
     ) -> None:
@@ -95,7 +92,8 @@ class KinematicSimulation:
         """
         data = (
             poses, rims, commands, duration, self._start.table, self._boxes, self._posts, self._parts,
-            self._beams, self._limits, self._streams, twists, moved, bumped, ranges,
+            self._beams, self._limits, self._streams, twists, moved, accelerations,
+            bumped, ranges,
         )  # fmt: skip
         cost = ROBOT + BEAM * ranges.shape[1]
         if self.robots * cost > WORTH_THREADS:
