@@ -20,7 +20,7 @@ ENDINGS = {  # settings with which all episodes of a task end in one way, and wh
     "crash": ("maze", {"task.crash_range": 3.0}, 1.0),
     "out of bounds": ("wall", {"task.bounds": [90.0, 90.0, 91.0, 91.0]}, 1.0),
     "goal": ("wall", {"task.goal_tolerance": 90.0, "task.crash_range": 0.0}, 0.0),
-    "time limit": ("maze", {"task.episode_steps": 2, "task.start_clearance": 0.8}, 0.0),
+    "time limit": ("maze", {"train.episode_steps": 2, "task.start_clearance": 0.8}, 0.0),
 }
 
 
@@ -32,7 +32,7 @@ def test_the_task_says_which_endings_count_as_failed(ending, small, scalars, tmp
 
 
 def test_the_distance_is_the_mean_of_the_latest_episodes(small, scalars, tmp_path):
-    settings = {"task.episode_steps": 2, "task.start_clearance": 0.8, "agent.exploration_initial_eps": 0.0}
+    settings = {"train.episode_steps": 2, "task.start_clearance": 0.8, "agent.exploration_initial_eps": 0.0}
     settings |= {"task.turn_speed": 0.5, "task.turn_rate": 1.0e-9}  # whatever it does, it drives
     run = train_config(small(settings=settings, n_envs=2, total_timesteps=8), tmp_path / "run").run
     (_, distance), *_ = scalars(run, "rollout/distance_mean")

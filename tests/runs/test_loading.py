@@ -35,8 +35,8 @@ def test_it_drives_the_environment_that_is_made_of_it(checkpoint):
 
 
 def test_a_run_folder_stands_for_its_best_else_its_final_else_its_latest_policy(runs, tmp_path):
-    run = Run.create(tmp_path / "run", resolve())
     algorithm = load(runs / "qlearn")
+    run = Run.create(tmp_path / "run", algorithm.trained_with)
     for place, timesteps in (("checkpoints/step-0000000900", 900), ("checkpoints/step-0000001000", 1000)):
         algorithm.num_timesteps = timesteps
         run.save(algorithm, place)
@@ -143,4 +143,4 @@ def test_another_agents_checkpoint_is_refused(name, checkpoint, edited, refused,
     config = resolve(name).to_dict()
     if config["agent"]["name"] != read_checkpoint(checkpoint)["config"]["agent"]["name"]:
         file = edited(checkpoint, tmp_path / "policy.safetensors", "config", config)
-        assert re.match(f"{file} does not fit its config", refused(load, file))
+        assert re.match(f"{file}( does not fit its config|: agent {name} learns continuous)", refused(load, file))

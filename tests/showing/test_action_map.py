@@ -58,7 +58,7 @@ def test_the_map_shows_the_action_that_the_policy_takes_there(seeds):
     policy.policy.visits[:] = 1
     policy.policy.q[:] = th.from_numpy(rng.random(policy.policy.q.shape))
     shown = action_map(policy, policy.trained_with.scene)
-    with closing(make_env("maze", "discrete")) as env:
+    with closing(make_env(policy)) as env:
         for heading, place in rng.permutation(np.argwhere(shown.actions != OVER))[:30]:
             observation, _ = env.reset(options={"pose": pose_of(shown, heading, place)})
             assert policy.predict(observation, deterministic=True)[0] == shown.actions[heading, place]
