@@ -94,7 +94,7 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
 
 
 def measure_processes(environments: int, seconds: float) -> list[Figure]:
-    """Environments in parallel processes and one alone, in turns: what a machine can do changes from second to second."""
+    """Environments in parallel processes and one alone, in turns: machines change from second to second."""
     make = partial(gym.make, "tb2rl:TurtleBot2Maze-v0")
     together, alone = ProcessVecEnv([make] * environments), make()
     together.seed(0)

@@ -11,7 +11,13 @@ from tb2rl.learning.watcher import ADVICE, Watcher
 
 TROUBLES = {
     "failing": {"task.crash_range": 1.5, "agent.exploration_fraction": 0.1},
-    "spinning": {"task.forward_reward": 0.0, "task.turn_reward": 5.0, "train.episode_steps": 100},
+    "spinning": {
+        "task.forward_reward": 0.0,
+        "task.turn_reward": 5.0,
+        "train.episode_steps": 100,
+        "agent.exploration_fraction": 0.5,
+        "agent.exploration_final_eps": 0.02,
+    },
     "flat": {"agent.learning_rate": 0.0, "agent.exploration_fraction": 0.01},
     "values": {"agent.learning_rate": 3.0},
 }
@@ -54,7 +60,7 @@ def test_the_values_of_a_network_with_a_memory_are_watched_too(small, tmp_path, 
 @pytest.mark.parametrize("agent", ["qlearn", "ppo"])
 def test_a_training_that_learns_is_left_alone(agent, small, tmp_path, capsys):
     training = train_config(
-        small(agent, {"train.episode_steps": 300}, n_envs=64, total_timesteps=150_000), tmp_path / "run"
+        small(agent, settings={"train.episode_steps": 300}, n_envs=64, total_timesteps=150_000), tmp_path / "run"
     )
     assert np.mean(training.lengths[-50:]) > 150
     assert capsys.readouterr().err == ""

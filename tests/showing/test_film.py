@@ -100,7 +100,7 @@ def test_what_plays_is_loaded_and_held_against_its_task(seeds, make):
     assert policy.num_timesteps == load(seeds / "seed-0").num_timesteps
     assert (env.task.noise, env.task.episode_steps) == (0.1, 7)
     with pytest.raises(InputError, match="knows the observation"):
-        open_env(seeds / "seed-0", None, {"beams": 9}, steps=7)
+        open_env(seeds / "seed-0", None, {"beams": 11}, steps=7)
     with pytest.raises(InputError, match="no config"):
         open_env(make.policy(), None, {}, steps=7)
 
