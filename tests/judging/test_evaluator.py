@@ -215,7 +215,7 @@ def test_the_task_of_a_model_of_ones_own_has_settings(own):
 
 
 def test_a_policy_of_the_zoo_is_evaluated_at_another_task():
-    evaluation = evaluate("zoo:maze-loop-qlearn", task="maze", settings={"world": "circuit"}, episodes=1, steps=3)
+    evaluation = evaluate("zoo:maze-loop-dqn", task="maze", settings={"world": "circuit"}, episodes=1, steps=3)
     assert evaluation.task.world == "circuit"
 
 
