@@ -107,7 +107,8 @@ def goal_run(tmp_path_factory) -> Path:
 
 
 def trained(task: str, run: Path, episodes: int, **settings: Any) -> Path:
-    short = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 50, "save_freq": 0, **settings}
+    short = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 50, "save_freq": 0}
+    short |= {"stop_score": None, **settings}
     beams = {"task.beams": 5}  # a small table
     policy = train("qlearn", task, settings=beams, total_timesteps=24_000, eval_freq=6000, folder=run, **short)
     evaluation = evaluate(policy, episodes=episodes, steps=300, workers=1)

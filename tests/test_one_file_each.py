@@ -186,7 +186,7 @@ def test_what_is_trained_is_resumed_evaluated_filmed_and_reported(what, simulati
     agent, task, settings = LEARNERS[what]
     settings = {k: v.format(folder=mine) if isinstance(v, str) else v for k, v in settings.items()}
     train = {"simulation": simulation, "n_envs": 2, "total_timesteps": 256, "save_freq": 128, "eval_freq": 128}
-    train |= {"eval_episodes": 1, "eval_steps": 20, "episode_steps": 40}
+    train |= {"eval_episodes": 1, "eval_steps": 20, "episode_steps": 40, "stop_score": None}
     config = resolve(agent, task, settings=settings | {f"train.{key}": value for key, value in train.items()})
     run = train_config(config, mine / "run").run
     assert resume(run.folder, 320).timesteps == 64
