@@ -66,7 +66,7 @@ def train(
     Raises:
         InputError: For anything in the arguments that does not fit.
     """
-    given = {f"train.{key}": value for key, value in train_settings.items() if value is not None}
+    given = {f"train.{key}": value for key, value in train_settings.items()}
     config = resolve(agent, task, preset, {**(settings or {}), **given})
     return load(train_config(config, folder or default_folder(config), progress_bar, verbose).run.folder)
 
