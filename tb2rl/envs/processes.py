@@ -12,6 +12,7 @@ import pickle
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
@@ -30,6 +31,7 @@ from tb2rl.errors import InputError
 
 # Imported once, in the server that new processes are forked from.
 PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet", "stable_baselines3.common.monitor", "cloudpickle"]
+_AWAKE = 5e-3  # [s] more than the environments of a process take for a step
 
 
 def process_context() -> Any:
@@ -179,7 +181,15 @@ class ProcessVecEnv(VecEnv):
         return [found[i] for i in wanted]
 
     def _answers(self) -> list[Any]:
-        return _unless_failed([pipe.recv() for pipe in self._pipes])
+        return _unless_failed([_soon(pipe) for pipe in self._pipes])
+
+
+def _soon(pipe: Connection | _Here) -> Any:
+    """What comes next; at first waited for awake: a processor that has gone to sleep may need a millisecond to wake."""
+    until = time.perf_counter() + _AWAKE
+    while not pipe.poll() and time.perf_counter() < until:
+        pass
+    return pipe.recv()
 
 
 def _joined(parts: Sequence[Any]) -> Any:
@@ -226,6 +236,9 @@ class _Here:
     def send(self, message: tuple[Any, ...]) -> None:
         self._message = message
 
+    def poll(self) -> bool:
+        return True
+
     def recv(self) -> Any:
         return self._answers.to(*self._message)
 
@@ -261,7 +274,7 @@ def _serve(pipe: Connection, pickled: bytes) -> None:
     answers: _Answers | None = None
     while True:
         try:
-            message = pipe.recv()
+            message = _soon(pipe)
         except (EOFError, OSError):
             break
         try:
