@@ -90,8 +90,8 @@ class Batch:
             infos = infos_of(after, ended, self.distances[ended], outcome)
             finals = Finals(ended, rows(observations, ended), infos, self._returns[ended], self._lengths[ended])
             self._lengths[ended], self._returns[ended], self.distances[ended] = 0, 0.0, 0.0
-            after = self.simulation.restart(ended, self._starts(ended), after)
-            self._observer.begin_some(ended, after.some(ended), observations)
+            after, first = self.simulation.restart(ended, self._starts(ended), after)
+            self._observer.begin_some(ended, first, observations)
         self.reading = after
         return Step(observations, outcome.reward, terminated, truncated, finals)
 

@@ -101,13 +101,16 @@ class KinematicSimulation:
         else:
             step_block(0, self.robots, *data)
 
-    def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> Reading:
+    def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
         """Begin new episodes of the robots with indices `robots` (n,), and write them into the last reading.
 
         Args:
             robots: Shape (n,).
             start: One row for each of them.
             reading: The last one; its arrays are changed in place.
+
+        Returns:
+            The reading of all robots, and that of those which begin, n rows.
         """
         self._start.table[robots] = start.table
         self._poses[robots], self._rims[robots] = start.pose, 0.0
@@ -115,7 +118,10 @@ class KinematicSimulation:
         for array in (self._twists, self._commands, self._accelerations, self._bumped):
             array[robots] = 0
         self._sense(robots, reading.ranges)
-        return self._reading(reading.ranges)
+        truth = start.pose, np.zeros((len(robots), 2))
+        none, no, ranges = np.zeros(len(robots)), np.zeros(len(robots), dtype=bool), reading.ranges[robots]
+        first = Reading(*truth, *truth, ranges, no, np.zeros_like(truth[1]), none, start, self)
+        return self._reading(reading.ranges), first
 
     def state(self) -> dict[str, Any]:
         """Poses, rim speeds, random streams and starts of all robots."""

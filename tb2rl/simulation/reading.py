@@ -83,8 +83,3 @@ class Reading:
     def state(self) -> dict[str, Any]:
         """All of it by name, in arrays of its own."""
         return {**{name: np.array(getattr(self, name)) for name in _ARRAYS}, "start": self.start.table.copy()}
-
-    def some(self, robots: np.ndarray) -> Reading:
-        """The rows of the robots with these indices."""
-        arrays = {name: getattr(self, name)[robots] for name in _ARRAYS}
-        return Reading(**arrays, start=Start(self.start.table[robots]), eye=self.eye)

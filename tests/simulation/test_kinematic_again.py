@@ -73,10 +73,11 @@ def test_robots_that_begin_anew_leave_the_others_alone(make_setup, start_at):
     expected = twin.step(told[0], PERIOD)
     twin.restore(state)
     start = Start.proposed(twin.setup, 2, world=1)
-    reading = twin.restart(anew, start, twin.step(told[0], PERIOD))
+    reading, first = twin.restart(anew, start, twin.step(told[0], PERIOD))
     loop = twin.setup.worlds[1]
     assert reading.pose[anew] == pytest.approx(np.array([loop.start] * 2))
-    np.testing.assert_array_equal(reading.start.table[anew], start.table)
+    for name, values in first.state().items():
+        np.testing.assert_array_equal(values, reading.state()[name][anew])
     for values in (reading.twist, reading.odometry_twist, reading.command, reading.acceleration, reading.bumped):
         assert (values[anew] == 0).all()
     ahead = twin.setup.laser.angles.size // 2

@@ -74,16 +74,6 @@ def test_the_nearest_range_is_that_of_each_robot(make_reading):
     assert make_reading(ranges=[[2.0, 1.0], [np.inf, 3.0], [np.inf, np.inf]]).nearest.tolist() == [1.0, 3.0, np.inf]
 
 
-def test_some_rows_of_a_reading_are_a_reading_of_these_robots(make_reading):
-    reading = make_reading(ranges=np.arange(12).reshape(4, 3), pose=np.arange(12).reshape(4, 3), bumped=[0, 1, 0, 1])
-    reading.start.goal[:] = np.arange(8).reshape(4, 2)
-    some = reading.some(np.array([3, 1]))
-    assert some.pose.tolist() == [[9, 10, 11], [3, 4, 5]]
-    assert some.ranges.tolist() == [[9, 10, 11], [3, 4, 5]]
-    assert some.goal.tolist() == [[6, 7], [2, 3]]
-    assert some.bumped.tolist() == [True, True]
-
-
 def test_a_reading_comes_back_from_its_state_whatever_became_of_it(make_reading):
     reading = make_reading(nearest=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
     state = reading.state()
