@@ -19,17 +19,21 @@ LARGEST = 50_000_000  # values in a table; 800 MB with their visits
 
 
 @njit(cache=True)
-def update_table(q, visits, states, actions, targets_of, terminated, rewards, learning_rate, gamma, plain_first):
+def update_table(
+    q, averages, visits, states, actions, targets_of, terminated, rewards, learning_rate, gamma, plain_first, share
+):
     """Textbook updates, one after the other in the order of the robots, so that robots which share a pair all count.
 
     Args:
         q: Action values, shape (states, actions); changed in place.
+        averages: Running ones of them, same shape, the first ones counting alike; changed in place. It may be `q`.
         visits: Updates of each pair so far, same shape; changed in place.
         states, actions: The pairs to update, shape (robots,).
         targets_of: States after the step, shape (robots,).
         terminated: Whether the future ends there, shape (robots,), bool.
         rewards: Shape (robots,).
         plain_first: Whether the first visit of a pair stores the plain reward, as the tutorial does.
+        share: Of a new value in its average.
     """
     for i in range(states.size):
         s, a = states[i], actions[i]
@@ -39,20 +43,6 @@ def update_table(q, visits, states, actions, targets_of, terminated, rewards, le
         else:
             q[s, a] += learning_rate * (rewards[i] + future - q[s, a])
         visits[s, a] += 1
-
-
-@njit(cache=True)
-def average_table(averages, q, visits, states, actions, share):
-    """Take the values that were just updated into their running averages; the first ones count alike.
-
-    Args:
-        averages: Shape (states, actions); changed in place.
-        q, visits: As `update_table` left them, same shape.
-        states, actions: The pairs that it updated, shape (robots,).
-        share: Of a new value in its average.
-    """
-    for i in range(states.size):
-        s, a = states[i], actions[i]
         averages[s, a] += max(share, 1.0 / visits[s, a]) * (q[s, a] - averages[s, a])
 
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
-from tb2rl.agents._qtable import QTable, average_table, update_table
+from tb2rl.agents._qtable import QTable, update_table
 from tb2rl.registry import Agent
 from tb2rl.values import Fraction
 
@@ -191,10 +191,11 @@ class QLearning(BaseAlgorithm):
     def _learn_from(
         self, states: np.ndarray, actions: np.ndarray, rewards: np.ndarray, reached: np.ndarray, terminated: np.ndarray
     ) -> None:
-        tutorial, visits = self.update == "tutorial", self.policy.visits.numpy()
+        tutorial = self.update == "tutorial"
         update_table(
             self._values,
-            visits,
+            self.policy.q.numpy(),
+            self.policy.visits.numpy(),
             states,
             actions,
             reached,
@@ -203,9 +204,8 @@ class QLearning(BaseAlgorithm):
             self.lr_schedule(self._current_progress_remaining),
             self.gamma,
             tutorial,
+            self.averaging or 0.0,
         )
-        if self.averaging is not None:
-            average_table(self.policy.q.numpy(), self._values, visits, states, actions, self.averaging)
 
     @property
     def _values(self) -> np.ndarray:

@@ -230,7 +230,7 @@ def import_object(reference: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name and not (module_name + ".").startswith(error.name + "."):
             raise
-        hint = "; pip install 'tb2rl[contrib]' brings it" if error.name == "sb3_contrib" else ""
+        hint = "; pip install sb3-contrib brings it" if error.name == "sb3_contrib" else ""
         raise InputError(f"cannot import {reference!r}: there is no module {error.name!r}{hint}") from None
     if not hasattr(module, attribute):
         raise InputError(f"cannot import {reference!r}: module {module_name!r} has no {attribute!r}")

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
+from stable_baselines3.common.preprocessing import is_image_space
 
 from tb2rl.compiled import njit
 from tb2rl.errors import InputError
@@ -166,6 +167,12 @@ def put_rows(observations: Observations, robots: np.ndarray, some: Observations)
             values[robots] = some[name]
     else:
         observations[robots] = some
+
+
+def has_images(space: spaces.Space) -> bool:
+    """Whether there are images among the observations."""
+    parts = space.values() if isinstance(space, spaces.Dict) else [space]
+    return any(is_image_space(part) for part in parts)
 
 
 def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> np.ndarray:

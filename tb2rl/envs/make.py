@@ -63,9 +63,9 @@ def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
     Raises:
         InputError: For an unknown name or setting, or a value that does not fit.
     """
-    settings = with_robots_settings(settings)
     if not isinstance(what, Task):
-        return build(find_task(what), settings, "task")
+        return build(find_task(what), with_robots_settings(settings), "task")
+    settings = with_robots_settings(settings, what)
     now = {field.name: getattr(what, field.name) for field in fields(what)}
     return build(type(what), {**now, **settings}, "task")
 

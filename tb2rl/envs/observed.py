@@ -14,6 +14,8 @@ from tb2rl.simulation import Setup
 from tb2rl.tasks import Task
 from tb2rl.values import checked
 
+_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
 
 def observed_sensors(task: Task, own: tuple[Sensor, ...], setup: Setup) -> tuple[Sensor, ...]:
     """The sensors that `task.observe` lists; those of the task itself if it is None.
@@ -73,9 +75,15 @@ def _made(kind: type[Sensor], name: str, arguments: Mapping[str, Any], setup: Se
     for key in arguments:
         if key not in taken or key in given:
             raise unknown(f"argument of {where}:", key, taken.keys() - given.keys())
-    lacking = [key for key, one in taken.items() if one.default is one.empty and key not in {*given, *arguments}]
+    needed = [key for key, one in taken.items() if one.default is one.empty and one.kind not in _ANY_NUMBER]
+    lacking = [key for key in needed if key not in {*given, *arguments}]
     if lacking:
         raise InputError(f"{where}: it needs {', '.join(lacking)}; write {{{name}: {{{lacking[0]}: ...}}}}")
-    hints = get_type_hints(kind.__init__, include_extras=True)
-    fitting = {key: checked(hints.get(key, Any), value, f"{where}.{key}") for key, value in arguments.items()}
-    return kind(**given, **fitting)
+    try:
+        hints = get_type_hints(kind.__init__, include_extras=True) if arguments else {}
+        fitting = {key: checked(hints.get(key, Any), value, f"{where}.{key}") for key, value in arguments.items()}
+        return kind(**given, **fitting)
+    except InputError:
+        raise
+    except Exception as error:  # of a user's own class
+        raise InputError(one_line(f"{where}: {type(error).__name__}: {error}")) from error

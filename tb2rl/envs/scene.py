@@ -97,8 +97,12 @@ class Scene:
         return _assemble(replace(self.task, **settings), self.observation, self.robot, self.setup.worlds)
 
 
-def with_robots_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+def with_robots_settings(settings: Mapping[str, Any], task: Task | None = None) -> dict[str, Any]:
     """Settings of a task, and beneath them those that suit the robot that they name.
+
+    Args:
+        settings: What is to change.
+        task: What is changed: what suited its robot, and is as that wanted it, becomes as usual again.
 
     Raises:
         InputError: If there is no such robot, or it brings what is not a setting of every task.
@@ -106,11 +110,14 @@ def with_robots_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     name = settings.get("robot")
     if not isinstance(name, str):  # it stays as it was, or whoever reads the settings refuses it
         return dict(settings)
-    suiting, known = find_robot(name).task_settings, [each.name for each in fields(Task)]
+    suiting, usual = find_robot(name).task_settings, {each.name: each.default for each in fields(Task)}
     for key in suiting:
-        if key not in known:
-            raise unknown(f"key of robot {name}.task_settings", key, known)
-    return {**suiting, **settings}
+        if key not in usual:
+            raise unknown(f"key of robot {name}.task_settings", key, usual)
+    earlier = find_robot(task.robot).task_settings if task else {}
+    usual = {each.name: each.default for each in fields(task)} if task else {}
+    left = {key: usual[key] for key, value in earlier.items() if getattr(task, key) == value}
+    return {**left, **suiting, **settings}
 
 
 def make_scene(task: Task, observation: str) -> Scene:

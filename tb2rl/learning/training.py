@@ -15,6 +15,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
+from tb2rl.envs.encodings import has_images
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import TRAINING_SEED, Evaluator
 from tb2rl.judging.twin import TwinEvaluator
@@ -34,6 +35,7 @@ from tb2rl.runs.parameters import load_parameters
 from tb2rl.tasks import Task
 
 _GO_ON = "raise --total-timesteps to go on"
+_MANY, _FEW = 1000, 20  # episodes of an evaluation: where all drive at once, and where a step takes time
 
 
 def train(
@@ -126,9 +128,12 @@ def resume(
     file = run.checkpoints[0]
     content = read_checkpoint(file)
     config = run.config
-    if content_config(content, file) != config or "training" not in content:
+    begun = content_config(content, file)
+    # The folder may say more steps: of a resume that ended before its first checkpoint.
+    longer = replace(begun, train=replace(begun.train, total_timesteps=config.train.total_timesteps))
+    if longer != config or "training" not in content:
         raise InputError(f"{file} is not a checkpoint of the training that {folder} describes")
-    checkpoint = _Checkpoint(file, content, config.train.total_timesteps)
+    checkpoint = _Checkpoint(file, content, begun.train.total_timesteps)
     if total_timesteps is not None:
         if total_timesteps < config.train.total_timesteps:
             raise InputError(f"the run was begun with {config.train.total_timesteps} steps; ask for more, not for less")
@@ -211,14 +216,16 @@ def stopped_early(config: Config, timesteps: int) -> str:
 
 
 def _evaluator(config: Config) -> Evaluator | TwinEvaluator:
-    settings = config.train
-    conditions = settings.eval_episodes, settings.eval_steps, TRAINING_SEED
+    settings, scene = config.train, config.scene
+    episodes, conditions = settings.eval_episodes, (settings.eval_steps, TRAINING_SEED)
     if settings.eval_simulation == "kinematic":
         try:
-            return TwinEvaluator(config.scene, *conditions)
+            return TwinEvaluator(
+                scene, episodes or (_FEW if has_images(scene.observation_space) else _MANY), *conditions
+            )
         except InputError as error:
             print(f"evaluations on the way are in PyBullet, and slower: {error}", flush=True)
-    return Evaluator(config.scene, *conditions)
+    return Evaluator(scene, episodes or _FEW, *conditions)
 
 
 def _restore(

@@ -31,7 +31,7 @@ Above0 = Annotated[Number, Gt(0)]
 class Laser:
     """A planar laser scanner above the middle of the axle; its beams sweep from right to left, both ends included.
 
-    Of a full circle both ends are one beam, which looks back, and comes first.
+    Of a full circle both ends are one beam: an even number of beams begins with the one that looks back.
     """
 
     beams: Annotated[int, Strict(), Ge(1)] = 720

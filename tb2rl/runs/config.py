@@ -40,7 +40,7 @@ class TrainSettings:
     norm_reward: bool = False  # by the spread of discounted returns; whatever the reward_scale
     eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
     eval_simulation: Literal["bullet", "kinematic"] = "kinematic"  # where these drive: the twin drives all at once
-    eval_episodes: Annotated[int, Ge(1), Le(100_000)] = 1000
+    eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in PyBullet and of images
     eval_steps: Count = 1000  # control steps at most in an episode of these
     stop_score: Fraction | None = None  # stop once evaluations reach it: the share of good episodes; None: never
     stop_evaluations: Count = 2  # so many of them in a row
@@ -92,7 +92,7 @@ class Config:
         if not settings:
             return self
         tree = self.to_dict()
-        tree["task"].update(with_robots_settings(settings))
+        tree["task"].update(with_robots_settings(settings, self.task))
         return config_from(tree)
 
 

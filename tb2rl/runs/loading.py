@@ -26,6 +26,8 @@ from tb2rl.runs.parameters import load_parameters
 def load(reference: str | Path) -> BaseAlgorithm:
     """A trained agent, ready to `predict`; `make_env` of it gives the environment that it was trained in.
 
+    With `train.norm_obs` it normalises what it is given by itself: to train it further, resume its run.
+
     Args:
         reference: A run folder (its best policy), a checkpoint in it, or "zoo:NAME".
 
@@ -42,7 +44,7 @@ def load(reference: str | Path) -> BaseAlgorithm:
     load_parameters(algorithm, {**content, "training": None}, file)
     algorithm.policy = driving_policy(algorithm)
     if env := algorithm.get_vec_normalize_env():
-        env.training = False  # for users who ask Stable-Baselines3 for it
+        env.training = False
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
 

@@ -146,19 +146,22 @@ def test_textbook_updates_bootstrap_at_a_time_limit_and_not_at_a_crash(ends, exp
 
 
 @pytest.mark.parametrize("plain_first", [False, True])
-def test_updates_of_one_pair_by_several_robots_happen_one_after_the_other(plain_first):
+def test_updates_of_one_pair_by_several_robots_happen_one_after_the_other_and_so_do_their_averages(plain_first):
     rng = np.random.default_rng(0)
     states, reached = rng.integers(3, size=(2, 200))
     actions, ended, rewards = rng.integers(2, size=200), rng.random(200) < 0.2, rng.normal(size=200)
-    q, visits = np.zeros((3, 2)), np.zeros((3, 2), dtype=np.int64)
-    update_table(q, visits, states, actions, reached, ended, rewards, 0.3, 0.9, plain_first)
+    q, averages, visits = np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2), dtype=np.int64)
+    update_table(q, averages, visits, states, actions, reached, ended, rewards, 0.3, 0.9, plain_first, 0.05)
 
-    expected, seen = np.zeros((3, 2)), np.zeros((3, 2), dtype=np.int64)
+    expected, means, seen = np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2), dtype=np.int64)
     for s, a, n, over, r in zip(states, actions, reached, ended, rewards, strict=True):
         target = r if over else r + 0.9 * max(expected[n])
         expected[s, a] = r if plain_first and seen[s, a] == 0 else expected[s, a] + 0.3 * (target - expected[s, a])
         seen[s, a] += 1
+        share = max(0.05, 1 / seen[s, a])
+        means[s, a] = (1 - share) * means[s, a] + share * expected[s, a]
     np.testing.assert_allclose(q, expected, rtol=1e-12)
+    np.testing.assert_allclose(averages, means, rtol=1e-9)
     np.testing.assert_array_equal(visits, seen)
 
 

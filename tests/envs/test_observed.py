@@ -36,6 +36,18 @@ class Needy(Compass):
     def __init__(self, north: float) -> None:
         super().__init__()
 
+class Unresolved(Compass):
+    def __init__(self, north: "Nowhere" = None) -> None:
+        super().__init__()
+
+class Broken(Compass):
+    def __init__(self) -> None:
+        raise KeyError("north")
+
+class Open(Compass):
+    def __init__(self, *arguments, **named) -> None:
+        super().__init__()
+
 class Black(Camera):
     def read(self, reading):
         return 0 * super().read(reading)
@@ -105,6 +117,11 @@ def test_a_sensor_of_ones_own_is_named_by_its_module(mine):
     assert not seen["camera"].any()
 
 
+@pytest.mark.parametrize("kind", ["Unresolved", "Open"])
+def test_a_sensor_of_ones_own_that_needs_nothing_is_given_nothing(kind, mine):
+    assert names(["laser", f"my_sensors:{kind}"]) == ["laser", "compass"]
+
+
 @pytest.mark.parametrize(
     ("observe", "words"),
     [
@@ -127,6 +144,8 @@ def test_a_sensor_of_ones_own_is_named_by_its_module(mine):
         (["tb2rl.sensors:Sensor"], "is not a class derived from tb2rl.sensors.Sensor with read"),
         (["nowhere:Sensor"], "task.observe: cannot import 'nowhere:Sensor'"),
         (["my_sensors:Needy"], "task.observe.my_sensors:Needy: it needs north"),
+        (["my_sensors:Broken"], "task.observe.my_sensors:Broken: KeyError: 'north'"),
+        ([{"my_sensors:Unresolved": {"north": 1}}], "my_sensors:Unresolved: NameError: name 'Nowhere'"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(observe, words, mine):

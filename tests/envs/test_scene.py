@@ -12,6 +12,7 @@ from tb2rl.envs.scene import make_scene
 from tb2rl.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.robots.turtlebot3 import ROBOT as BURGER
+from tb2rl.runs.layers import resolve
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
@@ -52,6 +53,18 @@ def test_what_suits_a_robot_comes_along_with_its_name_before_what_is_set_beside_
         task = make_task("maze", {"robot": "turtlebot3", **settings})
         assert (task.control_period, task.field_of_view, task.crash_range) == (period, math.pi, 0.5)
     assert make_task("maze", {"robot": "turtlebot2"}) == make_task("maze", {}) == Wander()
+
+
+def test_what_suited_a_robot_leaves_with_it_unless_it_was_set_otherwise():
+    for settings, period in (({}, 0.2), ({"control_period": 0.3}, 0.3)):
+        task = make_task(make_task("maze", {"robot": "turtlebot3", **settings}), {"robot": "turtlebot2"})
+        assert (task.control_period, task.field_of_view) == (period, None)
+    config = resolve("ppo", settings={"task.robot": "turtlebot3"}).with_task({"robot": "turtlebot2"})
+    assert config.task == resolve("ppo").task
+    assert (
+        resolve("ppo", settings={"task.robot": "turtlebot3"}).with_task({"robot": "turtlebot3"}).task.robot
+        == "turtlebot3"
+    )
 
 
 def test_what_a_robot_brings_must_be_a_setting_of_every_task(monkeypatch):

@@ -67,7 +67,12 @@ SOON = {  # for a training of 2048 steps
 TASKS = {"sac": "drive", "td3": "drive"}  # the others: `maze`
 
 
-LONGER = {"SAC", "TD3", "RecurrentPPO", *(name for name in ALGORITHMS if "frames" in name or "normalised" in name)}
+LONGER = {
+    "SAC",
+    "TD3",
+    "RecurrentPPO",
+    *(name for name in ALGORITHMS if any(w in name for w in ("frames", "normalised", "camera"))),
+}
 TWIN_ONLY = {"A2C, noisy", "PPO, often noisy", "DQN, three steps", "SAC, fixed entropy", "TQC, noisy"}
 TWIN_ONLY |= {"TRPO", "CrossQ", "RecurrentPPO, an image", "RecurrentPPO, noisy", "PPO, only rewards normalised"}
 TWIN = [pytest.param(name, "kinematic", 4, id=f"{name} in the twin") for name in ALGORITHMS]

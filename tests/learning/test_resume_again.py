@@ -28,6 +28,16 @@ def test_a_finished_run_goes_on_when_more_is_asked(small, tmp_path):
     assert load(tmp_path / "run").num_timesteps == 128
 
 
+def test_a_resume_with_more_steps_that_ends_before_its_first_checkpoint_can_be_done_again(small, tmp_path):
+    def killed(_folder):
+        raise KeyboardInterrupt
+
+    run = train_config(small(**SHORT), tmp_path / "run").run
+    with pytest.raises(KeyboardInterrupt):
+        resume(run.folder, 128, began=killed)
+    assert resume(run.folder).timesteps == 64
+
+
 def test_a_run_that_goes_on_keeps_its_best_score(small, tmp_path):
     config = small(**SHORT, eval_freq=64, eval_episodes=2, eval_steps=20)
     run = train_config(config, tmp_path / "run").run

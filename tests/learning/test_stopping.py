@@ -14,7 +14,9 @@ from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning import training
 from tb2rl.learning.training import resume, train_config
+from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
+from tb2rl.runs.layers import resolve
 from tb2rl.train import parse
 
 OFTEN = {
@@ -123,6 +125,17 @@ def test_evaluations_drive_where_they_are_told_to(simulation, small, tmp_path):
     (line,) = map(json.loads, (run.folder / "evaluations.jsonl").read_text().splitlines())
     assert (line["simulation"], line["episodes"], line["steps"]) == (simulation, 3, 10)
     assert line["median_squares"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "episodes"), [({}, 1000), ({"eval_simulation": "bullet"}, 20), ({"observe": ["camera"]}, 20)]
+)
+def test_evaluations_are_fewer_where_a_step_takes_time(settings, episodes):
+    dotted = {f"task.{key}" if key == "observe" else f"train.{key}": value for key, value in settings.items()}
+    config = resolve("stable_baselines3:PPO", settings=dotted | {"train.eval_steps": 2})
+    with training._evaluator(config) as evaluator:
+        algorithm = make_algorithm(config, Spaces.vectorised(config))
+        assert len(evaluator.run(algorithm.policy).episodes) == episodes
 
 
 def test_what_the_twin_cannot_observe_is_evaluated_in_pybullet(small, tmp_path, monkeypatch, capsys):

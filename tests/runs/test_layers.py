@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -55,6 +56,13 @@ def test_the_name_on_the_command_line_wins_over_the_presets():
     assert resolve(preset="tutorial").agent_name == "qlearn"
     assert resolve(settings={"agent.name": "ppo", "task.name": "wall"}).task_name == "wall"
     assert resolve("dqn", settings={"agent.name": "ppo"}).agent_name == "dqn"
+
+
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("preset", ["tutorial", "tutorial-wall"])
+def test_the_tutorials_beams_are_spread_over_half_a_circle_in_both_simulations(preset, simulation):
+    angles = resolve(preset=preset, settings={"train.simulation": simulation}).scene.laser.angles
+    assert np.degrees(angles) == pytest.approx([-90, -53.9, -17.9, 18.2, 54.2], abs=0.1)
 
 
 def test_a_task_may_be_given_as_its_class():
