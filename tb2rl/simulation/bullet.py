@@ -214,9 +214,9 @@ class BulletSimulation:
         x, y, yaw = self._body.pose()
         cos, sin = math.cos(yaw), math.sin(yaw)
         self._place = x, y
-        world, laser, over_x, over_y = self.world, self.laser, *self._scratch
+        laser = self.laser
         ranges = np.empty((1, len(laser.angles)))
-        cast_one(x, y, yaw, *self._directions, world.boxes, world.posts, over_x, over_y, ranges, 0)
+        cast_one(x, y, yaw, *self._directions, *self.world.index, 0, *self._scratch, ranges, 0)
         if laser.noise:
             ranges += laser.noise * self._rng.standard_normal(ranges.shape)
         limit_ranges(ranges, 0, laser.min_range, laser.max_range)
