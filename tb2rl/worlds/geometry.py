@@ -1,8 +1,8 @@
 """Exact laser ranges against the boxes and posts of a world, compiled.
 
 Slab test against oriented boxes (Kay & Kajiya 1986) and the quadratic for circles; the inner loops over beams have no
-branches, so that the compiler turns them into vector instructions. Every simulation reads this laser: all see the same
-walls.
+branches, so that the compiler turns them into vector instructions. Where a world has many obstacles, its grid says
+which of them can matter (`tb2rl.worlds.grid`). Every simulation reads this laser: all see the same walls.
 """
 
 from __future__ import annotations

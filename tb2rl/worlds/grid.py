@@ -84,9 +84,9 @@ def clearance_in_grid(x, y, boxes, posts, parts, lists, world):
     for ring in range(max(columns, rows)):
         for j in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
             whole = abs(j - row) == ring
-            i = column - ring
-            while i <= column + ring:
-                if 0 <= i < columns:
+            i = max(column - ring, 0) if whole else column - ring
+            while i <= min(column + ring, columns - 1):
+                if i >= 0:
                     cell = first + j * columns + i
                     for entry in range(lists[cell], lists[cell + 1]):
                         k = lists[entry]

@@ -16,8 +16,8 @@ import numpy as np
 from tb2rl.compiled import njit
 
 FEW = 100  # obstacles; up to here the plain loops are faster, with 36 beams
-_CELLS = 1  # for each obstacle: more make a beam visit more cells, fewer make each list longer
 _ENTRIES = 32  # for each obstacle, at most: obstacles that cover many cells, or each other, get larger cells
+_SMALLEST = 1e-6  # [m] side of a cell
 _SLACK = 1e-6  # of a cell's side, by which obstacles are taken to be larger; rounding is far less
 # The columns of `Index.parts`.
 X, Y, SIDE, COLUMNS, ROWS, CELLS, BOXES, BOXES_END, POSTS, POSTS_END = range(10)
@@ -77,10 +77,11 @@ def _make_grid(boxes: np.ndarray, posts: np.ndarray) -> tuple[np.ndarray, np.nda
     centres = np.concatenate([boxes[:, :2], posts[:, :2]])
     low, high = (centres - reaches).min(axis=0), (centres + reaches).max(axis=0)
     size = high - low
-    side = max(math.sqrt(size[0] * size[1] / (_CELLS * count)), size.max() / (_CELLS * count))
+    # About as many cells as obstacles: more make a beam visit more cells, fewer make each list longer.
+    side = max(math.sqrt(size[0] * size[1] / count), size.max() / count, _SMALLEST)
     while True:
         corner = low - 2 * _SLACK * side
-        columns, rows = np.floor(size / side + 1 + 1e-3)
+        columns, rows = np.floor(size / side + 1.001)  # that end beyond the last obstacle
         grid = np.array([*corner, side, columns, rows])
         lists = _list_obstacles(boxes, posts, reaches, grid, _ENTRIES * count)
         if len(lists):
@@ -94,30 +95,26 @@ def _list_obstacles(boxes, posts, reaches, grid, most):
 
     `reaches` (obstacles, 2) are how far each one extends from its centre along x and y [m], boxes before posts.
     """
-    columns, rows, half = int(grid[COLUMNS]), int(grid[ROWS]), (0.5 + _SLACK) * grid[SIDE]
+    x0, y0, side, columns, rows = grid[X], grid[Y], grid[SIDE], int(grid[COLUMNS]), int(grid[ROWS])
+    half = (0.5 + _SLACK) * side
     counts = np.zeros(columns * rows + 1, dtype=np.int32)
     lists = ends = counts
     for filling in (False, True):
         for k in range(reaches.shape[0]):
             post = k - boxes.shape[0]
             x, y = (boxes[k, 0], boxes[k, 1]) if post < 0 else (posts[post, 0], posts[post, 1])
-            first, last = (
-                cell_of(grid[X], grid[SIDE], x - reaches[k, 0], columns),
-                cell_of(grid[X], grid[SIDE], x + reaches[k, 0], columns),
-            )
-            low, high = (
-                cell_of(grid[Y], grid[SIDE], y - reaches[k, 1], rows),
-                cell_of(grid[Y], grid[SIDE], y + reaches[k, 1], rows),
-            )
-            for row in range(low, high + 1):
+            wide, high = reaches[k]
+            first, last = cell_of(x0, side, x - wide, columns), cell_of(x0, side, x + wide, columns)
+            lowest, highest = cell_of(y0, side, y - high, rows), cell_of(y0, side, y + high, rows)
+            for row in range(lowest, highest + 1):
                 for column in range(first, last + 1):
-                    east = grid[X] + (column + 0.5) * grid[SIDE] - x
-                    north = grid[Y] + (row + 0.5) * grid[SIDE] - y
+                    east = x0 + (column + 0.5) * side - x
+                    north = y0 + (row + 0.5) * side - y
                     if post < 0:
                         cos, sin = boxes[k, 4], boxes[k, 5]
-                        wide = half * (abs(cos) + abs(sin))
-                        apart = abs(cos * east + sin * north) > boxes[k, 2] + wide
-                        apart = apart or abs(cos * north - sin * east) > boxes[k, 3] + wide
+                        turned = half * (abs(cos) + abs(sin))
+                        apart = abs(cos * east + sin * north) > boxes[k, 2] + turned
+                        apart = apart or abs(cos * north - sin * east) > boxes[k, 3] + turned
                     else:
                         apart = math.hypot(max(abs(east) - half, 0.0), max(abs(north) - half, 0.0)) > posts[post, 2]
                     if apart:
