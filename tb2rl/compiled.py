@@ -23,6 +23,11 @@ from typing import Any
 
 import numba
 from numba.core.caching import _CacheLocator
+from numba.core.options import DefaultOptions
+
+# For functions of a loop over robots, which make no array: numba else counts who uses each array, in every call, and
+# threads wait for each other at these counts. The option is not documented: where there is none, they are slower.
+UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
 _VARIABLE = "TB2RL_PRIVATE_CACHE"  # tells processes that this one starts where its private folder is; "": there is none
 _inherited = os.environ.get(_VARIABLE)

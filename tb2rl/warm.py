@@ -22,12 +22,15 @@ def main(arguments: list[str] | None = None) -> None:
     from tb2rl.envs.make import make_env  # only now: it imports what takes seconds
     from tb2rl.learning.training import train
     from tb2rl.showing.film import film
+    from tb2rl.worlds import World
 
     with TemporaryDirectory() as folder:
         short: dict[str, Any] = {"n_envs": 2, "total_timesteps": 64, "eval_episodes": 1, "eval_steps": 2}
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
         film(policy, Path(folder, "film.gif"), steps=2)
     make_env("maze", "raw", simulation="kinematic", observe=["laser", "camera"]).reset()
+    posts = [(x / 10, 1.0, 0.01) for x in range(200)]  # enough to need a grid
+    World.from_shapes("posts", posts=posts, start=(0.0, 0.0, 0.0)).clearance(0.0, 0.0)
     print("compiled; what comes next starts without")
 
 

@@ -11,7 +11,7 @@ from tb2rl.pictures.above import WorldPicture
 from tb2rl.showing.pictures import goal_of
 from tb2rl.showing.shots import Shot
 from tb2rl.simulation import Start, check_bullet
-from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.geometry import cast_many
 
 _CHASE_SIZE = (640, 360)  # [px]
 
@@ -42,7 +42,7 @@ class AboveCamera:
     def picture(self, shot: Shot) -> np.ndarray:
         if shot.moment.start is not self._start:
             self._begin(shot.moment.start)
-        cast(shot.pose[None], *self._beams, self._world.boxes, self._world.posts, self._ranges)
+        cast_many(shot.pose[None], np.zeros(1), *self._beams, *self._world.index, self._ranges)
         return self._picture.draw(shot.pose, self._ranges[0], [*shot.path, shot.pose])
 
     def _begin(self, start: Start) -> None:

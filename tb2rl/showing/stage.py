@@ -56,7 +56,8 @@ class Stage:
     def begin(self, world: int, goal: np.ndarray) -> None:
         """Show the world with this index, and a disc at a goal x, y [m], shape (2,); NaN: no goal."""
         if world != self._shown:
-            pybullet.removeBody(self._walls, self._client)
+            for body in self._walls:
+                pybullet.removeBody(body, self._client)
             self._walls, self._shown = add_walls(self._client, self._worlds[world]), world
         if not np.array_equal(goal, self._goal, equal_nan=True):
             if self._disc >= 0:

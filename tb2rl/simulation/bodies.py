@@ -18,7 +18,8 @@ GRAVITY = 9.81  # [m/s^2]
 FLOOR_FRICTION = 1.0  # rubber on a dry floor
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
 WALL_GROUP = 2  # of collisions: what laser rays are to hit
-_EVERYTHING = -1
+_MOVING_GROUP = 1  # PyBullet's own, of what moves: else each wall would be held against the floor in every step
+_SHAPES = 16  # of one body; PyBullet drops all that are beyond without a word
 _ALIKE = 0.01  # share by which a robot's number and its URDF file's may differ
 _SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
 
@@ -50,44 +51,52 @@ def add_floor(client: int) -> int:
     return floor
 
 
-def add_walls(client: int, world: World) -> int:
-    """All obstacles of a world as one body: a fixed base without a shape, and a fixed link for each box and post.
+def add_walls(client: int, world: World) -> tuple[int, ...]:
+    """All obstacles of a world, as few bodies that do not move, each of neighbours: what is far away costs no time.
 
     Returns:
-        The body's number.
+        The bodies' numbers.
     """
-    collisions, visuals, places, turns = [], [], [], []
+    boxes, posts = world.boxes.tolist(), world.posts.tolist()
+    kinds = [pybullet.GEOM_BOX] * len(boxes) + [pybullet.GEOM_CYLINDER] * len(posts)
+    halves = [(length, width, WALL_HEIGHT / 2) for _, _, length, width, _, _ in boxes] + [(0.0, 0.0, 0.0)] * len(posts)
+    radii = [0.0] * len(boxes) + [radius for _, _, radius in posts]
+    yaws = [math.atan2(sin, cos) for *_, cos, sin in boxes] + [0.0] * len(posts)
+    places = [(x, y, WALL_HEIGHT / 2) for x, y, *_ in [*boxes, *posts]]
+    turns = [pybullet.getQuaternionFromEuler((0.0, 0.0, yaw)) for yaw in yaws]
+    bodies = []
+    for group in _neighbours(np.array(places).reshape(-1, 3), np.arange(len(places))):
+        kind, half, radius, place, turn = (
+            [column[k] for k in group] for column in (kinds, halves, radii, places, turns)
+        )
+        sizes = {"halfExtents": half, "radii": radius, "lengths": [WALL_HEIGHT] * len(group), "physicsClientId": client}
+        collision = pybullet.createCollisionShapeArray(
+            kind, collisionFramePositions=place, collisionFrameOrientations=turn, **sizes
+        )
+        visual = pybullet.createVisualShapeArray(
+            kind,
+            visualFramePositions=place,
+            visualFrameOrientations=turn,
+            rgbaColors=[WALL_COLOUR] * len(group),
+            **sizes,
+        )
+        # Maximal coordinates: as a plain body that does not move, no step of the physics goes through it.
+        body = pybullet.createMultiBody(0.0, collision, visual, useMaximalCoordinates=True, physicsClientId=client)
+        bodies.append(body)
+        pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, _MOVING_GROUP, physicsClientId=client)
+    return tuple(bodies)
 
-    def add(x: float, y: float, yaw: float, shape: int, collision: dict, visual: dict) -> None:
-        collisions.append(pybullet.createCollisionShape(shape, **collision, physicsClientId=client))
-        visuals.append(pybullet.createVisualShape(shape, **visual, rgbaColor=WALL_COLOUR, physicsClientId=client))
-        places.append((x, y, WALL_HEIGHT / 2))
-        turns.append(pybullet.getQuaternionFromEuler((0.0, 0.0, yaw)))
 
-    for x, y, half_length, half_width, cos, sin in world.boxes:
-        size = {"halfExtents": (half_length, half_width, WALL_HEIGHT / 2)}
-        add(x, y, math.atan2(sin, cos), pybullet.GEOM_BOX, size, size)
-    for x, y, radius in world.posts:
-        sizes = {"radius": radius, "height": WALL_HEIGHT}, {"radius": radius, "length": WALL_HEIGHT}
-        add(x, y, 0.0, pybullet.GEOM_CYLINDER, *sizes)
-    count = len(places)
-    walls = pybullet.createMultiBody(
-        baseMass=0.0,
-        linkMasses=[0.0] * count,
-        linkCollisionShapeIndices=collisions,
-        linkVisualShapeIndices=visuals,
-        linkPositions=places,
-        linkOrientations=turns,
-        linkInertialFramePositions=[(0.0, 0.0, 0.0)] * count,
-        linkInertialFrameOrientations=[(0.0, 0.0, 0.0, 1.0)] * count,
-        linkParentIndices=[0] * count,
-        linkJointTypes=[pybullet.JOINT_FIXED] * count,
-        linkJointAxis=[(0.0, 0.0, 1.0)] * count,
-        physicsClientId=client,
-    )
-    for link in range(count):
-        pybullet.setCollisionFilterGroupMask(walls, link, WALL_GROUP, _EVERYTHING, physicsClientId=client)
-    return walls
+def _neighbours(places: np.ndarray, some: np.ndarray) -> list[np.ndarray]:
+    """Sort `some` of the places (n, 3), given by their indices, into groups that a body has room for."""
+    if not len(some):
+        return []
+    if len(some) <= _SHAPES:
+        return [some]
+    axis = np.ptp(places[some], axis=0).argmax()
+    some = some[np.argsort(places[some, axis], kind="stable")]
+    middle = len(some) // 2
+    return _neighbours(places, some[:middle]) + _neighbours(places, some[middle:])
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,8 @@ class BulletSimulation:
         self._max_speed, self._max_turn_rate = float(wanted[MAX_SPEED]), float(wanted[MAX_TURN_RATE])
         self._torque = self.setup.robot.wheel_torque * float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
         if start.world[0] != self._world_number:
-            pybullet.removeBody(self._walls, self._client)
+            for body in self._walls:
+                pybullet.removeBody(body, self._client)
             self._world_number = int(start.world[0])
             self.world = self.setup.worlds[self._world_number]
             self._walls = add_walls(self._client, self.world)
@@ -214,9 +215,9 @@ class BulletSimulation:
         x, y, yaw = self._body.pose()
         cos, sin = math.cos(yaw), math.sin(yaw)
         self._place = x, y
-        world, laser, over_x, over_y = self.world, self.laser, *self._scratch
+        laser = self.laser
         ranges = np.empty((1, len(laser.angles)))
-        cast_one(x, y, yaw, *self._directions, world.boxes, world.posts, over_x, over_y, ranges, 0)
+        cast_one(x, y, yaw, *self._directions, *self.world.index, 0, *self._scratch, ranges, 0)
         if laser.noise:
             ranges += laser.noise * self._rng.standard_normal(ranges.shape)
         limit_ranges(ranges, 0, laser.min_range, laser.max_range)
@@ -258,8 +259,8 @@ class BulletSimulation:
         return pybullet.getJointStates(self._robot, self._wheels, self._client)
 
     def _touches_a_wall(self) -> bool:
-        contacts = pybullet.getContactPoints(self._robot, self._walls, physicsClientId=self._client)
-        return any(contact[8] < TOUCH for contact in contacts)  # 8: distance
+        contacts = pybullet.getContactPoints(self._robot, physicsClientId=self._client)
+        return any(contact[2] in self._walls and contact[8] < TOUCH for contact in contacts)  # the other one; distance
 
     def _set_duration(self, duration: float) -> None:
         if duration != self._duration:

@@ -8,7 +8,8 @@ import numpy as np
 
 from tb2rl.compiled import njit
 from tb2rl.robots import Camera
-from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.geometry import cast_many
+from tb2rl.worlds.index import Index
 from tb2rl.worlds.world import WALL_HEIGHT
 
 
@@ -16,9 +17,7 @@ def depth_images(
     camera: Camera,
     poses: np.ndarray,
     world_of: np.ndarray,
-    boxes: np.ndarray,
-    posts: np.ndarray,
-    parts: np.ndarray,
+    index: Index,
     width: int,
     height: int,
 ) -> np.ndarray:
@@ -28,7 +27,7 @@ def depth_images(
         camera: Of each robot.
         poses: Of the robots: x [m], y [m], yaw [rad], shape (robots, 3).
         world_of: The world of each, shape (robots,).
-        boxes, posts, parts: Of all worlds, see `tb2rl.simulation.kernels`.
+        index: Of all worlds.
         width, height: Of an image [px].
 
     Returns:
@@ -44,11 +43,8 @@ def depth_images(
     upward = reach * (height - 2.0 * np.arange(1, height + 1)) / height
     along = 1.0 / np.hypot(1.0, leftward)  # the cosine of each ray's angle
     walls = np.empty((len(eyes), width))
-    for world in np.unique(world_of).astype(int):
-        here, (box, post), (last_box, last_post) = world_of == world, parts[world], parts[world + 1]
-        ranges = np.empty((int(here.sum()), width))
-        cast(eyes[here], along, along * leftward, boxes[box:last_box], posts[post:last_post], ranges)
-        walls[here] = ranges * along
+    cast_many(eyes, world_of, along, along * leftward, *index, walls)
+    walls *= along
     images = np.empty((len(eyes), height, width), dtype=np.float32)
     _fill(walls, upward, up, camera.range[1], images)
     return images

@@ -2,9 +2,8 @@
 
 Arrays of all robots: poses (robots, 3) x [m], y [m], yaw [rad]; rims (robots, 2), speeds of the left and the right
 wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 16), the columns of
-`tb2rl.simulation.setup`, of which the last are each robot's parameters. The `boxes` and `posts` of all worlds stand in
-one table each, world after world; those of world k are the rows from `parts[k]` up to `parts[k + 1]`, its first column
-for boxes, its second for posts.
+`tb2rl.simulation.setup`, of which the last are each robot's parameters; boxes, posts, parts and lists, the
+`Index` of all worlds.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.robots import robot
 from tb2rl.simulation.setup import PARAMETERS, PHYSICS_RATE, WORLD
 from tb2rl.simulation.streams import normal
@@ -28,8 +27,8 @@ ACCELERATION, COUPLING = PARAMETERS.start + robot.WHEEL_ACCELERATION, PARAMETERS
 _NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts):
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts, parts, lists, world):
     """Move a robot along an arc, up to where an obstacle stops it; it turns all the same.
 
     Conservative advancement (Mirtich 1996): no step is longer than the gap to the nearest obstacle, so none is jumped
@@ -40,7 +39,8 @@ def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts):
         length: Of the arc [m], negative backwards.
         turn: From its start to its end [rad].
         radius: Of the robot [m].
-        boxes, posts: As in `World`.
+        boxes, posts, parts, lists: Of all worlds.
+        world: The number of its own.
 
     Returns:
         The pose after it, and whether an obstacle was touched.
@@ -48,10 +48,10 @@ def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts):
     whole = abs(length)
     left, bumped = whole, False
     while left > 0.0:
-        gap = clearance_one(x, y, boxes, posts) - radius
+        gap = clearance_one(x, y, boxes, posts, parts, lists, world) - radius
         if gap < CONTACT:
             nudge = math.copysign(_NUDGE, length)
-            off = clearance_one(x + nudge * math.cos(yaw), y + nudge * math.sin(yaw), boxes, posts)
+            off = clearance_one(x + nudge * math.cos(yaw), y + nudge * math.sin(yaw), boxes, posts, parts, lists, world)
             if off - radius <= gap:
                 bumped = True
                 break
@@ -85,8 +85,8 @@ def rim_speed(start, change, together, clock, acceleration, coupling):
     return start + math.copysign(gained, change)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def move(poses, rims, commands, duration, starts, i, boxes, posts):
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world):
     """The control step of robot `i`: both rims speed up, then one, then none.
 
     Args:
@@ -95,7 +95,8 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts):
         duration: Of the step [s].
         starts: Of all robots.
         i: Which one it is.
-        boxes, posts: Of its world.
+        boxes, posts, parts, lists: Of all worlds.
+        world: The number of its own.
 
     Returns:
         Whether it touched an obstacle.
@@ -116,7 +117,7 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts):
     x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
     # Far from walls nothing needs to be looked at on the way.
     longest = max(abs(left), abs(right), abs(v) + abs(reach)) * duration
-    free = clearance_one(x, y, boxes, posts) > radius + longest
+    free = clearance_one(x, y, boxes, posts, parts, lists, world) > radius + longest
     bumped = False
     clock, end = 0.5 * PHYSICS_STEP, duration + 0.5 * PHYSICS_STEP
     last_left = rim_speed(left, change_left, together, clock, acceleration, coupling)
@@ -134,7 +135,9 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts):
         if free:
             x, y, yaw = along_arc(x, y, yaw - lag, length, rate * (until - clock))
         else:
-            x, y, yaw, hit = move_along_arc(x, y, yaw - lag, length, rate * (until - clock), radius, boxes, posts)
+            x, y, yaw, hit = move_along_arc(
+                x, y, yaw - lag, length, rate * (until - clock), radius, boxes, posts, parts, lists, world
+            )
             bumped = bumped or hit
         yaw += lag
         last_left, last_right, clock = next_left, next_right, until
@@ -145,22 +148,23 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts):
     return bumped
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def sense(poses, i, cos_beams, sin_beams, boxes, posts, limits, streams, over_x, over_y, ranges):
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def sense(poses, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges):
     """The laser of robot `i`.
 
     Args:
         poses: Of all robots.
         i: Which one it is.
         cos_beams, sin_beams: Of each beam's direction, shape (beams,).
-        boxes, posts: Of its world.
+        boxes, posts, parts, lists: Of all worlds.
+        world: The number of its own.
         limits: The laser's noise, shortest and longest range [m], shape (3,).
         streams: Key of each robot's stream of random numbers, and how often it has read, shape (robots, 2), uint64.
         over_x, over_y: Room to calculate in, shape (beams,).
         ranges: Of all robots; its row is the result [m], shape (robots, beams).
     """
     x, y, yaw, beams = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
-    cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, ranges, i)
+    cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, i)
     if limits[0] > 0.0:
         first = streams[i, 1] * np.uint64(beams)
         for beam in range(beams):
@@ -168,26 +172,29 @@ def sense(poses, i, cos_beams, sin_beams, boxes, posts, limits, streams, over_x,
     limit_ranges(ranges, i, limits[1], limits[2])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
 def step_robots(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, cos_beams, sin_beams, limits, streams,
-    over_x, over_y, twists, moved, accelerations, bumped, ranges,
+    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, cos_beams, sin_beams, limits,
+    streams, over_x, over_y, twists, moved, accelerations, bumped, ranges,
 ):  # fmt: skip
-    """A control step of robots `first` to `last` - 1, all in the world of `boxes` and `posts`; see `step_block`."""
+    """`step_block`, with room to calculate in: arrays that a loop's own function made are counted in every turn."""
     for i in range(first, last):
+        world = int(starts[i, WORLD])
         x, y, earlier = poses[i, 0], poses[i, 1], 0.5 * (rims[i, 0] + rims[i, 1])
-        bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts)
+        bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world)
         moved[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
         twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
         twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
         accelerations[i] = (twists[i, 0] - earlier) / duration
         streams[i, 1] += np.uint64(1)
-        sense(poses, i, cos_beams, sin_beams, boxes, posts, limits, streams, over_x, over_y, ranges)
+        sense(
+            poses, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, beams, limits, streams,
+    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
     twists, moved, accelerations, bumped, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
@@ -196,27 +203,32 @@ def step_block(
     Results are `twists` (robots, 2) v and w [m/s, rad/s], `moved` (robots,) how far from where it was [m],
     `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges` (robots, beams) [m].
     """
-    cos_beams, sin_beams = beams[0], beams[1]
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
-    while first < last:
-        k = int(starts[first, WORLD])
-        end = first + 1
-        while end < last and starts[end, WORLD] == k:  # robots of one world together: its part is cut out once
-            end += 1
-        step_robots(
-            first, end, poses, rims, commands, duration, starts, boxes[parts[k, 0] : parts[k + 1, 0]],
-            posts[parts[k, 1] : parts[k + 1, 1]], cos_beams, sin_beams, limits, streams, over_x, over_y,
-            twists, moved, accelerations, bumped, ranges,
-        )  # fmt: skip
-        first = end
+    step_robots(
+        first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
+        streams, over_x, over_y, twists, moved, accelerations, bumped, ranges,
+    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
-def sense_some(robots, poses, starts, boxes, posts, parts, beams, limits, streams, ranges):
+def sense_some(robots, poses, starts, boxes, posts, parts, lists, beams, limits, streams, ranges):
     """The laser of the robots with the indices `robots` (n,), into their rows of `ranges` (robots, beams)."""
     cos_beams, sin_beams = beams[0], beams[1]
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     for i in robots:
-        k = int(starts[i, WORLD])
-        here, there = boxes[parts[k, 0] : parts[k + 1, 0]], posts[parts[k, 1] : parts[k + 1, 1]]
-        sense(poses, i, cos_beams, sin_beams, here, there, limits, streams, over_x, over_y, ranges)
+        sense(
+            poses,
+            i,
+            cos_beams,
+            sin_beams,
+            boxes,
+            posts,
+            parts,
+            lists,
+            int(starts[i, WORLD]),
+            limits,
+            streams,
+            over_x,
+            over_y,
+            ranges,
+        )

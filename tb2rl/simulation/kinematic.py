@@ -19,6 +19,7 @@ from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
 from tb2rl.simulation.threads import share_out
+from tb2rl.worlds.index import join
 
 ROBOT, BEAM = 0.25e-6, 4e-9  # [s] what a step costs a thread, for each robot and for each of its beams
 WAKING = 0.06e-3  # [s] until another thread has begun
@@ -42,10 +43,7 @@ class KinematicSimulation:
     def __init__(self, setup: Setup, robots: int = 1) -> None:
         self.setup, self.laser, self.robots = setup, setup.laser, robots
         laser, worlds = setup.laser, setup.worlds
-        self._boxes = np.concatenate([world.boxes for world in worlds])
-        self._posts = np.concatenate([world.posts for world in worlds])
-        sizes = [(0, 0), *((len(world.boxes), len(world.posts)) for world in worlds)]
-        self._parts = np.cumsum(sizes, axis=0)
+        self._index = join([world.index for world in worlds])
         self._beams = np.stack([np.cos(laser.angles), np.sin(laser.angles)])
         self._limits = np.array([laser.noise, laser.min_range, laser.max_range])
         self._start = Start.proposed(setup, robots)
@@ -91,9 +89,8 @@ class KinematicSimulation:
         For `step` and the benchmark.
         """
         data = (
-            poses, rims, commands, duration, self._start.table, self._boxes, self._posts, self._parts,
-            self._beams, self._limits, self._streams, twists, moved, accelerations,
-            bumped, ranges,
+            poses, rims, commands, duration, self._start.table, *self._index, self._beams, self._limits, self._streams,
+            twists, moved, accelerations, bumped, ranges,
         )  # fmt: skip
         cost = ROBOT + BEAM * ranges.shape[1]
         if self.robots * cost > WORTH_THREADS:
@@ -168,9 +165,9 @@ class KinematicSimulation:
 
     def look(self, reading: Reading, width: int, height: int) -> tuple[None, np.ndarray]:
         """Depth images, see `Reading.look`; the twin has no colours."""
-        worlds = reading.start.world, self._boxes, self._posts, self._parts
-        return None, depth_images(self.setup.robot.camera, reading.pose, *worlds, width, height)
+        camera = self.setup.robot.camera
+        return None, depth_images(camera, reading.pose, reading.start.world, self._index, width, height)
 
     def _sense(self, robots: np.ndarray, ranges: np.ndarray) -> None:
-        worlds = self._start.table, self._boxes, self._posts, self._parts
-        sense_some(robots, self._poses, *worlds, self._beams, self._limits, self._streams, ranges)
+        laser = self._beams, self._limits, self._streams
+        sense_some(robots, self._poses, self._start.table, *self._index, *laser, ranges)

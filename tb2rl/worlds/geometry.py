@@ -1,8 +1,8 @@
 """Exact laser ranges against the boxes and posts of a world, compiled.
 
 Slab test against oriented boxes (Kay & Kajiya 1986) and the quadratic for circles; the inner loops over beams have no
-branches, so that the compiler turns them into vector instructions. Every simulation reads this laser: all see the same
-walls.
+branches, so that the compiler turns them into vector instructions. Where a world has many obstacles, its grid says
+which of them can matter (`tb2rl.worlds.grid`). Every simulation reads this laser: all see the same walls.
 """
 
 from __future__ import annotations
@@ -11,39 +11,54 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.worlds.grid import PARALLEL, clearance_in_grid, first_hit
+from tb2rl.worlds.index import BOXES, BOXES_END, COLUMNS, POSTS, POSTS_END, index_of
 
-_PARALLEL = 1e-12  # direction components below this count as parallel to a side; avoids 0 / 0
 
-
-@njit(cache=True, fastmath={"nsz", "nnan", "arcp", "contract", "reassoc"}, error_model="numpy")
-def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, ranges, robot):
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, robot):
     """Write the distance to the nearest obstacle along each beam of one robot into its row of `ranges` (inf: nothing).
 
     Args:
         x, y, yaw: Pose of the laser [m, m, rad].
         cos_beams, sin_beams: Beam directions in the laser's frame, shape (beams,).
-        boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
-        posts: Rows of x, y, radius [m], shape (posts, 3).
+        boxes, posts, parts, lists: The `Index` of all worlds.
+        world: Number of the robot's world in it.
         over_x, over_y: Room to calculate in, shape (beams,); to allocate it here would cost as much as the work.
         ranges: Result [m], shape (robots, beams).
         robot: Index of its row; a view of the row would be counted as one more reference, by all threads in one place.
     """
+    if parts[world, COLUMNS] == 0.0:
+        _cast_at_all(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, robot)
+        return
+    cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
+    for i in range(cos_beams.size):
+        dx = cos_yaw * cos_beams[i] - sin_yaw * sin_beams[i]
+        dy = sin_yaw * cos_beams[i] + cos_yaw * sin_beams[i]
+        ranges[robot, i] = first_hit(x, y, dx, dy, boxes, posts, parts, lists, world)
+
+
+@njit(cache=True, **UNCOUNTED, fastmath={"nsz", "nnan", "arcp", "contract", "reassoc"}, error_model="numpy")
+def _cast_at_all(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, robot):
+    """Hold each obstacle of a world against all beams; for the arguments see `cast_one`."""
+    first_box, last_box = int(parts[world, BOXES]), int(parts[world, BOXES_END])
+    first_post, last_post = int(parts[world, POSTS]), int(parts[world, POSTS_END])
     cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
     beams = cos_beams.size
     for i in range(beams):
         ranges[robot, i] = np.inf
     # One over each beam's direction in the frame of a box: divisions are what costs, and boxes share orientations.
-    for k in range(boxes.shape[0]):
+    for k in range(first_box, last_box):
         half_length, half_width, cos_box, sin_box = boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5]
-        if k == 0 or cos_box != boxes[k - 1, 4] or sin_box != boxes[k - 1, 5]:
+        if k == first_box or cos_box != boxes[k - 1, 4] or sin_box != boxes[k - 1, 5]:
             c = cos_yaw * cos_box + sin_yaw * sin_box
             s = sin_yaw * cos_box - cos_yaw * sin_box
             for i in range(beams):
                 dx = c * cos_beams[i] - s * sin_beams[i]
                 dy = s * cos_beams[i] + c * sin_beams[i]
-                over_x[i] = 1.0 / (dx if abs(dx) > _PARALLEL else _PARALLEL)
-                over_y[i] = 1.0 / (dy if abs(dy) > _PARALLEL else _PARALLEL)
+                over_x[i] = 1.0 / (dx if abs(dx) > PARALLEL else PARALLEL)
+                over_y[i] = 1.0 / (dy if abs(dy) > PARALLEL else PARALLEL)
         east, north = x - boxes[k, 0], y - boxes[k, 1]
         ox, oy = cos_box * east + sin_box * north, cos_box * north - sin_box * east
         for i in range(beams):
@@ -54,7 +69,7 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, rang
             hit = max(near, 0.0)
             nearer = (far >= hit) & (hit < ranges[robot, i])
             ranges[robot, i] = hit if nearer else ranges[robot, i]
-    for k in range(posts.shape[0]):
+    for k in range(first_post, last_post):
         east, north, radius = posts[k, 0] - x, posts[k, 1] - y, posts[k, 2]
         px, py = cos_yaw * east + sin_yaw * north, cos_yaw * north - sin_yaw * east
         for i in range(beams):
@@ -67,7 +82,7 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, rang
             ranges[robot, i] = hit if nearer else ranges[robot, i]
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, **UNCOUNTED, forceinline=True)
 def limit_ranges(ranges, robot, min_range, max_range):
     """Keep the row of a robot in `ranges` (robots, beams) within what a laser can say.
 
@@ -77,18 +92,20 @@ def limit_ranges(ranges, robot, min_range, max_range):
         ranges[robot, i] = np.inf if ranges[robot, i] > max_range else max(ranges[robot, i], min_range)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def clearance_one(x, y, boxes, posts):
-    """Distance from a point to the nearest obstacle [m]; 0 inside one, inf where there is none."""
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def clearance_one(x, y, boxes, posts, parts, lists, world):
+    """Distance from a point to the nearest obstacle of a world [m]; 0 inside one, inf where there is none."""
+    if parts[world, COLUMNS] > 0.0:
+        return clearance_in_grid(x, y, boxes, posts, parts, lists, world)
     nearest = np.inf
-    for k in range(boxes.shape[0]):
+    for k in range(int(parts[world, BOXES]), int(parts[world, BOXES_END])):
         east, north = x - boxes[k, 0], y - boxes[k, 1]
         dx = abs(boxes[k, 4] * east + boxes[k, 5] * north) - boxes[k, 2]
         dy = abs(boxes[k, 4] * north - boxes[k, 5] * east) - boxes[k, 3]
         dx, dy = max(dx, 0.0), max(dy, 0.0)
         nearest = min(nearest, dx * dx + dy * dy)
     nearest = math.sqrt(nearest)
-    for k in range(posts.shape[0]):
+    for k in range(int(parts[world, POSTS]), int(parts[world, POSTS_END])):
         east, north = x - posts[k, 0], y - posts[k, 1]
         nearest = min(nearest, max(math.sqrt(east * east + north * north) - posts[k, 2], 0.0))
     return nearest
@@ -125,10 +142,16 @@ def shortest(ranges):
     return nearest
 
 
-@njit(cache=True)
 def cast(poses, cos_beams, sin_beams, boxes, posts, ranges):
-    """`cast_one` for many robots: poses (robots, 3), ranges (robots, beams)."""
+    """The ranges (robots, beams) from poses (robots, 3) among `boxes` and `posts`, each held against every beam."""
+    index = index_of(boxes, posts, few=len(boxes) + len(posts))
+    cast_many(poses, np.zeros(len(poses)), cos_beams, sin_beams, *index, ranges)
+
+
+@njit(cache=True)
+def cast_many(poses, world_of, cos_beams, sin_beams, boxes, posts, parts, lists, ranges):
+    """`cast_one` for many robots: poses (robots, 3), their worlds (robots,), ranges (robots, beams)."""
     over_x, over_y = np.empty(cos_beams.size), np.empty(cos_beams.size)
     for i in range(poses.shape[0]):
-        x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
-        cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, over_x, over_y, ranges, i)
+        x, y, yaw, world = poses[i, 0], poses[i, 1], poses[i, 2], int(world_of[i])
+        cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, i)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from shapely.geometry.base import BaseGeometry
 from tb2rl.errors import InputError, one_line
 from tb2rl.values import Point, Pose
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
+from tb2rl.worlds.index import Index, index_of
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
 
@@ -92,6 +94,11 @@ class World:
                 raise InputError(f"world {name}: the goal ({x:g}, {y:g}) is {where}")
         return world
 
+    @cached_property
+    def index(self) -> Index:
+        """Where to look for its obstacles: what laser and clearance read."""
+        return index_of(self.boxes, self.posts)
+
     @property
     def obstacles(self) -> BaseGeometry:
         """All obstacles as one shape."""
@@ -124,7 +131,7 @@ class World:
 
     def clearance(self, x: float, y: float) -> float:
         """Distance from a point to the nearest obstacle [m]; 0 inside one."""
-        return clearance_one(x, y, self.boxes, self.posts)
+        return clearance_one(x, y, *self.index, 0)
 
     def contains(self, point: Point) -> bool:
         """Whether a point [m] is within the bounds."""

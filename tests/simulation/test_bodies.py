@@ -13,7 +13,9 @@ from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Start
 from tb2rl.simulation.bodies import connect
+from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.physics import pybullet
+from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast
 
 BEAM = 1e-3  # [m] half the thickness of a beam: what a ray of single precision may miss at an edge
@@ -54,6 +56,59 @@ def test_an_episode_in_another_world_has_its_walls_and_no_others(make_setup, mak
         assert simulation.world is world
         assert reading.pose[0] == pytest.approx(world.start)
         assert_rays_fit(simulation, world, world.random_poses(rng, 20, 0.05), np.linspace(-3, 3, 20))
+
+
+def field(boxes, posts):
+    """So many obstacles on a square grid of 1 m, of random sizes and angles, with room for a robot between them."""
+    rng, across = np.random.default_rng(0), math.ceil(math.sqrt(boxes + posts))
+    places = [divmod(k, across) for k in rng.permutation(boxes + posts).tolist()]
+    return World.from_shapes(
+        f"field of {boxes} boxes and {posts} posts",
+        [(x, y, *rng.uniform(0.05, 0.3, 2), rng.uniform(-3, 3)) for x, y in places[:boxes]],
+        [(x, y, rng.uniform(0.05, 0.2)) for x, y in places[boxes:]],
+        start=(0.5, 0.5, 0.0),
+    )
+
+
+@pytest.mark.parametrize("world", [field(16, 0), field(9, 8), field(60, 60)], ids=lambda world: world.name)
+def test_no_obstacle_of_many_is_missing_and_all_go_when_the_world_does(world, make_setup, make_bullet):
+    setup, rng = make_setup("loop", world, beams=90, max_range=12.0), np.random.default_rng(0)
+    simulation = make_bullet(setup)
+    bodies = pybullet.getNumBodies(simulation._client)
+    for number in (1, 0, 1):
+        reading = simulation.reset(Start.proposed(setup, 1, world=number), rng)
+        poses = setup.worlds[number].random_poses(rng, 60, 0.05)
+        assert_rays_fit(simulation, setup.worlds[number], poses, np.linspace(-3, 3, 40))
+    twin = KinematicSimulation(setup).reset(Start.proposed(setup, 1, world=1), rng)
+    np.testing.assert_allclose(reading.ranges, twin.ranges)
+    simulation.reset(Start.proposed(setup, 1), rng)
+    assert pybullet.getNumBodies(simulation._client) == bodies
+
+
+def test_the_robot_bumps_into_each_of_many_obstacles_and_not_into_the_floor(make_setup, make_bullet):
+    world = field(10, 10)
+    setup, rng = make_setup(world, beams=1), np.random.default_rng(0)
+    simulation, start = make_bullet(setup), Start.proposed(setup, 1)
+    for x, y, *_ in [*world.boxes, *world.posts]:
+        start.pose[:] = x - 0.5, y, 0.0
+        simulation.reset(start, rng)
+        moves = [simulation.step(np.array([[v, 0.0]]), 0.2).bumped[0] for v in (0.0, -0.02, 0.5, 0.5, 0.5, 0.5)]
+        assert not any(moves[:2])
+        assert any(moves[2:])
+
+
+def test_every_obstacle_of_many_is_drawn(make_setup, make_bullet, start_at):
+    world = field(20, 20)
+    setup, rng = make_setup(world, beams=1), np.random.default_rng(0)
+    poses = world.random_poses(rng, 30, 0.2)
+    simulation, twin = make_bullet(setup), KinematicSimulation(setup, len(poses))
+    expected = twin.reset(start_at(setup, poses), rng).look(64, 64)[1]
+    seen = [simulation.reset(start_at(setup, [pose]), rng).look(64, 64) for pose in poses]
+    drawn = np.concatenate([depth for _, depth in seen])
+    with np.errstate(invalid="ignore"):
+        assert ((np.abs(drawn - expected) < 0.02) | (np.isinf(drawn) & np.isinf(expected))).mean() > 0.95
+    red, green, blue = np.concatenate([colours for colours, _ in seen])[:, 20:34].reshape(-1, 3).T.astype(int)
+    assert ((red > green + 20) & (green > blue)).mean() > 0.1  # brick
 
 
 def test_the_robot_bumps_into_the_walls_of_the_world_it_is_in(make_setup, make_bullet):

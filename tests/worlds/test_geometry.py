@@ -7,6 +7,7 @@ import pytest
 
 from tb2rl.registry import find_world, world_names
 from tb2rl.worlds.geometry import cast, clearance_one, limit_ranges, shortest
+from tb2rl.worlds.index import index_of
 
 AHEAD, LEFT, BEHIND, RIGHT = 0.0, math.pi / 2, math.pi, -math.pi / 2
 
@@ -131,4 +132,6 @@ def test_the_shortest_range_of_each_robot_is_found():
     ],
 )
 def test_the_clearance_is_the_distance_to_the_nearest_obstacle(point, boxes, posts, expected):
-    assert clearance_one(*map(float, point), table(boxes, 6), table(posts, 3)) == pytest.approx(expected)
+    for few in (0, 9):  # with a grid, and without one
+        index = index_of(table(boxes, 6), table(posts, 3), few)
+        assert clearance_one(*map(float, point), *index, 0) == pytest.approx(expected)

@@ -1,0 +1,148 @@
+"""What is found through an index is what holding every obstacle against every beam finds."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from tb2rl.registry import find_world, world_names
+from tb2rl.worlds import World
+from tb2rl.worlds.geometry import cast_many, clearance_one
+from tb2rl.worlds.index import COLUMNS, FEW, ROWS, index_of, join
+
+BEAMS = np.cos(np.linspace(-3, 3, 60)), np.sin(np.linspace(-3, 3, 60))
+
+
+def scattered(rng, boxes=150, posts=150, side=20.0):
+    """Boxes at all angles, long walls among them, and posts, that touch and overlap."""
+    return World.from_shapes(
+        "scattered",
+        [(*rng.uniform(0, side, 2), *rng.exponential((1.0, 0.2)) + 0.01, rng.uniform(-4, 4)) for _ in range(boxes)],
+        [(*rng.uniform(0, side, 2), rng.exponential(0.2) + 0.01) for _ in range(posts)],
+        start=(0.0, 0.0, 0.0),
+    )
+
+
+def cells_of_a_map(rng, size=40, cell=0.25):
+    """The full cells of a map: upright boxes that share sides and corners."""
+    full = np.argwhere(rng.random((size, size)) < 0.2)
+    return World.from_shapes("map", [(x * cell, y * cell, cell, cell, 0.0) for x, y in full], start=(0.0, 0.0, 0.0))
+
+
+def around(rng):
+    """A thick ring of posts, a hundred metres away and of all sizes; and one large enough to be everywhere."""
+    angles = rng.uniform(-math.pi, math.pi, 200)
+    posts = [(100 * math.cos(a), 100 * math.sin(a), rng.exponential(3.0) + 0.01) for a in angles]
+    return World.from_shapes("around", [], [*posts, (0.0, 150.0, 90.0)], start=(0.0, 0.0, 0.0))
+
+
+def in_a_row(rng):
+    """A grid of a single row."""
+    return World.from_shapes("row", [(x, 0.0, 0.3, 0.1, 0.0) for x in range(200)], start=(0.0, 1.0, 0.0))
+
+
+def all_in_one_place(rng):
+    """Obstacles of which each covers every cell."""
+    return World.from_shapes("heap", [], [(0.0, 0.0, 1.0 + r) for r in rng.random(200)], start=(9.0, 0.0, 0.0))
+
+
+WORLDS = [scattered, cells_of_a_map, around, in_a_row, all_in_one_place]
+
+
+def poses_in(world, rng, count):
+    """Poses all over a world, in its obstacles, and far outside of it, (count, 3)."""
+    low, high = np.array(world.bounds).reshape(2, 2)
+    places = rng.uniform(low - 0.1, high + 0.1, (count, 2))
+    places[::5] = rng.uniform(low - 300.0, high + 300.0, (len(places[::5]), 2))
+    return np.column_stack([places, rng.uniform(-math.pi, math.pi, count)])
+
+
+def ranges_from(poses, index, beams=BEAMS, world_of=None):
+    ranges = np.empty((len(poses), len(beams[0])))
+    cast_many(poses, np.zeros(len(poses)) if world_of is None else world_of, *beams, *index, ranges)
+    return ranges
+
+
+def clearances(poses, index, world=0):
+    return np.array([clearance_one(x, y, *index, world) for x, y, _ in poses])
+
+
+def assert_close(found, expected):
+    assert (np.isinf(found) == np.isinf(expected)).all()
+    seen = np.isfinite(expected)
+    assert np.abs(found[seen] - expected[seen]).max() < 1e-9
+
+
+def both(world):
+    """The index of a world with a grid, and without one."""
+    indices = index_of(world.boxes, world.posts, few=0), index_of(world.boxes, world.posts, few=10**9)
+    assert [index.parts[0, COLUMNS] > 0 for index in indices] == [True, False]
+    return indices
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("make", WORLDS)
+def test_a_grid_finds_what_the_plain_loops_find(make, seed):
+    rng = np.random.default_rng(seed)
+    world = make(rng)
+    grid, plain = both(world)
+    poses = poses_in(world, rng, 500)
+    expected, gaps = ranges_from(poses, plain), clearances(poses, plain)
+    assert np.isfinite(expected).mean() > 0.02
+    assert_close(ranges_from(poses, grid), expected)
+    assert_close(clearances(poses, grid), gaps)
+    inside = poses[gaps == 0.0]
+    assert len(inside) or make is around
+    assert (ranges_from(inside, grid) == 0.0).all()
+
+
+@pytest.mark.parametrize("make", WORLDS)
+def test_beams_along_the_lines_of_a_grid_find_what_the_plain_loops_find(make):
+    rng = np.random.default_rng(0)
+    world = make(rng)
+    grid, plain = both(world)
+    x0, y0, side, columns, rows = grid.parts[0, :5]
+    lines = np.array([(x0 + side * i, y0 + side * j, 0.0) for i in range(int(columns)) for j in range(int(rows))])
+    poses = lines[rng.permutation(len(lines))[:500]]
+    quarters = np.array([1.0, 0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0, -1.0])
+    assert_close(ranges_from(poses, grid, quarters), ranges_from(poses, plain, quarters))
+    assert_close(clearances(poses, grid), clearances(poses, plain))
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_the_built_in_worlds_are_small_enough_to_need_no_grid(name):
+    assert find_world(name).index.parts[0, COLUMNS] == 0
+
+
+def test_a_world_of_many_obstacles_has_a_grid_of_about_as_many_cells():
+    index = scattered(np.random.default_rng(0)).index
+    assert 150 <= index.parts[0, COLUMNS] * index.parts[0, ROWS] <= 600
+    assert scattered(np.random.default_rng(0), FEW, 0).index.parts[0, COLUMNS] == 0
+
+
+def test_obstacles_that_cover_each_other_do_not_fill_the_memory():
+    rng = np.random.default_rng(0)
+    for make in (all_in_one_place, around, in_a_row):
+        world = make(rng)
+        assert len(world.index.lists) <= 40 * (len(world.boxes) + len(world.posts))
+
+
+def test_in_several_worlds_each_robot_sees_its_own():
+    rng = np.random.default_rng(0)
+    worlds = [find_world("round"), scattered(rng), find_world("loop"), cells_of_a_map(rng), scattered(rng, 0, 200)]
+    index, poses = join([world.index for world in worlds]), poses_in(worlds[1], rng, 300)
+    world_of = rng.integers(len(worlds), size=len(poses)).astype(float)
+    ranges = ranges_from(poses, index, world_of=world_of)
+    for number, world in enumerate(worlds):
+        own = poses[world_of == number]
+        assert (ranges[world_of == number] == ranges_from(own, world.index)).all()
+        assert (clearances(own, index, number) == clearances(own, world.index)).all()
+
+
+def test_an_index_of_5000_obstacles_is_made_in_less_than_a_fifth_of_a_second():
+    many, small = scattered(np.random.default_rng(0), 2500, 2500, 60.0), scattered(np.random.default_rng(1))
+    assert len(small.index.lists)  # compiles
+    start = time.perf_counter()
+    assert len(many.index.lists)
+    assert time.perf_counter() - start < 0.2
