@@ -211,14 +211,15 @@ def stopped_early(config: Config, timesteps: int) -> str:
 
 
 def _evaluator(config: Config) -> Evaluator | TwinEvaluator:
-    settings = config.train
+    """What says which policy of a training is the best: in worlds that it is not trained in, if they are generated."""
+    settings, scene = config.train, config.scene.worlds_for("validation")
     conditions = settings.eval_episodes, settings.eval_steps, TRAINING_SEED
     if settings.eval_simulation == "kinematic":
         try:
-            return TwinEvaluator(config.scene, *conditions)
+            return TwinEvaluator(scene, *conditions)
         except InputError as error:
             print(f"evaluations on the way are in PyBullet, and slower: {error}", flush=True)
-    return Evaluator(config.scene, *conditions)
+    return Evaluator(scene, *conditions)
 
 
 def _restore(

@@ -42,7 +42,7 @@ class Generated:
     """A generator and its settings, as `task.world` takes them."""
 
     generator: str  # a name, or "module:function"
-    worlds: Annotated[int, Ge(1), Le(100_000)] = 200  # of each purpose
+    worlds: Annotated[int, Ge(1), Le(100_000)] = 512  # for each purpose
     difficulty: Span = (0.0, 1.0)  # from 0 to 1, or a range that each world's is drawn from
     seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
     size: tuple[Side, Side] = (8.0, 8.0)  # [m] of the floor
