@@ -82,14 +82,24 @@ def draw_ways(evaluation: Evaluation) -> Markup:
     scene, together = evaluation.scene, shown_worlds(evaluation)
     figure, each = _world_figure([scene.setup.worlds[world] for world in together])
     for axes, (world, episodes) in zip(each, together.items(), strict=True):
-        paths = [episode.path for episode in episodes]
+        paths, own = [episode.path for episode in episodes], f"-{world}" * (len(together) > 1)
         axes.add_collection(LineCollection(paths, colors=PATH, linewidths=0.6, alpha=0.3, rasterized=True))
-        _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid="starts")
+        _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
         failures = [episode.path[-1] for episode in episodes if episode.failed]
-        _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid="failures")
+        _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
         goal = scene.goal_in(world)
         if goal is not None:
-            _mark(axes, [goal], s=90, color=GOAL, marker="*", edgecolors="black", linewidths=0.5, zorder=5, gid="goal")
+            _mark(
+                axes,
+                [goal],
+                s=90,
+                color=GOAL,
+                marker="*",
+                edgecolors="black",
+                linewidths=0.5,
+                zorder=5,
+                gid=f"goal{own}",
+            )
     return _svg(figure)
 
 
