@@ -167,7 +167,8 @@ def _draw_world(figure: Figure, place: tuple[int, int, int], world: World) -> Ax
     if place[:2] == (1, 1):
         axes.set(xlabel="x [m]", ylabel="y [m]")
     else:
-        axes.set(xticks=[], yticks=[])
+        axes.xaxis.set_visible(False)
+        axes.yaxis.set_visible(False)
     axes.set(xlim=(x0, x1), ylim=(y0, y1))
     axes.spines[:].set_visible(False)
     walls = [Polygon(np.array(box_shape(row).exterior.coords)) for row in world.boxes]

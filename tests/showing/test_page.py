@@ -57,6 +57,18 @@ def test_it_loads_nothing_and_its_ids_are_its_own(seeds, pages, tmp_path):
     assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", page.source)
 
 
+def test_episodes_in_several_worlds_are_shown_in_theirs(subject, make, pages):
+    ways = [replace(make.episode([(1, 1), (2, 2)], [0]), world=world) for world in [0, 1, *range(20)]]
+    task = Wander(world={"generator": "clutter", "worlds": 20, "difficulty": 0.3})
+    scene = make_scene(task, "discrete")
+    subject = replace(subject, evaluation=Evaluation(ways, scene, SEED))
+    shown = pages(page(grouped([subject])))
+    for part in ("22 episodes, 0 failed; 12 of 20 worlds", "drove in several worlds", "in 20 worlds of clutter"):
+        assert part in " ".join(shown.text.split())
+    assert len(shown.ids) == len(set(shown.ids))
+    assert sum("starts" in name for name in shown.ids) == 12
+
+
 def test_the_evaluation_table_has_the_figures_of_the_evaluation(seeds, pages, tmp_path):
     page = pages.of(seeds / "seed-0", "--out", tmp_path / "it.html")
     for part in ("failure-free", "0.0 % 0.0 % to 56.1 %", "123.4 ± 0.0", "crash 3", "3 episodes, 3 failed"):
