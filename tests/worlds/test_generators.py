@@ -188,6 +188,19 @@ def test_a_generator_that_finds_no_way_says_so():
         solvable(blocked, np.random.default_rng(0), 0.5, (8.0, 8.0))
 
 
+def test_worlds_without_a_way_are_drawn_again():
+    """Walls that leave a quarter of the floor; then with doors too narrow; then with doors that are ways."""
+    left = [0.0, 0.3, 0.8]
+
+    def quarters(rng, difficulty, size):
+        long = 4.0 - left.pop(0) / 2
+        return [(x, y, 0.2, long, 0.0) for x in (2.0, 4.0, 6.0) for y in (long / 2, 8.0 - long / 2)], []
+
+    world = solvable(quarters, np.random.default_rng(0), 1.0, (8.0, 8.0))
+    assert left == []
+    assert world.free_space(0.3).area > 8.0 * 8.0 / 3
+
+
 # ---- the floor
 
 
