@@ -27,7 +27,8 @@ def main(arguments: list[str] | None = None) -> None:
         short: dict[str, Any] = {"n_envs": 2, "total_timesteps": 64, "eval_episodes": 1, "eval_steps": 2}
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
         film(policy, Path(folder, "film.gif"), steps=2)
-    make_env("maze", "raw", simulation="kinematic", observe=["laser", "camera"]).reset()
+    worlds = {"generator": "mixed", "worlds": 5, "difficulty": 0.0}
+    make_env("maze", "raw", simulation="kinematic", observe=["laser", "camera"], world=worlds).reset()
     print("compiled; what comes next starts without")
 
 

@@ -16,6 +16,7 @@ from tb2rl.envs.batch import Batch
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
 from tb2rl.errors import InputError
+from tb2rl.judging.evaluator import Evaluator
 from tb2rl.registry import find_world
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.simulation.streams import GeneratorDraws
@@ -34,7 +35,17 @@ def forest(rng, difficulty, size) -> World:
 
 def lost(rng, difficulty, size):
     return None
+
+def felled(rng, difficulty, size) -> World:
+    return None
 """
+
+
+class Ahead:
+    """Drives straight on."""
+
+    def predict(self, observation, *, deterministic=False):
+        return np.array(0), None
 
 
 @pytest.fixture
@@ -112,6 +123,7 @@ WRONG = [
     (None, "task.world: must be a name, a list of names, or a generator"),
     ({"generator": "os:remove"}, "a function that makes worlds says so"),
     ({"generator": "my_forest:lost"}, "a function that makes worlds says so"),
+    ({"generator": "my_forest:felled"}, "generator my_forest:felled made no tb2rl.worlds.World but NoneType"),
     (["loop", "wall/nowhere.yaml"], "there is no world file wall/nowhere.yaml"),
 ]
 
@@ -150,6 +162,25 @@ def test_the_command_line_takes_them_too():
         [sys.executable, "-m", "tb2rl.train", "--set", "task.world={generator: clutr}"], capture_output=True, text=True
     )
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+
+
+def test_a_setting_of_a_generator_can_be_changed_alone(tmp_path):
+    (tmp_path / "many.yaml").write_text("task: {world: {generator: rooms, difficulty: 0.2, worlds: 4}}\n")
+    preset = str(tmp_path / "many.yaml")
+    config = resolve(preset=preset, settings=parse_settings(["task.world.difficulty=0.8"]))
+    assert config.task.world == {"generator": "rooms", "difficulty": 0.8, "worlds": 4}
+    assert resolve(preset=preset, settings={"task.world": "loop"}).scene.place == "loop"
+    with pytest.raises(InputError, match=r"task\.world: must name its generator"):
+        resolve(settings={"task.world.difficulty": 0.8})
+
+
+def test_gymnasium_takes_them_too():
+    env = gym.make("tb2rl:TurtleBot2Maze-v0", world=EASY, simulation="kinematic")
+    many = gym.make_vec("tb2rl:TurtleBot2Maze-v0", 50, world=EASY, simulation="kinematic")
+    for scene in (env.unwrapped.scene, many.unwrapped.batch.scene):
+        assert len(scene.setup.worlds) == 10
+    many.reset(seed=0)
+    assert len(set(many.unwrapped.batch.reading.start.world)) == 10
 
 
 # ---- where episodes begin
@@ -226,6 +257,16 @@ def test_both_simulations_begin_alike():
         poses.append([env.reset(seed=seed)[1]["pose"] for seed in range(3)])
         env.close()
     np.testing.assert_allclose(*poses, atol=1e-6)
+
+
+def test_an_evaluation_is_the_same_in_several_processes():
+    scene = make_scene(Wander(world=EASY), "discrete").worlds_for("test")
+    paths = []
+    for workers in (1, 2):
+        with Evaluator(scene, episodes=6, steps=4, workers=workers) as evaluator:
+            paths.append([(e.world, e.path.tobytes()) for e in evaluator.run(Ahead()).episodes])
+    assert paths[0] == paths[1]
+    assert len({world for world, _ in paths[0]}) > 2
 
 
 def test_what_is_observed_stays_the_same():

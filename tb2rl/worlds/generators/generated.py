@@ -14,6 +14,7 @@ import numpy as np
 from annotated_types import Ge, Le
 from pydantic import AfterValidator, BeforeValidator
 
+from tb2rl.errors import InputError
 from tb2rl.values import Fraction
 from tb2rl.worlds.generators.enclosure import Size
 from tb2rl.worlds.world import World
@@ -57,12 +58,14 @@ def generate(settings: Generated, makers: Sequence[Maker], purpose: Purpose) -> 
         purpose: What they are for.
 
     Raises:
-        InputError: If there is no such world.
+        InputError: If one cannot be made.
     """
     made = []
     for number in range(settings.worlds):
         maker, rng = makers[number % len(makers)], generator_of(purpose, settings.seed, number)
         world = maker(rng, rng.uniform(*settings.difficulty), settings.size)
+        if not isinstance(world, World):
+            raise InputError(f"generator {settings.generator} made no tb2rl.worlds.World but {type(world).__name__}")
         made.append(replace(world, name=f"{maker.__name__} {number} ({purpose})"))
     return tuple(made)
 
