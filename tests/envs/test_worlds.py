@@ -142,7 +142,7 @@ def test_what_does_not_fit_is_said_in_one_line(setting, words, forest):
 
 
 def test_an_empty_folder_holds_no_world(tmp_path):
-    with pytest.raises(InputError, match=r"there is no world in the folder .*; files of worlds end in .txt"):
+    with pytest.raises(InputError, match=r"there is no world in the folder .*; files of worlds end in .*\.yaml"):
         find_worlds(str(tmp_path))
 
 
