@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.files import find_file, is_path, top_folder
+from tb2rl.files import find_file, top_folder
 
 if TYPE_CHECKING:
     from tb2rl.robots import Robot
@@ -55,7 +55,7 @@ TASKS = {
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }
 ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot3")}
-_MADE_BY_CODE = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(.+))?")  # module:WORLD, or module:reader:path
+MADE_BY_CODE = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(.+))?")  # module:WORLD, or module:reader:path
 
 
 def agent_names() -> list[str]:
@@ -141,7 +141,7 @@ def find_world(reference: str) -> World:
     from tb2rl.worlds import World
     from tb2rl.worlds.readers import READERS, read_world
 
-    code = _MADE_BY_CODE.fullmatch(reference)
+    code = MADE_BY_CODE.fullmatch(reference)
     if code is None:
         path = find_file(reference, _worlds_folder(), "world")
         found: Any = read_world(path, READERS.get(path.suffix) or _plugged_reader(reference, path.suffix))
@@ -151,7 +151,7 @@ def find_world(reference: str) -> World:
     else:
         if not os.path.isfile(code[2]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
             raise InputError(one_line(f"there is no world file {code[2]}"))
-        reader = _maker(code[1])
+        reader = world_maker(code[1])
         if not inspect.signature(reader).parameters:
             raise InputError(one_line(f"world {reference!r}: {code[1]} reads no file; write {code[1]}"))
         found = read_world(Path(code[2]), reader)
@@ -160,7 +160,7 @@ def find_world(reference: str) -> World:
     return found
 
 
-def _maker(reference: str) -> Callable[..., World]:
+def world_maker(reference: str) -> Callable[..., World]:
     """The function of "module:function" that makes worlds.
 
     A world's name may come from a stranger's file, so nothing else may be called by it, such as `os.remove`.
@@ -178,31 +178,27 @@ def _maker(reference: str) -> Callable[..., World]:
     return found
 
 
-def _plugged_reader(reference: str, ending: str) -> Callable[[Path], World]:
-    """What another package reads files with that end so."""
+def world_endings() -> list[str]:
+    """How files of worlds can end: what a built-in reader or one of another package reads."""
     from tb2rl.worlds.readers import READERS
 
+    return sorted({*READERS, *(f".{plugged}" for plugged in _plugins("worlds"))})
+
+
+def _plugged_reader(reference: str, ending: str) -> Callable[[Path], World]:
+    """What another package reads files with that end so."""
     plugins = {f".{plugged}": function for plugged, function in _plugins("worlds").items()}
     if ending not in plugins:
-        raise unknown(f"ending of the world file {one_line(reference, 100)}:", ending, {*READERS, *plugins})
-    return _maker(plugins[ending])
+        raise unknown(f"ending of the world file {one_line(reference, 100)}:", ending, world_endings())
+    return world_maker(plugins[ending])
 
 
 def _made(reference: str) -> World:
     """The world that a function without arguments makes."""
-    maker = _maker(reference)
+    maker = world_maker(reference)
     if any(argument.default is argument.empty for argument in inspect.signature(maker).parameters.values()):
         raise InputError(f"world {reference!r} reads files; write {reference}:PATH")
     return maker()
-
-
-def absolute_world(reference: str) -> str:
-    """The reference with an absolute path, if a file is meant: so that a run finds its world from any folder."""
-    code = _MADE_BY_CODE.fullmatch(reference)
-    if code is not None:
-        return reference if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
-    is_file = is_path(reference) and os.path.isfile(reference)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
-    return str(Path(reference).resolve()) if is_file else reference
 
 
 def _is_class_variable(annotation: Any) -> bool:

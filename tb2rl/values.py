@@ -64,8 +64,22 @@ def _sensors(value: Any) -> Any:
     return value
 
 
+def _worlds(value: Any) -> Any:
+    """A world's name, a generator's settings, or a tuple of these."""
+    entries = value if isinstance(value, list | tuple) else [value]
+    if not entries:
+        raise ValueError("must name at least one world")
+    for entry in entries:
+        if not isinstance(_no_object(entry), str | Mapping):
+            raise ValueError("must be a name, a list of names, or a generator: {generator: clutter, difficulty: 0.5}")
+        if isinstance(entry, Mapping) and not all(isinstance(key, str) for key in (*entry, entry.get("generator"))):
+            raise ValueError("must name its generator, such as {generator: clutter, difficulty: 0.5}")
+    return value if isinstance(value, str | Mapping) else tuple(entries)
+
+
 Arguments = dict[str, Any]
 Observed = Annotated[tuple[str | dict[str, Arguments | None], ...], Len(1, 100), BeforeValidator(_sensors)]
+Worlds = Annotated[Any, BeforeValidator(_worlds)]  # what they mean: see `tb2rl.envs.worlds`
 
 _UNKNOWN = "unexpected_keyword_argument"  # pydantic's word for a key that a dataclass does not have
 _CHECKS = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)

@@ -25,7 +25,14 @@ def main(arguments: list[str] | None = None) -> None:
     from tb2rl.worlds import World
 
     with TemporaryDirectory() as folder:
-        short: dict[str, Any] = {"n_envs": 2, "total_timesteps": 64, "eval_episodes": 1, "eval_steps": 2}
+        worlds = {"task.world": {"generator": "mixed", "worlds": 5, "difficulty": 0.0}}
+        short: dict[str, Any] = {
+            "settings": worlds,
+            "n_envs": 2,
+            "total_timesteps": 64,
+            "eval_episodes": 1,
+            "eval_steps": 2,
+        }
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
         film(policy, Path(folder, "film.gif"), steps=2)
     make_env("maze", "raw", simulation="kinematic", observe=["laser", "camera"]).reset()

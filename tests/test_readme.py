@@ -13,7 +13,16 @@ from pathlib import Path
 import pytest
 
 CHECKOUT = Path(__file__).parent.parent
-DOORS = ("agents", "configs", "tb2rl/robots", "tb2rl/sensors", "tb2rl/tasks", "tb2rl/worlds", "zoo")
+DOORS = (
+    "agents",
+    "configs",
+    "tb2rl/robots",
+    "tb2rl/sensors",
+    "tb2rl/tasks",
+    "tb2rl/worlds",
+    "tb2rl/worlds/generators",
+    "zoo",
+)
 PAGES = ("README.md", "FROM_ROS.md", "CONTRIBUTING.md", *(f"{door}/README.md" for door in DOORS))
 SHORTER = {  # what is put behind a command, so that it is over in a moment
     "train": "--simulation kinematic --n-envs 32 --total-timesteps 256 --eval-freq 0 --no-evaluation --no-progress",

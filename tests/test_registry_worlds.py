@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from tb2rl import load, make_env
+from tb2rl.envs.worlds import absolute_worlds
 from tb2rl.errors import InputError
 from tb2rl.files import is_path
-from tb2rl.registry import absolute_world, find_world, world_names
+from tb2rl.registry import find_world, world_names
 from tb2rl.runs.loading import config_of
 
 DRAWING = "#####\n#S.G#\n#...#\n#####\n"
@@ -98,7 +99,7 @@ def test_a_format_of_another_package_is_read_by_the_ending_of_its_files(write_pa
 def test_a_file_or_folder_of_the_same_name_does_not_take_the_place_of_a_built_in_world(make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     make(Path("loop"))
-    assert absolute_world("loop") == "loop"
+    assert absolute_worlds("loop") == "loop"
     assert config_of(load("zoo:maze-loop-qlearn")).task.world == "loop"
 
 
@@ -170,10 +171,10 @@ def test_code_that_does_not_make_a_world_is_refused_with_one_line(reference, wor
 def test_a_reference_to_a_file_becomes_absolute_and_any_other_stays(my_worlds, monkeypatch):
     monkeypatch.chdir(my_worlds)
     Path("mine.txt").write_text(DRAWING)
-    assert absolute_world("mine.txt") == str(my_worlds / "mine.txt")
-    assert absolute_world("my_worlds:read:post.radius") == f"my_worlds:read:{my_worlds / 'post.radius'}"
-    assert absolute_world("my_worlds:POST") == "my_worlds:POST"
-    assert absolute_world("loop") == "loop"
-    found = [absolute_world(reference) for reference in ("mine.txt", "my_worlds:read:post.radius")]
+    assert absolute_worlds("mine.txt") == str(my_worlds / "mine.txt")
+    assert absolute_worlds("my_worlds:read:post.radius") == f"my_worlds:read:{my_worlds / 'post.radius'}"
+    assert absolute_worlds("my_worlds:POST") == "my_worlds:POST"
+    assert absolute_worlds("loop") == "loop"
+    found = [absolute_worlds(reference) for reference in ("mine.txt", "my_worlds:read:post.radius")]
     monkeypatch.chdir("/")
     assert [find_world(reference).name for reference in found] == ["mine", "post"]

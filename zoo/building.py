@@ -43,7 +43,8 @@ def build(entry: Entry, again: bool) -> None:
 def _draw(evaluation: Evaluation, file: Path) -> None:
     """Draw the paths of the first episodes and of all that failed."""
     shown = [episode for i, episode in enumerate(evaluation.episodes) if episode.failed or i < _DRAWN]
-    picture = draw_paths(evaluation.scene, [each.path for each in shown], [each.failed for each in shown])
+    columns = ([getattr(each, name) for each in shown] for name in ("path", "failed", "world"))
+    picture = draw_paths(evaluation.scene, *columns)
     Image.fromarray(picture).quantize(64).save(file, optimize=True)
 
 

@@ -27,8 +27,10 @@ def rehearse(task: Task, setup: Setup) -> tuple[Actions, tuple[Sensor, ...]]:
     hint = ", or @property is missing above it" if callable(actions) else ""
     _demand(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
     with np.errstate(all="ignore"):  # some tasks divide by a speed, and these robots stand
-        start = task.begin(setup, GeneratorDraws(np.random.default_rng(0), _ROBOTS))
-        _check_start(start, task, setup, where)
+        each = range(len(setup.worlds)) if task.goal_task else [0]  # one of them may have no goal
+        for part in (*map(setup.within, each), setup):
+            start = task.begin(part, GeneratorDraws(np.random.default_rng(0), _ROBOTS))
+            _check_start(start, task, setup, where)
         reading, own = _at_rest(start, setup), task.sensors(setup)
         _demand(isinstance(own, tuple | list), f"{where}: sensors must return a tuple: (Compass(),)", own)
         sensors = observed_sensors(task, tuple(own), setup)

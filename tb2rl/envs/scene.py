@@ -13,14 +13,16 @@ from gymnasium import spaces
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
 from tb2rl.envs.frames import Observer, stacked_space
 from tb2rl.envs.rehearsal import rehearse
+from tb2rl.envs.worlds import are_generated, find_worlds, place_of
 from tb2rl.errors import InputError, unknown
-from tb2rl.registry import find_robot, find_world
+from tb2rl.registry import find_robot
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors import Sensor
 from tb2rl.simulation import Setup
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Actions, Task
 from tb2rl.worlds import World
+from tb2rl.worlds.generators import Purpose
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +59,14 @@ class Scene:
 
     @property
     def world(self) -> World:
-        """The first of the worlds: the one that pictures and reports show."""
+        """The first of the worlds; pictures of an episode show that of its start."""
         return self.setup.worlds[0]
 
     @property
     def place(self) -> str:
         """Where what drives, for titles: "loop", or "loop with turtlebot3" if it is not the usual robot."""
-        usual = self.robot.name == Task.robot
-        return self.world.name if usual else f"{self.world.name} with {self.robot.name}"
+        worlds = place_of(self.task.world, self.setup.worlds)
+        return worlds if self.robot.name == Task.robot else f"{worlds} with {self.robot.name}"
 
     @property
     def action_space(self) -> spaces.Space:
@@ -73,9 +75,16 @@ class Scene:
 
     @cached_property
     def goal(self) -> tuple[float, float] | None:
-        """Where an episode is to get, x and y [m], for pictures; None for a task without a goal."""
-        x, y = self.task.begin(self.setup, GeneratorDraws(np.random.default_rng(0))).goal[0].tolist()
-        return (x, y) if self.task.goal_task else None
+        """Where an episode in the first world is to get, see `goal_in`."""
+        return self.goal_in(0)
+
+    def goal_in(self, world: int) -> tuple[float, float] | None:
+        """Where an episode in the world with this index is to get, x and y [m]; None for a task without a goal."""
+        if not self.task.goal_task:
+            return None
+        start = self.task.begin(self.setup.within(world), GeneratorDraws(np.random.default_rng(0)))
+        x, y = start.goal[0].tolist()
+        return x, y
 
     def observer(self) -> Observer:
         """What turns the readings of some robots into what they observe, from their episodes' first one on."""
@@ -95,6 +104,12 @@ class Scene:
         if not settings.keys().isdisjoint({"robot", "world"}):
             raise InputError("a scene keeps its robot and its world; make another one")
         return _assemble(replace(self.task, **settings), self.observation, self.robot, self.setup.worlds)
+
+    def worlds_for(self, purpose: Purpose) -> Scene:
+        """The scene in the worlds for a purpose: generated ones differ, see `tb2rl.worlds.generators`."""
+        if not are_generated(self.task.world):
+            return self
+        return _assemble(self.task, self.observation, self.robot, find_worlds(self.task.world, purpose))
 
 
 def with_robots_settings(settings: Mapping[str, Any], task: Task | None = None) -> dict[str, Any]:
@@ -121,7 +136,7 @@ def with_robots_settings(settings: Mapping[str, Any], task: Task | None = None) 
 
 
 def make_scene(task: Task, observation: str) -> Scene:
-    """The scene that a task's settings describe.
+    """The scene that a task's settings describe, in worlds to train in.
 
     Args:
         task: The task.
@@ -132,7 +147,7 @@ def make_scene(task: Task, observation: str) -> Scene:
     """
     if observation not in BEAMS:
         raise unknown("observation", observation, BEAMS)
-    return _assemble(task, observation, find_robot(task.robot), (find_world(task.world),))
+    return _assemble(task, observation, find_robot(task.robot), find_worlds(task.world))
 
 
 def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, ...]) -> Scene:
@@ -148,9 +163,17 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
         raise InputError(f"task.field_of_view cannot be {field:.4g}: {sees}")
     laser = replace(robot.laser, beams=beams, indices=task.beam_indices, noise=task.noise, field_of_view=field)
     setup = Setup(robot, laser, worlds)
-    for world in worlds:
-        world.free_space(robot.radius)  # says that there is no room at the start
+    _check_starts(task, robot, worlds)
     actions, sensors = rehearse(task, setup)
     encoding = encode(observation, sensors)
     space = stacked_space(encoding.space, task.frames)
     return Scene(task, observation, setup, encoding, space, actions.within(robot), sensors)
+
+
+def _check_starts(task: Task, robot: Robot, worlds: tuple[World, ...]) -> None:
+    """Raise an `InputError` if there is no room at the start of a world."""
+    if len(worlds) == 1:  # of which `begin` asks for the exact free space anyway
+        worlds[0].free_space(robot.radius)
+        return
+    for world in worlds:
+        world.check_start(task.start_clearance if task.start == "random" else robot.radius)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import Any, SupportsFloat
+from typing import Annotated, Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
+from annotated_types import Ge, Lt
 from gymnasium.envs.registration import EnvSpec
 
 from tb2rl.envs.encodings import row
@@ -22,7 +23,7 @@ _RENDER_MODES = ("rgb_array", "human")
 
 
 class TurtleBot2Env(gym.Env[Any, Any]):
-    """One robot in one world.
+    """One robot, in one world at a time.
 
     | | |
     |---|---|
@@ -73,10 +74,12 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.path: list[np.ndarray] = []  # poses since the reset, for pictures: only with a render_mode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; `options={"pose": (x, y, yaw)}` says where, else the task does.
+        """Start an episode; `options={"world": 3, "pose": (x, y, yaw)}` says where, else the task does.
+
+        Either option can be given alone; a world is its index among `scene.setup.worlds`.
 
         Raises:
-            InputError: If that pose is inside a wall.
+            InputError: If there is no such world, or that pose is inside a wall.
         """
         super().reset(seed=seed)
         self.reading = self.simulation.reset(self._start(options or {}), self.np_random)
@@ -171,6 +174,9 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     def _start(self, options: dict[str, Any]) -> Start:
         setup = self.scene.setup
+        if options.get("world") is not None:
+            index = checked(Annotated[int, Ge(0), Lt(len(setup.worlds))], options["world"], "options.world")
+            setup = setup.within(index)
         if "pose" not in options:
             return self.task.begin(setup, GeneratorDraws(self.np_random))
         x, y, yaw = checked(Pose, options["pose"], "options.pose")

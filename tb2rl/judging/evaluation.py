@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Ge
 from gymnasium import spaces
 
 from tb2rl.envs.scene import Scene
@@ -33,6 +34,7 @@ class Episode:
     episode_return: float
     path: np.ndarray  # x, y [m] at the start and after each step, shape (length + 1, 2), float32
     actions: np.ndarray  # of each step: shape (length,), whole numbers, or (length, 2), float32
+    world: Annotated[int, Ge(0)] = 0  # index among those of the scene
 
 
 _SIMULATION = Literal["bullet", "kinematic"]
@@ -157,10 +159,12 @@ def kept_evaluation(run: Run) -> Evaluation:
         raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation: {error!s}")) from None
     if task != run.config.task:
         raise InputError(f"{run.folder}: {EVALUATION} is not of the task in config.yaml")
-    space = run.config.scene.action_space
-    if any(episode.actions.shape[1:] != space.shape for episode in episodes):
+    scene = run.config.scene.worlds_for("test").changed(episode_steps=steps)
+    if any(episode.actions.shape[1:] != scene.action_space.shape for episode in episodes):
         raise InputError(f"{run.folder}: {EVALUATION} has other actions than the task in config.yaml")
-    return Evaluation(episodes, run.config.scene.changed(episode_steps=steps), seed, simulation)
+    if any(episode.world >= len(scene.setup.worlds) for episode in episodes):
+        raise InputError(f"{run.folder}: {EVALUATION} has more worlds than the task in config.yaml")
+    return Evaluation(episodes, scene, seed, simulation)
 
 
 def _episodes_from(each: Sequence[Mapping[str, Any]], arrays: Mapping[str, Sequence[np.ndarray]]) -> list[Episode]:

@@ -45,7 +45,7 @@ class Evaluator:
 
     Args:
         scene: Where and what to do; its start poses and time limit are replaced.
-        episodes: How many, each from a start pose of its own.
+        episodes: How many, each in a world that is drawn for it, from a start pose of its own.
         steps: Control steps at most in an episode.
         seed: Of the start poses and of all noise.
         workers: Processes; None: one for each processor, 1: this one alone.
@@ -64,7 +64,8 @@ class Evaluator:
     ) -> None:
         self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judging_simulation()
         draws = GeneratorDraws(np.random.default_rng(seed), episodes)
-        self.poses = scene.changed(start="random").task.begin(scene.setup, draws).pose
+        starts = scene.changed(start="random").task.begin(scene.setup, draws)
+        self.poses, self.worlds = starts.pose, starts.world.astype(int).tolist()
         workers = min(workers or processors(), episodes)
         self._pool = None
         if workers > 1:
@@ -86,15 +87,18 @@ class Evaluator:
 
     def _drive_here(self, policy: Policy) -> Iterator[Episode]:
         with closing(TurtleBot2Env(self.scene, simulation=self.simulation)) as env:
-            for i, pose in enumerate(self.poses):
-                yield evaluate_episode(env, policy, pose, self.seed + i)
+            for i, (pose, world) in enumerate(zip(self.poses, self.worlds, strict=True)):
+                yield evaluate_episode(env, policy, pose, self.seed + i, world)
 
     def _drive_in(self, pool: ProcessPoolExecutor, policy: Policy) -> Iterator[Episode]:
         with TemporaryDirectory() as folder:  # a table can have millions of values: through no pipe, each time
             file = Path(folder, "policy")
             file.write_bytes(cloudpickle.dumps(policy))
             with main_hidden():  # processes start as they are needed
-                jobs = [pool.submit(_drive_one, file, pose, self.seed + i) for i, pose in enumerate(self.poses)]
+                jobs = [
+                    pool.submit(_drive_one, file, pose, self.seed + i, world)
+                    for i, (pose, world) in enumerate(zip(self.poses, self.worlds, strict=True))
+                ]
             for job in jobs:
                 yield job.result()
 
@@ -110,9 +114,9 @@ class Evaluator:
         self.close()
 
 
-def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int) -> Episode:
+def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int, world: int = 0) -> Episode:
     """One episode of the greedy policy from a pose x [m], y [m], yaw [rad], shape (3,); see `roll_out`."""
-    moments = list(roll_out(env, policy, seed, pose))
+    moments = list(roll_out(env, policy, seed, pose, world))
     last = moments[-1]
     places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
     return Episode(
@@ -126,6 +130,7 @@ def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed:
         episode_return=last.total,
         path=np.array(places, dtype=np.float32),
         actions=np.array([moment.action for moment in moments], dtype=smallest_type(env.action_space)),
+        world=world,
     )
 
 
@@ -140,6 +145,8 @@ def evaluate(
     **conditions: Any,
 ) -> Evaluation:
     """Evaluate a policy; the standard evaluation unless `conditions` say otherwise.
+
+    Where worlds are generated, it is in test worlds, which no training draws.
 
     Args:
         policy: A loaded policy, a reference that `load` takes, or anything with `predict`, such as a model of
@@ -157,7 +164,7 @@ def evaluate(
     """
     if isinstance(policy, str | Path):
         policy = load(policy)
-    scene = _scene(policy, config, task, observation, settings or {})
+    scene = _scene(policy, config, task, observation, settings or {}).worlds_for("test")
     check_observes(policy, scene)
     with Evaluator(scene, **conditions) as evaluator:
         return evaluator.run(getattr(policy, "policy", policy), progress)
@@ -196,5 +203,5 @@ def _open_env(scene: bytes, simulation: str) -> None:
     _env = TurtleBot2Env(pickle.loads(scene), simulation=simulation)
 
 
-def _drive_one(policy: Path, pose: np.ndarray, seed: int) -> Episode:
-    return evaluate_episode(_env, pickle.loads(policy.read_bytes()), pose, seed)
+def _drive_one(policy: Path, pose: np.ndarray, seed: int, world: int) -> Episode:
+    return evaluate_episode(_env, pickle.loads(policy.read_bytes()), pose, seed, world)

@@ -36,7 +36,9 @@ class Moment:
     start: Start  # how the episode began: one robot's world, goal and bounds
 
 
-def roll_out(env: TurtleBot2Env, policy: Policy, seed: int, pose: np.ndarray | None = None) -> Iterator[Moment]:
+def roll_out(
+    env: TurtleBot2Env, policy: Policy, seed: int, pose: np.ndarray | None = None, world: int | None = None
+) -> Iterator[Moment]:
     """One episode of the greedy policy.
 
     Args:
@@ -44,13 +46,15 @@ def roll_out(env: TurtleBot2Env, policy: Policy, seed: int, pose: np.ndarray | N
         policy: What drives.
         seed: Of the noise, of the start pose unless one is given, and of a policy that draws.
         pose: Where it starts: x [m], y [m], yaw [rad], shape (3,); None: where the task says.
+        world: Index of the world that it is in; None: the one that the task draws.
 
     Raises:
         InputError: If the pose is inside a wall, or the policy gives an action that does not exist.
     """
     with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whatever happened before
         th.manual_seed(seed)
-        observation, info = env.reset(seed=seed, options=None if pose is None else {"pose": tuple(pose)})
+        options = {"world": world} if pose is None else {"world": world, "pose": tuple(pose)}
+        observation, info = env.reset(seed=seed, options=options)
         step, total, over = 0, 0.0, False
         remembered: dict[str, Any] = {}  # by a recurrent policy; others do not know the argument
         while not over:

@@ -74,7 +74,7 @@ class _Record:
 
     def __init__(self, batch: Batch) -> None:
         self._batch, robots = batch, batch.robots
-        self._starts = batch.reading.pose.copy()
+        self._starts, self._worlds = batch.reading.pose.copy(), batch.reading.start.world.astype(int).tolist()
         self._places = [self._starts[:, :2].astype(np.float32)]
         self._actions: list[np.ndarray] = []
         self._touched = np.zeros(robots, dtype=bool)
@@ -116,6 +116,7 @@ class _Record:
                 episode_return=float(end["return"]),
                 path=paths[robot, : end["length"] + 1],
                 actions=actions[robot, : end["length"]],
+                world=self._worlds[robot],
             )
             for robot, end in enumerate(self._ends)
         ]

@@ -104,7 +104,8 @@ class Evaluate(BaseCallback):
             self.logger.record(f"eval/{key}", summary[key])
         self.logger.record("eval/score", evaluation.score[0])
         few = evaluation.episodes[:_PATHS_DRAWN]
-        picture = draw_paths(evaluation.scene, [episode.path for episode in few], [episode.failed for episode in few])
+        columns = ([getattr(episode, name) for episode in few] for name in ("path", "failed", "world"))
+        picture = draw_paths(evaluation.scene, *columns)
         self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)
         return evaluation

@@ -216,13 +216,13 @@ def stopped_early(config: Config, timesteps: int) -> str:
 
 
 def _evaluator(config: Config) -> Evaluator | TwinEvaluator:
-    settings, scene = config.train, config.scene
+    """What says which policy of a training is the best: in worlds that it is not trained in, if they are generated."""
+    settings, scene = config.train, config.scene.worlds_for("validation")
     episodes, conditions = settings.eval_episodes, (settings.eval_steps, TRAINING_SEED)
     if settings.eval_simulation == "kinematic":
+        many = _FEW if has_images(scene.observation_space) else _MANY
         try:
-            return TwinEvaluator(
-                scene, episodes or (_FEW if has_images(scene.observation_space) else _MANY), *conditions
-            )
+            return TwinEvaluator(scene, episodes or many, *conditions)
         except InputError as error:
             print(f"evaluations on the way are in PyBullet, and slower: {error}", flush=True)
     return Evaluator(scene, episodes or _FEW, *conditions)

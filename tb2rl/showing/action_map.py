@@ -52,6 +52,8 @@ class ActionMap:
 def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     """What the greedy policy does, at rest, at places all over the free space and at headings all around.
 
+    Of several worlds it is the first.
+
     All places are seen at once, by the robots of the twin; None where it cannot show what a sensor reads.
 
     Args:
@@ -84,7 +86,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
 def _starts(scene: Scene, places: np.ndarray) -> Iterator[Start]:
     """For each heading the start of a robot at each of the places (places, 2)."""
     for heading in range(HEADINGS):
-        start = scene.task.begin(scene.setup, GeneratorDraws(np.random.default_rng(0), len(places)))
+        start = scene.task.begin(scene.setup.within(0), GeneratorDraws(np.random.default_rng(0), len(places)))
         start.pose[:, :2], start.pose[:, 2] = places, heading * math.tau / HEADINGS
         yield start
 

@@ -6,6 +6,7 @@ Nothing that a user named stands in a chart: names belong to the page around it,
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
 
-from tb2rl.judging.evaluation import Evaluation
+from tb2rl.judging.evaluation import Episode, Evaluation
 from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, PATH, START, WALL
 from tb2rl.showing.curves import Curve, Family
 from tb2rl.worlds import World
@@ -29,6 +30,7 @@ from tb2rl.worlds.world import box_shape
 WIDTH = 4.2  # [in] a phone shows it nearly as large, so its text stays readable
 _DOTS = 120  # [1/in] of what is drawn as pixels: thousands of path segments would be megabytes as SVG
 _FEW = 30  # points that are marked one by one
+_WORLDS, _COLUMNS = 12, 3  # that a picture shows of many, and how many of them stand beside each other
 _CELL, _CELLS = 0.1, 150  # [m] side of a cell of the heat map, and how many stand beside each other at most
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -73,23 +75,47 @@ def _draw_family(axes: Axes, family: Family, number: int) -> None:
 
 @matplotlib.rc_context(_STYLE)
 def draw_ways(evaluation: Evaluation) -> Markup:
-    """The paths of all episodes, a dot at each start and a cross at the end of each that failed."""
-    figure, axes = _world_figure(evaluation.scene.world)
-    paths = [episode.path for episode in evaluation.episodes]
-    axes.add_collection(LineCollection(paths, colors=PATH, linewidths=0.6, alpha=0.3, rasterized=True))
-    _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid="starts")
-    failures = [episode.path[-1] for episode in evaluation.episodes if episode.failed]
-    _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid="failures")
-    if evaluation.scene.goal is not None:
-        goal = evaluation.scene.goal
-        _mark(axes, [goal], s=90, color=GOAL, marker="*", edgecolors="black", linewidths=0.5, zorder=5, gid="goal")
+    """The paths of episodes in their worlds, a dot at each start and a cross at the end of each that failed.
+
+    Each world has a picture of its own; where there are many, see `shown_worlds`.
+    """
+    scene, together = evaluation.scene, shown_worlds(evaluation)
+    figure, each = _world_figure([scene.setup.worlds[world] for world in together])
+    for axes, (world, episodes) in zip(each, together.items(), strict=True):
+        paths, own = [episode.path for episode in episodes], f"-{world}" * (len(together) > 1)
+        axes.add_collection(LineCollection(paths, colors=PATH, linewidths=0.6, alpha=0.3, rasterized=True))
+        _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
+        failures = [episode.path[-1] for episode in episodes if episode.failed]
+        _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
+        goal = scene.goal_in(world)
+        if goal is not None:
+            _mark(
+                axes,
+                [goal],
+                s=90,
+                color=GOAL,
+                marker="*",
+                edgecolors="black",
+                linewidths=0.5,
+                zorder=5,
+                gid=f"goal{own}",
+            )
     return _svg(figure)
+
+
+def shown_worlds(evaluation: Evaluation) -> dict[int, list[Episode]]:
+    """The episodes by the index of their world, of which those come first where one failed; of many worlds some."""
+    together: dict[int, list[Episode]] = {}
+    for episode in evaluation.episodes:
+        together.setdefault(episode.world, []).append(episode)
+    ordered = sorted(together.items(), key=lambda item: not any(episode.failed for episode in item[1]))
+    return dict(ordered[:_WORLDS])
 
 
 @matplotlib.rc_context(_STYLE)
 def draw_time(evaluation: Evaluation) -> Markup:
     """How much of the time of all episodes was spent in each cell of the world."""
-    figure, axes = _world_figure(evaluation.scene.world)
+    figure, (axes,) = _world_figure([evaluation.scene.world])
     shares, (left, right, bottom, top) = time_shares(evaluation)
     largest = shares.max() or 1.0  # 0: the robots were out of the world's bounds at all times
     image = axes.imshow(
@@ -124,17 +150,31 @@ def _as_percent(share: float, _: int | None) -> str:
     return f"{100 * share:g} %"
 
 
-def _world_figure(world: World) -> tuple[Figure, Axes]:
+def _world_figure(worlds: Sequence[World]) -> tuple[Figure, list[Axes]]:
+    """A figure with the walls of each of some worlds."""
+    columns = min(len(worlds), _COLUMNS)
+    rows = math.ceil(len(worlds) / columns)
+    x0, y0, x1, y1 = worlds[0].bounds
+    height = WIDTH / columns * min((y1 - y0) / (x1 - x0), 1.4)
+    figure = Figure(figsize=(WIDTH, rows * max(height, 0.4 * WIDTH / columns)), layout="constrained")
+    return figure, [_draw_world(figure, (rows, columns, i + 1), world) for i, world in enumerate(worlds)]
+
+
+def _draw_world(figure: Figure, place: tuple[int, int, int], world: World) -> Axes:
+    """Axes in a place of the figure, with what stands in the world; scales only where it is alone."""
     x0, y0, x1, y1 = world.bounds
-    height = WIDTH * min((y1 - y0) / (x1 - x0), 1.4)
-    figure = Figure(figsize=(WIDTH, max(height, 0.4 * WIDTH)), layout="constrained")
-    axes = figure.add_subplot(xlabel="x [m]", ylabel="y [m]", aspect="equal", facecolor=FLOOR)
+    axes = figure.add_subplot(*place, aspect="equal", facecolor=FLOOR)
+    if place[:2] == (1, 1):
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+    else:
+        axes.xaxis.set_visible(False)
+        axes.yaxis.set_visible(False)
     axes.set(xlim=(x0, x1), ylim=(y0, y1))
     axes.spines[:].set_visible(False)
     walls = [Polygon(np.array(box_shape(row).exterior.coords)) for row in world.boxes]
     posts = [Circle((x, y), radius) for x, y, radius in world.posts]
     axes.add_collection(PatchCollection([*walls, *posts], facecolor=WALL, linewidth=0, zorder=2))
-    return figure, axes
+    return axes
 
 
 def _mark(axes: Axes, points: Sequence[Any], **look: Any) -> None:

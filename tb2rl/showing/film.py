@@ -42,7 +42,7 @@ def open_env(
     """
     if isinstance(policy, str | Path):
         policy = load(policy)
-    scene = (config or config_of(policy)).with_task({**settings, "episode_steps": steps}).scene
+    scene = (config or config_of(policy)).with_task({**settings, "episode_steps": steps}).scene.worlds_for("test")
     check_observes(policy, scene)
     return policy, TurtleBot2Env(scene, simulation=judging_simulation())
 

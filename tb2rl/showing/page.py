@@ -14,7 +14,7 @@ from tb2rl.judging.evaluator import EPISODES
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, START, WALL
 from tb2rl.showing.action_map import HEADINGS, ActionMap, action_map
-from tb2rl.showing.charts import draw_curves, draw_time, draw_ways, with_own_ids
+from tb2rl.showing.charts import draw_curves, draw_time, draw_ways, shown_worlds, with_own_ids
 from tb2rl.showing.curves import Family
 from tb2rl.showing.groups import Group, differences
 from tb2rl.showing.palettes import ACTIONS, colours
@@ -46,14 +46,21 @@ class Row:
     group: Group
     subject: Subject
     ways: Markup  # the paths of the evaluation
-    time: Markup  # where its time was spent
+    time: Markup | None  # where its time was spent; None: in several worlds
     map: ActionMap | None  # what the policy does at each place; None: see `action_map`
 
     @classmethod
     def drawn(cls, group: Group, subject: Subject) -> Row:
         """Draw the pictures."""
-        pictures = draw_ways(subject.evaluation), draw_time(subject.evaluation)
-        return cls(group, subject, *pictures, action_map(subject.policy, subject.config.scene))
+        evaluation = subject.evaluation
+        time = draw_time(evaluation) if len(subject.scene.setup.worlds) == 1 else None
+        return cls(group, subject, draw_ways(evaluation), time, action_map(subject.policy, subject.config.scene))
+
+    @property
+    def worlds(self) -> tuple[int, int]:
+        """How many worlds the paths are shown in, and how many there were episodes in."""
+        evaluation = self.subject.evaluation
+        return len(shown_worlds(evaluation)), len({episode.world for episode in evaluation.episodes})
 
 
 def page(groups: Sequence[Group], progress: bool = False) -> str:

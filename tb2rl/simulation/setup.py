@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from tb2rl.robots import Laser, Robot
+from tb2rl.simulation.streams import Draws
 from tb2rl.worlds import World
+from tb2rl.worlds.places import Places
 
 PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9 mm deep; 100 Hz costs a third more
 
@@ -24,11 +26,13 @@ class Setup:
         robot: What drives.
         laser: The robot's laser with the beams and the noise that the task asks for.
         worlds: At least one; a `Start` names one by its index.
+        only: Index of the one world that episodes begin in; None: any of them.
     """
 
     robot: Robot
     laser: Laser
     worlds: tuple[World, ...]
+    only: int | None = None
 
     @cached_property
     def table(self) -> np.ndarray:
@@ -41,3 +45,41 @@ class Setup:
             table[number, BOUNDS] = world.bounds
         table[:, PARAMETERS] = self.robot.parameters
         return table
+
+    @cached_property
+    def _places(self) -> Places:
+        return Places(self.worlds, self.robot.radius)
+
+    def within(self, world: int) -> Setup:
+        """The setup whose episodes begin in the world with this index alone."""
+        setup = replace(self, only=world)
+        vars(setup).update({name: getattr(self, name) for name in ("table", "_places")})  # which are the same
+        return setup
+
+    def draw_worlds(self, draws: Draws) -> int | np.ndarray:
+        """The world that each robot begins in: a number of its own decides where there are several.
+
+        Returns:
+            The index of the world of all, or of each one's, shape (robots,).
+        """
+        if self.only is not None or len(self.worlds) == 1:
+            return self.only or 0
+        return (draws.uniform(1)[:, 0] * len(self.worlds)).astype(int)
+
+    def poses_from(self, worlds: int | np.ndarray, draws: np.ndarray, clearance: float) -> np.ndarray:
+        """Poses spread evenly over where robots can begin.
+
+        Args:
+            worlds: Index of the world of all, or of each one's, shape (robots,).
+            draws: Four random numbers in [0, 1) for each, shape (robots, 4).
+            clearance: To obstacles and bounds [m].
+
+        Returns:
+            x [m], y [m], yaw [rad], shape (robots, 3).
+
+        Raises:
+            InputError: If the start of the only world has no such clearance; that of several is known to have it.
+        """
+        if len(self.worlds) == 1:
+            return self.worlds[0].poses_from(draws, clearance)
+        return self._places.poses_from(np.broadcast_to(worlds, len(draws)), draws, clearance)

@@ -12,7 +12,7 @@ from tb2rl.sensors.goal import BEARING_EDGES, DISTANCE_EDGES, GoalBearing, GoalD
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.outcome import Outcome
 from tb2rl.tasks.wander import Wander
-from tb2rl.values import Edges, Point, Positive
+from tb2rl.values import Edges, Point, Positive, Worlds
 from tb2rl.worlds.world import Bounds
 
 
@@ -25,7 +25,7 @@ class ReachGoal(Wander):
 
     goal_task: ClassVar[bool] = True
 
-    world: str = "wall"
+    world: Worlds = "wall"
     goal: Point | None = None  # [m] x and y; None: the world's own goal
     goal_tolerance: Positive = 0.2  # [m] in x and in y
     closer_reward: float = 5.0  # on top of the step's reward

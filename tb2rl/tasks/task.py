@@ -15,7 +15,7 @@ from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
-from tb2rl.values import Count, Edges, Name, NonNegative, Observed, Positive
+from tb2rl.values import Count, Edges, Name, NonNegative, Observed, Positive, Worlds
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Task(ABC):
     goal_task: ClassVar[bool] = False  # whether its episodes succeed at a goal, and not by lasting
 
     robot: Name = "turtlebot2"  # a built-in name, or "module:ROBOT"
-    world: Name = "loop"  # a built-in name, the path of a file, "module:reader:path" or "module:WORLD"
+    world: Worlds = "loop"  # or several, or a generator with its settings: see tb2rl/worlds/README.md
     start: Literal["fixed", "random"] = "random"
     start_clearance: Annotated[Positive, Le(100)] = 0.6  # [m] to walls and the bounds, of a random start
     control_period: Annotated[float, Gt(0), Le(60)] = 0.2  # [s] an action lasts
@@ -65,10 +65,11 @@ class Task(ABC):
         """How the episodes of some robots begin: at the world's start pose, or anywhere in its free space.
 
         Args:
-            setup: The robot, and the worlds to begin in.
+            setup: The robot, and the worlds to begin in: each robot in one that is drawn for it.
             draws: Random numbers for the robots whose episodes begin.
         """
-        start = Start.proposed(setup, draws.robots)
+        worlds = setup.draw_worlds(draws)
+        start = Start.proposed(setup, draws.robots, worlds)
         if self.start == "random":
-            start.pose[:] = setup.worlds[0].poses_from(draws.uniform(4), self.start_clearance)
+            start.pose[:] = setup.poses_from(worlds, draws.uniform(4), self.start_clearance)
         return start

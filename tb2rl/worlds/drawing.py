@@ -36,11 +36,11 @@ def read_drawing(text: str, cell: float) -> Drawing:
         for column, mark in enumerate(line):
             if mark in "SG":
                 marks[mark] = ((column + 0.5) * cell, (row + 0.5) * cell, 0.0)
-        for run in _stretches([column for column, mark in enumerate(line) if mark == "#"]):
+        for run in stretches([column for column, mark in enumerate(line) if mark == "#"]):
             runs.setdefault(run, []).append(row)
     boxes: list[BoxShape] = []
     for (first, last), rows in runs.items():
-        for bottom, top in _stretches(rows):
+        for bottom, top in stretches(rows):
             length, width = (last - first + 1) * cell, (top - bottom + 1) * cell
             boxes.append(((first + last + 1) / 2 * cell, (bottom + top + 1) / 2 * cell, length, width, 0.0))
     return Drawing(boxes, marks.get("S"), marks.get("G"))
@@ -62,7 +62,7 @@ def _check(lines: Sequence[str]) -> None:
                 seen[mark] = place
 
 
-def _stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:
+def stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:
     """First and last of each stretch of consecutive ascending integers."""
     stretches: list[tuple[int, int]] = []
     for number in numbers:

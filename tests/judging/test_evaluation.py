@@ -172,6 +172,32 @@ def test_continuous_actions_are_read_back(cruise, tmp_path, outcomes):
     assert outcomes(kept_evaluation(Run.open(tmp_path / "run"))) == outcomes(evaluation)
 
 
+def test_episodes_in_many_worlds_are_read_back_with_theirs(tmp_path, outcomes):
+    world = {"generator": "clutter", "worlds": 30, "difficulty": 0.0}
+    config = resolve("random", settings={"task.world": world})
+    evaluation = evaluate(make_baseline(config), config, episodes=5, steps=3, workers=1)
+    folder = Run.create(tmp_path / "run", config).folder
+    Run.open(folder).write_evaluation(*evaluation.tree(config, "random"))
+    back = kept_evaluation(Run.open(folder))
+    assert outcomes(back) == outcomes(evaluation)
+    assert [each.world for each in back.episodes] == [each.world for each in evaluation.episodes]
+    assert len({each.world for each in back.episodes}) > 2
+    names = [world.name for world in back.scene.setup.worlds]
+    assert (
+        names == [world.name for world in evaluation.scene.setup.worlds] == [f"clutter {i} (test)" for i in range(30)]
+    )
+    changed(folder, put("each", 0, "world", value=30))
+    assert_refused(folder, "evaluation.json has more worlds than the task")
+    changed(folder, put("each", 0, "world", value=-1))
+    assert_refused(folder, "evaluation.json is not an evaluation")
+
+
+def test_an_older_evaluation_says_no_world(keep):
+    folder = keep()
+    changed(folder, lambda tree: [each.pop("world") for each in tree["each"]])
+    assert [each.world for each in kept_evaluation(Run.open(folder)).episodes] == [0, 0]
+
+
 def test_actions_of_another_kind_than_the_tasks_are_refused(keep, cruise, tmp_path):
     folder = keep()
     other = Run.create(tmp_path / "other", resolve("stable_baselines3:PPO", cruise))

@@ -34,6 +34,11 @@ POLICIES = {
     "ppo": ("ppo", "wall", {"agent.policy_kwargs.net_arch": [8]}),
     "recurrent": ("sb3_contrib:RecurrentPPO", "maze", {"agent.policy_kwargs.lstm_hidden_size": 8, "train.n_envs": 1}),
     "continuous": ("stable_baselines3:SAC", "cruise", {"agent.policy_kwargs.net_arch": [8]}),
+    "worlds": (
+        "ppo",
+        "wall",
+        {"agent.policy_kwargs.net_arch": [8], "task.world": "cells", "task.start_clearance": 0.3},
+    ),
     "images": ("stable_baselines3:A2C", "pictured", {"task.observation": "raw"}),
 }
 
@@ -50,12 +55,12 @@ def test_every_episode_is_the_one_that_a_robot_drives_alone(name, request):
     assert len({episode.start for episode in evaluation.episodes}) == 12
     env = TurtleBot2Env(evaluation.scene, simulation="kinematic")
     for together in evaluation.episodes:
-        alone = evaluate_episode(env, policy, np.array(together.start), seed=0)
+        alone = evaluate_episode(env, policy, np.array(together.start), 0, together.world)
         assert together.actions.dtype == alone.actions.dtype
         np.testing.assert_allclose(together.actions, alone.actions, atol=1e-3)  # float32, summed in another order
         assert together.path.shape == alone.path.shape == (alone.length + 1, 2)
         np.testing.assert_allclose(together.path, alone.path, atol=1e-3)
-        for figure in ("ended", "failed", "success", "touched", "length"):
+        for figure in ("ended", "failed", "success", "touched", "length", "world"):
             assert getattr(together, figure) == getattr(alone, figure), figure
         assert together.distance == pytest.approx(alone.distance, abs=1e-3)
         assert together.episode_return == pytest.approx(alone.episode_return, rel=1e-4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 
+import numpy as np
 import pytest
 from filelock import FileLock
 
@@ -85,3 +86,22 @@ def test_a_state_that_does_not_fit_is_refused_and_the_folder_is_left_as_it_was(s
     assert str(run.checkpoints[0]) in str(refused.value)
     assert "\n" not in str(refused.value)
     assert {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()} == before
+
+
+@pytest.mark.parametrize(("simulation", "environments", "steps"), [("kinematic", 32, 1024), ("bullet", 2, 256)])
+def test_a_training_in_many_worlds_resumes_to_the_bit(
+    simulation, environments, steps, small, killed, differences, tmp_path
+):
+    world = {"task.world": {"generator": "mixed", "worlds": 512}, "task.start_clearance": 0.25}
+    ppo = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2, "task.crash_range": 0.0}
+    train = {"simulation": simulation, "total_timesteps": steps, "n_envs": environments, "episode_steps": 10, "keep": 9}
+    train |= {"save_freq": steps // 2, "eval_freq": steps // 2, "eval_episodes": 5, "eval_steps": 5}
+    whole = train_config(small("ppo", "maze", {**world, **ppo}, **train), tmp_path / "whole").run
+    resumed = killed(whole, tmp_path / "resumed")
+    assert resume(resumed.folder).timesteps == steps // 2
+    states = [read_checkpoint(run.checkpoints[0]) for run in (whole, resumed)]
+    assert differences(*states) == []
+    environment = states[0]["training"]["environments"]
+    each = [environment] if simulation == "kinematic" else environment
+    places = [state["simulation"]["start"][:, 3] for state in each]
+    assert len(np.unique(places)) > 0.6 * environments, "robots in worlds of their own"

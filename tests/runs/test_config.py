@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from tb2rl.envs import scene
+from tb2rl.envs import worlds
 from tb2rl.registry import agent_names, find_agent, task_names
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.layers import resolve
@@ -44,8 +44,8 @@ def test_what_does_not_fit_the_task_is_said_when_the_config_is_made(key, refused
 
 def test_the_names_in_a_config_become_objects_once(monkeypatch):
     found = []
-    find_world = scene.find_world
-    monkeypatch.setattr(scene, "find_world", lambda name: found.append(name) or find_world(name))
+    find_world = worlds.find_world
+    monkeypatch.setattr(worlds, "find_world", lambda name: found.append(name) or find_world(name))
     config = resolve("dqn", "wall")
     assert config.scene is config.scene
     assert config.scene.task is config.task

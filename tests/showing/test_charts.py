@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image
 
 from tb2rl.registry import find_world
-from tb2rl.showing.charts import draw_curves, draw_time, draw_ways, time_shares, with_own_ids
+from tb2rl.showing.charts import WIDTH, draw_curves, draw_time, draw_ways, shown_worlds, time_shares, with_own_ids
 from tb2rl.showing.curves import Curve, Family
 from tb2rl.showing.groups import grouped
 from tb2rl.showing.page import charts
@@ -113,6 +114,28 @@ def test_starts_failures_and_the_goal_are_marked_where_they_are(failing, make):
 def test_without_failures_or_a_goal_only_starts_are_marked(ended, make):
     picture = draw_ways(make.evaluation([make.episode([(0, 4), (1, 4)], [0], ended, failed=False)]))
     assert [len(marks(picture, kind)) for kind in ("starts", "failures", "goal")] == [1, 0, 0]
+
+
+def test_each_of_several_worlds_has_a_picture_of_its_own(make):
+    """Episodes are drawn where they drove, and those worlds come first where one failed."""
+    worlds = [0, 0, 2, *range(3, 20)]
+    ways = [
+        replace(make.episode([(1, 1), (2, world)], [0], "crash" if world == 2 else "time limit"), world=world)
+        for world in worlds
+    ]
+    generated = {"generator": "clutter", "worlds": 20, "difficulty": 0.3}
+    evaluation = make.evaluation(ways, ReachGoal(world=generated, start_clearance=0.3))
+    together = shown_worlds(evaluation)
+    assert list(together) == [2, 0, *range(3, 13)]
+    assert together[0] == ways[:2]
+    picture = draw_ways(evaluation)
+    assert [len(marks(picture, f"starts-{world}")) for world in together] == [1, 2, *[1] * 10]
+    assert [len(marks(picture, f"failures-{world}")) for world in together] == [1, *[0] * 11]
+    ((x, y),), ((goal_x, goal_y),) = marks(picture, "starts-2"), marks(picture, "goal-2")
+    goal = evaluation.scene.setup.worlds[2].goal
+    scale = 72 * WIDTH / 3 / 8.2  # at most, [pt/m]
+    assert np.sign([goal_x - x, y - goal_y]).tolist() == np.sign(np.subtract(goal[:2], 1.0)).tolist()
+    assert 0.7 * scale < (goal_x - x) / (goal[0] - 1.0) <= scale
 
 
 def test_the_heat_map_shares_out_all_the_time(seeds):

@@ -94,6 +94,13 @@ def test_settings_change_what_is_filmed(make, frames, tmp_path):
         film(make.policy(), tmp_path / "it.mp4", make.config(), {"wrld": "loop"})
 
 
+def test_films_are_in_worlds_that_no_training_draws(make):
+    world = {"generator": "rooms", "worlds": 5, "difficulty": 0.0}
+    _, env = open_env(make.policy(), make.config(), {"world": world}, steps=7)
+    assert [world.name for world in env.scene.setup.worlds] == [f"rooms {i} (test)" for i in range(5)]
+    env.close()
+
+
 def test_what_plays_is_loaded_and_held_against_its_task(seeds, make):
     policy, env = open_env(seeds / "seed-0", None, {"noise": 0.1}, steps=7)
     env.close()

@@ -57,6 +57,19 @@ def test_it_loads_nothing_and_its_ids_are_its_own(seeds, pages, tmp_path):
     assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", page.source)
 
 
+def test_episodes_in_several_worlds_are_shown_in_theirs(subject, make, pages):
+    worlds = [0, 1, *range(20)]
+    ways = [replace(make.episode([(1, 1), (2, 2 + i / 5)], [0]), world=world) for i, world in enumerate(worlds)]
+    task = Wander(world={"generator": "clutter", "worlds": 20, "difficulty": 0.3})
+    scene = make_scene(task, "discrete")
+    subject = replace(subject, evaluation=Evaluation(ways, scene, SEED))
+    shown = pages(page(grouped([subject])))
+    for part in ("22 episodes, 0 failed; 12 of 20 worlds", "drove in several worlds", "in 20 worlds of clutter"):
+        assert part in " ".join(shown.text.split())
+    assert [name for name in set(shown.ids) if shown.ids.count(name) > 1] == []
+    assert sum("starts" in name for name in shown.ids) == 12
+
+
 def test_the_evaluation_table_has_the_figures_of_the_evaluation(seeds, pages, tmp_path):
     page = pages.of(seeds / "seed-0", "--out", tmp_path / "it.html")
     for part in ("failure-free", "0.0 % 0.0 % to 56.1 %", "123.4 ± 0.0", "crash 3", "3 episodes, 3 failed"):

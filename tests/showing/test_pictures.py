@@ -52,3 +52,13 @@ def test_a_task_without_a_goal_shows_none_though_its_world_has_one(make):
 def test_every_path_needs_a_word_on_whether_it_failed(make):
     with pytest.raises(ValueError, match="shorter"):
         draw_paths(make.config().scene, PATHS, [True])
+
+
+def test_paths_in_several_worlds_are_drawn_in_theirs(make):
+    scene = make.config("maze", world=["loop", "wall", "circuit"]).scene
+    pictures = [draw_paths(scene, [path], [True], [world]) for path, world in zip(PATHS, (2, 1), strict=True)]
+    together = draw_paths(scene, [*PATHS, PATHS[0]], [True, True, True], [2, 1, 2])
+    (high, wide, _), (low, narrow, _) = (picture.shape for picture in pictures)
+    assert together.shape == (max(high, low), wide + narrow, 3)
+    assert (together[:high, :wide] == pictures[0]).all()
+    assert (together[:low, wide:] == pictures[1]).all()

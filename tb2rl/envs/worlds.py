@@ -1,0 +1,101 @@
+"""The worlds that `task.world` names: one, several, a folder of files, or those that a generator makes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.files import is_path
+from tb2rl.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
+from tb2rl.values import build
+from tb2rl.worlds import World
+from tb2rl.worlds.generators import GENERATORS, Generated, Purpose, generate
+
+_NAMED = 3  # worlds that a title names one by one
+
+
+def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...]:
+    """The worlds of a task.
+
+    Args:
+        setting: A name that `find_world` takes, a generator's name, a folder, the settings of a generator, or a list of
+            all these. What is both a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
+        purpose: What generated worlds are for; others are the same for every purpose.
+
+    Raises:
+        InputError: If there is no such world, or a setting does not fit.
+    """
+    if isinstance(setting, Mapping):
+        return _generated(build(Generated, setting, "task.world"), purpose)
+    if not isinstance(setting, str):
+        return tuple(world for entry in setting for world in find_worlds(entry, purpose))
+    if _is_folder(setting):
+        return tuple(map(find_world, _files_in(setting)))
+    if setting in _generators():
+        return _generated(Generated(setting), purpose)
+    if ":" not in setting and not is_path(setting) and setting not in world_names():
+        raise unknown("world", setting, [*world_names(), *_generators()])
+    return (find_world(setting),)
+
+
+def absolute_worlds(setting: Any) -> Any:
+    """The setting with absolute paths of files and folders: so that a run finds its worlds from any folder."""
+    if isinstance(setting, Mapping):
+        return setting
+    if not isinstance(setting, str):
+        return tuple(map(absolute_worlds, setting))
+    code = MADE_BY_CODE.fullmatch(setting)
+    if code is not None:
+        return setting if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
+    is_file = is_path(setting) and os.path.isfile(setting)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+    return str(Path(setting).resolve()) if is_file or _is_folder(setting) else setting
+
+
+def are_generated(setting: Any) -> bool:
+    """Whether some worlds of a setting are generated: these are other ones for each purpose."""
+    if isinstance(setting, str):
+        return setting in _generators()
+    return isinstance(setting, Mapping) or any(map(are_generated, setting))
+
+
+def place_of(setting: Any, worlds: Sequence[World]) -> str:
+    """What titles call the worlds of a setting: "loop", "loop, circuit", "512 worlds of mixed"."""
+    if len(worlds) <= _NAMED:
+        return ", ".join(world.name for world in worlds)
+    generator = setting["generator"] if isinstance(setting, Mapping) else setting
+    of = f" of {generator}" if are_generated(setting) and isinstance(generator, str) else ""
+    return f"{len(worlds)} worlds{of}"
+
+
+@lru_cache(maxsize=16)
+def _generated(settings: Generated, purpose: Purpose) -> tuple[World, ...]:
+    if ":" in settings.generator:
+        return generate(settings, (world_maker(settings.generator),), purpose)
+    if settings.generator not in GENERATORS:
+        raise unknown("generator", settings.generator, GENERATORS)
+    return generate(settings, GENERATORS[settings.generator], purpose)
+
+
+def _generators() -> list[str]:
+    """Generators that a name alone means: a built-in world comes first."""
+    return [name for name in GENERATORS if name not in world_names()]
+
+
+def _is_folder(name: str) -> bool:
+    is_name = name in world_names() or name in GENERATORS
+    return not is_name and "\0" not in name and os.path.isdir(name)  # noqa: PTH112 (Path.is_dir raises for a name that is too long)
+
+
+def _files_in(folder: str) -> list[str]:
+    """The files of worlds in a folder, by name."""
+    endings = world_endings()
+    files = sorted(str(file) for file in Path(folder).iterdir() if file.suffix in endings)
+    if not files:
+        raise InputError(
+            one_line(f"there is no world in the folder {folder}; files of worlds end in {', '.join(endings)}")
+        )
+    return files

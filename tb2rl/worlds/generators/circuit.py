@@ -1,0 +1,54 @@
+"""`circuit`: one closed corridor with bends to both sides, neither junctions nor dead ends.
+
+It runs around a tree whose fields are two by two of its own: all around a tree, a way comes back to where it began.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tb2rl.worlds.generators.enclosure import Shapes, Size, solvable
+from tb2rl.worlds.generators.lattice import Field, spanning_tree, spread, walls
+from tb2rl.worlds.world import World
+
+CORRIDOR = (1.6, 1.0)  # [m] its width at difficulty 0 and 1, at least
+WALL = 0.16  # [m] its thickness
+_USED = 0.75  # of the fields of the tree, at least; the others are solid
+
+
+def circuit(rng: np.random.Generator, difficulty: float, size: Size) -> World:
+    """Each stretch of the corridor has a width of its own."""
+    return solvable(_draw, rng, difficulty, size)
+
+
+def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
+    width = float(np.interp(difficulty, (0.0, 1.0), CORRIDOR))
+    columns, rows = (max(2, int((length + WALL) / (width + WALL) / 2)) for length in size)
+    fields = int(rng.integers(int(np.ceil(_USED * columns * rows)), columns * rows + 1))
+    joined = _around(spanning_tree(rng, columns, rows, fields))
+    rooms = [length - (2 * count - 1) * WALL for length, count in zip(size, (columns, rows), strict=True)]
+    widths, heights = (
+        spread(rng, room, min(width, room / (2 * count)), 2 * count)
+        for room, count in zip(rooms, (columns, rows), strict=True)
+    )
+    return walls(joined, widths, heights, WALL), []
+
+
+def _around(tree: set[frozenset[Field]]) -> set[frozenset[Field]]:
+    """The pairs of quarters of fields that a way around a tree leads through."""
+    joined = set[frozenset[Field]]()
+    for column, row in {field for pair in tree for field in pair}:
+        x, y = 2 * column, 2 * row
+        sides = {  # the two quarters at each side, and the neighbour there
+            (column, row - 1): ((x, y), (x + 1, y)),
+            (column, row + 1): ((x, y + 1), (x + 1, y + 1)),
+            (column - 1, row): ((x, y), (x, y + 1)),
+            (column + 1, row): ((x + 1, y), (x + 1, y + 1)),
+        }
+        for other, quarters in sides.items():
+            if frozenset(((column, row), other)) in tree:  # the way goes over to it, and comes back
+                dx, dy = other[0] - column, other[1] - row
+                joined |= {frozenset((quarter, (quarter[0] + dx, quarter[1] + dy))) for quarter in quarters}
+            else:
+                joined.add(frozenset(quarters))
+    return joined

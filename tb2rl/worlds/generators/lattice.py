@@ -1,0 +1,90 @@
+"""Rows and columns of fields on the floor: which of them are joined, and the boxes between those that are not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import numpy as np
+
+from tb2rl.worlds.drawing import stretches
+from tb2rl.worlds.world import BoxShape
+
+Field = tuple[int, int]  # column, row
+
+
+def spanning_tree(
+    rng: np.random.Generator, columns: int, rows: int, fields: int | None = None
+) -> set[frozenset[Field]]:
+    """Pairs of neighbours that join fields without a loop, by a walk that turns back where it is stuck.
+
+    Args:
+        rng: Where random numbers come from.
+        columns, rows: How many.
+        fields: How many of them to join; None: all.
+    """
+    here = (int(rng.integers(columns)), int(rng.integers(rows)))
+    way, met, joined = [here], {here}, set[frozenset[Field]]()
+    while way and len(met) < (fields or columns * rows):
+        column, row = way[-1]
+        around = [(column + 1, row), (column, row + 1), (column - 1, row), (column, row - 1)]
+        new = [f for f in around if f not in met and 0 <= f[0] < columns and 0 <= f[1] < rows]
+        if new:
+            chosen = new[int(rng.integers(len(new)))]
+            joined.add(frozenset((way[-1], chosen)))
+            met.add(chosen)
+            way.append(chosen)
+        else:
+            way.pop()
+    return joined
+
+
+def neighbours(columns: int, rows: int) -> list[frozenset[Field]]:
+    """Every pair of neighbours."""
+    sideways = [frozenset(((c, r), (c + 1, r))) for c in range(columns - 1) for r in range(rows)]
+    return sideways + [frozenset(((c, r), (c, r + 1))) for c in range(columns) for r in range(rows - 1)]
+
+
+def walls(
+    joined: set[frozenset[Field]], widths: Sequence[float], heights: Sequence[float], wall: float
+) -> list[BoxShape]:
+    """Boxes between fields that are not joined, and in place of those that are joined to no other one.
+
+    Args:
+        joined: Pairs of neighbours with no wall between.
+        widths, heights: Of the columns and the rows [m].
+        wall: Thickness of what stands between them [m].
+    """
+    columns, rows = len(widths), len(heights)
+    solid = np.ones((2 * rows - 1, 2 * columns - 1), dtype=bool)  # every other row and column is a wall's
+    for pair in joined:
+        (c0, r0), (c1, r1) = sorted(pair)
+        for row, column in ((2 * r0, 2 * c0), (2 * r1, 2 * c1), (r0 + r1, c0 + c1)):
+            solid[row, column] = False
+    return _boxes(solid, _edges(widths, wall), _edges(heights, wall))
+
+
+def _edges(sizes: Sequence[float], wall: float) -> list[float]:
+    """Where fields and the walls between them begin and end [m]."""
+    parts = [part for size in sizes for part in (size, wall)][:-1]
+    return [0.0, *accumulate(parts)]
+
+
+def _boxes(solid: np.ndarray, x: Sequence[float], y: Sequence[float]) -> list[BoxShape]:
+    """The solid parts (rows, columns) as boxes: runs of a row are one, and equal runs above each other one larger."""
+    runs: dict[tuple[int, int], list[int]] = {}
+    for row, line in enumerate(solid):
+        for run in stretches(np.flatnonzero(line).tolist()):
+            runs.setdefault(run, []).append(row)
+    boxes: list[BoxShape] = []
+    for (first, last), those in runs.items():
+        for low, high in stretches(those):
+            (x0, x1), (y0, y1) = (x[first], x[last + 1]), (y[low], y[high + 1])
+            boxes.append(((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, 0.0))
+    return boxes
+
+
+def spread(rng: np.random.Generator, total: float, least: float, count: int) -> list[float]:
+    """`count` sizes of at least `least` [m] that make `total` [m] together; what is left over is shared at random."""
+    shares = rng.dirichlet(np.ones(count))
+    return (least + (total - count * least) * shares).tolist()

@@ -1,0 +1,309 @@
+"""A task in many worlds: how settings name them, and that each episode is in a world of its own."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import tb2rl
+from tb2rl.envs.batch import Batch
+from tb2rl.envs.scene import make_scene
+from tb2rl.envs.worlds import absolute_worlds, find_worlds
+from tb2rl.errors import InputError
+from tb2rl.judging.evaluator import Evaluator
+from tb2rl.registry import find_world
+from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.wander import Wander
+
+FEW = {"generator": "mixed", "worlds": 10}
+EASY = {**FEW, "difficulty": 0.0}
+NEAR = {"start_clearance": 0.25, "crash_range": 0.0}
+FOREST = """
+from tb2rl.worlds import World
+
+def forest(rng, difficulty, size) -> World:
+    posts = [(x, y, 0.1 + 0.1 * difficulty) for x, y in rng.uniform(1.0, size[0], (5, 2)).tolist()]
+    return World.from_shapes("a forest", posts=posts, start=(0.0, 0.0, 0.0), bounds=(-1.0, -1.0, *size))
+
+def lost(rng, difficulty, size):
+    return None
+
+def felled(rng, difficulty, size) -> World:
+    return None
+"""
+
+
+class Ahead:
+    """Drives straight on."""
+
+    def predict(self, observation, *, deterministic=False):
+        return np.array(0), None
+
+
+@pytest.fixture
+def forest(tmp_path, monkeypatch):
+    """A module of a user's own with a generator."""
+    (tmp_path / "my_forest.py").write_text(FOREST)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+def names(setting, purpose="training"):
+    return [world.name for world in find_worlds(setting, purpose)]
+
+
+# ---- what a setting means
+
+
+def test_worlds_are_named_alone_in_a_list_in_a_folder_or_by_a_generator(tmp_path):
+    for name in ("b.txt", "a.txt"):
+        (tmp_path / name).write_text("####\n#S #\n####\n")
+    (tmp_path / "notes.md").write_text("not a world")
+    assert find_worlds("loop") == (find_world("loop"),)
+    assert names(["loop", "circuit"]) == ["loop", "circuit"]
+    assert names(str(tmp_path)) == ["a", "b"]
+    assert names({"generator": "clutter", "worlds": 2}) == ["clutter 0 (training)", "clutter 1 (training)"]
+    assert names(["loop", {"generator": "maze", "worlds": 1}, str(tmp_path)]) == ["loop", "maze 0 (training)", "a", "b"]
+    assert len(names("rooms")) == 512
+
+
+def test_a_built_in_world_comes_before_a_generator_of_its_name():
+    assert names("maze") == ["maze"]
+    assert names("circuit") == ["circuit"]
+    assert len(names({"generator": "maze"})) == 512
+
+
+def test_a_folder_is_found_from_any_other_one(tmp_path, monkeypatch):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "a.txt").write_text("####\n#S #\n####\n")
+    monkeypatch.chdir(tmp_path)
+    found = absolute_worlds(["mine", "mine/a.txt", "loop", FEW])
+    monkeypatch.chdir("/")
+    assert found[1:] == (str(tmp_path / "mine" / "a.txt"), "loop", FEW)
+    assert names(found[:2]) == ["a", "a"]
+
+
+def test_a_generator_of_a_users_own(forest):
+    worlds = find_worlds({"generator": "my_forest:forest", "worlds": 3, "difficulty": 1.0, "size": [9, 9]})
+    assert [world.name for world in worlds] == [f"forest {i} (training)" for i in range(3)]
+    assert all((world.posts[:, 2] == 0.2).all() for world in worlds)
+    assert len({world.posts.tobytes() for world in worlds}) == 3
+    assert worlds[0].bounds == (-1.0, -1.0, 9.0, 9.0)
+
+
+def test_only_generated_worlds_depend_on_what_they_are_for():
+    assert names(["loop", "maze"], "test") == names(["loop", "maze"])
+    for purpose in ("training", "validation", "test"):
+        assert names({"generator": "mixed", "worlds": 1}, purpose) == [f"clutter 0 ({purpose})"]
+    scene = make_scene(Wander(), "raw")
+    assert scene.worlds_for("test") is scene
+
+
+WRONG = [
+    ("rom", "unknown world 'rom'; did you mean 'rooms'?"),
+    ({"generator": "clutr"}, "unknown generator 'clutr'; did you mean 'clutter'?"),
+    ({"generator": "clutter", "dificulty": 0.5}, "unknown key of task.world 'dificulty'; did you mean 'difficulty'?"),
+    ({"generator": "clutter", "difficulty": 1.5}, "task.world.difficulty.0: Input should be less than or equal to 1"),
+    ({"generator": "clutter", "difficulty": [0.5, 0.2]}, "task.world.difficulty: must be a number, or the lowest and"),
+    ({"generator": "clutter", "worlds": 0}, "task.world.worlds: Input should be greater than or equal to 1"),
+    ({"generator": "clutter", "seed": -1}, "task.world.seed: Input should be greater than or equal to 0"),
+    ({"generator": "clutter", "size": [1, 1]}, "task.world.size.0: Input should be greater than or equal to 4"),
+    ({"difficulty": 0.5}, "task.world: must name its generator"),
+    ({"generator": None}, "task.world: must name its generator"),
+    ([], "task.world: must name at least one world, got []"),
+    ([["loop"]], "task.world: must be a name, a list of names, or a generator"),
+    (3, "task.world: must be a name, a list of names, or a generator"),
+    (None, "task.world: must be a name, a list of names, or a generator"),
+    ({"generator": "os:remove"}, "a function that makes worlds says so"),
+    ({"generator": "my_forest:lost"}, "a function that makes worlds says so"),
+    ({"generator": "my_forest:felled"}, "generator my_forest:felled made no tb2rl.worlds.World but NoneType"),
+    (["loop", "wall/nowhere.yaml"], "there is no world file wall/nowhere.yaml"),
+]
+
+
+@pytest.mark.parametrize(("setting", "words"), WRONG)
+def test_what_does_not_fit_is_said_in_one_line(setting, words, forest):
+    for make in (
+        lambda: tb2rl.make_env(world=setting),
+        lambda: gym.make("TurtleBot2Maze-v0", world=setting),
+        lambda: resolve(settings={"task.world": setting}),
+    ):
+        with pytest.raises(InputError) as error:
+            make()
+        assert words in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_an_empty_folder_holds_no_world(tmp_path):
+    with pytest.raises(InputError, match=r"there is no world in the folder .*; files of worlds end in .*\.yaml"):
+        find_worlds(str(tmp_path))
+
+
+def test_a_start_without_room_is_said_before_anything_drives():
+    with pytest.raises(InputError, match=r"world maze 0 \(training\): the start .* lower task.start_clearance"):
+        make_scene(Wander(world={"generator": "maze", "worlds": 2, "difficulty": 1.0}, start_clearance=0.9), "raw")
+
+
+def test_the_command_line_takes_them_too():
+    said = "task.world={generator: clutter, difficulty: [0, 0.5], worlds: 3}"
+    config = resolve(settings=parse_settings([said]))
+    assert config.scene.place == "clutter 0 (training), clutter 1 (training), clutter 2 (training)"
+    assert config.to_dict()["task"]["world"] == {"generator": "clutter", "difficulty": [0, 0.5], "worlds": 3}
+    assert resolve(settings={"task.world": FEW, "task.start_clearance": 0.3}).scene.place == "10 worlds of mixed"
+    assert resolve(settings=parse_settings(["task.world=[loop, circuit]"])).scene.place == "loop, circuit"
+    done = subprocess.run(
+        [sys.executable, "-m", "tb2rl.train", "--set", "task.world={generator: clutr}"], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+
+
+def test_a_setting_of_a_generator_can_be_changed_alone(tmp_path):
+    (tmp_path / "many.yaml").write_text("task: {world: {generator: rooms, difficulty: 0.2, worlds: 4}}\n")
+    preset = str(tmp_path / "many.yaml")
+    config = resolve(preset=preset, settings=parse_settings(["task.world.difficulty=0.8"]))
+    assert config.task.world == {"generator": "rooms", "difficulty": 0.8, "worlds": 4}
+    assert resolve(preset=preset, settings={"task.world": "loop"}).scene.place == "loop"
+    with pytest.raises(InputError, match=r"task\.world: must name its generator"):
+        resolve(settings={"task.world.difficulty": 0.8})
+
+
+def test_gymnasium_takes_them_too():
+    env = gym.make("tb2rl:TurtleBot2Maze-v0", world=EASY, simulation="kinematic")
+    many = gym.make_vec("tb2rl:TurtleBot2Maze-v0", 50, world=EASY, simulation="kinematic")
+    for scene in (env.unwrapped.scene, many.unwrapped.batch.scene):
+        assert len(scene.setup.worlds) == 10
+    many.reset(seed=0)
+    assert len(set(many.unwrapped.batch.reading.start.world)) == 10
+
+
+# ---- where episodes begin
+
+
+def test_one_world_draws_what_it_always_drew():
+    """Four numbers for each robot, and no world among them."""
+    setup, draws = make_scene(Wander(), "raw").setup, np.random.default_rng(3).random((7, 4))
+    start = Wander().begin(setup, GeneratorDraws(np.random.default_rng(3), 7))
+    assert (start.pose == setup.worlds[0].poses_from(draws, 0.6)).all()
+    assert (start.world == 0).all()
+
+
+@pytest.mark.parametrize("begins", ["random", "fixed"])
+def test_each_robot_begins_in_a_world_that_is_drawn_for_it(begins):
+    task = ReachGoal(world=FEW, start=begins, start_clearance=0.3)
+    setup = make_scene(task, "raw").setup
+    start = task.begin(setup, GeneratorDraws(np.random.default_rng(0), 1000))
+    counts = np.bincount(start.world.astype(int), minlength=10)
+    assert counts.min() > 60
+    for row, world in zip(start.table, (setup.worlds[int(i)] for i in start.world), strict=True):
+        assert world.clearance(*row[:2]) >= 0.3 - 1e-6
+        assert tuple(row[4:6]) == world.goal[:2]
+        assert begins == "random" or tuple(row[:3]) == world.start
+
+
+def test_robots_of_a_batch_are_in_worlds_of_their_own():
+    scene = make_scene(Wander(world=EASY, episode_steps=4), "raw")
+    batch = Batch(scene, 300)
+    batch.seed(0)
+    batch.reset()
+    first = batch.reading.start.world.copy()
+    assert set(first) == set(range(10))
+    for _ in range(4):
+        batch.step(np.ones(300, dtype=int))
+    second = batch.reading.start.world.copy()
+    assert (first != second).mean() > 0.8
+    few = Batch(scene, 30)
+    few.seed(0)
+    few.reset()
+    assert (few.reading.start.world == first[:30]).all()
+
+
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+def test_episodes_of_one_robot_change_worlds_and_are_drawn_there(simulation):
+    env = tb2rl.make_env(world=["loop", "circuit", "round"], simulation=simulation, render_mode="rgb_array")
+    seen = {}
+    for seed in range(8):
+        _, info = env.reset(seed=seed)
+        world = env.scene.setup.worlds[int(env.reading.start.world[0])]
+        assert world.clearance(*info["pose"][:2]) >= 0.6 - 1e-3
+        seen[world.name] = env.render().shape
+    assert set(seen) == {"loop", "circuit", "round"}
+    env.close()
+
+
+def test_a_reset_can_name_the_world():
+    env = tb2rl.make_env(world=EASY, simulation="kinematic")
+    for world in (3, 7):
+        env.reset(seed=1, options={"world": world})
+        assert env.reading.start.world == world
+    where = env.scene.setup.worlds[7].start
+    _, info = env.reset(seed=1, options={"world": 7, "pose": where})
+    assert tuple(info["pose"]) == where
+    for wrong in (10, -1, "loop"):
+        with pytest.raises(InputError, match=r"options\.world"):
+            env.reset(options={"world": wrong})
+
+
+def test_both_simulations_begin_alike():
+    poses = []
+    for simulation in ("bullet", "kinematic"):
+        env = tb2rl.make_env(world=EASY, simulation=simulation)
+        poses.append([env.reset(seed=seed)[1]["pose"] for seed in range(3)])
+        env.close()
+    np.testing.assert_allclose(*poses, atol=1e-6)
+
+
+def test_an_evaluation_is_the_same_in_several_processes():
+    scene = make_scene(Wander(world=EASY), "discrete").worlds_for("test")
+    paths = []
+    for workers in (1, 2):
+        with Evaluator(scene, episodes=6, steps=4, workers=workers) as evaluator:
+            paths.append([(e.world, e.path.tobytes()) for e in evaluator.run(Ahead()).episodes])
+    assert paths[0] == paths[1]
+    assert len({world for world, _ in paths[0]}) > 2
+
+
+def test_what_is_observed_stays_the_same():
+    one, many = (tb2rl.make_env("drive", observation="raw", world=world, **NEAR) for world in ("loop", FEW))
+    assert one.observation_space == many.observation_space
+    one.close(), many.close()
+
+
+def test_a_scene_travels_to_other_processes_with_its_worlds():
+    scene = make_scene(Wander(world=FEW, **NEAR), "raw")
+    there = pickle.loads(pickle.dumps(scene))
+    starts = [s.task.begin(s.setup, GeneratorDraws(np.random.default_rng(0), 50)).table for s in (scene, there)]
+    assert (starts[0] == starts[1]).all()
+
+
+def test_a_goal_is_asked_of_every_world():
+    with pytest.raises(InputError, match="world loop has no goal"):
+        make_scene(ReachGoal(world=["wall"] * 20 + ["loop"]), "raw")
+
+
+# ---- training, validation and test worlds
+
+
+def test_a_policy_is_trained_chosen_and_judged_in_different_worlds(tmp_path):
+    world, size = {"generator": "clutter", "worlds": 40, "difficulty": 0.0}, {"agent.n_steps": 8, "agent.batch_size": 8}
+    train = {"total_timesteps": 64, "n_envs": 8, "simulation": "kinematic", "eval_freq": 32, "save_freq": 0}
+    policy = tb2rl.train(
+        "ppo", "maze", settings={"task.world": world, **size}, folder=tmp_path / "run", eval_episodes=5, eval_steps=5,
+        **train,
+    )  # fmt: skip
+    evaluation = tb2rl.evaluate(policy, episodes=6, steps=3, workers=1)
+    assert {w.name.split()[2] for w in evaluation.scene.setup.worlds} == {"(test)"}
+    assert {w.name.split()[2] for w in policy.trained_with.scene.setup.worlds} == {"(training)"}
+    assert len({episode.world for episode in evaluation.episodes}) > 2
+    for episode in evaluation.episodes:
+        there = evaluation.scene.setup.worlds[episode.world]
+        assert there.clearance(*episode.start[:2]) >= 0.6 - 1e-6
+        np.testing.assert_allclose(episode.path[0], episode.start[:2], atol=1e-6)
+    tree, _ = evaluation.tree(policy.trained_with, "it")
+    assert [each["world"] for each in json.loads(json.dumps(tree))["each"]] == [e.world for e in evaluation.episodes]
