@@ -16,6 +16,10 @@ class InputError(ValueError):
     """Foreign input that does not fit: the message is one line and names what is allowed."""
 
 
+class WorldWarning(UserWarning):
+    """What a reader of a world left out or chose by itself; a command shows it as one line."""
+
+
 class UnknownArgumentError(InputError, TypeError):
     """A keyword argument that a function does not take, in Python's own words: some libraries look for them."""
 

@@ -92,6 +92,21 @@ class World:
                 raise InputError(f"world {name}: the goal ({x:g}, {y:g}) is {where}")
         return world
 
+    def with_places(self, start: Pose | None, goal: Pose | None, bounds: Bounds | None = None) -> World:
+        """The same obstacles with another start, goal or rectangle; None: as it is.
+
+        Raises:
+            InputError: If they do not fit, as for `from_shapes`.
+        """
+        if start is goal is bounds is None:
+            return self
+        boxes = [(x, y, 2 * along, 2 * across, math.atan2(sin, cos)) for x, y, along, across, cos, sin in self.boxes]
+        posts = [(x, y, radius) for x, y, radius in self.posts]
+        start, goal, bounds = start or self.start, goal or self.goal, bounds or self.bounds
+        return World.from_shapes(
+            self.name, boxes, posts, start=start, goal=goal, bounds=bounds, description=self.description
+        )
+
     @property
     def obstacles(self) -> BaseGeometry:
         """All obstacles as one shape."""
