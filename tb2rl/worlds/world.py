@@ -223,5 +223,5 @@ def _extent(boxes: np.ndarray, posts: np.ndarray, name: str) -> Bounds:
     shapes = [*map(box_shape, boxes), *map(post_shape, posts)]
     if not shapes:
         raise InputError(f"world {name}: without obstacles it needs `bounds: [x from, y from, x to, y to]`")
-    x0, y0, x1, y1 = shapely.union_all(shapes).bounds
+    x0, y0, x1, y1 = shapely.total_bounds(shapes).tolist()
     return x0, y0, x1, y1

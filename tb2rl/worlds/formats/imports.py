@@ -16,6 +16,7 @@ from tb2rl.worlds.world import Bounds, BoxShape, PostShape, World
 
 _FLOOR = 5.0  # [m] on each side of the origin: the rectangle of a world in which nothing stands
 _AROUND = 1.0  # [m] of floor around a start and a goal beyond the obstacles
+_GAP = 0.15  # [m] from walls: gaps of less than two of it are no way for a robot, and enclose a room
 _ROOM = 0.6  # [m] to all walls: what a task asks of a start, unless it is told otherwise
 _NAMES = 100  # at most in a warning
 
@@ -107,12 +108,15 @@ def _around(bounds: Bounds, poses: Iterable[Pose]) -> Bounds:
 
 def _farthest_from_walls(world: World) -> Pose:
     """The point of the floor farthest from all walls: where walls enclose it, if there is room within them."""
-    edge = shapely.box(*world.bounds)
-    parts = shapely.get_parts(edge.difference(world.obstacles))
-    if len(parts) == 0:
+    outside = shapely.box(*world.bounds).buffer(_AROUND, join_style="mitre")
+    rooms = shapely.get_parts(outside.difference(world.obstacles.buffer(_GAP, join_style="mitre")))
+    enclosed = ~shapely.intersects(rooms, outside.exterior)
+    rooms = shapely.intersection(rooms, shapely.box(*world.bounds))
+    enclosed, rooms = enclosed[shapely.area(rooms) > 0], rooms[shapely.area(rooms) > 0]
+    if len(rooms) == 0:
         raise InputError(f"world {world.name}: obstacles are everywhere, there is no floor to start on")
-    rooms = shapely.maximum_inscribed_circle(parts, tolerance=0.01)  # lines from the centre to the nearest wall
-    enclosed = ~shapely.intersects(parts, edge.exterior) & (shapely.length(rooms) > _ROOM)
-    widths = np.where(enclosed if enclosed.any() else True, shapely.length(rooms), 0.0)
-    x, y = rooms[widths.argmax()].coords[0]
-    return round(x, 3), round(y, 3), 0.0
+    circles = shapely.maximum_inscribed_circle(rooms, tolerance=0.01)  # lines from their centres to the walls
+    radii = shapely.length(circles)
+    indoors = enclosed & (radii > _ROOM - _GAP)
+    x, y = circles[np.where(indoors if indoors.any() else True, radii, -1.0).argmax()].coords[0]
+    return round(x, 3) + 0.0, round(y, 3) + 0.0, 0.0  # + 0.0: no -0

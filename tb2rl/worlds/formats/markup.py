@@ -64,12 +64,12 @@ def text_of(element: Element | None) -> str:
     return "" if element is None else (element.text or "").strip()
 
 
-def numbers(element: Element, count: int | None = None) -> list[float]:
+def numbers(element: Element, count: int) -> list[float]:
     """The finite numbers in an element's text.
 
     Args:
         element: What holds them.
-        count: How many there must be; None: any number.
+        count: How many there must be.
 
     Raises:
         InputError: If they are not numbers, not finite, beyond `LARGEST_NUMBER`, or not as many.
@@ -81,7 +81,7 @@ def numbers(element: Element, count: int | None = None) -> list[float]:
         values = [math.nan]
     if not all(abs(value) <= LARGEST_NUMBER for value in values):
         raise InputError(one_line(f"<{element.tag}> must be finite numbers, got {' '.join(words)!r}", 200))
-    if count is not None and len(values) != count:
+    if len(values) != count:
         raise InputError(one_line(f"<{element.tag}> must be {count} numbers, got {' '.join(words)!r}", 200))
     return values
 

@@ -61,8 +61,8 @@ class Shapes:
         return "met"
 
     def _add_plane(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path, label: str) -> Side:
-        normal = numbers(shape.find("normal") or Element("normal"), None) or [0.0, 0.0, 1.0]
-        if not upright(pose) or normal[:2] != [0.0, 0.0]:
+        normal = shape.find("normal")
+        if not upright(pose) or (normal is not None and numbers(normal, 3)[:2] != [0.0, 0.0]):
             self._losses.add("planes that are not the ground are not understood", label)
         return "met"
 

@@ -13,13 +13,16 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from tb2rl.worlds.formats.cells import merge_cells
-from tb2rl.worlds.world import BoxShape, PostShape
+from tb2rl.worlds.world import BoxShape, PostShape, box_shape
 
-SHEET = 0.01  # [m] thickness of the walls along an outline, which lie within it
+SHEET = 0.01  # [m] thickness of a wall that is drawn as a line, and of one along an outline at least
+_HALVED = 16  # times, to find how deep a wall fits into an outline
+_HOLE = 0.05  # [m] radius of what is filled within an outline
+_GAP = 1e-6  # [m] of rounding
 _FLAT = 1e-6  # a shape turned by less [rad] stands upright; a corner nearer to the plane [m] lies in it
 STRAIGHT = 0.002  # [m] an outline is drawn with as few corners as stay this near to it
 _SIDES = 48  # of the prism that stands for a tilted cylinder: off by 0.2 % of its radius
-_FILLED = 24  # cells along the longer side of an outline that is filled
+_FILLED = 16  # cells along the longer side of an outline that is filled
 
 Side = Literal["met", "below", "above"]  # whether the plane meets a shape, or else where the shape is
 
@@ -75,15 +78,16 @@ class Slice:
             if part.area >= rectangle.area * (1 - 1e-6):
                 self.boxes.append(_box_along(rectangle.exterior.coords[:3]))
                 continue
-            part = shapely.orient_polygons(part)  # the inside is to the left of every edge, of holes too
-            for ring in (part.exterior, *part.interiors):
-                self.boxes += _sheets(ring.coords, SHEET / 2)
-            self.boxes += _fill(part)
+            walls = _walls_within(part)
+            self.boxes += walls
+            for rest in shapely.get_parts(part.difference(shapely.union_all([_polygon(wall) for wall in walls]))):
+                if rest.area > 0 and shapely.maximum_inscribed_circle(rest, tolerance=0.01).length > _HOLE:
+                    self.boxes += _fill(rest)
 
     def add_sheets(self, lines: Iterable[Sequence[Sequence[float]]]) -> None:
-        """Add lines of points as thin walls, centred on them: what is known of a body that is not closed."""
+        """Add lines of points as thin walls to the left of them: what is known of a body that is not closed."""
         for line in lines:
-            self.boxes += _sheets(line, 0.0)
+            self.boxes += _sheets(line)
 
 
 def upright(pose: np.ndarray) -> bool:
@@ -108,17 +112,39 @@ def _box_along(corners: Sequence[Sequence[float]]) -> BoxShape:
     return (x0 + x2) / 2, (y0 + y2) / 2, length, width, math.atan2(y1 - y0, x1 - x0)
 
 
-def _sheets(points: Sequence[Sequence[float]], inwards: float) -> list[BoxShape]:
-    """A thin wall along each piece of a line, moved to the left by `inwards` [m]."""
+def _walls_within(part: shapely.Polygon) -> list[BoxShape]:
+    """A box along each edge of a polygon, as deep as it stays within it, but `SHEET` deep at least."""
     walls: list[BoxShape] = []
-    table = np.array(points, dtype=float)[:, :2]
-    for (x0, y0), (x1, y1) in pairwise(table):
-        length = math.hypot(x1 - x0, y1 - y0)
-        if length > 0:
-            left_x, left_y = (y0 - y1) / length * inwards, (x1 - x0) / length * inwards
-            yaw = math.atan2(y1 - y0, x1 - x0)
-            walls.append(((x0 + x1) / 2 + left_x, (y0 + y1) / 2 + left_y, length, SHEET, yaw))
+    room = part.buffer(_GAP)
+    shapely.prepare(room)
+    oriented = shapely.orient_polygons(part)  # the inside is to the left of every edge, of holes too
+    for ring in (oriented.exterior, *oriented.interiors):
+        for edge in pairwise(ring.coords):
+            low, high = SHEET, max(part.bounds[2] - part.bounds[0], part.bounds[3] - part.bounds[1])
+            for _ in range(_HALVED):
+                middle = (low + high) / 2
+                low, high = (middle, high) if room.covers(_polygon(_wall(edge, middle))) else (low, middle)
+            walls.append(_wall(edge, low))
     return walls
+
+
+def _wall(edge: tuple[Sequence[float], Sequence[float]], depth: float) -> BoxShape:
+    """A box to the left of an edge."""
+    (x0, y0), (x1, y1) = edge
+    length = math.hypot(x1 - x0, y1 - y0)
+    left_x, left_y = (y0 - y1) / length * depth / 2, (x1 - x0) / length * depth / 2
+    return (x0 + x1) / 2 + left_x, (y0 + y1) / 2 + left_y, length, depth, math.atan2(y1 - y0, x1 - x0)
+
+
+def _polygon(box: BoxShape) -> BaseGeometry:
+    x, y, length, width, yaw = box
+    return box_shape(np.array([x, y, length / 2, width / 2, math.cos(yaw), math.sin(yaw)]))
+
+
+def _sheets(points: Sequence[Sequence[float]]) -> list[BoxShape]:
+    """A thin wall along each piece of a line."""
+    pieces = [(begin[:2], end[:2]) for begin, end in pairwise(points) if begin[:2] != end[:2]]
+    return [_wall(((x0, y0), (x1, y1)), SHEET) for (x0, y0), (x1, y1) in pieces]
 
 
 def _fill(part: shapely.Polygon) -> list[BoxShape]:

@@ -1,0 +1,123 @@
+"""What a robot can reach in a world: how much of the floor, which parts it cannot, and which doors are in its way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from tb2rl.values import Point
+from tb2rl.worlds.world import World
+
+_SMALLEST = 0.05  # [m^2] a part of the floor below is none to drive in
+_ROUND = 16  # segments of a quarter circle: circles are off by a five-hundredth of the robot
+_STEPS = 12  # halvings of the robot's radius: a door's width is known to a tenth of a millimetre
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the floor where the robot would fit, but to where it cannot drive.
+
+    Attributes:
+        place: A point of it, x and y [m].
+        area: [m^2]
+        closed: Whether not even a point could get there.
+    """
+
+    place: Point
+    area: float
+    closed: bool
+
+
+@dataclass(frozen=True)
+class Door:
+    """A way that is too narrow: `place` is x and y of its middle [m], `width` how wide a robot may be [m]."""
+
+    place: Point
+    width: float
+
+
+@dataclass(frozen=True)
+class Access:
+    """What a robot can reach.
+
+    Attributes:
+        floor: Area that is free of obstacles [m^2].
+        reached: Area that the robot's base can be on [m^2].
+        parts: What it cannot reach, largest first.
+        doors: Between such parts and others.
+        goal_reached: Whether its middle can be where the goal is; None for a world without a goal.
+    """
+
+    floor: float
+    reached: float
+    parts: tuple[Part, ...]
+    doors: tuple[Door, ...]
+    goal_reached: bool | None
+
+
+def find_access(world: World, radius: float) -> Access:
+    """What a round robot can reach from the start.
+
+    Raises:
+        InputError: If there is no room for it at the start.
+    """
+    reached, inside, obstacles = world.free_space(radius), shapely.box(*world.bounds), world.obstacles
+    floor = inside.difference(obstacles)
+    rooms = [room for room in _rooms(inside, obstacles, radius) if not room.intersects(reached)]
+    rooms = sorted((room for room in rooms if _covered(room, radius).area > _SMALLEST), key=lambda room: -room.area)
+    ways = [part for part in shapely.get_parts(floor) if part.intersects(reached)]
+    parts = [
+        Part(_point(room), _covered(room, radius).area, not any(way.intersects(room) for way in ways)) for room in rooms
+    ]
+    doors = _doors(inside, obstacles, floor, [reached, *rooms], radius)
+    goal = None if world.goal is None else bool(reached.buffer(1e-6).covers(shapely.Point(world.goal[:2])))
+    return Access(floor.area, _covered(reached, radius).intersection(floor).area, tuple(parts), tuple(doors), goal)
+
+
+def _rooms(inside: BaseGeometry, obstacles: BaseGeometry, radius: float) -> Sequence[BaseGeometry]:
+    """Where the middle of a robot can be, each part by itself."""
+    free = inside.buffer(-radius).difference(obstacles.buffer(radius, quad_segs=_ROUND))
+    return [part for part in shapely.get_parts(free) if part.area > 0]
+
+
+def _covered(room: BaseGeometry, radius: float) -> BaseGeometry:
+    return room.buffer(radius, quad_segs=_ROUND)
+
+
+def _doors(
+    inside: BaseGeometry, obstacles: BaseGeometry, floor: BaseGeometry, rooms: Sequence[BaseGeometry], radius: float
+) -> list[Door]:
+    """The pieces of floor that no robot is ever on and that join two rooms."""
+    if len(rooms) < 2:
+        return []
+    covered = [_covered(room, radius * 1.001) for room in rooms]  # a little more: arcs are drawn with straight lines
+    doors = []
+    for piece in shapely.get_parts(floor.difference(shapely.union_all(covered))):
+        beside = [room for room, area in zip(rooms, covered, strict=True) if area.distance(piece) < 1e-6]
+        if len(beside) >= 2:
+            around = piece.buffer(3 * radius).envelope
+            width = _width(inside.intersection(around), obstacles.intersection(around), beside[0], beside[1], radius)
+            if width > 0:
+                doors.append(Door(_point(piece), width))
+    return doors
+
+
+def _width(
+    inside: BaseGeometry, obstacles: BaseGeometry, one: BaseGeometry, other: BaseGeometry, radius: float
+) -> float:
+    """How wide a robot may be to get from one room to the other [m]."""
+    low, high = 0.0, radius
+    for _ in range(_STEPS):
+        middle = (low + high) / 2
+        free = inside.difference(obstacles.buffer(middle, quad_segs=_ROUND))
+        joined = any(part.intersects(one) and part.intersects(other) for part in shapely.get_parts(free))
+        low, high = (middle, high) if joined else (low, middle)
+    return 2 * low
+
+
+def _point(shape: BaseGeometry) -> Point:
+    point = shape.representative_point()
+    return point.x, point.y
