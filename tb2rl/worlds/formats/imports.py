@@ -77,7 +77,7 @@ def finished(
         boxes: x, y, length, width [m] and yaw [rad] of each.
         posts: x, y and radius [m] of each.
         said: What was said beside the file, and the file's own start and goal.
-        bounds: The rectangle of the file itself; None: around the obstacles.
+        bounds: The rectangle of the file itself; None: around the obstacles, and a start and a goal beyond them.
         description: One line for people.
 
     Raises:
@@ -85,9 +85,9 @@ def finished(
     """
     if said.bounds is None and bounds is None and not (boxes or posts):
         bounds = (-_FLOOR, -_FLOOR, _FLOOR, _FLOOR)
-    poses = [pose for pose in (said.start, said.goal) if pose is not None]
     known = World.from_shapes(name, boxes, posts, start=(0.0, 0.0, 0.0), bounds=said.bounds or bounds)
-    around = known.bounds if said.bounds else _around(known.bounds, poses)
+    poses = [pose for pose in (said.start, said.goal) if pose is not None]
+    around = known.bounds if said.bounds or bounds else _around(known.bounds, poses)
     start = said.start
     if start is None:
         start = _farthest_from_walls(known)
@@ -111,8 +111,8 @@ def _farthest_from_walls(world: World) -> Pose:
     outside = shapely.box(*world.bounds).buffer(_AROUND, join_style="mitre")
     rooms = shapely.get_parts(outside.difference(world.obstacles.buffer(_GAP, join_style="mitre")))
     enclosed = ~shapely.intersects(rooms, outside.exterior)
-    rooms = shapely.intersection(rooms, shapely.box(*world.bounds))
-    enclosed, rooms = enclosed[shapely.area(rooms) > 0], rooms[shapely.area(rooms) > 0]
+    rooms, room = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
+    rooms, enclosed = rooms[shapely.area(rooms) > 0], enclosed[room][shapely.area(rooms) > 0]
     if len(rooms) == 0:
         raise InputError(f"world {world.name}: obstacles are everywhere, there is no floor to start on")
     circles = shapely.maximum_inscribed_circle(rooms, tolerance=0.01)  # lines from their centres to the walls

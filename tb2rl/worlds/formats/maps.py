@@ -26,7 +26,7 @@ from tb2rl.worlds.formats.imports import Import, finished
 from tb2rl.worlds.world import World
 
 MOST_CELLS = 4_000_000  # 2 000 x 2 000 cells: 100 x 100 m at the usual resolution
-_MOST_BOXES = 100_000  # a picture of noise is no map
+_MOST_BOXES = 20_000  # a picture of noise is no map; one of a campus makes 3 000
 _FREE, _OCCUPIED = 254, 0  # the greys that map_server's own saver writes
 _DECIMALS = 9  # of an origin [m]: enough for any map, and no 0.30000000000000004
 
@@ -90,12 +90,20 @@ def read_map(path: Path, content: Mapping[str, Any], said: Import) -> World:
     if said.unknown == "obstacle":
         cells = ~(occupancy < described.free_thresh)  # so that NaN is an obstacle, too
     cells = cells[::-1]
+    _check_fineness(cells, path.stem)
     boxes = merge_cells(cells, described.resolution, described.origin)
-    if len(boxes) > _MOST_BOXES:
-        raise InputError(f"map {path.stem}: its cells make {len(boxes)} obstacles, the limit is {_MOST_BOXES}")
     said = replace(said, start=said.start or described.start, goal=said.goal or described.goal)
     size = f"{cells.shape[1]} x {cells.shape[0]} cells of {described.resolution:g} m"
     return finished(path.stem, boxes, [], said, bounds=_rectangle(cells, described), description=f"a map of {size}")
+
+
+def _check_fineness(cells: np.ndarray, name: str) -> None:
+    """Raise an `InputError` for cells of which most would be obstacles by themselves."""
+    begins = min(
+        np.count_nonzero(np.diff(cells, axis=axis) & cells.take(range(1, cells.shape[axis]), axis)) for axis in (0, 1)
+    )
+    if begins > _MOST_BOXES:
+        raise InputError(f"map {name}: its cells make more than {_MOST_BOXES} obstacles, the limit")
 
 
 def _read_picture(path: Path) -> np.ndarray:
@@ -112,6 +120,8 @@ def _read_picture(path: Path) -> np.ndarray:
                 return _channels(picture)
     except InputError:
         raise
+    except Image.DecompressionBombError:
+        raise InputError(f"{path} is too large: the limit is {MOST_CELLS} cells in all") from None
     except Exception as error:  # whatever a broken picture leads to: Pillow raises SyntaxError, struct.error and more
         raise InputError(one_line(f"cannot read the picture {path}: {error}")) from None
 

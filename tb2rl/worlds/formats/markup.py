@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -11,11 +12,23 @@ from xml.etree.ElementTree import Element
 
 from tb2rl.errors import InputError, one_line
 
-LARGEST_FILE = 8 * 2**20  # [bytes] a tree of it takes up to half a gigabyte; the largest of BARN's worlds has 1.1 MB
+LARGEST_FILE = 8 * 2**20  # [bytes] a world of BARN has 0.7 MB
+_LONG_TAG = re.compile(rb"<[^<>]{50000}")  # a million attributes take seconds
+MOST_ELEMENTS = 300_000  # a world of BARN has 11 000
 LARGEST_NUMBER = 1e6  # [m] no place or size of a world is beyond
 
 
 class _Tree(ElementTree.TreeBuilder):
+    def __init__(self) -> None:
+        super().__init__()
+        self._elements = 0
+
+    def start(self, tag: str, attributes: dict[str, str]) -> Element:
+        self._elements += 1
+        if self._elements > MOST_ELEMENTS:
+            raise InputError(f"it is too large: more than {MOST_ELEMENTS} elements")
+        return super().start(tag, attributes)
+
     def doctype(self, name: str, public: str | None, system: str | None) -> NoReturn:
         # Entities are declared there, and a few of them blow up to gigabytes; neither SDF nor COLLADA needs any.
         raise InputError("it has a <!DOCTYPE>, which is not read: take that line out")
@@ -28,6 +41,8 @@ def read_xml(path: Path) -> Element:
         InputError: If it cannot be read, is larger than `LARGEST_FILE`, declares a document type, or is not XML.
     """
     content = read_limited(path)
+    if _LONG_TAG.search(content):
+        raise InputError(f"cannot read {path}: it is too large: a tag with more than 50 kB")
     try:
         return ElementTree.fromstring(content, ElementTree.XMLParser(target=_Tree()))
     except InputError as error:

@@ -16,6 +16,11 @@ from tb2rl.worlds.formats.slices import STRAIGHT, Side, Slice
 
 ENDINGS = (".dae", ".obj", ".stl")  # those of Gazebo; they name no other files that matter
 _GRID = 1e-5  # [m] ends of lines that are nearer than this are one point
+_MOST_LINES, _MOST_MET, _ASKED = (
+    30_000,
+    40,
+    500,
+)  # lines in a cut; others that one of them meets, of some that are asked
 _OPEN = 0.25  # [m] a body with holes is filled where no robot of this radius could be inside
 
 
@@ -73,7 +78,7 @@ def cut(mesh: Any, pose: np.ndarray, scale: np.ndarray, into: Slice) -> Side:
     if (side := into.side(*placed.bounds[:, 2])) != "met":
         return side
     lines = trimesh.intersections.mesh_plane(placed, (0.0, 0.0, 1.0), (0.0, 0.0, into.height))
-    drawn = shapely.union_all(shapely.linestrings(lines[:, :, :2]), grid_size=_GRID)
+    drawn = _joined(shapely.linestrings(lines[:, :, :2]))
     faces = shapely.get_parts(shapely.polygonize([drawn]))
     solid = [face for face in faces if _is_solid(face, drawn, bool(placed.is_watertight))]
     body = shapely.union_all(solid)
@@ -81,6 +86,19 @@ def cut(mesh: Any, pose: np.ndarray, scale: np.ndarray, into: Slice) -> Side:
     rest = shapely.line_merge(drawn.difference(body.buffer(2 * _GRID)))
     into.add_sheets(line.coords for line in shapely.get_parts(shapely.simplify(rest, STRAIGHT)))
     return side
+
+
+def _joined(lines: np.ndarray) -> shapely.Geometry:
+    """Lines as one shape, in which they meet at their ends alone.
+
+    Raises:
+        MeshError: If they are too many, or cross each other everywhere: to join these would take hours.
+    """
+    some = np.random.default_rng(0).permutation(lines)[:_ASKED]
+    met = shapely.STRtree(lines).query(some).shape[1] / len(some) if len(lines) <= _MOST_LINES else math.inf
+    if met > _MOST_MET:
+        raise MeshError("meshes that are too fine, or whose faces cut each other everywhere")
+    return shapely.union_all(lines, grid_size=_GRID)
 
 
 def _is_solid(face: shapely.Polygon, drawn: shapely.Geometry, closed: bool) -> bool:

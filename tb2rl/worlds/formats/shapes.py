@@ -81,9 +81,11 @@ class Shapes:
     def _add_polyline(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path, label: str) -> Side:
         (height,) = np.array(sizes(shape, "height", 1)) * scale[2]
         corners = [np.array(numbers(point, 2)) * scale[:2] for point in shape.findall("point")]
-        outline = shapely.make_valid(shapely.Polygon(corners)) if len(corners) > 2 else shapely.Polygon()
-        if outline.area == 0:
-            raise InputError("a <polyline> must have at least three <point>, around an area above 0")
+        outline = shapely.Polygon(corners) if len(corners) > 2 else shapely.Polygon()
+        if not outline.is_valid or outline.area == 0:
+            raise InputError(
+                "a <polyline> must have at least three <point>, and a line around them that crosses nothing"
+            )
         if upright(pose):
             if (side := self.found.side(*sorted((pose[2, 3], pose[2, 3] + pose[2, 2] * height)))) == "met":
                 self.found.add_outline(shapely.transform(outline, lambda points: points @ pose[:2, :2].T + pose[:2, 3]))

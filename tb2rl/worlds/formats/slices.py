@@ -12,6 +12,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from tb2rl.errors import InputError
 from tb2rl.worlds.formats.cells import merge_cells
 from tb2rl.worlds.world import BoxShape, PostShape, box_shape
 
@@ -19,6 +20,7 @@ SHEET = 0.01  # [m] thickness of a wall that is drawn as a line, and of one alon
 _HALVED = 16  # times, to find how deep a wall fits into an outline
 _HOLE = 0.05  # [m] radius of what is filled within an outline
 _GAP = 1e-6  # [m] of rounding
+_MOST_CORNERS = 2000  # of an outline; a round one of 1 m has 50
 _FLAT = 1e-6  # a shape turned by less [rad] stands upright; a corner nearer to the plane [m] lies in it
 STRAIGHT = 0.002  # [m] an outline is drawn with as few corners as stay this near to it
 _SIDES = 48  # of the prism that stands for a tilted cylinder: off by 0.2 % of its radius
@@ -71,7 +73,10 @@ class Slice:
 
     def add_outline(self, shape: BaseGeometry) -> None:
         """Add polygons: a rectangle as one box, any other by walls within its outline, and boxes that fill it."""
-        for part in shapely.get_parts(shapely.simplify(shape, STRAIGHT)):
+        simple = shapely.simplify(shape, STRAIGHT)
+        if shapely.get_num_coordinates(simple) > _MOST_CORNERS:
+            raise InputError(f"its outline has more than {_MOST_CORNERS} corners")
+        for part in shapely.get_parts(simple):
             if part.area <= 0:
                 continue
             rectangle = shapely.oriented_envelope(part)
