@@ -11,6 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from tb2rl.values import Point
 from tb2rl.worlds.world import World
 
+_TOUCH = 1e-6  # [m]
 _SMALLEST = 0.05  # [m^2] a part of the floor below is none to drive in
 _ROUND = 16  # segments of a quarter circle: circles are off by a five-hundredth of the robot
 _STEPS = 12  # halvings of the robot's radius: a door's width is known to a tenth of a millimetre
@@ -90,18 +91,19 @@ def _covered(room: BaseGeometry, radius: float) -> BaseGeometry:
 def _doors(
     inside: BaseGeometry, obstacles: BaseGeometry, floor: BaseGeometry, rooms: Sequence[BaseGeometry], radius: float
 ) -> list[Door]:
-    """The pieces of floor that no robot is ever on and that join two rooms."""
+    """Where pieces of floor that no robot is ever on, such as the two sides of a door, lie between two rooms."""
     if len(rooms) < 2:
         return []
     covered = [_covered(room, radius * 1.001) for room in rooms]  # a little more: arcs are drawn with straight lines
+    pieces = shapely.get_parts(floor.difference(shapely.union_all(covered)))
+    between = [piece for piece in pieces if sum(area.distance(piece) < _TOUCH for area in covered) >= 2]
     doors = []
-    for piece in shapely.get_parts(floor.difference(shapely.union_all(covered))):
-        beside = [room for room, area in zip(rooms, covered, strict=True) if area.distance(piece) < 1e-6]
-        if len(beside) >= 2:
-            around = piece.buffer(3 * radius).envelope
-            width = _width(inside.intersection(around), obstacles.intersection(around), beside[0], beside[1], radius)
-            if width > 0:
-                doors.append(Door(_point(piece), width))
+    for door in shapely.get_parts(shapely.union_all([piece.buffer(radius) for piece in between])):
+        around = door.buffer(2 * radius).envelope
+        one, other, *_ = sorted(rooms, key=door.distance)
+        width = _width(inside.intersection(around), obstacles.intersection(around), one, other, radius)
+        if width > 0:
+            doors.append(Door((door.centroid.x, door.centroid.y), width))
     return doors
 
 

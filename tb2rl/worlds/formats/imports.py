@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -83,14 +83,20 @@ def finished(
     Raises:
         InputError: If that is no world.
     """
-    if said.bounds is None and bounds is None and not (boxes or posts):
+    fixed = said.bounds or bounds
+    if fixed is None and not (boxes or posts):
         bounds = (-_FLOOR, -_FLOOR, _FLOOR, _FLOOR)
     known = World.from_shapes(name, boxes, posts, start=(0.0, 0.0, 0.0), bounds=said.bounds or bounds)
     poses = [pose for pose in (said.start, said.goal) if pose is not None]
-    around = known.bounds if said.bounds or bounds else _around(known.bounds, poses)
-    start = said.start
+    around = fixed or _around(known.bounds, poses)
+    start = said.start or _farthest_from_walls(known)
+    if start is None and fixed is None:  # nothing but a wall or a post: there is floor around it
+        x0, y0, x1, y1 = around
+        around = x0 - _FLOOR, y0 - _FLOOR, x1 + _FLOOR, y1 + _FLOOR
+        start = _farthest_from_walls(replace(known, bounds=around))
     if start is None:
-        start = _farthest_from_walls(known)
+        raise InputError(f"world {name}: obstacles are everywhere, there is no floor to start on")
+    if said.start is None:
         shown = f"[{start[0]:g}, {start[1]:g}, 0]"
         text = f"world {name}: no start is given, so it is {shown}, the point farthest from all walls"
         warnings.warn(text, WorldWarning, stacklevel=2)
@@ -106,15 +112,19 @@ def _around(bounds: Bounds, poses: Iterable[Pose]) -> Bounds:
     return x0, y0, x1, y1
 
 
-def _farthest_from_walls(world: World) -> Pose:
-    """The point of the floor farthest from all walls: where walls enclose it, if there is room within them."""
+def _farthest_from_walls(world: World) -> Pose | None:
+    """The point of the floor farthest from all walls: where walls enclose it, if there is room within them.
+
+    Returns:
+        The pose; None where no robot has any room.
+    """
     outside = shapely.box(*world.bounds).buffer(_AROUND, join_style="mitre")
     rooms = shapely.get_parts(outside.difference(world.obstacles.buffer(_GAP, join_style="mitre")))
     enclosed = ~shapely.intersects(rooms, outside.exterior)
     rooms, room = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
     rooms, enclosed = rooms[shapely.area(rooms) > 0], enclosed[room][shapely.area(rooms) > 0]
     if len(rooms) == 0:
-        raise InputError(f"world {world.name}: obstacles are everywhere, there is no floor to start on")
+        return None
     circles = shapely.maximum_inscribed_circle(rooms, tolerance=0.01)  # lines from their centres to the walls
     radii = shapely.length(circles)
     indoors = enclosed & (radii > _ROOM - _GAP)

@@ -94,7 +94,6 @@ BAD = {
         world("<model name='m'><pose rotation_format='quat_xyzw'>0 0 0 0 0 0 0</pose></model>"),
         "length 0",
     ),
-    "full": (solid(shape="<box><size>100 100 1</size></box>"), "no floor"),
 }  # fmt: skip
 
 

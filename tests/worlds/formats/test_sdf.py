@@ -213,6 +213,12 @@ def test_without_a_start_the_room_with_the_farthest_walls_is_taken_and_named(rea
     assert "no start is given, so it is [" in warned
 
 
+def test_around_a_lone_post_there_is_floor(read, sdf):
+    world, _ = read(sdf.solid(sdf.cylinder()), start=None)
+    assert world.clearance(*world.start[:2]) > 1
+    assert world.free_space(1.0).area > 50
+
+
 def test_a_world_in_which_nothing_stands_has_a_floor(read):
     world, _ = read("", start=None)
     assert (world.bounds, world.start) == ((-5, -5, 5, 5), (0, 0, 0))
