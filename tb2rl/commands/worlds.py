@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
 
 from PIL import Image
 
 from tb2rl.errors import InputError, one_line
-from tb2rl.files import replacing
+from tb2rl.files import parse_yaml, replacing
 from tb2rl.pictures.plan import draw_plan, sheet
 from tb2rl.registry import find_robot, find_world, world_names
 from tb2rl.robots import Robot
@@ -18,6 +23,8 @@ from tb2rl.worlds.description import write_description
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.formats.maps import write_map
 
+_DRAWN = 64  # worlds on a sheet
+_DIFFICULTIES, _EACH = (0.0, 0.25, 0.5, 0.75, 1.0), 4  # columns of a generator's sheet, and worlds in each
 _SHOWN = 8  # parts and doors that are named one by one
 
 
@@ -29,21 +36,29 @@ def run(options: argparse.Namespace) -> None:
 def _list(options: argparse.Namespace) -> None:
     for name in world_names():
         print(f"{name:12} {find_world(name).description}".rstrip())
+    if generators := _generators():
+        print(f"generators: {', '.join(sorted(generators))}")
 
 
 def _draw(options: argparse.Namespace) -> None:
     robot = find_robot(options.robot)
     if options.out.suffix.lower() not in Image.registered_extensions():
         raise InputError(one_line(f"cannot write {options.out}: pictures end in .png, .jpg, .webp, ..."))
-    worlds = _worlds(options)
-    picture = Image.fromarray(sheet([draw_plan(world, robot) for world in worlds], [world.name for world in worlds]))
+    if options.worlds[0] in _generators() and options.worlds[0] not in world_names():
+        worlds, columns = _by_difficulty(options.worlds[0]), len(_DIFFICULTIES)
+    else:
+        worlds, columns = _worlds(options), None
+    if len(worlds) > _DRAWN:
+        print(f"{len(worlds)} worlds; the first {_DRAWN} are drawn")
+    titles = [world.name for world in worlds[:_DRAWN]]
+    picture = Image.fromarray(sheet([draw_plan(world, robot) for world in worlds[:_DRAWN]], titles, columns))
     with replacing(options.out) as temporary, temporary.open("wb") as file:
         picture.save(file, format=Image.registered_extensions()[options.out.suffix.lower()])
     print(f"wrote {options.out}")
 
 
 def _convert(options: argparse.Namespace) -> None:
-    (world,) = _worlds(options)
+    world = _worlds(options)[0]
     ending = options.out.suffix
     if ending == ".pgm":
         for file in reversed(write_map(world, options.out, options.resolution)):
@@ -56,7 +71,7 @@ def _convert(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    (world,) = _worlds(options)
+    world = _worlds(options)[0]
     robot = find_robot(options.robot)
     x0, y0, x1, y1 = world.bounds
     print(f"{world.name}: {x1 - x0:.4g} x {y1 - y0:.4g} m, {len(world.boxes)} boxes, {len(world.posts)} posts")
@@ -103,4 +118,30 @@ def _worlds(options: argparse.Namespace) -> list[World]:
         "model_path": options.model_path,
     }
     given = build(Import, {key: value for key, value in said.items() if value is not None}, "world")
-    return [find_world(name, given) for name in options.worlds]
+    return [world for name in options.worlds for world in _found(name, given)]
+
+
+def _found(name: str, given: Import) -> Sequence[World]:
+    """The worlds of a name as `task.world` takes it: of a folder or of a generator there are many."""
+    several = find_spec("tb2rl.envs.worlds") if given == Import() else None
+    if several is None:
+        return [find_world(name, given)]
+    setting = parse_yaml(name, "the world") if name.startswith("{") else name
+    return import_module(several.name).find_worlds(setting)
+
+
+def _generators() -> Mapping[str, Any]:
+    """What makes worlds, by name, where there is any."""
+    room = find_spec("tb2rl.worlds.generators")
+    return {} if room is None else import_module(room.name).GENERATORS
+
+
+def _by_difficulty(name: str) -> list[World]:
+    """Some worlds of a generator, for a sheet with a column for each difficulty."""
+    room = import_module("tb2rl.worlds.generators")
+    columns = []
+    for difficulty in _DIFFICULTIES:
+        settings = room.Generated(name, worlds=_EACH, difficulty=(difficulty, difficulty))
+        worlds = room.generate(settings, room.GENERATORS[name], "training")
+        columns.append([replace(world, name=f"{world.name}, {difficulty:g}") for world in worlds])
+    return [world for row in zip(*columns, strict=True) for world in row]

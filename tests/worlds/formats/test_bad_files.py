@@ -191,6 +191,7 @@ MAPS = {
     "torn": (GOOD, png(1000, 1000), "cannot read the picture"),
     "noise": (GOOD, noise(), "obstacles, the limit"),
     "occupied": (GOOD, b"P5\n4 4\n255\n" + b"\0" * 16, "no floor"),
+    "huge-yaml": (GOOD + "more: [" + "1, " * 1_000_000 + "]\n", FREE, "too large"),
     "image-number": ("image: 7\nresolution: 0.5\n", FREE, "image"),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 import warnings
 
@@ -233,3 +234,12 @@ def test_keys_of_others_are_named(read):
         warnings.simplefilter("always")
         read([[254, 0]], settings="cost_translation_table: x.yaml\n")
     assert ["cost_translation_table" in str(warning.message) for warning in caught] == [True]
+
+
+def test_a_map_is_read_again_when_its_picture_changed(read, tmp_path):
+    before = read([[254, 0]])
+    assert read_world(tmp_path / "map.yaml", said=Import(start=START)) is before
+    Image.fromarray(np.array([[0, 254]], dtype=np.uint8)).save(tmp_path / "map.pgm")
+    os.utime(tmp_path / "map.pgm", ns=(0, 1))  # two writes within a tick of the file system's clock look alike
+    after = read_world(tmp_path / "map.yaml", said=Import(start=START))
+    assert (occupied(before, 1, 2), occupied(after, 1, 2)) == ([[0, 1]], [[1, 0]])
