@@ -53,7 +53,7 @@ def test_it_checks_what_a_robot_can_reach(folder, capsys):
     about, reach, doors, parts = said("check narrow.yaml", capsys)
     assert about == "narrow: 3.3 x 1.5 m, 6 boxes, 0 posts"
     assert reach.startswith("turtlebot2 (0.356 m wide) reaches 48% of the floor, ")
-    assert doors.startswith("1 door is narrower than the robot: 0.30 m at (1.6")
+    assert doors.startswith("1 door is narrower than the robot: 0.300 m at (1.6")
     assert "1 part of the floor cannot be reached, behind ways that are too narrow: 1.1 m2" in parts
     assert len(said("check narrow.yaml --robot turtlebot3", capsys)) == 2
 

@@ -86,7 +86,7 @@ def _findings(access: Access, world: World, robot: Robot) -> list[str]:
     areas = f"{access.reached:.1f} of {access.floor:.1f} m2"
     lines = [f"{size} reaches {share:.0%} of the floor, {areas}, from {_at(world.start)}"]
     if access.doors:
-        doors = [f"{door.width:.2f} m at {_at(door.place)}" for door in access.doors]
+        doors = [f"{door.width:.3f} m at {_at(door.place)}" for door in access.doors]
         are = "door is" if len(doors) == 1 else "doors are"
         lines.append(f"{len(doors)} {are} narrower than the robot: {_listed(doors)}")
     for closed, why in ((False, "behind ways that are too narrow"), (True, "closed on all sides")):

@@ -78,4 +78,5 @@ def _changed(path: Path) -> tuple[int, ...]:
 def _read(path: Path, _modified: tuple[int, ...], reader: Reader | BuiltIn, said: Import) -> World:
     if reader in READERS.values():
         return cast(BuiltIn, reader)(path, said)
-    return cast(Reader, reader)(path).with_places(said.start, said.goal, said.bounds)
+    world = cast(Reader, reader)(path)  # of another's code: whether it is a world, the registry asks
+    return world.with_places(said.start, said.goal, said.bounds) if isinstance(world, World) else world
