@@ -112,7 +112,7 @@ def _worlds(options: argparse.Namespace) -> list[World]:
     """The worlds that the command line names, with what it says about them."""
     said = {
         "start": options.start,
-        "goal": options.goal and [*options.goal, 0.0],
+        "goal": options.goal,
         "unknown": options.unknown,
         "laser_height": options.laser_height,
         "model_path": options.model_path,

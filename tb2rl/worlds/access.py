@@ -11,6 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from tb2rl.values import Point
 from tb2rl.worlds.world import World
 
+_FINE = 5e-4  # [m] by which posts are simpler than they are drawn elsewhere
 _TOUCH = 1e-6  # [m]
 _SMALLEST = 0.05  # [m^2] a part of the floor below is none to drive in
 _ROUND = 16  # segments of a quarter circle: circles are off by a five-hundredth of the robot
@@ -65,16 +66,19 @@ def find_access(world: World, radius: float) -> Access:
     Raises:
         InputError: If there is no room for it at the start.
     """
-    reached, inside, obstacles = world.free_space(radius), shapely.box(*world.bounds), world.obstacles
-    floor = inside.difference(obstacles)
-    rooms = [room for room in _rooms(inside, obstacles, radius) if not room.intersects(reached)]
-    rooms = sorted((room for room in rooms if _covered(room, radius).area > _SMALLEST), key=lambda room: -room.area)
+    inside, obstacles = shapely.box(*world.bounds), world.obstacles.simplify(_FINE)
+    floor, start = inside.difference(obstacles), shapely.Point(world.start[:2])
+    every = _rooms(inside, obstacles, radius)
+    near = [room for room in every if room.distance(start) <= 2 * _FINE]
+    reached = near[0] if near else world.free_space(radius)  # which says why there is none
+    rooms = [room for room in every if not room.intersects(reached) and _covered(room, radius).area > _SMALLEST]
+    rooms.sort(key=lambda room: -room.area)
     ways = [part for part in shapely.get_parts(floor) if part.intersects(reached)]
     parts = [
         Part(_point(room), _covered(room, radius).area, not any(way.intersects(room) for way in ways)) for room in rooms
     ]
     doors = _doors(inside, obstacles, floor, [reached, *rooms], radius)
-    goal = None if world.goal is None else bool(reached.buffer(1e-6).covers(shapely.Point(world.goal[:2])))
+    goal = None if world.goal is None else bool(reached.buffer(2 * _FINE).covers(shapely.Point(world.goal[:2])))
     return Access(floor.area, _covered(reached, radius).intersection(floor).area, tuple(parts), tuple(doors), goal)
 
 

@@ -66,7 +66,8 @@ def test_a_file_is_read_once_and_again_when_it_changed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("bad.yaml", b"walls: [\n  a: b: c\n"), ("bad.yaml", b"\xff\xfe"), ("bad.txt", b"S..\xff#")]
+    ("name", "content"),
+    [("bad.yaml", b"walls: [\n  a: b: c\n"), ("bad.yaml", b": 3"), ("bad.yaml", b"\xff\xfe"), ("bad.txt", b"S..\xff#")],
 )
 def test_a_file_that_cannot_be_read_is_refused_with_one_line_that_names_it(name, content, tmp_path):
     (tmp_path / name).write_bytes(content)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import shapely
+from pydantic import BeforeValidator
 
 from tb2rl.errors import InputError, WorldWarning
 from tb2rl.values import Pose, Positive
@@ -21,13 +22,20 @@ _ROOM = 0.6  # [m] to all walls: what a task asks of a start, unless it is told 
 _NAMES = 100  # at most in a warning
 
 
+def _with_heading(value: Any) -> Any:
+    return (*value, 0.0) if isinstance(value, list | tuple) and len(value) == 2 else value
+
+
+Goal = Annotated[Pose | None, BeforeValidator(_with_heading)]
+
+
 @dataclass(frozen=True)
 class Import:
     """What can be said beside the file of a world.
 
     Attributes:
         start: x [m], y [m], yaw [rad]; None: that of the file, else the point farthest from all walls.
-        goal: x [m], y [m], yaw [rad]; None: that of the file, if it has one.
+        goal: x [m], y [m], and yaw [rad] or nothing; None: that of the file, if it has one.
         bounds: The rectangle that counts as the world; None: around the obstacles, the start and the goal.
         unknown: What the unknown cells of a map are.
         laser_height: Where the shapes of an SDF world are cut [m].
@@ -35,7 +43,7 @@ class Import:
     """
 
     start: Pose | None = None
-    goal: Pose | None = None
+    goal: Goal = None
     bounds: Bounds | None = None
     unknown: Literal["obstacle", "free"] = "obstacle"
     laser_height: Positive = 0.25  # half of what our own walls are high

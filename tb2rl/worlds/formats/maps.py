@@ -22,7 +22,7 @@ from tb2rl.errors import InputError, WorldWarning, one_line
 from tb2rl.files import replacing, write_text
 from tb2rl.values import Fraction, Pose, Positive, build
 from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
-from tb2rl.worlds.formats.imports import Import, finished
+from tb2rl.worlds.formats.imports import Goal, Import, finished
 from tb2rl.worlds.world import World
 
 MOST_CELLS = 4_000_000  # 2 000 x 2 000 cells: 100 x 100 m at the usual resolution
@@ -45,7 +45,7 @@ class OccupancyMap:
         mode: "trinary" and "scale" take (255 - grey) / 255 as the occupancy of a cell, "raw" takes grey / 100, which is
             unknown above 1. In "scale", what is transparent is unknown; in "trinary", alpha counts as a colour.
         start: x [m], y [m], yaw [rad]; ours, not map_server's, as is the next one.
-        goal: x [m], y [m], yaw [rad].
+        goal: x [m], y [m], and yaw [rad] or nothing.
     """
 
     image: Annotated[str, MinLen(1)]
@@ -56,7 +56,7 @@ class OccupancyMap:
     free_thresh: Fraction = 0.196
     mode: Literal["trinary", "scale", "raw"] = "trinary"
     start: Pose | None = None
-    goal: Pose | None = None
+    goal: Goal = None
 
 
 def is_map(content: Any) -> bool:

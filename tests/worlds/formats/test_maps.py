@@ -222,7 +222,7 @@ def test_a_map_of_too_many_cells_is_not_written(resolution, tmp_path):
 def test_start_and_goal_stand_in_the_file_or_beside_it(read):
     pixels = np.full((20, 20), 254)
     pixels[0, 0] = 0
-    said = "start: [3, 4, 0.5]\ngoal: [9, 9, 0]\n"
+    said = "start: [3, 4, 0.5]\ngoal: [9, 9]\n"
     of_file = read(pixels, settings=said, start=None)
     assert (of_file.start, of_file.goal) == ((3, 4, 0.5), (9, 9, 0))
     beside = read(pixels, settings=said, start=(5, 5, 0), goal=(8, 8, 0))
