@@ -14,7 +14,7 @@ from tb2rl.errors import InputError, one_line
 
 LARGEST_FILE = 8 * 2**20  # [bytes] a world of BARN has 0.7 MB
 _LONG_TAG = re.compile(rb"<[^<>]{50000}")  # a million attributes take seconds
-MOST_ELEMENTS = 300_000  # a world of BARN has 11 000
+MOST_ELEMENTS = 200_000  # a world of BARN has 11 000
 LARGEST_NUMBER = 1e6  # [m] no place or size of a world is beyond
 
 

@@ -118,10 +118,10 @@ def test_a_map_of_a_million_cells_is_read_in_a_moment(write, tmp_path):
         cells[(up - y) ** 2 + (across - x) ** 2 < radius**2] = 0
     Image.fromarray(cells).save(tmp_path / "map.png")
     path = write("map.yaml", "image: map.png\nresolution: 0.05\n")
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.warns(WorldWarning, match="no start is given"):
         world = read_world(path)
-    assert time.perf_counter() - began < 2.0, "0.5 s on a machine with nothing else to do"
+    assert time.process_time() - began < 2.0, "0.5 s on a machine with nothing else to do"
     assert world.clearance(*world.start[:2]) > 0.6
 
 

@@ -159,8 +159,8 @@ def test_without_the_extra_a_mesh_is_named_with_what_it_takes(read_mesh, monkeyp
 @pytest.mark.parametrize("faces", [2_000, 150_000])
 def test_a_mesh_meant_to_do_harm_is_named_within_seconds(faces, trimesh, read_mesh):
     triangles = np.random.default_rng(0).uniform(-10, 10, (faces, 3, 3))
-    began = time.perf_counter()
+    began = time.process_time()
     found, _, (warned,) = read_mesh("tangle.stl", stl(triangles))
-    assert time.perf_counter() - began < 4.0, "1.5 s on a machine with nothing else to do"
+    assert time.process_time() - began < 4.0, "1.5 s on a machine with nothing else to do"
     assert found.is_empty
     assert "too fine, or whose faces cut each other" in warned

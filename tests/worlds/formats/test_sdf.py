@@ -226,9 +226,9 @@ def test_a_world_in_which_nothing_stands_has_a_floor(read):
 
 def test_a_world_of_5000_obstacles_is_read_in_a_moment(read, sdf):
     inside = "".join(sdf.solid(sdf.cylinder(0.05), f"{i % 70} {i // 70} 0 0 0 0", f"m{i}") for i in range(5000))
-    began = time.perf_counter()
+    began = time.process_time()
     world, _ = read(inside)
-    assert time.perf_counter() - began < 6.0, "1.1 s on a machine with nothing else to do"
+    assert time.process_time() - began < 6.0, "1.1 s on a machine with nothing else to do"
     assert np.array_equal(np.unique(world.posts[:, 0]), np.arange(70))
     assert len(world.posts) == 5000
 
