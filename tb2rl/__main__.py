@@ -16,6 +16,7 @@ COMMANDS = {
     "report": "tb2rl.report",
     "benchmark": "tb2rl.benchmark",
     "convert": "tb2rl.convert",
+    "worlds": "tb2rl.worlds.__main__",
     "warm": "tb2rl.warm",
     "zoo": "tb2rl.zoo.__main__",
 }

@@ -8,12 +8,18 @@ import functools
 import os
 import select
 import sys
-from collections.abc import Callable, Iterable
-from typing import NoReturn
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
 
 
 class InputError(ValueError):
     """Foreign input that does not fit: the message is one line and names what is allowed."""
+
+
+class WorldWarning(UserWarning):
+    """What a reader of a world left out or chose by itself; a command shows it as one line."""
 
 
 class UnknownArgumentError(InputError, TypeError):
@@ -55,7 +61,8 @@ def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
     @functools.wraps(main)
     def guarded(arguments: list[str] | None = None) -> None:
         try:
-            _reporting(main, arguments)
+            with _warnings_in_a_line():
+                _reporting(main, arguments)
         except (BrokenPipeError, SystemExit) as error:
             if not _reader_left(error):
                 raise
@@ -79,6 +86,24 @@ def _reporting(main: Callable[[list[str] | None], None], arguments: list[str] | 
         raise SystemExit(130) from None  # as the shell counts it: 128 + SIGINT
     finally:
         print(end="", flush=True)  # here, where a reader that left can be noticed, not when the interpreter ends
+
+
+@contextmanager
+def _warnings_in_a_line() -> Iterator[None]:
+    """Show what a reader of a world warns about as a command shows its errors, and other warnings as ever."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
+        if issubclass(category, WorldWarning):
+            print(" ".join(f"warning: {message}".split()), file=sys.stderr)
+        else:
+            usual(message, category, *place, **options)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = usual
 
 
 def _reader_left(error: BaseException) -> bool:

@@ -23,7 +23,7 @@ from tb2rl.files import find_file, top_folder
 if TYPE_CHECKING:
     from tb2rl.robots import Robot
     from tb2rl.tasks import Task
-    from tb2rl.worlds import World
+    from tb2rl.worlds import Import, World
 
 ANY_POLICY = "MlpPolicy"  # or CnnPolicy, MlpLstmPolicy, ...: what the algorithm has for such observations
 
@@ -128,12 +128,12 @@ def find_robot(name: str) -> Robot:
     return found
 
 
-def find_world(reference: str) -> World:
+def find_world(reference: str, said: Import | None = None) -> World:
     """The world of a built-in name, of a file's path, of "module:reader:path" or of "module:WORLD".
 
     A reader is a function from a path to a `World`; WORLD is a `World`, or a function without arguments that makes one.
-    Such functions say that they return a `World` by their annotation.
-    A package's entry points in the group `tb2rl.worlds` name readers by the ending of the files that they read.
+    Functions say that they return a `World` by their annotation. Entry points of packages in the group `tb2rl.worlds`
+    name readers by the ending of their files. `said` is said beside a file, such as a start.
 
     Raises:
         InputError: If there is none, or its file does not describe a world.
@@ -144,7 +144,7 @@ def find_world(reference: str) -> World:
     code = MADE_BY_CODE.fullmatch(reference)
     if code is None:
         path = find_file(reference, _worlds_folder(), "world")
-        found: Any = read_world(path, READERS.get(path.suffix) or _plugged_reader(reference, path.suffix))
+        found: Any = read_world(path, READERS.get(path.suffix) or _plugged_reader(reference, path.suffix), said)
     elif code[2] is None:
         found = _imported("world", code[1])
         found = found if isinstance(found, World) else _made(code[1])
@@ -154,7 +154,7 @@ def find_world(reference: str) -> World:
         reader = world_maker(code[1])
         if not inspect.signature(reader).parameters:
             raise InputError(one_line(f"world {reference!r}: {code[1]} reads no file; write {code[1]}"))
-        found = read_world(Path(code[2]), reader)
+        found = read_world(Path(code[2]), reader, said)
     if not isinstance(found, World):
         raise InputError(one_line(f"world {reference!r} is not a tb2rl.worlds.World but {type(found).__name__}"))
     return found

@@ -100,7 +100,7 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
         raise InputError(f"{where}: expected a mapping of keys to values, got {values!r}")
     known = [field.name for field in dataclasses.fields(cls) if field.init]  # type: ignore[arg-type]
     for key in values:
-        if key not in known and untyped(cls, key):
+        if key not in known and isinstance(key, str) and untyped(cls, key):  # a key of YAML can be null
             raise InputError(
                 f"{where}.{key}: a setting needs a type in its class; write {key}: float = ..., or another"
             )

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tb2rl.__main__ import COMMANDS
+
 CHECKOUT = Path(__file__).parent.parent
 DOORS = (
     "agents",
@@ -29,6 +31,7 @@ SHORTER = {  # what is put behind a command, so that it is over in a moment
     "evaluate": "--episodes 1 --steps 3 --workers 1",
     "play": "--steps 3 --video film.gif",
     "convert": "",
+    "worlds": "",
 }
 RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
 NOT_TRIED = ("make", "pip", "python3.11", ".", "tensorboard", "git", "cd")  # they would install something, or never end
@@ -70,13 +73,13 @@ def run(command: list[str], number: int) -> None:
     """Run a command of tb2rl here, but shorter."""
     module, arguments = command[2], command[3:]
     if ONLY_READ & set(command):
-        import_module(module.replace("zoo", "zoo.__main__")).parse(arguments)
+        import_module(COMMANDS[module.removeprefix("tb2rl.")]).parse(arguments)
         return
     name = module.removeprefix("tb2rl.")
     more = RESUMED if "--resume" in arguments else SHORTER[name]
     if name == "train" and not {"--name", "--resume"} & set(arguments):
         more += f" --name number-{number}"
-    import_module(module).main([*arguments, *more.split()])
+    import_module(COMMANDS[name]).main([*arguments, *more.split()])
 
 
 @pytest.fixture
@@ -97,6 +100,7 @@ def save_files(page: str, folder: Path) -> None:
             (folder / block.file).write_text(block.text, encoding="utf-8")
 
 
+@pytest.mark.filterwarnings("ignore::tb2rl.errors.WorldWarning")
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
 def test_every_command_of_a_page_runs(page, folder):
     save_files(page, folder)

@@ -138,7 +138,9 @@ def test_a_missing_file_is_named(name):
 
 
 def test_an_ending_that_nothing_reads_is_refused_with_the_known_ones(my_worlds):
-    with pytest.raises(InputError, match=r"unknown ending of the world file .*post\.radius: '\.radius'.*\.txt, \.yaml"):
+    with pytest.raises(
+        InputError, match=r"unknown ending of the world file .*post\.radius: '\.radius'.*\.txt, \.world, \.yaml"
+    ):
         find_world(str(my_worlds / "post.radius"))
 
 

@@ -51,7 +51,7 @@ class WorldPicture:
             canvas.line([(x, y), (x + reach * math.cos(angle), y + reach * math.sin(angle))], BEAM, 0.015)
         if len(path) > 1:
             canvas.line(path, PATH, 0.04)
-        _draw_robot(canvas, self._robot, x, y, yaw)
+        draw_robot(canvas, self._robot, x, y, yaw)
         return canvas.array()
 
 
@@ -61,7 +61,8 @@ def draw_goal(canvas: Canvas, goal: Sequence[float] | np.ndarray | None) -> None
         canvas.disc(goal[0], goal[1], GOAL_RADIUS, None, outline=GOAL)
 
 
-def _draw_robot(canvas: Canvas, robot: Robot, x: float, y: float, yaw: float) -> None:
+def draw_robot(canvas: Canvas, robot: Robot, x: float, y: float, yaw: float) -> None:
+    """A robot at a pose [m, m, rad]."""
     cos, sin = math.cos(yaw), math.sin(yaw)
 
     def at(forward: float, left: float) -> tuple[float, float]:

@@ -3,6 +3,20 @@
 A new file format is a function from a path to a `World` (see README.md). Imported from here: robots, and what all need.
 """
 
-from tb2rl.worlds.world import World
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["World"]
+if TYPE_CHECKING:
+    from tb2rl.worlds.formats.imports import Import
+    from tb2rl.worlds.world import World
+
+__all__ = ["Import", "World"]
+
+_HOMES = {"Import": "formats.imports", "World": "world"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'tb2rl.worlds' has no attribute {name!r}")
+    # Only now: the help of `python -m tb2rl.worlds` needs nothing of it.
+    return getattr(import_module(f"tb2rl.worlds.{_HOMES[name]}"), name)

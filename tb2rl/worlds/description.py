@@ -9,12 +9,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
+import yaml
 from annotated_types import MinLen
 
 from tb2rl.errors import InputError
-from tb2rl.files import read_yaml
+from tb2rl.files import write_text
 from tb2rl.values import Point, Pose, Positive, build
 from tb2rl.worlds.drawing import read_drawing
+from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.world import Bounds, BoxShape, World
 
 
@@ -59,34 +61,52 @@ class Description:
     bounds: Bounds | None = None  # None: around the obstacles
 
 
-def read_description(path: Path) -> World:
-    """The world of a YAML file.
+def write_description(world: World, path: Path) -> None:
+    """Write a world as a YAML file that `world_from` reads: the same boxes and posts.
 
     Raises:
-        InputError: If the file does not fit `Description`, or does not make a world.
+        OSError: If it cannot be written.
     """
-    return world_from(read_yaml(path), path.stem)
+    boxes = [
+        {"centre": [x, y], "size": [2 * half_length, 2 * half_width], "yaw": math.atan2(sin, cos)}
+        for x, y, half_length, half_width, cos, sin in world.boxes.tolist()
+    ]
+    said = {
+        "description": world.description,
+        "boxes": boxes,
+        "posts": [{"centre": [x, y], "radius": radius} for x, y, radius in world.posts.tolist()],
+        "start": [float(value) for value in world.start],
+        "goal": world.goal and [float(value) for value in world.goal],
+        "bounds": [float(value) for value in world.bounds],
+    }
+    kept = {key: value for key, value in said.items() if value}
+    write_text(path, yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, width=120))
 
 
-def world_from(content: Any, name: str) -> World:
+def world_from(content: Any, name: str, beside: Import | None = None) -> World:
     """The world that the content of a YAML file describes, see `Description`.
+
+    Args:
+        content: What is in the file.
+        name: What the world is called.
+        beside: What is said beside the file: it comes before what the file says.
 
     Raises:
         InputError: If it does not fit.
     """
+    beside = beside or Import()
     said = build(Description, content, f"world {name}")
     try:
         drawn = read_drawing(said.drawing, said.cell)
     except InputError as error:
         raise InputError(f"world {name}: {error}") from None
-    start, goal = said.start or drawn.start, said.goal or drawn.goal
+    start, goal = beside.start or said.start or drawn.start, beside.goal or said.goal or drawn.goal
     if start is None:
         raise InputError(f"world {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")
     boxes = [*_wall_boxes(said.walls), *((*box.centre, *box.size, box.yaw) for box in said.boxes), *drawn.boxes]
     posts = [(*post.centre, post.radius) for post in said.posts]
-    return World.from_shapes(
-        name, boxes, posts, start=start, goal=goal, bounds=said.bounds, description=said.description
-    )
+    bounds = beside.bounds or said.bounds
+    return World.from_shapes(name, boxes, posts, start=start, goal=goal, bounds=bounds, description=said.description)
 
 
 def _wall_boxes(walls: Sequence[Wall]) -> Iterator[BoxShape]:

@@ -2,37 +2,81 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import cast
 
-from tb2rl.files import read_text
-from tb2rl.worlds.description import read_description, world_from
+from tb2rl.errors import InputError
+from tb2rl.files import parse_yaml, read_text
+from tb2rl.worlds.description import world_from
+from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.maps import is_map, read_map
+from tb2rl.worlds.formats.sdf import read_sdf
 from tb2rl.worlds.world import World
 
+_LARGEST_YAML, _LARGEST_MAP = 2**20, 2**15  # [bytes] YAML is read slowly; a world of 5 000 boxes has 0.5 MB
+_IMAGE = re.compile(r"^image\s*:\s*(.*?)\s*$", re.MULTILINE)  # the picture of a map
+
 Reader = Callable[[Path], World]
+BuiltIn = Callable[[Path, Import], World]
 
 
-def _read_drawn(path: Path) -> World:
-    return world_from({"drawing": read_text(path)}, path.stem)
+def _read_yaml(path: Path, said: Import) -> World:
+    """The world of a YAML file: one of ours, or a map of ROS; their keys tell them apart."""
+    text = read_text(path)
+    largest = _LARGEST_MAP if _IMAGE.search(text) else _LARGEST_YAML
+    if len(text) > largest:
+        raise InputError(f"{path} is too large: {len(text) >> 10} kB, the limit is {largest >> 10}")
+    content = parse_yaml(text, str(path))
+    content = {} if content is None else content
+    if is_map(content):
+        return read_map(path, content, said)
+    return world_from(content, path.stem, said)
 
 
-READERS: dict[str, Reader] = {".yaml": read_description, ".yml": read_description, ".txt": _read_drawn}
+def _read_drawn(path: Path, said: Import) -> World:
+    return world_from({"drawing": read_text(path)}, path.stem, said)
 
 
-def read_world(path: Path, reader: Reader | None = None) -> World:
-    """The world of a file; read once, and again when the file has changed.
+READERS: dict[str, BuiltIn] = {
+    ".sdf": read_sdf,
+    ".txt": _read_drawn,
+    ".world": read_sdf,
+    ".yaml": _read_yaml,
+    ".yml": _read_yaml,
+}
+
+
+def read_world(path: Path, reader: Reader | BuiltIn | None = None, said: Import | None = None) -> World:
+    """The world of a file; read once, and again when the file or a map's picture has changed.
 
     Args:
         path: The file.
         reader: What reads it; None: the built-in reader for its ending.
+        said: What is said beside the file, such as its start.
 
     Raises:
         InputError: If it does not describe a world.
     """
-    return _read(path.resolve(), path.stat().st_mtime_ns, reader or READERS[path.suffix])
+    return _read(path.resolve(), _changed(path), reader or READERS[path.suffix], said or Import())
+
+
+def _changed(path: Path) -> tuple[int, ...]:
+    """When a file changed, and when the picture of a map did."""
+    times = [path.stat().st_mtime_ns]
+    if path.suffix in (".yaml", ".yml") and path.stat().st_size <= _LARGEST_MAP:
+        image = _IMAGE.search(path.read_text(encoding="utf-8", errors="replace"))
+        picture = path.parent / image[1].strip("'\"") if image else path
+        times += [os.stat(picture).st_mtime_ns] if os.path.isfile(picture) else []  # noqa: PTH113, PTH116 (no name is too long)
+    return tuple(times)
 
 
 @lru_cache(maxsize=32)
-def _read(path: Path, _modified: int, reader: Reader) -> World:
-    return reader(path)
+def _read(path: Path, _modified: tuple[int, ...], reader: Reader | BuiltIn, said: Import) -> World:
+    if reader in READERS.values():
+        return cast(BuiltIn, reader)(path, said)
+    world = cast(Reader, reader)(path)  # of another's code: whether it is a world, the registry asks
+    return world.with_places(said.start, said.goal, said.bounds) if isinstance(world, World) else world

@@ -100,6 +100,21 @@ class World:
         """Where to look for its obstacles: what laser and clearance read."""
         return index_of(self.boxes, self.posts)
 
+    def with_places(self, start: Pose | None, goal: Pose | None, bounds: Bounds | None = None) -> World:
+        """The same obstacles with another start, goal or rectangle; None: as it is.
+
+        Raises:
+            InputError: If they do not fit, as for `from_shapes`.
+        """
+        if start is goal is bounds is None:
+            return self
+        boxes = [(x, y, 2 * along, 2 * across, math.atan2(sin, cos)) for x, y, along, across, cos, sin in self.boxes]
+        posts = [(x, y, radius) for x, y, radius in self.posts]
+        start, goal, bounds = start or self.start, goal or self.goal, bounds or self.bounds
+        return World.from_shapes(
+            self.name, boxes, posts, start=start, goal=goal, bounds=bounds, description=self.description
+        )
+
     @property
     def obstacles(self) -> BaseGeometry:
         """All obstacles as one shape."""
@@ -227,5 +242,5 @@ def _extent(boxes: np.ndarray, posts: np.ndarray, name: str) -> Bounds:
     shapes = [*map(box_shape, boxes), *map(post_shape, posts)]
     if not shapes:
         raise InputError(f"world {name}: without obstacles it needs `bounds: [x from, y from, x to, y to]`")
-    x0, y0, x1, y1 = shapely.union_all(shapes).bounds
+    x0, y0, x1, y1 = shapely.total_bounds(shapes).tolist()
     return x0, y0, x1, y1

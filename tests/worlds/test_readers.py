@@ -2,10 +2,11 @@
 
 import os
 
+import numpy as np
 import pytest
 
 from tb2rl.errors import InputError
-from tb2rl.worlds import World
+from tb2rl.worlds import Import, World
 from tb2rl.worlds.readers import READERS, read_world
 
 DRAWING = "#####\n#S.G#\n#...#\n#####\n"
@@ -33,6 +34,27 @@ def test_a_reader_of_ones_own_is_used_instead(tmp_path):
     assert read_world(tmp_path / "mine.txt", read).start == (0, 0, 7)
 
 
+@pytest.mark.parametrize(("file", "text"), [("mine.txt", DRAWING), ("mine.yaml", YAML), ("my.own", "")])
+def test_a_start_and_a_goal_can_be_given_beside_any_file(file, text, tmp_path):
+    (tmp_path / file).write_text(text)
+
+    def read(path):
+        return World.from_shapes(path.stem, [(9, 9, 1, 2, 0.3)], posts=[(6, 6, 0.5)], start=(0, 0, 0))
+
+    reader = read if file == "my.own" else None
+    before = read_world(tmp_path / file, reader)
+    after = read_world(tmp_path / file, reader, Import(start=(3, 3, 1), goal=(3.5, 3, 0), bounds=(0, 0, 20, 20)))
+    assert (after.start, after.goal, after.bounds) == ((3, 3, 1), (3.5, 3, 0), (0, 0, 20, 20))
+    assert np.allclose(after.boxes, before.boxes)
+    assert np.allclose(after.posts, before.posts)
+    assert read_world(tmp_path / file, reader).start == before.start
+
+
+def test_a_start_beside_the_file_is_enough(tmp_path):
+    (tmp_path / "mine.yaml").write_text(YAML.replace("start: [1.5, 2.5, 0.0]\n", ""))
+    assert read_world(tmp_path / "mine.yaml", said=Import(start=(1, 1, 0))).start == (1, 1, 0)
+
+
 def test_a_file_is_read_once_and_again_when_it_changed(tmp_path):
     file = tmp_path / "mine.txt"
     file.write_text("#S..#")
@@ -44,7 +66,8 @@ def test_a_file_is_read_once_and_again_when_it_changed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("bad.yaml", b"walls: [\n  a: b: c\n"), ("bad.yaml", b"\xff\xfe"), ("bad.txt", b"S..\xff#")]
+    ("name", "content"),
+    [("bad.yaml", b"walls: [\n  a: b: c\n"), ("bad.yaml", b": 3"), ("bad.yaml", b"\xff\xfe"), ("bad.txt", b"S..\xff#")],
 )
 def test_a_file_that_cannot_be_read_is_refused_with_one_line_that_names_it(name, content, tmp_path):
     (tmp_path / name).write_bytes(content)

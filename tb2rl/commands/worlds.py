@@ -1,0 +1,147 @@
+"""What `python -m tb2rl.worlds` does, see `tb2rl.worlds.__main__`: lists, draws, converts and checks worlds."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from PIL import Image
+
+from tb2rl.errors import InputError, one_line
+from tb2rl.files import parse_yaml, replacing
+from tb2rl.pictures.plan import draw_plan, sheet
+from tb2rl.registry import find_robot, find_world, world_names
+from tb2rl.robots import Robot
+from tb2rl.values import build
+from tb2rl.worlds import World
+from tb2rl.worlds.access import Access, find_access
+from tb2rl.worlds.description import write_description
+from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.maps import write_map
+
+_DRAWN = 64  # worlds on a sheet
+_DIFFICULTIES, _EACH = (0.0, 0.25, 0.5, 0.75, 1.0), 4  # columns of a generator's sheet, and worlds in each
+_SHOWN = 8  # parts and doors that are named one by one
+
+
+def run(options: argparse.Namespace) -> None:
+    """List, draw, convert or check."""
+    {"list": _list, "draw": _draw, "convert": _convert, "check": _check}[options.what](options)
+
+
+def _list(options: argparse.Namespace) -> None:
+    for name in world_names():
+        print(f"{name:12} {find_world(name).description}".rstrip())
+    if generators := _generators():
+        print(f"generators: {', '.join(sorted(generators))}")
+
+
+def _draw(options: argparse.Namespace) -> None:
+    robot = find_robot(options.robot)
+    if options.out.suffix.lower() not in Image.registered_extensions():
+        raise InputError(one_line(f"cannot write {options.out}: pictures end in .png, .jpg, .webp, ..."))
+    if options.worlds[0] in _generators() and options.worlds[0] not in world_names():
+        worlds, columns = _by_difficulty(options.worlds[0]), len(_DIFFICULTIES)
+    else:
+        worlds, columns = _worlds(options), None
+    if len(worlds) > _DRAWN:
+        print(f"{len(worlds)} worlds; the first {_DRAWN} are drawn")
+    titles = [world.name for world in worlds[:_DRAWN]]
+    picture = Image.fromarray(sheet([draw_plan(world, robot) for world in worlds[:_DRAWN]], titles, columns))
+    with replacing(options.out) as temporary, temporary.open("wb") as file:
+        picture.save(file, format=Image.registered_extensions()[options.out.suffix.lower()])
+    print(f"wrote {options.out}")
+
+
+def _convert(options: argparse.Namespace) -> None:
+    world = _worlds(options)[0]
+    ending = options.out.suffix
+    if ending == ".pgm":
+        for file in reversed(write_map(world, options.out, options.resolution)):
+            print(f"wrote {file}")
+    elif ending in (".yaml", ".yml"):
+        write_description(world, options.out)
+        print(f"wrote {options.out}")
+    else:
+        raise InputError(one_line(f"cannot write {options.out}: it ends in .yaml (a world of ours) or .pgm (a map)"))
+
+
+def _check(options: argparse.Namespace) -> None:
+    world = _worlds(options)[0]
+    robot = find_robot(options.robot)
+    x0, y0, x1, y1 = world.bounds
+    print(f"{world.name}: {x1 - x0:.4g} x {y1 - y0:.4g} m, {len(world.boxes)} boxes, {len(world.posts)} posts")
+    for line in _findings(find_access(world, robot.radius), world, robot):
+        print(line)
+
+
+def _findings(access: Access, world: World, robot: Robot) -> list[str]:
+    """What a check says, one thing a line."""
+    share = access.reached / access.floor
+    size = f"{robot.name} ({2 * robot.radius:.3f} m wide)"
+    areas = f"{access.reached:.1f} of {access.floor:.1f} m2"
+    lines = [f"{size} reaches {share:.0%} of the floor, {areas}, from {_at(world.start)}"]
+    if access.doors:
+        doors = [f"{door.width:.3f} m at {_at(door.place)}" for door in access.doors]
+        are = "door is" if len(doors) == 1 else "doors are"
+        lines.append(f"{len(doors)} {are} narrower than the robot: {_listed(doors)}")
+    for closed, why in ((False, "behind ways that are too narrow"), (True, "closed on all sides")):
+        parts = [f"{part.area:.1f} m2 at {_at(part.place)}" for part in access.parts if part.closed == closed]
+        if parts:
+            are = "part of the floor cannot be" if len(parts) == 1 else "parts of the floor cannot be"
+            lines.append(f"{len(parts)} {are} reached, {why}: {_listed(parts)}")
+    if world.goal is not None:
+        lines.append(f"the goal {_at(world.goal)} can{'' if access.goal_reached else 'not'} be reached")
+    return lines
+
+
+def _listed(things: list[str]) -> str:
+    more = f" and {len(things) - _SHOWN} more" if len(things) > _SHOWN else ""
+    return ", ".join(things[:_SHOWN]) + more
+
+
+def _at(place: tuple[float, ...]) -> str:
+    return f"({place[0]:.2f}, {place[1]:.2f})"
+
+
+def _worlds(options: argparse.Namespace) -> list[World]:
+    """The worlds that the command line names, with what it says about them."""
+    said = {
+        "start": options.start,
+        "goal": options.goal,
+        "unknown": options.unknown,
+        "laser_height": options.laser_height,
+        "model_path": options.model_path,
+    }
+    given = build(Import, {key: value for key, value in said.items() if value is not None}, "world")
+    return [world for name in options.worlds for world in _found(name, given)]
+
+
+def _found(name: str, given: Import) -> Sequence[World]:
+    """The worlds of a name as `task.world` takes it: of a folder or of a generator there are many."""
+    several = find_spec("tb2rl.envs.worlds") if given == Import() else None
+    if several is None:
+        return [find_world(name, given)]
+    setting = parse_yaml(name, "the world") if name.startswith("{") else name
+    return import_module(several.name).find_worlds(setting)
+
+
+def _generators() -> Mapping[str, Any]:
+    """What makes worlds, by name, where there is any."""
+    room = find_spec("tb2rl.worlds.generators")
+    return {} if room is None else import_module(room.name).GENERATORS
+
+
+def _by_difficulty(name: str) -> list[World]:
+    """Some worlds of a generator, for a sheet with a column for each difficulty."""
+    room = import_module("tb2rl.worlds.generators")
+    columns = []
+    for difficulty in _DIFFICULTIES:
+        settings = room.Generated(name, worlds=_EACH, difficulty=(difficulty, difficulty))
+        worlds = room.generate(settings, room.GENERATORS[name], "training")
+        columns.append([replace(world, name=f"{world.name}, {difficulty:g}") for world in worlds])
+    return [world for row in zip(*columns, strict=True) for world in row]

@@ -1,0 +1,140 @@
+"""What every reader of a foreign format is told, and how it ends: with a start, a goal, and a rectangle around both."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import shapely
+from pydantic import BeforeValidator
+
+from tb2rl.errors import InputError, WorldWarning
+from tb2rl.values import Pose, Positive
+from tb2rl.worlds.world import Bounds, BoxShape, PostShape, World
+
+_FLOOR = 5.0  # [m] on each side of the origin: the rectangle of a world in which nothing stands
+_AROUND = 1.0  # [m] of floor around a start and a goal beyond the obstacles
+_GAP = 0.15  # [m] from walls: gaps of less than two of it are no way for a robot, and enclose a room
+_ROOM = 0.6  # [m] to all walls: what a task asks of a start, unless it is told otherwise
+_NAMES = 100  # at most in a warning
+
+
+def _with_heading(value: Any) -> Any:
+    return (*value, 0.0) if isinstance(value, list | tuple) and len(value) == 2 else value
+
+
+Goal = Annotated[Pose | None, BeforeValidator(_with_heading)]
+
+
+@dataclass(frozen=True)
+class Import:
+    """What can be said beside the file of a world.
+
+    Attributes:
+        start: x [m], y [m], yaw [rad]; None: that of the file, else the point farthest from all walls.
+        goal: x [m], y [m], and yaw [rad] or nothing; None: that of the file, if it has one.
+        bounds: The rectangle that counts as the world; None: around the obstacles, the start and the goal.
+        unknown: What the unknown cells of a map are.
+        laser_height: Where the shapes of an SDF world are cut [m].
+        model_path: Folders of models of an SDF world, before those of the environment's variables.
+    """
+
+    start: Pose | None = None
+    goal: Goal = None
+    bounds: Bounds | None = None
+    unknown: Literal["obstacle", "free"] = "obstacle"
+    laser_height: Positive = 0.25  # half of what our own walls are high
+    model_path: tuple[str, ...] = ()
+
+
+class Losses:
+    """What a reader does not understand, and leaves out: collected by reason, and told in a warning for each."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, dict[str, int]] = {}
+
+    def add(self, reason: str, name: str) -> None:
+        """Note that something is left out."""
+        names = self._names.setdefault(reason, {})
+        names[name] = names.get(name, 0) + 1
+
+    def tell(self, world: str) -> None:
+        """Warn about all that was noted: one `WorldWarning` for each reason, with the names."""
+        for reason, names in self._names.items():
+            said = [f"{name} ({count} times)" if count > 1 else name for name, count in names.items()]
+            more = f" and {len(said) - _NAMES} more" if len(said) > _NAMES else ""
+            warnings.warn(f"world {world}: {reason}: {', '.join(said[:_NAMES])}{more}", WorldWarning, stacklevel=2)
+
+
+def finished(
+    name: str,
+    boxes: Sequence[BoxShape],
+    posts: Sequence[PostShape],
+    said: Import,
+    *,
+    bounds: Bounds | None = None,
+    description: str = "",
+) -> World:
+    """The world of what a reader found; says which start it chose where none is given.
+
+    Args:
+        name: What it is called.
+        boxes: x, y, length, width [m] and yaw [rad] of each.
+        posts: x, y and radius [m] of each.
+        said: What was said beside the file, and the file's own start and goal.
+        bounds: The rectangle of the file itself; None: around the obstacles, and a start and a goal beyond them.
+        description: One line for people.
+
+    Raises:
+        InputError: If that is no world.
+    """
+    fixed = said.bounds or bounds
+    if fixed is None and not (boxes or posts):
+        bounds = (-_FLOOR, -_FLOOR, _FLOOR, _FLOOR)
+    known = World.from_shapes(name, boxes, posts, start=(0.0, 0.0, 0.0), bounds=said.bounds or bounds)
+    poses = [pose for pose in (said.start, said.goal) if pose is not None]
+    around = fixed or _around(known.bounds, poses)
+    start = said.start or _farthest_from_walls(known)
+    if start is None and fixed is None:  # nothing but a wall or a post: there is floor around it
+        x0, y0, x1, y1 = around
+        around = x0 - _FLOOR, y0 - _FLOOR, x1 + _FLOOR, y1 + _FLOOR
+        start = _farthest_from_walls(replace(known, bounds=around))
+    if start is None:
+        raise InputError(f"world {name}: obstacles are everywhere, there is no floor to start on")
+    if said.start is None:
+        shown = f"[{start[0]:g}, {start[1]:g}, 0]"
+        text = f"world {name}: no start is given, so it is {shown}, the point farthest from all walls"
+        warnings.warn(text, WorldWarning, stacklevel=2)
+    return World.from_shapes(name, boxes, posts, start=start, goal=said.goal, bounds=around, description=description)
+
+
+def _around(bounds: Bounds, poses: Iterable[Pose]) -> Bounds:
+    """The rectangle, and floor around the poses that are outside it."""
+    x0, y0, x1, y1 = bounds
+    for x, y, _ in poses:
+        if not (x0 <= x <= x1 and y0 <= y <= y1):
+            x0, y0, x1, y1 = min(x0, x - _AROUND), min(y0, y - _AROUND), max(x1, x + _AROUND), max(y1, y + _AROUND)
+    return x0, y0, x1, y1
+
+
+def _farthest_from_walls(world: World) -> Pose | None:
+    """The point of the floor farthest from all walls: where walls enclose it, if there is room within them.
+
+    Returns:
+        The pose; None where no robot has any room.
+    """
+    outside = shapely.box(*world.bounds).buffer(_AROUND, join_style="mitre")
+    rooms = shapely.get_parts(outside.difference(world.obstacles.buffer(_GAP, join_style="mitre")))
+    enclosed = ~shapely.intersects(rooms, outside.exterior)
+    rooms, room = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
+    rooms, enclosed = rooms[shapely.area(rooms) > 0], enclosed[room][shapely.area(rooms) > 0]
+    if len(rooms) == 0:
+        return None
+    circles = shapely.maximum_inscribed_circle(rooms, tolerance=0.01)  # lines from their centres to the walls
+    radii = shapely.length(circles)
+    indoors = enclosed & (radii > _ROOM - _GAP)
+    x, y = circles[np.where(indoors if indoors.any() else True, radii, -1.0).argmax()].coords[0]
+    return round(x, 3) + 0.0, round(y, 3) + 0.0, 0.0  # + 0.0: no -0

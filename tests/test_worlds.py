@@ -1,0 +1,126 @@
+"""The command that looks at worlds: it lists, draws, converts and checks."""
+
+from __future__ import annotations
+
+import shlex
+import warnings
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tb2rl.registry import find_world, world_names
+from tb2rl.worlds.__main__ import main
+
+NARROW = "cell: 0.3\ndrawing: |\n  ###########\n  #....#....#\n  #.S.......#\n  #....#....#\n  ###########\n"
+POLE = (
+    "<sdf version='1.6'><model name='pole'><link name='l'><collision name='c'><geometry><cylinder><radius>0.2</radius>"
+    "<length>1</length></cylinder></geometry></collision></link></model></sdf>"
+)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder to work in, where warnings are shown as they are to users."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "narrow.yaml").write_text(NARROW)
+    (tmp_path / "pole.sdf").write_text(POLE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        yield tmp_path
+
+
+def said(line, capsys):
+    main(shlex.split(line))
+    return capsys.readouterr().out.splitlines()
+
+
+def test_it_lists_the_worlds_with_what_they_are(capsys):
+    lines = said("list", capsys)
+    assert [line.split()[0] for line in lines][: len(world_names())] == world_names()
+    assert any("corridors of 2.5 m" in line for line in lines)
+
+
+@pytest.mark.parametrize(("worlds", "tiles"), [("loop", 1), ("loop maze round", 4)])
+def test_it_draws_one_world_or_a_sheet_of_many(worlds, tiles, folder, capsys):
+    assert said(f"draw {worlds} -o seen.png", capsys) == ["wrote seen.png"]
+    picture = np.asarray(Image.open("seen.png"))
+    assert min(picture.shape[:2]) >= 600
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3
+
+
+def test_it_checks_what_a_robot_can_reach(folder, capsys):
+    about, reach, doors, parts = said("check narrow.yaml", capsys)
+    assert about == "narrow: 3.3 x 1.5 m, 6 boxes, 0 posts"
+    assert reach.startswith("turtlebot2 (0.356 m wide) reaches 48% of the floor, ")
+    assert doors.startswith("1 door is narrower than the robot: 0.300 m at (1.6")
+    assert "1 part of the floor cannot be reached, behind ways that are too narrow: 1.1 m2" in parts
+    assert len(said("check narrow.yaml --robot turtlebot3", capsys)) == 2
+
+
+def test_it_says_whether_the_goal_can_be_reached(folder, capsys):
+    assert said("check maze", capsys)[-1] == "the goal (9.00, 9.00) can be reached"
+    assert said("check narrow.yaml --goal 2.5 0.75", capsys)[-1] == "the goal (2.50, 0.75) cannot be reached"
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_what_it_converts_to_a_world_of_ours_is_the_same_world(name, folder, capsys):
+    assert said(f"convert {name} mine.yaml", capsys) == ["wrote mine.yaml"]
+    before, after = find_world(name), find_world("mine.yaml")
+    assert np.allclose(after.boxes, before.boxes, atol=1e-12)
+    assert np.allclose(after.posts, before.posts, atol=1e-12)
+    assert (after.start, after.goal) == (before.start, before.goal)
+    assert (after.bounds, after.description) == (before.bounds, before.description)
+
+
+def test_it_converts_to_a_map_of_ros_and_back(folder, capsys):
+    assert said("convert maze map.pgm --resolution 0.1", capsys) == ["wrote map.pgm", "wrote map.yaml"]
+    with Image.open("map.pgm") as picture:
+        assert picture.size == (101, 101)
+    assert said("convert map.yaml mine.yaml", capsys) == ["wrote mine.yaml"]
+    assert find_world("mine.yaml").goal == find_world("maze").goal
+
+
+def test_what_is_said_beside_a_world_counts_and_what_is_left_out_is_one_line(folder, capsys):
+    main(shlex.split("check pole.sdf --start 2 0 0 --goal 0 3"))
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert "from (2.00, 0.00)" in shown.out
+    main(shlex.split("check pole.sdf --start 2 0 0 --laser-height 0.7"))
+    assert capsys.readouterr().err == (
+        "warning: world pole: left out, for they are above the laser (at 0.7 m): pole/c\n".replace("above", "below")
+    )
+    main(shlex.split("check pole.sdf"))
+    err = capsys.readouterr().err
+    assert err.startswith("warning: world pole: no start is given, so it is [")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("", ["list | draw | convert | check"]),
+        ("drow loop", ["'drow'", "draw"]),
+        ("draw lop", ["did you mean 'loop'"]),
+        ("draw loop -o seen.doc", ["seen.doc", ".png"]),
+        ("draw loop -o missing/seen.png", ["missing/"]),
+        ("draw loop --robot turtelbot2", ["did you mean 'turtlebot2'"]),
+        ("draw loop missing.world", ["there is no world file missing.world"]),
+        ("convert loop mine.sdf", ["mine.sdf", ".yaml", ".pgm"]),
+        ("convert loop mine.pgm --resolution 0", ["0 m", "cells"]),
+        ("convert loop missing/mine.yaml", ["missing/"]),
+        ("check narrow.yaml --start 0 0 0", ["start (0, 0)", "wall"]),
+        ("check narrow.yaml --start nan 0 0", ["world.start", "finite"]),
+        ("check pole.sdf --laser-height -1", ["world.laser_height", "greater than 0"]),
+        ("check pole.sdf --unknown wall", ["'wall'", "obstacle"]),
+    ],
+)
+def test_what_does_not_fit_is_one_line(line, named, folder, capsys):
+    before = sorted(folder.iterdir())
+    with pytest.raises(SystemExit) as stopped:
+        main(shlex.split(line))
+    message = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert message.count("\n") == 1, message
+    assert [part for part in named if part not in message] == [], message
+    assert sorted(folder.iterdir()) == before, "it leaves nothing behind"

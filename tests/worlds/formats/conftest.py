@@ -1,0 +1,79 @@
+"""SDF worlds that the tests write themselves, and how they are read."""
+
+from __future__ import annotations
+
+import warnings
+
+import pytest
+
+from tb2rl.errors import WorldWarning
+from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.readers import read_world
+
+
+def _box(size="1 1 1"):
+    return f"<box><size>{size}</size></box>"
+
+
+def _cylinder(radius=0.2, length=1.0):
+    return f"<cylinder><radius>{radius}</radius><length>{length}</length></cylinder>"
+
+
+def _collision(shape, pose="0 0 0 0 0 0", name="c"):
+    return f"<collision name='{name}'><pose>{pose}</pose><geometry>{shape}</geometry></collision>"
+
+
+def _model(inside, pose="0 0 0 0 0 0", name="m"):
+    return f"<model name='{name}'><pose>{pose}</pose>{inside}</model>"
+
+
+def _link(inside, pose="0 0 0 0 0 0", name="link"):
+    return f"<link name='{name}'><pose>{pose}</pose>{inside}</link>"
+
+
+def _solid(shape, pose="0 0 0 0 0 0", name="m"):
+    """A model of one shape."""
+    return _model(_link(_collision(shape)), pose, name)
+
+
+class Sdf:
+    """What worlds are written of."""
+
+    box, cylinder = staticmethod(_box), staticmethod(_cylinder)
+    collision, link, model, solid = map(staticmethod, (_collision, _link, _model, _solid))
+
+
+@pytest.fixture
+def sdf():
+    """The parts of SDF as text."""
+    return Sdf
+
+
+@pytest.fixture
+def write(tmp_path, monkeypatch):
+    """A function that writes a file below the folder of the test, whose models are found through no variable."""
+    for name in ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH"):
+        monkeypatch.delenv(name, raising=False)
+
+    def write_file(name: str, content: str | bytes):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write_file
+
+
+@pytest.fixture
+def read(write):
+    """A function that reads a world of SDF: the world, and what it warned about."""
+
+    def read_sdf(inside: str, *, start=(50.0, 50.0, 0.0), name="mine.world", **said):
+        path = write(name, f"<sdf version='1.6'><world name='default'>{inside}</world></sdf>")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            world = read_world(path, said=Import(start=start, **said))
+        assert {warning.category for warning in caught} <= {WorldWarning}
+        return world, [str(warning.message) for warning in caught]
+
+    return read_sdf

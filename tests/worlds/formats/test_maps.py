@@ -1,0 +1,245 @@
+"""Maps of ROS: what their cells mean, how few boxes they make, what a laser sees of them, and how they are written."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+import warnings
+
+import numpy as np
+import pytest
+import shapely
+from PIL import Image
+
+from tb2rl.errors import InputError, WorldWarning
+from tb2rl.registry import find_world, world_names
+from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
+from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.maps import write_map
+from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.readers import read_world
+from tb2rl.worlds.world import World
+
+START = (0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def read(write, tmp_path):
+    """A function that reads a map from the values of its pixels, the top row first."""
+
+    def read_map(pixels, picture="map.pgm", settings="", start=START, **said):
+        Image.fromarray(np.array(pixels, dtype=np.uint8)).save(tmp_path / picture)
+        text = f"image: {picture}\n{settings}"
+        return read_world(
+            write("map.yaml", text if "resolution" in text else f"resolution: 1.0\n{text}"),
+            said=Import(start=start, **said),
+        )
+
+    return read_map
+
+
+def occupied(world, rows, columns, cell=1.0):
+    """Which cells of a map that lies at the origin are obstacles, the top row first."""
+    cells = [[world.clearance((x + 0.5) * cell, (y + 0.5) * cell) == 0 for x in range(columns)] for y in range(rows)]
+    return np.array(cells)[::-1].astype(int).tolist()
+
+
+@pytest.mark.parametrize(
+    ("settings", "unknown", "expected"),
+    [
+        # grey      0  88  90 204 206 255 (90: occupancy 0.647; 204: 0.2; 206: 0.192)
+        ("", "obstacle", [1, 1, 1, 1, 0, 0]),
+        ("", "free", [1, 1, 0, 0, 0, 0]),
+        ("negate: 1", "free", [0, 0, 0, 1, 1, 1]),
+        ("negate: 1", "obstacle", [0, 1, 1, 1, 1, 1]),
+        ("occupied_thresh: 0.6", "free", [1, 1, 1, 0, 0, 0]),
+        ("free_thresh: 0.64", "obstacle", [1, 1, 1, 0, 0, 0]),
+        ("mode: scale", "free", [1, 1, 0, 0, 0, 0]),
+        ("mode: raw", "free", [0, 1, 1, 0, 0, 0]),
+        ("mode: raw", "obstacle", [0, 1, 1, 1, 1, 1]),
+    ],
+)
+def test_cells_mean_what_map_server_says(settings, unknown, expected, read):
+    world = read([[0, 88, 90, 204, 206, 255], [255] * 6], settings=settings, unknown=unknown)
+    assert occupied(world, 2, 6)[0] == expected
+
+
+@pytest.mark.parametrize(
+    ("mode", "unknown", "expected"),
+    [("scale", "obstacle", [1, 1, 0]), ("scale", "free", [1, 0, 0]), ("trinary", "obstacle", [1, 1, 0])],
+)
+def test_what_is_transparent_is_unknown_where_the_mode_says_so(mode, unknown, expected, read):
+    pixels = [[[0, 0, 0, 255], [255, 255, 255, 0], [255, 255, 255, 255]]]
+    assert occupied(read(pixels, "map.png", f"mode: {mode}", unknown=unknown), 1, 3)[0] == expected
+
+
+def test_colours_are_averaged(read):
+    pixels = [[[255, 0, 0], [255, 255, 200], [0, 0, 90]]]
+    assert occupied(read(pixels, "map.png", unknown="free"), 1, 3)[0] == [1, 0, 1]
+
+
+def test_the_top_row_of_the_picture_is_the_highest_and_the_origin_its_lowest_corner(read):
+    settings = "resolution: 0.5\norigin: [10.0, -20.0, 0.0]\n"
+    world = read([[0, 254], [254, 254], [254, 254]], settings=settings)
+    assert world.bounds == (10, -20, 11, -18.5)
+    assert world.obstacles.equals(shapely.box(10, -19, 10.5, -18.5))
+
+
+def test_a_map_can_be_turned_about_its_origin(read):
+    world = read([[254, 254, 254], [254, 254, 0]], settings="origin: [1, 2, 0.5]\n")
+    expected = shapely.affinity.rotate(shapely.box(3, 2, 4, 3), 0.5, origin=(1, 2), use_radians=True)
+    assert world.obstacles.symmetric_difference(expected).area < 1e-9
+    turned = shapely.affinity.rotate(shapely.box(1, 2, 4, 4), 0.5, origin=(1, 2), use_radians=True)
+    assert world.bounds == pytest.approx(turned.bounds)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_boxes_cover_the_occupied_cells_and_no_other(share):
+    cells = np.random.default_rng(1).random((20, 30)) < share
+    world = World.from_shapes("cells", merge_cells(cells, 0.1, (0, 0, 0)), start=START, bounds=(0, 0, 3, 2))
+    assert np.array_equal(occupied_cells(world, 0.1), cells)
+    assert world.obstacles.area == pytest.approx(cells.sum() * 0.01)
+
+
+def test_a_building_makes_few_boxes():
+    cells = np.zeros((1000, 1000), dtype=bool)
+    cells[:, :3] = cells[:, -3:] = cells[:3] = cells[-3:] = True
+    cells[::100, :] = True
+    cells[40:60] = False  # doors through nothing, and a break of the outer walls
+    assert len(merge_cells(cells, 0.05, (0, 0, 0))) < 40
+
+
+def test_a_map_of_a_million_cells_is_read_in_a_moment(write, tmp_path):
+    rng = np.random.default_rng(0)
+    cells = np.full((1000, 1000), 254, dtype=np.uint8)
+    for x, y, radius in zip(*rng.uniform(0, 1000, (2, 60)), rng.uniform(5, 40, 60), strict=True):
+        up, across = np.ogrid[:1000, :1000]
+        cells[(up - y) ** 2 + (across - x) ** 2 < radius**2] = 0
+    Image.fromarray(cells).save(tmp_path / "map.png")
+    path = write("map.yaml", "image: map.png\nresolution: 0.05\n")
+    began = time.process_time()
+    with pytest.warns(WorldWarning, match="no start is given"):
+        world = read_world(path)
+    assert time.process_time() - began < 2.0, "0.5 s on a machine with nothing else to do"
+    assert world.clearance(*world.start[:2]) > 0.6
+
+
+def rays_over_cells(cells, side, x, y, angles):
+    """How far along each ray the first occupied cell begins, cell by cell."""
+    ranges = []
+    for cos, sin in zip(np.cos(angles), np.sin(angles), strict=True):
+        lines = [((np.arange(n + 1) * side - at) / d) for n, at, d in ((160, x, cos), (120, y, sin)) if d]
+        ends = np.sort(np.concatenate([[0.0], *lines]))
+        ends = ends[ends >= 0]
+        middle = (ends[:-1] + ends[1:]) / 2
+        column, row = ((x + middle * cos) / side).astype(int), ((y + middle * sin) / side).astype(int)
+        hit = cells[np.clip(row, 0, 119), np.clip(column, 0, 159)]
+        ranges.append(ends[hit.argmax()])
+    return np.array(ranges)
+
+
+def test_the_laser_reads_what_rays_over_the_cells_find(read):
+    side, rng = 0.05, np.random.default_rng(2)
+    cells = np.zeros((120, 160), dtype=bool)
+    cells[[0, -1], :] = cells[:, [0, -1]] = True
+    for _ in range(25):
+        row, column = rng.integers(0, 110), rng.integers(0, 150)
+        cells[row : row + rng.integers(1, 12), column : column + rng.integers(1, 12)] = True
+    world = read(np.where(cells[::-1], 0, 254), settings=f"resolution: {side}\n")
+    angles = np.linspace(-math.pi, math.pi, 90)
+    for x, y in rng.uniform((0.2, 0.2), (7.8, 5.8), (40, 2)):
+        assert np.abs(laser(world, x, y, angles) - rays_over_cells(cells, side, x, y, angles)).max() < side / 2
+
+
+def laser(world, x, y, angles):
+    ranges = np.empty((1, len(angles)))
+    cast(np.array([[x, y, 0.0]]), np.cos(angles), np.sin(angles), world.boxes, world.posts, ranges)
+    return ranges[0]
+
+
+def test_a_map_written_and_read_again_is_the_same(read, tmp_path):
+    cells = np.random.default_rng(3).random((40, 60)) < 0.3
+    settings = "resolution: 0.05\norigin: [-6.8999999999999915, 3.3, 0.0]\n"
+    world = read(np.where(cells[::-1], 0, 254), settings=settings, goal=None)
+    path, picture = write_map(world, tmp_path / "again.yaml")
+    assert np.array_equal(np.asarray(Image.open(picture)) == 0, cells[::-1])
+    again = read_world(path)
+    assert again.start == world.start
+    assert np.allclose(again.boxes, world.boxes)
+    assert write_map(again, tmp_path / "third.pgm")[1].read_bytes() == picture.read_bytes()
+    assert (tmp_path / "third.yaml").read_text() == path.read_text().replace("again", "third")
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_a_world_written_as_a_map_has_its_walls_within_half_a_cell(name, tmp_path):
+    world, side = find_world(name), 0.05
+    again = read_world(write_map(world, tmp_path / "map.yaml", side)[0])
+    edge = shapely.box(*world.bounds)
+    there, then = world.obstacles.intersection(edge), again.obstacles.intersection(edge)
+    # The corners of a cell are farther from its middle than half its side, where walls stand askew.
+    assert there.hausdorff_distance(then) < side / 2 * (1.001 if name != "round" else math.sqrt(2))
+    assert again.start == pytest.approx(world.start)
+    assert again.goal == pytest.approx(world.goal)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, math.pi / 4])
+def test_no_wall_is_too_thin_for_a_cell(yaw, tmp_path):
+    world = World.from_shapes(
+        "thin", [(1.013, 1.0, 1.0, 0.004, yaw)], [(0.2, 0.2, 0.003)], start=START, bounds=(0, 0, 2, 2)
+    )
+    cells = occupied_cells(world, 0.05)
+    there = shapely.get_parts(world.obstacles)
+    found = World.from_shapes("cells", merge_cells(cells, 0.05, (0, 0, 0)), start=START, bounds=(0, 0, 2, 2)).obstacles
+    assert max(found.distance(shapely.Point(x, y)) for part in there for x, y in part.exterior.coords) < 0.03
+    assert len(shapely.get_parts(found.buffer(1e-6))) == 2, "the wall has no gap"
+
+
+def test_what_is_written_is_as_map_servers_own_saver_writes_it(tmp_path):
+    path, picture = write_map(find_world("maze"), tmp_path / "maze.yaml", 0.1)
+    assert picture.read_bytes().startswith(b"P5\n# 0.1 m/pix\n101 101\n255\n")
+    assert set(np.unique(np.asarray(Image.open(picture)))) == {0, 254}
+    assert path.read_text().splitlines() == [
+        "image: maze.pgm",
+        "mode: trinary",
+        "resolution: 0.1",
+        "origin: [-0.05, -0.05, 0.0]",
+        "negate: 0",
+        "occupied_thresh: 0.65",
+        "free_thresh: 0.196",
+        "start: [1.0, 1.0, 1.5707963]",
+        "goal: [9.0, 9.0, 0.0]",
+    ]
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1.0, math.nan, 1e-4])
+def test_a_map_of_too_many_cells_is_not_written(resolution, tmp_path):
+    with pytest.raises(InputError, match="more than 4000000 cells"):
+        write_map(find_world("maze"), tmp_path / "maze.yaml", resolution)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_start_and_goal_stand_in_the_file_or_beside_it(read):
+    pixels = np.full((20, 20), 254)
+    pixels[0, 0] = 0
+    said = "start: [3, 4, 0.5]\ngoal: [9, 9]\n"
+    of_file = read(pixels, settings=said, start=None)
+    assert (of_file.start, of_file.goal) == ((3, 4, 0.5), (9, 9, 0))
+    beside = read(pixels, settings=said, start=(5, 5, 0), goal=(8, 8, 0))
+    assert (beside.start, beside.goal) == ((5, 5, 0), (8, 8, 0))
+
+
+def test_keys_of_others_are_named(read):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read([[254, 0]], settings="cost_translation_table: x.yaml\n")
+    assert ["cost_translation_table" in str(warning.message) for warning in caught] == [True]
+
+
+def test_a_map_is_read_again_when_its_picture_changed(read, tmp_path):
+    before = read([[254, 0]])
+    assert read_world(tmp_path / "map.yaml", said=Import(start=START)) is before
+    Image.fromarray(np.array([[0, 254]], dtype=np.uint8)).save(tmp_path / "map.pgm")
+    os.utime(tmp_path / "map.pgm", ns=(0, 1))  # two writes within a tick of the file system's clock look alike
+    after = read_world(tmp_path / "map.yaml", said=Import(start=START))
+    assert (occupied(before, 1, 2), occupied(after, 1, 2)) == ([[0, 1]], [[1, 0]])

@@ -1,0 +1,238 @@
+"""Gazebo's worlds: poses, states, included models, and what is left out with a word."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+import shapely
+
+from tb2rl.errors import InputError
+from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.readers import read_world
+
+
+def posts(world):
+    return sorted(tuple(row) for row in world.posts.round(6).tolist())
+
+
+def test_a_pose_is_composed_from_model_to_link_to_collision(read, sdf):
+    quarter = math.pi / 2
+    collision = sdf.collision(sdf.cylinder(), "1 0 0 0 0 0")
+    world, warned = read(sdf.model(sdf.link(collision, f"0 2 0 0 0 {quarter}"), f"10 20 0 0 0 {quarter}"))
+    # Two quarters turn the last metre to -x; the link's two metres north point to -x, too.
+    assert posts(world) == [(10 - 2 - 1, 20, 0.2)]
+    assert warned == []
+
+
+def test_models_within_models_stand_in_their_frames(read, sdf):
+    inner = sdf.solid(sdf.cylinder(), "1 0 0 0 0 0", "inner")
+    world, _ = read(sdf.model(inner + sdf.link(""), f"5 5 0 0 0 {math.pi / 2}", "outer"))
+    assert posts(world) == [(5, 6, 0.2)]
+
+
+def test_a_box_keeps_its_size_and_its_yaw(read, sdf):
+    world, _ = read(sdf.solid(sdf.box("4 0.5 2"), "1 2 0.3 0 0 0.4"))
+    x, y, half_length, half_width, cos, sin = world.boxes[0]
+    corners = shapely.affinity.rotate(shapely.box(-2, -0.25, 2, 0.25), 0.4, use_radians=True)
+    expected = shapely.affinity.translate(corners, 1, 2)
+    assert len(world.boxes) == 1
+    assert world.obstacles.symmetric_difference(expected).area < 1e-9
+    assert sorted([half_length, half_width]) == pytest.approx([0.25, 2])
+    assert (x, y, math.hypot(cos, sin)) == pytest.approx((1, 2, 1))
+
+
+def test_a_sphere_is_as_wide_as_its_slice(read):
+    shape = "<collision name='c'><geometry><sphere><radius>0.5</radius></sphere></geometry></collision>"
+    world, _ = read(f"<model name='ball'><pose>1 2 0.55 0 0 0</pose><link name='l'>{shape}</link></model>")
+    assert posts(world) == [(1, 2, 0.4)]
+
+
+@pytest.mark.parametrize(("height", "posts_there"), [(0.25, 1), (0.6, 0)])
+def test_the_height_of_the_laser_says_where_shapes_are_cut(height, posts_there, read, sdf):
+    world, warned = read(sdf.solid(sdf.cylinder(length=1.0)), laser_height=height)
+    assert len(world.posts) == posts_there
+    assert [f"left out, for they are below the laser (at {height:g} m): m/c" in text for text in warned] == [True] * (
+        1 - posts_there
+    )
+
+
+def test_what_hangs_above_the_laser_is_left_out_with_its_name(read, sdf):
+    world, (warned,) = read(sdf.solid(sdf.box("1 1 0.1"), "0 0 2 0 0 0", "shelf") + sdf.solid(sdf.box()))
+    assert len(world.boxes) == 1
+    assert "above the laser (at 0.25 m): shelf/c" in warned
+
+
+def test_only_what_collides_is_an_obstacle_and_the_ground_is_none(read, sdf):
+    plane = sdf.collision("<plane><normal>0 0 1</normal><size>100 100</size></plane>")
+    visual = f"<visual name='v'><geometry>{sdf.box()}</geometry></visual>"
+    world, warned = read(sdf.model(sdf.link(plane + visual)) + sdf.solid(sdf.cylinder()))
+    assert (len(world.boxes), len(world.posts), warned) == (0, 1, [])
+
+
+def test_a_polyline_is_its_outline(read):
+    points = "".join(f"<point>{x} {y}</point>" for x, y in ((0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)))
+    shape = f"<polyline>{points}<height>1</height></polyline>"
+    collision = f"<collision name='c'><geometry>{shape}</geometry></collision>"
+    world, _ = read(f"<model name='m'><pose>10 0 0 0 0 1.2</pose><link name='l'>{collision}</link></model>")
+    expected = shapely.Polygon([(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)])
+    expected = shapely.affinity.rotate(expected, 1.2, origin=(0, 0), use_radians=True)
+    expected = shapely.affinity.translate(expected, 10, 0)
+    assert world.obstacles.symmetric_difference(expected).area < 1e-3
+
+
+def state(*models):
+    return f"<state world_name='default'><sim_time>1 0</sim_time>{''.join(models)}</state>"
+
+
+def test_a_state_overrides_the_poses_of_models_and_of_links_in_the_world(read, sdf):
+    link = "<link name='link'><pose>7 8 0 0 0 0</pose></link>"
+    world, warned = read(
+        sdf.solid(sdf.cylinder(0.1), "1 1 0 0 0 0", "moved")
+        + sdf.solid(sdf.cylinder(0.2), "2 2 0 0 0 0", "linked")
+        + sdf.solid(sdf.cylinder(0.3), "3 3 0 0 0 0", "left")
+        + state("<model name='moved'><pose>4 5 0 0 0 0</pose></model>", f"<model name='linked'>{link}</model>")
+    )
+    assert posts(world) == [(3, 3, 0.3), (4, 5, 0.1), (7, 8, 0.2)]
+    assert warned == []
+
+
+def test_a_state_scales_inserts_and_deletes_models(read, sdf):
+    world, _ = read(
+        sdf.solid(sdf.cylinder(0.1), "1 1 0 0 0 0", "wide")
+        + sdf.solid(sdf.cylinder(0.2), "2 2 0 0 0 0", "gone")
+        + state(
+            "<model name='wide'><scale>3 3 1</scale></model>",
+            f"<insertions>{sdf.solid(sdf.cylinder(0.4), '9 9 0 0 0 0', 'new')}</insertions>",
+            "<deletions><name>gone</name></deletions>",
+        )
+    )
+    assert posts(world) == [(1, 1, 0.3), (9, 9, 0.4)]
+
+
+def test_a_state_of_what_is_not_there_is_named(read, sdf):
+    _, (warned,) = read(sdf.solid(sdf.cylinder()) + state("<model name='ghost'><pose>1 1 0 0 0 0</pose></model>"))
+    assert "ghost" in warned
+
+
+@pytest.mark.parametrize("place", ["models", "../models", "variable", "setting"])
+def test_an_included_model_is_found_in_each_place(place, read, write, sdf, tmp_path, monkeypatch):
+    folder = {"models": "worlds/models", "../models": "models"}.get(place, "elsewhere")
+    write(f"{folder}/pole/model.sdf", f"<sdf version='1.6'>{sdf.solid(sdf.cylinder(), '1 0 0 0 0 0', 'pole')}</sdf>")
+    if place == "variable":
+        monkeypatch.setenv("GAZEBO_MODEL_PATH", f"/nowhere:{tmp_path / folder}")
+    said = {"model_path": (str(tmp_path / folder),)} if place == "setting" else {}
+    includes = (
+        "<include><uri>model://pole</uri></include>"
+        "<include><uri>model://pole</uri><name>second</name><pose>5 6 0 0 0 0</pose></include>"
+        + state("<model name='second'><pose>7 7 0 0 0 0</pose></model>")
+    )
+    world, warned = read(includes, name="worlds/mine.world", **said)
+    assert posts(world) == [(1, 0, 0.2), (7, 7, 0.2)]
+    assert warned == []
+
+
+def test_of_a_models_versions_the_highest_is_read(read, write, sdf):
+    for version, radius in (("1_3", 0.3), ("1_10", 0.4)):
+        text = f"<sdf version='1.6'>{sdf.solid(sdf.cylinder(radius))}</sdf>"
+        write(f"models/pole/model-{version}.sdf", text)
+    named = "".join(f"<sdf version='{v}'>model-{v.replace('.', '_')}.sdf</sdf>" for v in ("1.3", "1.10"))
+    write("models/pole/model.config", f"<model>{named}</model>")
+    world, _ = read("<include><uri>model://pole</uri></include>")
+    assert posts(world) == [(0, 0, 0.4)]
+
+
+def test_poses_can_be_relative_to_frames_in_degrees_and_quaternions(read, sdf):
+    frames = "<frame name='corner'><pose>10 0 0 0 0 0</pose></frame>"
+    half = math.sqrt(0.5)
+    poses = (
+        "<pose relative_to='corner'>1 0 0 0 0 0</pose>",
+        "<pose relative_to='corner' degrees='true'>2 0 0 0 0 90</pose>",
+        f"<pose rotation_format='quat_xyzw'>3 0 0 0 0 {half} {half}</pose>",
+    )
+    models = [
+        f"<model name='m{i}'>{pose}{sdf.link(sdf.collision(sdf.cylinder(), '0.5 0 0 0 0 0'))}</model>"
+        for i, pose in enumerate(poses)
+    ]
+    world, warned = read(frames + "".join(models))
+    assert posts(world) == [(3, 0.5, 0.2), (11.5, 0, 0.2), (12, 0.5, 0.2)]
+    assert warned == []
+
+
+@pytest.mark.parametrize(
+    ("inside", "named"),
+    [
+        ("<include><uri>https://fuel.gazebosim.org/1.0/OpenRobotics/models/Sun</uri></include>", "models/Sun"),
+        ("<include><uri>model://missing</uri></include>", "model://missing"),
+        ("<actor name='walker'/>", "walker (<actor>)"),
+        ("<population name='crowd'/>", "crowd (<population>)"),
+        ("<road name='street'/>", "street (<road>)"),
+        ("<model name='m'><plugin name='mover' filename='libmover.so'/></model>", "mover of m"),
+        ("<model name='m'><link name='l'><collision name='c'><geometry><heightmap/></geometry></collision></link>"
+         "</model>", "<heightmap> shapes are not understood: m/c"),
+        ("<model name='m'><pose relative_to='lost'>1 0 0 0 0 0</pose></model>", "lost (of m)"),
+        ("<model name='m'><link name='l'><collision name='c'><geometry><plane><normal>1 0 0</normal></plane></geometry>"
+         "</collision></link></model>", "planes that are not the ground are not understood: m/c"),
+        ("<model name='m'><link name='l'><collision name='c'><geometry><mesh><uri>model://x/y.dae</uri></mesh></geometry>"
+         "</collision></link></model>", "m/c (model://x/y.dae)"),
+    ],
+)  # fmt: skip
+def test_what_is_not_understood_is_named(inside, named, read, sdf):
+    world, (warned,) = read(sdf.solid(sdf.cylinder(), name="known") + inside)
+    assert posts(world) == [(0, 0, 0.2)]
+    assert named in warned
+    assert "mine" in warned
+    assert "\n" not in warned
+
+
+def test_a_model_alone_is_a_world(write, sdf):
+    path = write("pole.sdf", f"<sdf version='1.6'>{sdf.solid(sdf.cylinder())}</sdf>")
+    assert posts(read_world(path, said=Import(start=(2, 0, 0)))) == [(0, 0, 0.2)]
+
+
+def test_a_start_and_a_goal_beyond_the_obstacles_are_within_the_world(read, sdf):
+    world, _ = read(sdf.solid(sdf.cylinder()), start=(-3, 0, 0), goal=(0, 8, 0))
+    assert (world.start, world.goal) == ((-3, 0, 0), (0, 8, 0))
+    assert world.free_space(0.5).covers(shapely.Point(-3, 0))
+    assert world.free_space(0.5).covers(shapely.Point(0, 8))
+
+
+def test_without_a_start_the_room_with_the_farthest_walls_is_taken_and_named(read, sdf):
+    def walls(side, x):
+        return "".join(
+            sdf.solid(sdf.box(size), f"{x + dx * side / 2} {dy * side / 2} 0 0 0 0", f"w{x}{dx}{dy}")
+            for dx, dy, size in (
+                (1, 0, f"0.2 {side} 1"), (-1, 0, f"0.2 {side} 1"), (0, 1, f"{side} 0.2 1"), (0, -1, f"{side} 0.2 1")
+            )
+        )  # fmt: skip
+
+    world, (warned,) = read(walls(2, 0) + walls(4, 20), start=None)  # and 16 m of floor between them, outside
+    assert world.start == pytest.approx((20, 0, 0), abs=0.02)
+    assert "no start is given, so it is [" in warned
+
+
+def test_around_a_lone_post_there_is_floor(read, sdf):
+    world, _ = read(sdf.solid(sdf.cylinder()), start=None)
+    assert world.clearance(*world.start[:2]) > 1
+    assert world.free_space(1.0).area > 50
+
+
+def test_a_world_in_which_nothing_stands_has_a_floor(read):
+    world, _ = read("", start=None)
+    assert (world.bounds, world.start) == ((-5, -5, 5, 5), (0, 0, 0))
+
+
+def test_a_world_of_5000_obstacles_is_read_in_a_moment(read, sdf):
+    inside = "".join(sdf.solid(sdf.cylinder(0.05), f"{i % 70} {i // 70} 0 0 0 0", f"m{i}") for i in range(5000))
+    began = time.process_time()
+    world, _ = read(inside)
+    assert time.process_time() - began < 6.0, "1.1 s on a machine with nothing else to do"
+    assert np.array_equal(np.unique(world.posts[:, 0]), np.arange(70))
+    assert len(world.posts) == 5000
+
+
+def test_errors_name_the_shape(read, sdf):
+    with pytest.raises(InputError, match=r"world mine: pole/c: <radius> of a <cylinder> must be above 0, got 0"):
+        read(sdf.solid(sdf.cylinder(0), name="pole"))

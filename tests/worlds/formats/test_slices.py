@@ -1,0 +1,91 @@
+"""Solid shapes cut at a height, against points that are inside of them by their own definition."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+
+from tb2rl.worlds.formats.poses import _from_angles
+from tb2rl.worlds.formats.slices import Slice
+from tb2rl.worlds.world import World
+
+TURNS = [(0, 0, 0.7), (math.pi, 0, 0.3), (0.4, 0, 0.2), (0, -0.6, 1.0), (0.5, 0.5, -1.0), (math.pi / 2, 0, 0.3)]
+
+
+def pose(turn, place=(0.3, -0.2, 0.4)):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = _from_angles(*turn), place
+    return matrix
+
+
+def obstacles(cut):
+    return World.from_shapes("cut", cut.boxes, cut.posts, start=(0, 0, 0), bounds=(-9, -9, 9, 9)).obstacles
+
+
+def misplaced(cut, at, inside):
+    """Where obstacles and a shape differ [m from its border], of points in the plane; `inside` takes its own frame."""
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-2, 2, (4000, 2)), np.full(4000, cut.height)])
+    own = (points - at[:3, 3]) @ at[:3, :3]
+    parts = shapely.get_parts(obstacles(cut))
+    seen = shapely.union_all([shapely.Polygon(part.exterior) for part in parts])  # no laser sees gaps within
+    covered = shapely.contains_xy(seen, points[:, 0], points[:, 1])
+    wrong = points[covered != inside(own)]
+    assert covered.sum() > 20
+    return max((seen.boundary.distance(shapely.Point(point)) for point in wrong), default=0.0)
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_a_box_turned_in_any_way_is_what_the_plane_meets_of_it(turn):
+    cut, at, half = Slice(0.25), pose(turn), np.array([0.8, 0.3, 0.5])
+    outline = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half[:2]
+    assert cut.add_prism(at, outline, -half[2], half[2]) == "met"
+    assert misplaced(cut, at, lambda own: (np.abs(own) <= half).all(axis=1)) < 0.006
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_a_cylinder_turned_in_any_way_is_what_the_plane_meets_of_it(turn):
+    cut, at = Slice(0.25), pose(turn)
+    assert cut.add_cylinder(at, 0.5, 1.2) == "met"
+    inside = lambda own: (np.hypot(own[:, 0], own[:, 1]) <= 0.5) & (np.abs(own[:, 2]) <= 0.6)  # noqa: E731
+    assert misplaced(cut, at, inside) < 0.006
+
+
+@pytest.mark.parametrize(("z", "side"), [(1.0, "above"), (0.25, "met"), (-0.5, "below")])
+def test_what_does_not_reach_the_plane_is_above_or_below_it(z, side):
+    cut, at = Slice(0.25), pose((0.3, 0, 0), (0, 0, z))
+    corners = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+    assert cut.add_prism(at, corners, -0.1, 0.1) == side
+    assert cut.add_cylinder(at, 0.1, 0.2) == side
+    assert cut.add_sphere(at, 0.1) == side
+    assert bool(cut.boxes and cut.posts) == (side == "met")
+
+
+def test_an_upright_shape_stays_one_box_or_one_post():
+    cut = Slice(0.25)
+    cut.add_prism(pose((0, 0, 0.7)), np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]), -1, 1)
+    cut.add_cylinder(pose((math.pi, 0, 0)), 0.5, 1)
+    assert (len(cut.boxes), len(cut.posts)) == (1, 1)
+
+
+@pytest.mark.parametrize("corners", [3, 5, 6, 12])
+def test_an_outline_is_filled_and_nothing_sticks_out(corners):
+    angles = np.arange(corners) * math.tau / corners
+    outline = shapely.Polygon(np.column_stack([np.cos(angles), np.sin(angles)]))
+    cut = Slice(0.25)
+    cut.add_outline(outline)
+    assert obstacles(cut).difference(outline.buffer(0.009)).area < 1e-9
+    hole = outline.difference(obstacles(cut))
+    assert hole.is_empty or max(shapely.maximum_inscribed_circle(part).length for part in shapely.get_parts(hole)) < 0.1
+
+
+def test_a_hole_in_an_outline_stays_free():
+    outline = shapely.Point(0, 0).buffer(2).difference(shapely.Point(0, 0).buffer(1))
+    cut = Slice(0.25)
+    cut.add_outline(outline)
+    assert obstacles(cut).intersection(shapely.Point(0, 0).buffer(0.99)).area < 1e-3
+    assert not obstacles(cut).contains(shapely.Point(0, 0))
+    assert obstacles(cut).contains(shapely.Point(0, 1.5))
