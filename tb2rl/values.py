@@ -65,15 +65,16 @@ def _sensors(value: Any) -> Any:
 
 
 def _worlds(value: Any) -> Any:
-    """A world's name, a generator's settings, or a tuple of these."""
+    """A world's name, a generator's settings, a file with what it does not say, or a tuple of these."""
     entries = value if isinstance(value, list | tuple) else [value]
     if not entries:
         raise ValueError("must name at least one world")
     for entry in entries:
         if not isinstance(_no_object(entry), str | Mapping):
             raise ValueError("must be a name, a list of names, or a generator: {generator: clutter, difficulty: 0.5}")
-        if isinstance(entry, Mapping) and not all(isinstance(key, str) for key in (*entry, entry.get("generator"))):
-            raise ValueError("must name its generator, such as {generator: clutter, difficulty: 0.5}")
+        named = (*entry, entry.get("file", entry.get("generator"))) if isinstance(entry, Mapping) else ()
+        if not all(isinstance(each, str) for each in named):
+            raise ValueError("must name its generator, such as {generator: clutter, difficulty: 0.5}, or its file")
     return value if isinstance(value, str | Mapping) else tuple(entries)
 
 

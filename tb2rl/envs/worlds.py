@@ -12,7 +12,7 @@ from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import is_path
 from tb2rl.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
 from tb2rl.values import build
-from tb2rl.worlds import World
+from tb2rl.worlds import Import, World
 from tb2rl.worlds.generators import GENERATORS, Generated, Purpose, generate
 
 _NAMED = 3  # worlds that a title names one by one
@@ -22,13 +22,17 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     """The worlds of a task.
 
     Args:
-        setting: A name that `find_world` takes, a generator's name, a folder, the settings of a generator, or a list of
-            all these. What is both a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
+        setting: A name that `find_world` takes, a generator's name, a folder, the settings of a generator, a file and
+            what it does not say ({file: my_map.yaml, start: [0, 0, 0]}, see `tb2rl.worlds.Import`), or a list of all
+            these. What is both a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
         purpose: What generated worlds are for; others are the same for every purpose.
 
     Raises:
         InputError: If there is no such world, or a setting does not fit.
     """
+    if isinstance(setting, Mapping) and "file" in setting:
+        said = {key: value for key, value in setting.items() if key != "file"}
+        return (find_world(setting["file"], build(Import, said, "task.world")),)
     if isinstance(setting, Mapping):
         return _generated(build(Generated, setting, "task.world"), purpose)
     if not isinstance(setting, str):
@@ -45,7 +49,7 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
 def absolute_worlds(setting: Any) -> Any:
     """The setting with absolute paths of files and folders: so that a run finds its worlds from any folder."""
     if isinstance(setting, Mapping):
-        return setting
+        return {**setting, "file": absolute_worlds(setting["file"])} if "file" in setting else setting
     if not isinstance(setting, str):
         return tuple(map(absolute_worlds, setting))
     code = MADE_BY_CODE.fullmatch(setting)
@@ -59,7 +63,7 @@ def are_generated(setting: Any) -> bool:
     """Whether some worlds of a setting are generated: these are other ones for each purpose."""
     if isinstance(setting, str):
         return setting in _generators()
-    return isinstance(setting, Mapping) or any(map(are_generated, setting))
+    return "file" not in setting if isinstance(setting, Mapping) else any(map(are_generated, setting))
 
 
 def place_of(setting: Any, worlds: Sequence[World]) -> str:

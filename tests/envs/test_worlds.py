@@ -18,6 +18,7 @@ from tb2rl.envs.worlds import absolute_worlds, find_worlds
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import Evaluator
 from tb2rl.registry import find_world
+from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks.reach_goal import ReachGoal
@@ -90,6 +91,18 @@ def test_a_folder_is_found_from_any_other_one(tmp_path, monkeypatch):
     assert names(found[:2]) == ["a", "a"]
 
 
+def test_a_file_takes_what_it_does_not_say_from_any_folder(tmp_path, monkeypatch):
+    (tmp_path / "hall.yaml").write_text("boxes: [{centre: [3, 0], size: [1, 1]}]\nstart: [0, 0, 0]\nbounds: [-4, -4, 4, 4]\n")
+    monkeypatch.chdir(tmp_path)
+    setting = absolute_worlds({"file": "hall.yaml", "start": [-1.0, 0.5, 0.1], "goal": [1.0, 0.0]})
+    monkeypatch.chdir("/")
+    (hall,) = find_worlds(setting)
+    assert (hall.name, hall.start, hall.goal[:2]) == ("hall", (-1.0, 0.5, 0.1), (1.0, 0.0))
+    config = resolve(settings={"task.world": setting})
+    assert config_from(config.to_dict()).scene.world.start == hall.start
+    assert make_scene(Wander(world=setting, start_clearance=0.3), "raw").worlds_for("test").world is hall
+
+
 def test_a_generator_of_a_users_own(forest):
     worlds = find_worlds({"generator": "my_forest:forest", "worlds": 3, "difficulty": 1.0, "size": [9, 9]})
     assert [world.name for world in worlds] == [f"forest {i} (training)" for i in range(3)]
@@ -125,6 +138,10 @@ WRONG = [
     ({"generator": "my_forest:lost"}, "a function that makes worlds says so"),
     ({"generator": "my_forest:felled"}, "generator my_forest:felled made no tb2rl.worlds.World but NoneType"),
     (["loop", "wall/nowhere.yaml"], "there is no world file wall/nowhere.yaml"),
+    ({"file": 3}, "task.world: must name its generator, such as {generator: clutter, difficulty: 0.5}, or its file"),
+    ({"file": "nowhere.yaml"}, "there is no world file nowhere.yaml"),
+    ({"file": "loop", "strat": [0, 0, 0]}, "unknown key of task.world 'strat'; did you mean 'start'?"),
+    ({"file": "loop", "start": [0, 0]}, "task.world.start"),
 ]
 
 
