@@ -47,6 +47,17 @@ def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
+def _pair(value: Any) -> Any:
+    return (value, value) if isinstance(value, int | float) else value
+
+
+def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError("must be a number, or the lowest and the highest")
+    return pair
+
+
+PAIR, ASCENDING = BeforeValidator(_pair), AfterValidator(_ascending)  # of a range, which a number can stand for
 Edges = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_increasing)]  # borders of classes
 
 
@@ -78,6 +89,13 @@ def _worlds(value: Any) -> Any:
     return value if isinstance(value, str | Mapping) else tuple(entries)
 
 
+def _variation(value: Any) -> Any:
+    if not isinstance(value, str | Mapping):
+        raise ValueError("must be a preset, or what is to vary, such as {preset: mild, latency: [0, 1]}")
+    return value
+
+
+Varied = Annotated[Any, BeforeValidator(_variation)]  # what it means: see `tb2rl.simulation.variation`
 Arguments = dict[str, Any]
 Observed = Annotated[tuple[str | dict[str, Arguments | None], ...], Len(1, 100), BeforeValidator(_sensors)]
 Worlds = Annotated[Any, BeforeValidator(_worlds)]  # what they mean: see `tb2rl.envs.worlds`

@@ -141,7 +141,7 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
     env.seed(0)
     env.reset()
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
-    numbers = [np.empty(shape) for shape in ((robots, 2), robots, robots)]
+    numbers = [np.empty(shape) for shape in ((robots, 2), (robots, 2), robots, robots)]
     results = *numbers, np.empty(robots, dtype=bool), np.empty((robots, beams))
     whole: list[float] = []
     bare: list[float] = []

@@ -55,7 +55,7 @@ class Batch:
     def __init__(self, scene: Scene, robots: int) -> None:
         scene.check("kinematic")
         self.scene, self.task, self.robots = scene, scene.task, robots
-        self._observer, self._actions = scene.observer(), scene.actions
+        self._observer, self._actions, self._commander = scene.observer(), scene.actions, scene.commander()
         self.simulation = KinematicSimulation(scene.setup, robots)
         self.seed(None)
 
@@ -72,12 +72,14 @@ class Batch:
         self._lengths = np.zeros(robots, dtype=np.int64)
         self._returns, self.distances = np.zeros(robots), np.zeros(robots)
         self.reading = self.simulation.reset(self._starts(np.arange(robots)), noise)
+        self._commander.begin(np.zeros((robots, 2)))
         return self._observer.begin(self.reading)
 
     def step(self, actions: np.ndarray) -> Step:
         """Hold an action of each robot, shape (robots, ...), for a control period."""
         before = self.reading
-        after = self.simulation.step(self._actions.commands(actions), self.task.control_period)
+        commands = self._commander.pass_on(self._actions.commands(actions), before.start.command_latency)
+        after = self.simulation.step(commands, self.task.control_period)
         outcome = self.task.judge(before, actions, after)
         terminated = outcome.terminated
         self._lengths += 1
@@ -92,6 +94,7 @@ class Batch:
             self._lengths[ended], self._returns[ended], self.distances[ended] = 0, 0.0, 0.0
             after, first = self.simulation.restart(ended, self._starts(ended), after)
             self._observer.begin_some(ended, first, observations)
+            self._commander.begin_some(ended, np.zeros((len(ended), 2)))
         self.reading = after
         return Step(observations, outcome.reward, terminated, truncated, finals)
 
@@ -101,6 +104,7 @@ class Batch:
             "simulation": self.simulation.state(),
             "reading": self.reading.state(),
             "frames": self._observer.state(),
+            "commands": self._commander.state(),
             "keys": self._keys.copy(),
             "draws": self._draws.copy(),
             "lengths": self._lengths.copy(),
@@ -118,6 +122,7 @@ class Batch:
         self.simulation.restore(state["simulation"])
         self.reading = Reading.from_state(state["reading"], self.simulation)
         self._observer.restore(state["frames"])
+        self._commander.restore(state["commands"])
         self._keys, self._draws = state["keys"].copy(), state["draws"].copy()
         self._lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
         self.distances = state["distances"].copy()
@@ -130,7 +135,7 @@ class Batch:
     def _starts(self, robots: np.ndarray) -> Start:
         """New starts of the robots with these indices, one row each."""
         draws = StreamDraws(self._keys[robots], self._draws[robots])
-        start = self.task.begin(self.scene.setup, draws)
+        start = self.task.begin_varied(self.scene.setup, draws)
         self._draws[robots] = draws.counts
         return start
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.envs.encodings import Encoding, Numbers, Observations, put_rows, row
+from tb2rl.envs.latency import Delay
 from tb2rl.errors import InputError
 from tb2rl.simulation import Reading
 
@@ -26,22 +27,26 @@ class Observer:
         encoding: From one reading to one observation.
         space: Of one robot's stacked observation, see `stacked_space`.
         frames: How many observations are stacked.
+        latency: The most control steps until a robot observes a reading.
     """
 
-    def __init__(self, encoding: Encoding, space: spaces.Space, frames: int) -> None:
+    def __init__(self, encoding: Encoding, space: spaces.Space, frames: int, latency: int = 0) -> None:
         self._encode, self._space, self._frames = encoding, space, frames
+        self._delay = Delay(latency)
         self._stack: Observations = None  # the latest; with one frame it is not kept
 
     def begin(self, reading: Reading) -> Observations:
         """What the robots observe where the episodes of all of them begin."""
-        first = self._first(reading)
+        latest = self._encode(reading)
+        self._delay.begin(latest)
+        first = self._repeated(latest)
         if self._frames > 1:
             self._stack = deepcopy(first)
         return first
 
     def go_on(self, reading: Reading) -> Observations:
         """What the robots observe a step later."""
-        latest = self._encode(reading)
+        latest = self._delay.pass_on(self._encode(reading), reading.start.reading_latency)
         if self._frames == 1:
             return latest
         self._stack = _each(lambda new, old: np.concatenate([old[:, new.shape[1] :], new], axis=1), latest, self._stack)
@@ -55,32 +60,41 @@ class Observer:
             reading: Of these alone, n rows.
             observations: From `go_on`.
         """
-        first = self._first(reading)
+        latest = self._encode(reading)
+        self._delay.begin_some(robots, latest)
+        first = self._repeated(latest)
         put_rows(observations, robots, first)
         if self._frames > 1:
             put_rows(self._stack, robots, first)
 
-    def state(self) -> Observations:
-        """The frames so far, in arrays of their own; None with one frame."""
-        return deepcopy(self._stack)
+    def state(self) -> dict[str, Any]:
+        """The frames so far, None with one frame, and what is still on its way; in arrays of their own."""
+        return {"stack": deepcopy(self._stack), "delayed": self._delay.state()}
 
-    def restore(self, state: Observations) -> None:
+    def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a `state`.
 
         Raises:
             ValueError: If these are no observations.
         """
+        stack, delayed = state["stack"], state["delayed"]
         if self._frames > 1:
-            robots = len(next(iter(state.values())) if isinstance(state, dict) else state)
-            if not all(self._space.contains(row(state, robot)) for robot in range(robots)):
-                raise ValueError("the stacked observations lie outside the observation space")
-            self._stack = deepcopy(state)
+            _check(stack, self._space)
+            self._stack = deepcopy(stack)
+        for observations in delayed:
+            _check(observations, self._encode.space)
+        self._delay.restore(delayed)
 
-    def _first(self, reading: Reading) -> Observations:
-        observations = self._encode(reading)
+    def _repeated(self, observations: Observations) -> Observations:
         if self._frames == 1:
             return observations
         return _each(lambda new: np.concatenate([new] * self._frames, axis=1), observations)
+
+
+def _check(observations: Observations, space: spaces.Space) -> None:
+    robots = len(next(iter(observations.values())) if isinstance(observations, dict) else observations)
+    if not all(space.contains(row(observations, robot)) for robot in range(robots)):
+        raise ValueError("the stacked observations lie outside the observation space")
 
 
 def stacked_space(space: spaces.Space, frames: int) -> spaces.Space:

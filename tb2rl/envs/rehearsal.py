@@ -29,8 +29,10 @@ def rehearse(task: Task, setup: Setup) -> tuple[Actions, tuple[Sensor, ...]]:
     with np.errstate(all="ignore"):  # some tasks divide by a speed, and these robots stand
         each = range(len(setup.worlds)) if task.goal_task else [0]  # one of them may have no goal
         for part in (*map(setup.within, each), setup):
-            start = task.begin(part, GeneratorDraws(np.random.default_rng(0), _ROBOTS))
+            draws = GeneratorDraws(np.random.default_rng(0), _ROBOTS)
+            start = task.begin(part, draws)
             _check_start(start, task, setup, where)
+            task.imperfections.vary(start, draws)
         reading, own = _at_rest(start, setup), task.sensors(setup)
         _demand(isinstance(own, tuple | list), f"{where}: sensors must return a tuple: (Compass(),)", own)
         sensors = observed_sensors(task, tuple(own), setup)

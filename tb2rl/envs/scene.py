@@ -12,6 +12,7 @@ from gymnasium import spaces
 
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
 from tb2rl.envs.frames import Observer, stacked_space
+from tb2rl.envs.latency import Delay
 from tb2rl.envs.rehearsal import rehearse
 from tb2rl.envs.worlds import are_generated, find_worlds, place_of
 from tb2rl.errors import InputError, unknown
@@ -88,7 +89,12 @@ class Scene:
 
     def observer(self) -> Observer:
         """What turns the readings of some robots into what they observe, from their episodes' first one on."""
-        return Observer(self.encoding, self.observation_space, self.task.frames)
+        latency = self.task.imperfections.reading_latency[1]
+        return Observer(self.encoding, self.observation_space, self.task.frames, latency)
+
+    def commander(self) -> Delay:
+        """What hands commands to the robots, as late as they are to obey them."""
+        return Delay(self.task.imperfections.latency[1])
 
     def check(self, simulation: str) -> None:
         """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what a sensor reads."""

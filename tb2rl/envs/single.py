@@ -66,7 +66,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         modes = [mode for mode in _RENDER_MODES if mode != "human" or simulation == "bullet"]
         self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = scene.observation_space, scene.action_space
-        self._observer, self._actions = scene.observer(), scene.actions
+        self._observer, self._actions, self._commander = scene.observer(), scene.actions, scene.commander()
         scene.check(simulation)
         self.simulation = simulate(simulation, scene.setup, window=render_mode == "human")
         self.reading: Reading | None = None  # the latest; None before the first reset
@@ -83,6 +83,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         """
         super().reset(seed=seed)
         self.reading = self.simulation.reset(self._start(options or {}), self.np_random)
+        self._commander.begin(np.zeros((1, 2)))
         self._steps, self._distance = 0, 0.0
         self.path = [self.reading.pose[0]]
         return row(self._observer.begin(self.reading), 0), info_of(self.reading, 0, 0.0, None)
@@ -97,7 +98,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             raise InputError("step needs a reset first")
         actions = self._actions.checked(action)
         before = self.reading
-        after = self.simulation.step(self._actions.commands(actions), self.task.control_period)
+        commands = self._commander.pass_on(self._actions.commands(actions), before.start.command_latency)
+        after = self.simulation.step(commands, self.task.control_period)
         outcome = self.task.judge(before, actions, after)
         self.reading = after
         self._steps += 1
@@ -140,6 +142,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             "simulation": self.simulation.state(),
             "reading": self.reading.state(),
             "frames": self._observer.state(),
+            "commands": self._commander.state(),
             "steps": self._steps,
             "distance": self._distance,
             "generator": self.np_random.bit_generator.state,
@@ -152,6 +155,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.simulation.restore(state["simulation"])
         self.reading = Reading.from_state(state["reading"], self.simulation)
         self._observer.restore(state["frames"])
+        self._commander.restore(state["commands"])
         self._steps, self._distance = int(state["steps"]), float(state["distance"])
         self.np_random.bit_generator.state = state["generator"]
         self.path = [self.reading.pose[0]]
@@ -178,10 +182,10 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             index = checked(Annotated[int, Ge(0), Lt(len(setup.worlds))], options["world"], "options.world")
             setup = setup.within(index)
         if "pose" not in options:
-            return self.task.begin(setup, GeneratorDraws(self.np_random))
+            return self.task.begin_varied(setup, GeneratorDraws(self.np_random))
         x, y, yaw = checked(Pose, options["pose"], "options.pose")
         # What the task draws for the rest of the start is thrown away: the noise is that of any other episode.
-        start = self.task.begin(setup, GeneratorDraws(deepcopy(self.np_random)))
+        start = self.task.begin_varied(setup, GeneratorDraws(deepcopy(self.np_random)))
         world = setup.worlds[int(start.world[0])]
         if not world.contains((x, y)):
             raise InputError(f"the start ({x:g}, {y:g}) is outside world {world.name}")

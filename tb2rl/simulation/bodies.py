@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from tb2rl.worlds.world import WALL_HEIGHT, World
 
 GRAVITY = 9.81  # [m/s^2]
 FLOOR_FRICTION = 1.0  # rubber on a dry floor
+WHEEL_FRICTION = 1.0  # times that of the floor
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
 WALL_GROUP = 2  # of collisions: what laser rays are to hit
 _MOVING_GROUP = 1  # PyBullet's own, of what moves: else each wall would be held against the floor in every step
@@ -109,17 +110,38 @@ class RobotBody:
         wheels: The numbers of the left and the right wheel's joint.
         centre: x and z of the centre of mass in the robot's frame [m]: PyBullet speaks of it, we of the middle of the
             axle on the floor.
+        inertia: Mass [kg] and moments of inertia [kg m^2] of the base.
     """
 
     client: int
     body: int
     wheels: tuple[int, int]
     centre: tuple[float, float]
+    inertia: tuple[float, tuple[float, float, float]]
+    _weighs: list[float] = field(default_factory=lambda: [1.0, 1.0])  # what `weigh` said last
 
     def frame_at(self, x: float, y: float, yaw: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Position of the centre of mass [m] and orientation (quaternion) of a robot that stands at a pose."""
         position = (x + self.centre[0] * math.cos(yaw), y + self.centre[0] * math.sin(yaw), self.centre[1])
         return position, (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+
+    def weigh(self, mass: float, friction: float) -> None:
+        """Make the base's mass, where it lies now, and the wheels' friction so many times the robot's own."""
+        if self._weighs == [mass, friction]:
+            return
+        self._weighs[:] = mass, friction
+        own, moments = self.inertia
+        pybullet.changeDynamics(
+            self.body,
+            -1,
+            mass=mass * own,
+            localInertiaDiagonal=[mass * moment for moment in moments],
+            physicsClientId=self.client,
+        )
+        for wheel in self.wheels:
+            pybullet.changeDynamics(
+                self.body, wheel, lateralFriction=friction * WHEEL_FRICTION, physicsClientId=self.client
+            )
 
     def place(self, pose: np.ndarray) -> None:
         """Put the robot at a pose (3,)."""
@@ -154,9 +176,9 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
     undamped = {"linearDamping": 0.0, "angularDamping": 0.0, "jointDamping": 0.0, "physicsClientId": client}
     pybullet.changeDynamics(body, -1, lateralFriction=0.0, **undamped)
     for wheel in wheels:
-        pybullet.changeDynamics(body, wheel, lateralFriction=1.0, **undamped)
-    centre_x, _, centre_z = pybullet.getDynamicsInfo(body, -1, client)[3]
-    return RobotBody(client, body, wheels, (centre_x, centre_z))
+        pybullet.changeDynamics(body, wheel, lateralFriction=WHEEL_FRICTION, **undamped)
+    mass, _, moments, (centre_x, _, centre_z), *_ = pybullet.getDynamicsInfo(body, -1, client)
+    return RobotBody(client, body, wheels, (centre_x, centre_z), (mass, moments))
 
 
 def _check_wheels(client: int, body: int, wheels: tuple[int, int], robot: Robot) -> None:

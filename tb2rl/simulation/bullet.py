@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from tb2rl.errors import InputError
-from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION, WHEEL_SEPARATION
+from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
 from tb2rl.simulation.bodies import WALL_GROUP, add_floor, add_robot, add_walls, connect
 from tb2rl.simulation.camera import look_ahead
+from tb2rl.simulation.odometry import believed, is_exact
 from tb2rl.simulation.physics import pybullet, quiet
 from tb2rl.simulation.reading import Reading
-from tb2rl.simulation.setup import PHYSICS_RATE, Setup
+from tb2rl.simulation.scan import Scanner
+from tb2rl.simulation.setup import BELIEVED_SEPARATION, FRICTION, MASS, PHYSICS_RATE, WHEEL, Setup
 from tb2rl.simulation.start import Start
-from tb2rl.worlds.geometry import cast_one, limit_ranges
 from tb2rl.worlds.world import WALL_HEIGHT
 
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
@@ -43,8 +44,7 @@ class BulletSimulation:
     def __init__(self, setup: Setup, window: bool = False) -> None:
         self.setup, self.laser, self._window = setup, setup.laser, window
         self._world_number, self.world = 0, setup.worlds[0]
-        self._directions = np.cos(self.laser.angles), np.sin(self.laser.angles)
-        self._scratch = tuple(np.empty((2, len(self.laser.angles))))
+        self._scanner = Scanner(setup.laser)
         self._rng = np.random.default_rng()
         self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels
         self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
@@ -82,6 +82,7 @@ class BulletSimulation:
         if self._client < 0:
             return
         self._open()
+        self._body.weigh(*self._start.table[0, [MASS, FRICTION]].tolist())
         if self._put_at is not None:
             self._put(*self._put_at)
             for commands, duration in state["_driven"]:
@@ -107,13 +108,17 @@ class BulletSimulation:
         """Make the world and the robot those of an episode.
 
         Raises:
-            InputError: If the robot is to have another shape than its URDF file.
+            InputError: If the robot is to have another radius than in its URDF file.
         """
         own, wanted = self.setup.robot.parameters, start.parameters[0]
-        if wanted[RADIUS] != own[RADIUS] or wanted[WHEEL_SEPARATION] != own[WHEEL_SEPARATION]:
-            raise InputError("PyBullet takes the robot's radius and wheel separation from its URDF file alone")
-        self._start = start
+        if wanted[RADIUS] != own[RADIUS]:
+            raise InputError("PyBullet takes the robot's radius from its URDF file alone")
+        self._start, self._exact = start, is_exact(start)
         self._max_speed, self._max_turn_rate = float(wanted[MAX_SPEED]), float(wanted[MAX_TURN_RATE])
+        # A loaded body keeps its wheels: told other speeds, they move it as the wheels of the episode would.
+        self._wheel = float(start.table[0, WHEEL])
+        self._turn = self._wheel * float(start.table[0, BELIEVED_SEPARATION])
+        self._body.weigh(*start.table[0, [MASS, FRICTION]].tolist())
         self._torque = self.setup.robot.wheel_torque * float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
         if start.world[0] != self._world_number:
             for body in self._walls:
@@ -136,14 +141,15 @@ class BulletSimulation:
     def _free_steps(self, duration: float) -> int:
         """How many physics steps of the control step cannot take the robot to a wall, even at its top speed."""
         gap = max(self.world.clearance(*self._place) - self.setup.robot.radius - _MARGIN, 0.0)
-        return int(min(gap / max(self._max_speed * duration, 1e-9), 1.0) * self._steps)
+        return int(min(gap / max(self._max_speed * self._wheel * duration, 1e-9), 1.0) * self._steps)
 
     def set_wheel_speeds(self, commands: np.ndarray) -> None:
         """Tell the wheel motors the speeds for `commands` (1, 2), v [m/s] and w [rad/s]."""
         robot = self.setup.robot
         v, w = commands[0].tolist()
-        v = min(max(v, -self._max_speed), self._max_speed)
-        reach = min(max(w, -self._max_turn_rate), self._max_turn_rate) * robot.wheel_separation / 2
+        v = min(max(v, -self._max_speed), self._max_speed) * self._wheel
+        w = min(max(w, -self._max_turn_rate), self._max_turn_rate) * self._turn
+        reach = w * robot.wheel_separation / 2
         for wheel, speed in zip(self._wheels, (v - reach, v + reach), strict=True):
             pybullet.setJointMotorControl2(
                 self._robot,
@@ -213,15 +219,9 @@ class BulletSimulation:
     def _read(self, bumped: bool) -> Reading:
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._robot, self._client)
         x, y, yaw = self._body.pose()
-        cos, sin = math.cos(yaw), math.sin(yaw)
         self._place = x, y
-        laser = self.laser
-        ranges = np.empty((1, len(laser.angles)))
-        cast_one(x, y, yaw, *self._directions, *self.world.index, 0, *self._scratch, ranges, 0)
-        if laser.noise:
-            ranges += laser.noise * self._rng.standard_normal(ranges.shape)
-        limit_ranges(ranges, 0, laser.min_range, laser.max_range)
-        earlier, self._speed = self._speed, vx * cos + vy * sin
+        ranges = self._scanner.scan((x, y, yaw), self.world, self._start, self._rng)
+        earlier, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
         command, duration = self._driven[-1] if self._driven else (np.zeros((1, 2)), math.inf)
         self._command, self._acceleration = command, np.array([(self._speed - earlier) / duration])
         odometry, odometry_twist = self._count_wheels()
@@ -247,13 +247,16 @@ class BulletSimulation:
         self._angles = (left, right)
         x, y, yaw = self._odometry
         length, turn = (step_left + step_right) / 2, (step_right - step_left) / robot.wheel_separation
+        rims = left_rate * robot.wheel_radius, right_rate * robot.wheel_radius
+        v, w = sum(rims) / 2, (rims[1] - rims[0]) / robot.wheel_separation
+        if not self._exact:
+            (length, turn), (v, w) = believed(np.array([(length, turn), (v, w)]), self._start).tolist()
         if turn:
             length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
         heading = yaw + turn / 2
         yaw = math.remainder(yaw + turn, math.tau)
         self._odometry = (x + length * math.cos(heading), y + length * math.sin(heading), yaw)
-        rims = left_rate * robot.wheel_radius, right_rate * robot.wheel_radius
-        return self._odometry, (sum(rims) / 2, (rims[1] - rims[0]) / robot.wheel_separation)
+        return self._odometry, (v, w)
 
     def _joint_states(self) -> tuple:
         return pybullet.getJointStates(self._robot, self._wheels, self._client)

@@ -1,8 +1,8 @@
 """The compiled motion of the fast twin.
 
 Arrays of all robots: poses (robots, 3) x [m], y [m], yaw [rad]; rims (robots, 2), speeds of the left and the right
-wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 16), the columns of
-`tb2rl.simulation.setup`, of which the last are each robot's parameters; boxes, posts, parts and lists, the
+wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 30), the columns of
+`tb2rl.simulation.setup`, among them each robot's parameters and its flaws; boxes, posts, parts and lists, the
 `Index` of all worlds.
 """
 
@@ -14,8 +14,18 @@ import numpy as np
 
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.robots import robot
-from tb2rl.simulation.setup import PARAMETERS, PHYSICS_RATE, WORLD
-from tb2rl.simulation.streams import normal
+from tb2rl.simulation.setup import (
+    BELIEVED_SEPARATION,
+    BIAS,
+    DROPPED,
+    MOUNT,
+    NOISE,
+    PARAMETERS,
+    PHYSICS_RATE,
+    WHEEL,
+    WORLD,
+)
+from tb2rl.simulation.streams import normal, uniform
 from tb2rl.worlds.geometry import cast_one, clearance_one, limit_ranges
 
 PHYSICS_STEP = 1.0 / PHYSICS_RATE  # [s] PyBullet moves with the speed at a step's end, along the heading at its start
@@ -24,6 +34,8 @@ CONTACT = 1.0e-4  # [m] a gap below this is contact
 RADIUS, WHEEL_SEPARATION = PARAMETERS.start + robot.RADIUS, PARAMETERS.start + robot.WHEEL_SEPARATION
 MAX_SPEED, MAX_TURN_RATE = PARAMETERS.start + robot.MAX_SPEED, PARAMETERS.start + robot.MAX_TURN_RATE
 ACCELERATION, COUPLING = PARAMETERS.start + robot.WHEEL_ACCELERATION, PARAMETERS.start + robot.WHEEL_COUPLING
+MOUNT_X, MOUNT_Y, MOUNT_YAW = MOUNT.start, MOUNT.start + 1, MOUNT.start + 2
+_EMPTY = np.uint64(0x5851F42D4C957F2D)  # makes a stream for dropped beams of that for the laser's noise
 _NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched
 
 
@@ -43,7 +55,7 @@ def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts, parts, lists, 
         world: The number of its own.
 
     Returns:
-        The pose after it, and whether an obstacle was touched.
+        The pose after it, the way [m], and whether an obstacle was touched.
     """
     whole = abs(length)
     left, bumped = whole, False
@@ -61,7 +73,7 @@ def move_along_arc(x, y, yaw, length, turn, radius, boxes, posts, parts, lists, 
         left -= part
     if left > 0.0 or whole == 0.0:
         yaw += turn * left / whole if whole > 0.0 else turn
-    return x, y, yaw, bumped
+    return x, y, yaw, math.copysign(whole - left, length), bumped
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -86,7 +98,7 @@ def rim_speed(start, change, together, clock, acceleration, coupling):
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world):
+def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways):
     """The control step of robot `i`: both rims speed up, then one, then none.
 
     Args:
@@ -97,6 +109,7 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
         i: Which one it is.
         boxes, posts, parts, lists: Of all worlds.
         world: The number of its own.
+        ways: How far each robot went [m] and turned [rad], shape (robots, 2): its row is a result.
 
     Returns:
         Whether it touched an obstacle.
@@ -104,8 +117,10 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
     radius, separation = starts[i, RADIUS], starts[i, WHEEL_SEPARATION]
     acceleration, coupling = starts[i, ACCELERATION], starts[i, COUPLING]
     v, w = commands[i, 0], commands[i, 1]
+    wheel = starts[i, WHEEL]
     reach = 0.5 * separation * min(max(w, -starts[i, MAX_TURN_RATE]), starts[i, MAX_TURN_RATE])
-    v = min(max(v, -starts[i, MAX_SPEED]), starts[i, MAX_SPEED])
+    reach *= starts[i, BELIEVED_SEPARATION] * wheel
+    v = min(max(v, -starts[i, MAX_SPEED]), starts[i, MAX_SPEED]) * wheel
     left, right = rims[i, 0], rims[i, 1]
     change_left, change_right = v - reach - left, v + reach - right
     sense_of_both = math.copysign(1.0, change_left * change_right)
@@ -118,7 +133,7 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
     # Far from walls nothing needs to be looked at on the way.
     longest = max(abs(left), abs(right), abs(v) + abs(reach)) * duration
     free = clearance_one(x, y, boxes, posts, parts, lists, world) > radius + longest
-    bumped = False
+    bumped, way, turned = False, 0.0, 0.0
     clock, end = 0.5 * PHYSICS_STEP, duration + 0.5 * PHYSICS_STEP
     last_left = rim_speed(left, change_left, together, clock, acceleration, coupling)
     last_right = rim_speed(right, change_right, together, clock, acceleration, coupling)
@@ -135,12 +150,15 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
         if free:
             x, y, yaw = along_arc(x, y, yaw - lag, length, rate * (until - clock))
         else:
-            x, y, yaw, hit = move_along_arc(
+            x, y, yaw, length, hit = move_along_arc(
                 x, y, yaw - lag, length, rate * (until - clock), radius, boxes, posts, parts, lists, world
             )
             bumped = bumped or hit
         yaw += lag
+        way += length
+        turned += rate * (until - clock)
         last_left, last_right, clock = next_left, next_right, until
+    ways[i, 0], ways[i, 1] = way, turned
     poses[i, 0], poses[i, 1] = x, y
     poses[i, 2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
     rims[i, 0] = rim_speed(left, change_left, together, duration, acceleration, coupling)
@@ -149,11 +167,13 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def sense(poses, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges):
+def sense(
+    poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges
+):  # fmt: skip
     """The laser of robot `i`.
 
     Args:
-        poses: Of all robots.
+        poses, starts: Of all robots.
         i: Which one it is.
         cos_beams, sin_beams: Of each beam's direction, shape (beams,).
         boxes, posts, parts, lists: Of all worlds.
@@ -164,49 +184,61 @@ def sense(poses, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, lim
         ranges: Of all robots; its row is the result [m], shape (robots, beams).
     """
     x, y, yaw, beams = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
+    east, north = starts[i, MOUNT_X], starts[i, MOUNT_Y]
+    if east != 0.0 or north != 0.0:
+        x, y = x + east * math.cos(yaw) - north * math.sin(yaw), y + east * math.sin(yaw) + north * math.cos(yaw)
+    yaw += starts[i, MOUNT_YAW]
     cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, i)
-    if limits[0] > 0.0:
-        first = streams[i, 1] * np.uint64(beams)
+    noise, bias, dropped = starts[i, NOISE], starts[i, BIAS], starts[i, DROPPED]
+    noise = limits[0] if noise < 0.0 else noise
+    first = streams[i, 1] * np.uint64(beams)
+    if noise > 0.0 or bias != 0.0:
         for beam in range(beams):
-            ranges[i, beam] += limits[0] * normal(streams[i, 0], first + np.uint64(beam))
+            ranges[i, beam] += noise * normal(streams[i, 0], first + np.uint64(beam)) + bias
     limit_ranges(ranges, i, limits[1], limits[2])
+    if dropped > 0.0:
+        for beam in range(beams):
+            if uniform(streams[i, 0] ^ _EMPTY, first + np.uint64(beam)) < dropped:
+                ranges[i, beam] = np.inf
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
 def step_robots(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, cos_beams, sin_beams, limits,
-    streams, over_x, over_y, twists, moved, accelerations, bumped, ranges,
+    streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges,
 ):  # fmt: skip
     """`step_block`, with room to calculate in: arrays that a loop's own function made are counted in every turn."""
     for i in range(first, last):
         world = int(starts[i, WORLD])
         x, y, earlier = poses[i, 0], poses[i, 1], 0.5 * (rims[i, 0] + rims[i, 1])
-        bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world)
+        bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways)
         moved[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
         twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
         twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
         accelerations[i] = (twists[i, 0] - earlier) / duration
         streams[i, 1] += np.uint64(1)
         sense(
-            poses, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges
+            poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y,
+            ranges,
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
-    twists, moved, accelerations, bumped, ranges,
+    twists, ways, moved, accelerations, bumped, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
 
     `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
-    Results are `twists` (robots, 2) v and w [m/s, rad/s], `moved` (robots,) how far from where it was [m],
+    Results are `twists` (robots, 2) v and w [m/s, rad/s], `ways` as in `move`, `moved` (robots,) how far from where it
+    was [m],
     `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges` (robots, beams) [m].
     """
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     step_robots(
         first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
-        streams, over_x, over_y, twists, moved, accelerations, bumped, ranges,
+        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges,
     )  # fmt: skip
 
 
@@ -218,6 +250,7 @@ def sense_some(robots, poses, starts, boxes, posts, parts, lists, beams, limits,
     for i in robots:
         sense(
             poses,
+            starts,
             i,
             cos_beams,
             sin_beams,

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.robots.robot import WHEEL_SEPARATION
+from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, WHEEL_SEPARATION
 from tb2rl.simulation.depth import depth_images
 from tb2rl.simulation.kernels import sense_some, step_block
+from tb2rl.simulation.odometry import believed, count_on, is_exact
 from tb2rl.simulation.reading import Reading
-from tb2rl.simulation.setup import Setup
+from tb2rl.simulation.setup import BELIEVED_SEPARATION, WHEEL, Setup
 from tb2rl.simulation.start import Start
 from tb2rl.simulation.threads import share_out
 from tb2rl.worlds.index import join
@@ -24,7 +25,6 @@ from tb2rl.worlds.index import join
 ROBOT, BEAM = 0.25e-6, 4e-9  # [s] what a step costs a thread, for each robot and for each of its beams
 WAKING = 0.06e-3  # [s] until another thread has begun
 WORTH_THREADS = 0.25e-3  # [s] of work; to wake a thread costs 0.1 ms, and more on a busy machine
-_LARGEST_VARIATION = 10.0  # of a robot's parameters, times its own
 
 
 class KinematicSimulation:
@@ -52,24 +52,29 @@ class KinematicSimulation:
         self._bumped = np.zeros(robots, dtype=bool)
         self._twists, self._commands = np.zeros((robots, 2)), np.zeros((robots, 2))
         self._accelerations = np.zeros(robots)
+        self._odometry: np.ndarray | None = None  # None: the wheels are what they should be, so it is the truth
 
     def reset(self, start: Start, rng: np.random.Generator) -> Reading:
         self._start = start
         self._poses, self._rims = start.pose.copy(), np.zeros((self.robots, 2))
         self._bumped = np.zeros(self.robots, dtype=bool)
         self._commands, self._accelerations = np.zeros((self.robots, 2)), np.zeros(self.robots)
+        self._odometry = None if is_exact(start) else self._poses.copy()
         self._streams = np.zeros((self.robots, 2), dtype=np.uint64)
         self._streams[:, 0] = rng.integers(2**64, size=self.robots, dtype=np.uint64)
         return self._look()
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         poses, rims = self._poses.copy(), self._rims.copy()  # readings keep what they show
-        twists, moved, accelerations = np.empty_like(rims), np.empty(self.robots), np.empty(self.robots)
+        twists, ways = np.empty_like(rims), np.empty_like(rims)
+        moved, accelerations = np.empty(self.robots), np.empty(self.robots)
         bumped, ranges = np.empty(self.robots, dtype=bool), np.empty((self.robots, self._beams.shape[1]))
         commands = np.array(commands, dtype=float, order="C")  # a copy: an episode that ends overwrites it
-        self.advance(poses, rims, commands, duration, twists, moved, accelerations, bumped, ranges)
+        self.advance(poses, rims, commands, duration, twists, ways, moved, accelerations, bumped, ranges)
         self._poses, self._rims, self._bumped, self.moved = poses, rims, bumped, moved
         self._twists, self._commands, self._accelerations = twists, commands, accelerations
+        if self._odometry is not None:
+            self._odometry = count_on(self._odometry, believed(ways, self._start))
         return self._reading(ranges)
 
     def advance(
@@ -79,6 +84,7 @@ class KinematicSimulation:
         commands: np.ndarray,
         duration: float,
         twists: np.ndarray,
+        ways: np.ndarray,
         moved: np.ndarray,
         accelerations: np.ndarray,
         bumped: np.ndarray,
@@ -90,7 +96,7 @@ class KinematicSimulation:
         """
         data = (
             poses, rims, commands, duration, self._start.table, *self._index, self._beams, self._limits, self._streams,
-            twists, moved, accelerations, bumped, ranges,
+            twists, ways, moved, accelerations, bumped, ranges,
         )  # fmt: skip
         cost = ROBOT + BEAM * ranges.shape[1]
         if self.robots * cost > WORTH_THREADS:
@@ -112,6 +118,10 @@ class KinematicSimulation:
         self._start.table[robots] = start.table
         self._poses[robots], self._rims[robots] = start.pose, 0.0
         self._streams[robots, 1] += np.uint64(1)
+        if self._odometry is not None:
+            self._odometry[robots] = start.pose
+        elif not is_exact(start):
+            self._odometry = self._poses.copy()
         for array in (self._twists, self._commands, self._accelerations, self._bumped):
             array[robots] = 0
         self._sense(robots, reading.ranges)
@@ -124,6 +134,7 @@ class KinematicSimulation:
         """Poses, rim speeds, random streams and starts of all robots."""
         now = {"poses": self._poses, "rims": self._rims, "streams": self._streams, "bumped": self._bumped}
         now |= {"commands": self._commands, "accelerations": self._accelerations}
+        now["odometry"] = self._poses if self._odometry is None else self._odometry
         return {**{name: array.copy() for name, array in now.items()}, "start": self._start.table.copy()}
 
     def restore(self, state: Mapping[str, Any]) -> Reading:
@@ -133,17 +144,18 @@ class KinematicSimulation:
             ValueError: If it names a world that is not there, or robots so fast that a step would not end.
         """
         start = Start(np.array(state["start"]))
-        if not np.isin(start.world, range(len(self.setup.worlds))).all():
-            raise ValueError("a robot is in a world that is not there")
-        robot = self.setup.robot
-        if not (np.abs(start.parameters) <= _LARGEST_VARIATION * np.abs(robot.parameters)).all():
-            raise ValueError("a robot's parameters are far from what it is")
-        if not (np.abs(state["rims"]) <= 2.0 * robot.max_speed + robot.wheel_separation * robot.max_turn_rate).all():
+        self.setup.check_table(start.table)
+        table, robot = start.table, start.parameters
+        reach = 0.5 * robot[:, WHEEL_SEPARATION] * table[:, BELIEVED_SEPARATION] * robot[:, MAX_TURN_RATE]
+        fastest = table[:, WHEEL] * (robot[:, MAX_SPEED] + reach)
+        if not (np.abs(state["rims"]) <= 1.01 * fastest[:, None]).all():
             raise ValueError("the wheels turn faster than they can")
         self._start = start
         self._poses, self._rims = state["poses"].copy(), state["rims"].copy()
         self._streams, self._bumped = state["streams"].copy(), state["bumped"].copy()
         self._commands, self._accelerations = state["commands"].copy(), state["accelerations"].copy()
+        exact = is_exact(start) and (state["odometry"] == state["poses"]).all()
+        self._odometry = None if exact else state["odometry"].copy()
         return self._look()
 
     def close(self) -> None:
@@ -159,9 +171,11 @@ class KinematicSimulation:
         return self._reading(ranges)
 
     def _reading(self, ranges: np.ndarray) -> Reading:
-        """With the laser's ranges (robots, beams): the wheels do not slip, so odometry is the truth."""
-        truth = self._poses, self._twists
-        return Reading(*truth, *truth, ranges, self._bumped, self._commands, self._accelerations, self._start, self)
+        """With the laser's ranges (robots, beams): the wheels do not slip."""
+        truth = counted = self._poses, self._twists
+        if self._odometry is not None:
+            counted = self._odometry, believed(self._twists, self._start)
+        return Reading(*truth, *counted, ranges, self._bumped, self._commands, self._accelerations, self._start, self)
 
     def look(self, reading: Reading, width: int, height: int) -> tuple[None, np.ndarray]:
         """Depth images, see `Reading.look`; the twin has no colours."""

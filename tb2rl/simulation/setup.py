@@ -15,7 +15,21 @@ from tb2rl.worlds.places import Places
 PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9 mm deep; 100 Hz costs a third more
 
 # The columns of a table of starts, which the compiled kernels read: one row for each robot.
-POSE, WORLD, GOAL, BOUNDS, PARAMETERS, COLUMNS = slice(0, 3), 3, slice(4, 6), slice(6, 10), slice(10, 16), 16
+POSE, WORLD, GOAL, BOUNDS, PARAMETERS, FLAWS = slice(0, 3), 3, slice(4, 6), slice(6, 10), slice(10, 16), slice(16, 30)
+COLUMNS = FLAWS.stop
+# The flaws, which `tb2rl.simulation.variation` draws:
+WHEEL = 16  # true radius of the wheels / the radius that the robot counts with
+BELIEVED_SEPARATION = 17  # wheel separation that the robot counts with / the true one
+LEFT_COUNT, RIGHT_COUNT = 18, 19  # way that the encoder of a wheel counts / the way that the wheel went
+NOISE = 20  # [m] standard deviation of the laser; below 0: that of `Laser.noise`
+BIAS = 21  # [m] added to all ranges
+DROPPED = 22  # share of the laser's beams that come back empty
+MOUNT = slice(23, 26)  # x [m], y [m], yaw [rad]: where the laser is, beside where it should be
+MASS, FRICTION = 26, 27  # of the robot and of its wheels on the floor / its own; in PyBullet alone
+COMMAND_LATENCY, READING_LATENCY = 28, 29  # [control steps]
+_LARGEST_VARIATION = 10.0  # of a robot's parameters, times its own
+_LEAST = np.array([0.5, 0.5, 0.5, 0.5, -1.0, -1.0, 0.0, -0.5, -0.5, -np.pi, 0.1, 0.01, 0.0, 0.0])
+_MOST = np.array([2.0, 2.0, 2.0, 2.0, np.inf, 1.0, 1.0, 0.5, 0.5, np.pi, 10.0, 10.0, 10.0, 10.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +50,7 @@ class Setup:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """The start that each world proposes, a row of columns as above for each, shape (worlds, 16)."""
+        """The start that each world proposes, a row of columns as above for each, shape (worlds, 30)."""
         table = np.empty((len(self.worlds), COLUMNS))
         for number, world in enumerate(self.worlds):
             table[number, POSE] = world.start
@@ -44,6 +58,9 @@ class Setup:
             table[number, GOAL] = world.goal[:2] if world.goal else np.nan
             table[number, BOUNDS] = world.bounds
         table[:, PARAMETERS] = self.robot.parameters
+        table[:, FLAWS] = 0.0
+        table[:, [WHEEL, BELIEVED_SEPARATION, LEFT_COUNT, RIGHT_COUNT, MASS, FRICTION]] = 1.0
+        table[:, NOISE] = -1.0
         return table
 
     @cached_property
@@ -55,6 +72,15 @@ class Setup:
         setup = replace(self, only=world)
         vars(setup).update({name: getattr(self, name) for name in ("table", "_places")})  # which are the same
         return setup
+
+    def check_table(self, table: np.ndarray) -> None:
+        """Raise a `ValueError` for a table of starts, from a file, whose robots or worlds cannot be of this setup."""
+        if not np.isin(table[:, WORLD], range(len(self.worlds))).all():
+            raise ValueError("a robot is in a world that is not there")
+        flaws, parameters = table[:, FLAWS], np.abs(table[:, PARAMETERS])
+        alike = parameters <= _LARGEST_VARIATION * np.abs(self.robot.parameters)
+        if not (alike.all() and (flaws >= _LEAST).all() and (flaws <= _MOST).all()):
+            raise ValueError("a robot's parameters are far from what it is")
 
     def draw_worlds(self, draws: Draws) -> int | np.ndarray:
         """The world that each robot begins in: a number of its own decides where there are several.

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tb2rl.simulation.setup import BOUNDS, GOAL, PARAMETERS, POSE, WORLD, Setup
+from tb2rl.simulation.setup import (
+    BOUNDS,
+    COMMAND_LATENCY,
+    GOAL,
+    PARAMETERS,
+    POSE,
+    READING_LATENCY,
+    WORLD,
+    Setup,
+)
 
 
 @dataclass(frozen=True)
@@ -16,7 +25,7 @@ class Start:
     A task makes one by `proposed` and then overwrites what is to be different: `start.goal[:] = (1.0, 2.0)`.
 
     Attributes:
-        table: A row of columns for each robot, see `tb2rl.simulation.setup`; shape (robots, 16).
+        table: A row of columns for each robot, see `tb2rl.simulation.setup`; shape (robots, 30).
     """
 
     table: np.ndarray
@@ -58,6 +67,16 @@ class Start:
     def parameters(self) -> np.ndarray:
         """A row of `Robot.parameters` for each robot, shape (robots, 6).
 
-        The twin takes all of them; PyBullet takes the speeds and the acceleration, and the shape from the URDF file.
+        The twin takes all of them; PyBullet takes all but the radius, which is that of the URDF file.
         """
         return self.table[:, PARAMETERS]
+
+    @property
+    def command_latency(self) -> np.ndarray:
+        """Control steps until a command is obeyed, shape (robots,), as whole numbers of type float."""
+        return self.table[:, COMMAND_LATENCY]
+
+    @property
+    def reading_latency(self) -> np.ndarray:
+        """Control steps until a reading is observed, shape (robots,), as whole numbers of type float."""
+        return self.table[:, READING_LATENCY]

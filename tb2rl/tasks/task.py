@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -13,9 +14,10 @@ from annotated_types import Ge, Gt, Le, Len
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Draws, Reading, Setup, Start
+from tb2rl.simulation.variation import Variation, find_variation
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
-from tb2rl.values import Count, Edges, Name, NonNegative, Observed, Positive, Worlds
+from tb2rl.values import Count, Edges, Name, NonNegative, Observed, Positive, Varied, Worlds
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,19 @@ class Task(ABC):
     field_of_view: Annotated[float, Gt(0), Le(math.tau)] | None = None  # [rad] of the beams; None: the laser's whole
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # to read; None: all
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
+    variation: Varied = "none"  # of the robot: a preset, or a mapping; see tb2rl/robots/README.md
     frames: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first
     edges: Edges = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
     observe: Observed | None = None  # the sensors, by name: see tb2rl/sensors/README.md; None: the task's own
+
+    @cached_property
+    def imperfections(self) -> Variation:
+        """What `variation` means.
+
+        Raises:
+            InputError: If there is no such preset, or a range does not fit.
+        """
+        return find_variation(self.variation)
 
     @property
     @abstractmethod
@@ -72,4 +84,10 @@ class Task(ABC):
         start = Start.proposed(setup, draws.robots, worlds)
         if self.start == "random":
             start.pose[:] = setup.poses_from(worlds, draws.uniform(4), self.start_clearance)
+        return start
+
+    def begin_varied(self, setup: Setup, draws: Draws) -> Start:
+        """What environments call: `begin`, and then the robot's `variation`, so that it changes nothing else."""
+        start = self.begin(setup, draws)
+        self.imperfections.vary(start, draws)
         return start

@@ -92,7 +92,9 @@ def test_a_folder_is_found_from_any_other_one(tmp_path, monkeypatch):
 
 
 def test_a_file_takes_what_it_does_not_say_from_any_folder(tmp_path, monkeypatch):
-    (tmp_path / "hall.yaml").write_text("boxes: [{centre: [3, 0], size: [1, 1]}]\nstart: [0, 0, 0]\nbounds: [-4, -4, 4, 4]\n")
+    (tmp_path / "hall.yaml").write_text(
+        "boxes: [{centre: [3, 0], size: [1, 1]}]\nstart: [0, 0, 0]\nbounds: [-4, -4, 4, 4]\n"
+    )
     monkeypatch.chdir(tmp_path)
     setting = absolute_worlds({"file": "hall.yaml", "start": [-1.0, 0.5, 0.1], "goal": [1.0, 0.0]})
     monkeypatch.chdir("/")

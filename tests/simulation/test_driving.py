@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tb2rl.errors import InputError
-from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION, WHEEL_SEPARATION
+from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Start
 
@@ -106,10 +106,9 @@ def test_an_episode_may_have_weaker_motors(make_track):
     assert weak == pytest.approx(strong / 2, rel=0.05)
 
 
-@pytest.mark.parametrize("column", [RADIUS, WHEEL_SEPARATION])
-def test_a_shape_other_than_the_urdfs_is_refused(column, make_track):
-    with pytest.raises(InputError, match="radius and wheel separation from its URDF"):
-        varied(make_track(), column, 1.1)
+def test_a_radius_other_than_the_urdfs_is_refused(make_track):
+    with pytest.raises(InputError, match="radius from its URDF"):
+        varied(make_track(), RADIUS, 1.1)
 
 
 def test_a_robot_of_other_limits_keeps_them(make_setup, make_bullet):

@@ -12,10 +12,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
-from pydantic import AfterValidator, BeforeValidator
 
 from tb2rl.errors import InputError
-from tb2rl.values import Fraction
+from tb2rl.values import ASCENDING, PAIR, Fraction
 from tb2rl.worlds.generators.enclosure import Size
 from tb2rl.worlds.world import World
 
@@ -24,17 +23,7 @@ _KEYS: dict[Purpose, int] = {"training": 0, "validation": 1, "test": 2}
 Maker = Callable[[np.random.Generator, float, Size], World]
 
 
-def _pair(value: object) -> object:
-    return [value, value] if isinstance(value, int | float) else value
-
-
-def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
-    if pair[0] > pair[1]:
-        raise ValueError("must be a number, or the lowest and the highest")
-    return pair
-
-
-Span = Annotated[tuple[Fraction, Fraction], BeforeValidator(_pair), AfterValidator(_ascending)]
+Span = Annotated[tuple[Fraction, Fraction], PAIR, ASCENDING]
 Side = Annotated[float, Ge(4), Le(100)]
 
 
