@@ -162,7 +162,7 @@ def test_frames_that_are_no_observations_are_refused(make):
     env = make("maze", "discrete", simulation="kinematic", frames=2)
     env.reset(seed=0)
     state = env.state()
-    state["frames"][0, 3] = 99
+    state["frames"]["stack"][0, 3] = 99
     with pytest.raises(ValueError, match="outside the observation space"):
         env.restore(state)
 

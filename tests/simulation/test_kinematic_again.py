@@ -9,7 +9,7 @@ from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.setup import WORLD
+from tb2rl.simulation.setup import WHEEL, WORLD
 
 PERIOD = 0.2  # [s]
 
@@ -109,6 +109,8 @@ def test_a_restored_reading_says_what_was_told_and_felt(make_setup, start_at):
         (lambda state: state["start"].__setitem__((0, WORLD), np.nan), "world that is not there"),
         (lambda state: state["start"].__setitem__((0, 12), 1e9), "parameters are far"),
         (lambda state: state["start"].__setitem__((0, 12), np.nan), "parameters are far"),
+        (lambda state: state["start"].__setitem__((0, WHEEL), 1e9), "parameters are far"),
+        (lambda state: state["start"].__setitem__((0, WHEEL), np.nan), "parameters are far"),
         (lambda state: state["rims"].__setitem__((0, 0), 1e9), "faster than they can"),
         (lambda state: state["rims"].__setitem__((0, 0), np.nan), "faster than they can"),
     ],
