@@ -105,6 +105,20 @@ def test_each_robot_of_a_batch_is_as_late_as_its_own_episode_says():
             break
 
 
+def test_nothing_of_an_episode_arrives_in_the_next_one_of_a_batch():
+    env = BatchVecEnv(make_scene(Wander(variation={"latency": 2, "reading_latency": 2}, episode_steps=6), "raw"), 20)
+    env.seed(0)
+    env.reset()
+    for _ in range(6):
+        first, _, dones, _ = env.step(np.ones(20, int))
+    assert dones.any()
+    begun = np.flatnonzero(dones)
+    for _ in range(2):
+        observations, *_ = env.step(np.ones(20, int))
+        assert (env.batch.reading.command[begun] == 0.0).all()
+        np.testing.assert_array_equal(observations[begun], first[begun])
+
+
 def test_a_robot_meets_the_same_whatever_the_others_do():
     _, many = rollout(STRONG, 200)
     _, few = rollout(STRONG, 10)

@@ -111,10 +111,15 @@ def test_the_laser_reads_the_wall_ahead_with_its_flaws(simulation, ranges, seen,
 
 
 @BOTH
-def test_a_laser_that_is_mounted_to_the_left_reads_less_there(simulation, begin):
-    room = World.from_shapes("left wall", [(0.0, 2.0, 20.0, 1.0, 0.0)], start=(0.0, 0.0, 0.0))
-    first = begin(simulation, room, beams=3, mount_y=(0.2, 0.2))[1]
-    assert first.ranges[0, 2] == pytest.approx(1.3)
+def test_a_laser_out_of_place_reads_what_a_right_one_would_read_there(simulation, begin):
+    made, _ = begin(simulation, "maze", beams=36)
+    start = varied(made.setup, mount_x=(0.1, 0.1), mount_y=(0.05, 0.05), mount_yaw=(0.3, 0.3))
+    x, y, yaw = start.pose[0]
+    there = Start.proposed(made.setup, 1)
+    ahead, aside = 0.1 * np.array([math.cos(yaw), math.sin(yaw)]), 0.05 * np.array([-math.sin(yaw), math.cos(yaw)])
+    there.pose[:] = *((x, y) + ahead + aside), yaw + 0.3
+    seen = made.reset(start, np.random.default_rng(0)).ranges
+    np.testing.assert_allclose(seen, made.reset(there, np.random.default_rng(0)).ranges, atol=1e-6)
 
 
 @BOTH
