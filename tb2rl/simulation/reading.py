@@ -30,11 +30,14 @@ class Reading:
     Attributes:
         pose: True x [m], y [m], yaw [rad] in the world's frame, shape (robots, 3).
         twist: True forward speed [m/s] and turn rate [rad/s], shape (robots, 2).
-        odometry: x, y, yaw counted from the wheels since the start pose, shape (robots, 3).
+        odometry: x, y, yaw counted from the wheels since the start pose, shape (robots, 3); it does not know of wheels
+            that are not what they should be.
         odometry_twist: Forward speed [m/s] and turn rate [rad/s] by the wheels' speeds, shape (robots, 2).
-        ranges: Distances along the laser's beams [m], right to left, inf where nothing was hit, shape (robots, beams).
+        ranges: Distances along the laser's beams [m], right to left, shape (robots, beams); inf where nothing was hit, or
+            a beam was dropped.
         bumped: Whether the base touched a wall since the last reading, shape (robots,), bool.
-        command: What each robot was last told, v [m/s] and w [rad/s], shape (robots, 2); 0 at an episode's start.
+        command: What each robot was last told, v [m/s] and w [rad/s], shape (robots, 2); 0 at an episode's start. With
+            latency: what it obeyed last.
         acceleration: Mean forward acceleration since the last reading [m/s^2], shape (robots,); 0 at a start.
         start: How the episode of each robot began: its world, its goal, its bounds.
         eye: What makes images, see `look`; None for a reading that comes from no simulation.

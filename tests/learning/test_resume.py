@@ -16,6 +16,7 @@ EXPLORING = {"agent.use_sde": True}  # with matrices of noise, drawn once a roll
 MEMORY = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
 NORMALISED = {"train.norm_obs": True, "train.norm_reward": True}
 FRAMES = {"task.frames": 4}
+VARIED = {"task.variation": "strong"}
 CAMERA, TOLD = {"camera": {"width": 36, "height": 36}}, ["twist", "last_action"]
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.noise": 0.01}
 ALGORITHMS = {
@@ -45,6 +46,7 @@ ALGORITHMS = {
     "PPO, normalised": (f"{SB3}:PPO", "maze", {**ON_POLICY, **NORMALISED}),
     "PPO, only rewards normalised": (f"{SB3}:PPO", "maze", {**ON_POLICY, "train.norm_reward": True}),
     "PPO, frames": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES}),
+    "PPO, varied frames": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES, **VARIED}),
     "PPO, frames of classes": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES, "task.observation": "discrete"}),
     "DQN, an image, normalised frames": (f"{SB3}:DQN", "my_tasks:Pictured", {**OFF_POLICY, **NORMALISED, **FRAMES}),
     "TD3, normalised": (f"{SB3}:TD3", "my_tasks:Glide", {**OFF_POLICY, **NORMALISED}),

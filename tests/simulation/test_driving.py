@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tb2rl.errors import InputError
-from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
+from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION, WHEEL_SEPARATION
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Start
 
@@ -104,6 +104,17 @@ def test_an_episode_may_have_weaker_motors(make_track):
     track = make_track()
     weak, strong = (varied(track, WHEEL_ACCELERATION, factor)[0].twist[0, 0] for factor in (0.5, 1.0))
     assert weak == pytest.approx(strong / 2, rel=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_an_episode_may_have_another_wheel_separation_of_which_the_robot_knows(factor, make_track):
+    track = make_track()
+    start = Start.proposed(track.simulation.setup, 1)
+    start.parameters[:, WHEEL_SEPARATION] *= factor
+    track.simulation.reset(start, np.random.default_rng(0))
+    after = track.drive([(0.2, 1.0)], 2.0)[0]
+    assert after.twist[0] == pytest.approx([0.2, 1.0], rel=0.02)
+    assert after.odometry[0, 2] == pytest.approx(after.pose[0, 2], rel=0.01)
 
 
 def test_a_radius_other_than_the_urdfs_is_refused(make_track):

@@ -250,7 +250,7 @@ def test_each_number_lies_in_its_range_and_robots_differ(make_setup):
     make_setup("loop").check_table(start.table)  # what a checkpoint may hold
     shares = start.parameters / ROBOT.parameters
     assert (np.abs(shares[:, 1] - 1.0) <= 0.05).all()
-    assert (np.abs(shares[:, 4] - 1.0) <= 0.3).all()
+    assert (np.abs(shares[:, 4] - 1.0) <= 0.2).all()
     np.testing.assert_allclose(shares[:, 4], shares[:, 5])
     assert len(np.unique(shares[:, 4])) == 2000
     for latency in (start.command_latency, start.reading_latency):
