@@ -33,8 +33,8 @@ class Reading:
         odometry: x, y, yaw counted from the wheels since the start pose, shape (robots, 3); it does not know of wheels
             that are not what they should be.
         odometry_twist: Forward speed [m/s] and turn rate [rad/s] by the wheels' speeds, shape (robots, 2).
-        ranges: Distances along the laser's beams [m], right to left, shape (robots, beams); inf where nothing was hit, or
-            a beam was dropped.
+        ranges: Distances along the laser's beams [m], right to left, shape (robots, beams); inf where nothing was hit
+            or a beam was dropped.
         bumped: Whether the base touched a wall since the last reading, shape (robots,), bool.
         command: What each robot was last told, v [m/s] and w [rad/s], shape (robots, 2); 0 at an episode's start. With
             latency: what it obeyed last.
