@@ -190,7 +190,9 @@ class BulletSimulation:
         }
 
     def restore(self, state: Mapping[str, Any]) -> Reading:
-        self._begin(Start(np.array(state["start"])))
+        start = Start(np.array(state["start"]))
+        self.setup.check_table(start.table)
+        self._begin(start)
         self._put(state["position"], state["orientation"], state["velocity"], state["wheels"])
         self._odometry = tuple(state["odometry"])
         reading = self._read(bumped=False)

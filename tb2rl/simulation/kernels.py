@@ -192,9 +192,12 @@ def sense(
     noise, bias, dropped = starts[i, NOISE], starts[i, BIAS], starts[i, DROPPED]
     noise = limits[0] if noise < 0.0 else noise
     first = streams[i, 1] * np.uint64(beams)
-    if noise > 0.0 or bias != 0.0:
+    if noise > 0.0:
         for beam in range(beams):
-            ranges[i, beam] += noise * normal(streams[i, 0], first + np.uint64(beam)) + bias
+            ranges[i, beam] += noise * normal(streams[i, 0], first + np.uint64(beam))
+    if bias != 0.0:
+        for beam in range(beams):
+            ranges[i, beam] += bias
     limit_ranges(ranges, i, limits[1], limits[2])
     if dropped > 0.0:
         for beam in range(beams):
@@ -231,9 +234,9 @@ def step_block(
     """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
 
     `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
-    Results are `twists` (robots, 2) v and w [m/s, rad/s], `ways` as in `move`, `moved` (robots,) how far from where it
-    was [m],
-    `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges` (robots, beams) [m].
+    Results are `twists` (robots, 2) v and w [m/s, rad/s], `ways` (robots, 2) as in `move`, `moved` (robots,) how far
+    from where it was [m], `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges`
+    (robots, beams) [m].
     """
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     step_robots(

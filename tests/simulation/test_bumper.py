@@ -10,6 +10,7 @@ from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Start
 from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation.setup import WHEEL
 
 TARGETS = {
     "a wall": {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]},
@@ -97,6 +98,16 @@ def test_the_bumper_remembers_a_touch_within_a_long_step(make_track):
     (reading,) = track.drive([(0.5, 0.0)], 1.5)
     assert reading.bumped[0]
     assert track.gaps([reading]) > 0.1  # and has long passed
+
+
+def test_a_touch_is_felt_when_larger_wheels_drive_faster_than_the_top_speed(make_track):
+    track = make_track(TARGETS["a thin post"])
+    start = Start.proposed(track.simulation.setup, 1)
+    start.pose[:], start.table[:, WHEEL] = (-0.9, 0.03 + ROBOT.radius - 0.01, 0.0), 2.0
+    track.simulation.reset(start, np.random.default_rng(0))
+    (reading,) = track.drive([(ROBOT.max_speed, 0.0)], 1.5)
+    assert reading.bumped[0]
+    assert track.gaps([reading]) > 0.1
 
 
 def test_contacts_are_asked_for_only_where_a_touch_is_possible(make_track, monkeypatch):
