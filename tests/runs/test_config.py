@@ -10,6 +10,7 @@ from tb2rl.registry import agent_names, find_agent, task_names
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.plain import check_plain, check_sections, plain
+from tb2rl.simulation.variation import find_variation
 
 MY_WORLD = "drawing: |\n  #####\n  #S..#\n  #...#\n  #####\n"
 
@@ -24,6 +25,14 @@ def test_every_agent_at_every_task_comes_back_from_its_yaml(agent, task):
     assert config_from(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
 
 
+@pytest.mark.parametrize("variation", ["mild", {"preset": "strong", "latency": [0, 2], "bias": 0.1}], ids=str)
+def test_a_config_with_variation_comes_back_from_its_yaml(variation):
+    config = resolve("qlearn", settings={"task.variation": variation})
+    again = config_from(yaml.safe_load(yaml.safe_dump(config.to_dict())))
+    assert again == config
+    assert again.task.imperfections == find_variation(variation)
+
+
 def test_a_changed_config_comes_back_from_its_yaml():
     changes = {"task.beam_indices": [0, 3, 6], "task.edges": [0.5, 2], "agent.policy_kwargs": {"initial_value": 1.5}}
     config = resolve("qlearn", settings={**changes, "train.episodes": 7, "agent.exploration_decay": 0.99})
@@ -35,7 +44,7 @@ def test_a_tree_without_its_names_is_refused(tree, refused):
     refused(config_from, tree)
 
 
-@pytest.mark.parametrize("key", ["world", "robot"])
+@pytest.mark.parametrize("key", ["world", "robot", "variation"])
 def test_what_does_not_fit_the_task_is_said_when_the_config_is_made(key, refused):
     tree = resolve().to_dict()
     assert "unknown" in refused(config_from, {**tree, "task": {**tree["task"], key: "lop"}})

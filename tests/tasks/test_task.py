@@ -8,6 +8,8 @@ import pytest
 from tb2rl import make_env
 from tb2rl.errors import InputError
 from tb2rl.registry import find_robot, find_task, find_world, task_names
+from tb2rl.robots.robot import WHEEL_ACCELERATION
+from tb2rl.simulation.setup import BOUNDS, GOAL, POSE, WORLD
 from tb2rl.simulation.streams import GeneratorDraws, StreamDraws
 from tb2rl.tasks import Commands
 from tb2rl.tasks.wander import Wander
@@ -90,6 +92,20 @@ def test_every_task_observes_the_laser_first(make_setup):
         task = find_task(name)()
         first, *_ = task.sensors(make_setup(task.world, beams=5))
         assert (first.name, first.unit, first.shape, first.edges) == ("laser", "m", (5,), task.edges)
+
+
+@pytest.mark.parametrize("name", task_names())
+def test_a_varied_robot_begins_where_any_other_would(name, make_setup):
+    task, setup, keys = find_task(name), make_setup(find_task(name)().world), np.arange(5, dtype=np.uint64)
+    plain = task().begin(setup, StreamDraws(keys, np.zeros(5, np.uint64)))
+    none, strong = (
+        task(variation=preset).begin_varied(setup, StreamDraws(keys, np.zeros(5, np.uint64)))
+        for preset in ("none", "strong")
+    )
+    np.testing.assert_array_equal(none.table, plain.table)
+    for column in (POSE, WORLD, GOAL, BOUNDS):
+        np.testing.assert_array_equal(strong.table[:, column], plain.table[:, column])
+    assert (strong.parameters[:, WHEEL_ACCELERATION] != plain.parameters[:, WHEEL_ACCELERATION]).all()
 
 
 # ---- a task of one's own
