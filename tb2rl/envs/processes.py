@@ -188,7 +188,8 @@ def _soon(pipe: Connection | _Here) -> Any:
     """What comes next; at first waited for awake: a processor that has gone to sleep may need a millisecond to wake."""
     until = time.perf_counter() + _AWAKE
     while not pipe.poll() and time.perf_counter() < until:
-        pass
+        if hasattr(os, "sched_yield"):
+            os.sched_yield()  # to whoever else wants this processor
     return pipe.recv()
 
 
