@@ -88,7 +88,10 @@ def save_files(page: str, folder: Path) -> None:
             (folder / block.file).write_text(block.text, encoding="utf-8")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] * (page == "configs/README.md")) for page in PAGES if commands(page)],
+)
 def test_every_command_of_a_page_runs(page, folder):
     save_files(page, folder)
     for number, command in enumerate(commands(page)):
