@@ -219,10 +219,9 @@ def _evaluator(config: Config) -> Evaluator | TwinEvaluator:
     settings, scene = config.train, config.scene
     episodes, conditions = settings.eval_episodes, (settings.eval_steps, TRAINING_SEED)
     if settings.eval_simulation == "kinematic":
+        many = _FEW if has_images(scene.observation_space) else _MANY
         try:
-            return TwinEvaluator(
-                scene, episodes or (_FEW if has_images(scene.observation_space) else _MANY), *conditions
-            )
+            return TwinEvaluator(scene, episodes or many, *conditions)
         except InputError as error:
             print(f"evaluations on the way are in PyBullet, and slower: {error}", flush=True)
     return Evaluator(scene, episodes or _FEW, *conditions)
