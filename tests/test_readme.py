@@ -101,7 +101,10 @@ def save_files(page: str, folder: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::tb2rl.errors.WorldWarning")
-@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] * (page == "configs/README.md")) for page in PAGES if commands(page)],
+)
 def test_every_command_of_a_page_runs(page, folder):
     save_files(page, folder)
     for number, command in enumerate(commands(page)):

@@ -134,7 +134,7 @@ def test_a_built_in_name_cannot_be_taken_over(write_package):
 def test_an_agent_of_a_package_that_is_missing_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)  # as if it were not installed
     assert "recurrent_ppo" in agent_names()
-    with pytest.raises(InputError, match=r"no module 'sb3_contrib'; pip install 'tb2rl\[contrib\]' brings it$"):
+    with pytest.raises(InputError, match=r"no module 'sb3_contrib'; pip install sb3-contrib brings it$"):
         resolve("recurrent_ppo")
     assert "recurrent_ppo" not in learners()
 

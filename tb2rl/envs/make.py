@@ -65,9 +65,8 @@ def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
     """
     if not isinstance(what, Task):
         return build(find_task(what), with_robots_settings(settings), "task")
-    settings = with_robots_settings(settings, what)
     now = {field.name: getattr(what, field.name) for field in fields(what)}
-    return build(type(what), {**now, **settings}, "task")
+    return build(type(what), {**now, **with_robots_settings(settings, what)}, "task")
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> TurtleBot2Env:

@@ -32,6 +32,7 @@ from tb2rl.errors import InputError
 # Imported once, in the server that new processes are forked from.
 PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet", "stable_baselines3.common.monitor", "cloudpickle"]
 _AWAKE = 5e-3  # [s] more than the environments of a process take for a step
+_let_others_run = getattr(os, "sched_yield", lambda: None)  # macOS and Windows have none
 
 
 def process_context() -> Any:
@@ -188,7 +189,7 @@ def _soon(pipe: Connection | _Here) -> Any:
     """What comes next; at first waited for awake: a processor that has gone to sleep may need a millisecond to wake."""
     until = time.perf_counter() + _AWAKE
     while not pipe.poll() and time.perf_counter() < until:
-        pass
+        _let_others_run()
     return pipe.recv()
 
 

@@ -131,13 +131,14 @@ def with_robots_settings(settings: Mapping[str, Any], task: Task | None = None) 
     name = settings.get("robot")
     if not isinstance(name, str):  # it stays as it was, or whoever reads the settings refuses it
         return dict(settings)
-    suiting, usual = find_robot(name).task_settings, {each.name: each.default for each in fields(Task)}
+    suiting, known = find_robot(name).task_settings, [each.name for each in fields(Task)]
     for key in suiting:
-        if key not in usual:
-            raise unknown(f"key of robot {name}.task_settings", key, usual)
-    earlier = find_robot(task.robot).task_settings if task else {}
-    usual = {each.name: each.default for each in fields(task)} if task else {}
-    left = {key: usual[key] for key, value in earlier.items() if getattr(task, key) == value}
+        if key not in known:
+            raise unknown(f"key of robot {name}.task_settings", key, known)
+    if task is None:
+        return {**suiting, **settings}
+    suited, usual = find_robot(task.robot).task_settings, {each.name: each.default for each in fields(task)}
+    left = {key: usual[key] for key, value in suited.items() if getattr(task, key) == value}
     return {**left, **suiting, **settings}
 
 

@@ -125,9 +125,10 @@ class KinematicSimulation:
         for array in (self._twists, self._commands, self._accelerations, self._bumped):
             array[robots] = 0
         self._sense(robots, reading.ranges)
-        truth = start.pose, np.zeros((len(robots), 2))
-        none, no, ranges = np.zeros(len(robots)), np.zeros(len(robots), dtype=bool), reading.ranges[robots]
-        first = Reading(*truth, *truth, ranges, no, np.zeros_like(truth[1]), none, start, self)
+        # Cut out of the reading of all, array by array, it would take four times as long. They all stand.
+        still, untouched, steady = np.zeros((len(robots), 2)), np.zeros(len(robots), dtype=bool), np.zeros(len(robots))
+        truth, ranges = (start.pose, still), reading.ranges[robots]
+        first = Reading(*truth, *truth, ranges, untouched, still, steady, start, self)
         return self._reading(reading.ranges), first
 
     def state(self) -> dict[str, Any]:

@@ -43,7 +43,10 @@ POLICIES = {
 }
 
 
-@pytest.mark.parametrize("name", POLICIES)
+SLOW = {"recurrent", "images"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in POLICIES])
 def test_every_episode_is_the_one_that_a_robot_drives_alone(name, request):
     agent, task, settings = POLICIES[name]
     task = request.getfixturevalue(task) if task in ("cruise", "pictured") else task

@@ -79,7 +79,7 @@ TWIN_ONLY = {"A2C, noisy", "PPO, often noisy", "DQN, three steps", "SAC, fixed e
 TWIN_ONLY |= {"TRPO", "CrossQ", "RecurrentPPO, an image", "RecurrentPPO, noisy", "PPO, only rewards normalised"}
 TWIN = [pytest.param(name, "kinematic", 4, id=f"{name} in the twin") for name in ALGORITHMS]
 PYBULLET = [
-    pytest.param(name, "bullet", 2, id=f"{name} in PyBullet", marks=() if name == "SAC" else pytest.mark.slow)
+    pytest.param(name, "bullet", 2, id=f"{name} in PyBullet", marks=pytest.mark.slow)
     for name in ALGORITHMS
     if name not in TWIN_ONLY
 ]
