@@ -19,6 +19,7 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.values import Point, Pose
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
 from tb2rl.worlds.index import Index, index_of
+from tb2rl.worlds.movers import Movers
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
 _ROUNDING = 1e-9  # [m]
@@ -41,6 +42,7 @@ class World:
         goal: The goal pose, or None.
         bounds: The rectangle that counts as the world.
         description: One line for people.
+        movers: What moves in it, beside the obstacles.
     """
 
     name: str
@@ -50,6 +52,7 @@ class World:
     goal: Pose | None
     bounds: Bounds
     description: str = ""
+    movers: tuple[Movers, ...] = ()
     _free_spaces: dict[float, BaseGeometry] = field(default_factory=dict, repr=False)
     _triangles: dict[float, Triangles] = field(default_factory=dict, repr=False)
 
@@ -64,6 +67,7 @@ class World:
         goal: Pose | None = None,
         bounds: Bounds | None = None,
         description: str = "",
+        movers: Sequence[Movers] = (),
     ) -> World:
         """A world from the shapes in it; what a reader of a file format ends with.
 
@@ -75,6 +79,7 @@ class World:
             goal: The goal pose, if there is one.
             bounds: The rectangle that counts as the world; None: around the obstacles.
             description: One line for people.
+            movers: What moves in it.
 
         Raises:
             InputError: If there is neither an obstacle nor a rectangle, the rectangle is empty, a shape is not what it
@@ -87,7 +92,7 @@ class World:
         _numbers(bounds, ("x from", "y from", "x to", "y to"), f"world {name}: bounds")
         if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise InputError(f"world {name}: bounds must be x from, y from, x to, y to, got {list(bounds)}")
-        world = cls(name, box_rows, post_rows, start, goal, bounds, description)
+        world = cls(name, box_rows, post_rows, start, goal, bounds, description, tuple(movers))
         if goal is not None:
             x, y, _ = _numbers(goal, ("x", "y", "yaw"), f"world {name}: the goal")
             if not world.contains((x, y)) or world.clearance(x, y) == 0.0:
@@ -112,7 +117,14 @@ class World:
         posts = [(x, y, radius) for x, y, radius in self.posts]
         start, goal, bounds = start or self.start, goal or self.goal, bounds or self.bounds
         return World.from_shapes(
-            self.name, boxes, posts, start=start, goal=goal, bounds=bounds, description=self.description
+            self.name,
+            boxes,
+            posts,
+            start=start,
+            goal=goal,
+            bounds=bounds,
+            description=self.description,
+            movers=self.movers,
         )
 
     @property

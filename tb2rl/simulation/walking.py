@@ -1,0 +1,270 @@
+"""How movers move, compiled; both simulations call this, so that the same episode has the same movers in both.
+
+Posts and boxes go straight, along a path or to random points. People walk by the social force model of Moussaid et al.
+2009, "Experimental study of the behavioural mechanisms underlying self-organization in human crowds", with its numbers.
+A mover that runs into the robot has touched it, and waits there until the robot has gone: nothing pushes the robot.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.simulation.outlines import COS, LENGTH, SIN, WIDTH, X, Y, gap_to
+from tb2rl.simulation.setup import BOUNDS
+from tb2rl.simulation.streams import uniform
+from tb2rl.worlds.geometry import clearance_one
+
+# The columns of a table of movers, after their outlines.
+VX, VY = 6, 7  # [m/s] of people
+TARGET_X, TARGET_Y = 8, 9  # [m] where to, unless along a path
+SPEED = 10  # [m/s] at which it goes, or wants to
+PATIENCE = 11  # [s] until it looks for another target
+NEXT, STRIDE = 12, 13  # number of the path's point that it goes to, and 1, or -1 on the way back
+FORCE_X, FORCE_Y = 14, 15  # [m/s^2] room to calculate in
+# What no step changes: the kind; the first of its points among all paths', how many, whether from the last one on to
+# the first; whether it walks around the robot; the range of its speed [m/s].
+KIND, FIRST, COUNT, CLOSED, AVOIDS, SLOWEST, FASTEST = range(16, 23)
+MOVER_COLUMNS = 23
+NOBODY, PATH, STRAIGHT, PERSON = range(4)  # kinds
+
+THINK = 4  # physics steps between two decisions: 20 a second
+RELAXATION = 0.54  # [s] to the wanted velocity; this and the following: Moussaid et al. 2009
+STRENGTH = 4.5  # [m/s^2] of the force between two people
+GAMMA, LAMBDA, N_TURN, N_SLOW = 0.35, 2.0, 2.0, 3.0
+WALL_STRENGTH, WALL_REACH = 3.0, 0.1  # [m/s^2], [m]
+HURRY = 1.3  # people are at most so many times as fast as they want to be (Helbing and Molnar 1995)
+_FELT = 0.6  # [m] a wall farther away is not felt
+_MARGIN = 0.1  # [m] that targets are off the walls, and the ways there
+_ARRIVED = 0.3  # [m] from a target, a person looks for the next one
+_TRIES = 4  # directions that a mover looks in: it takes the one in which it gets farthest
+_NEAREST, _FARTHEST = 1.0, 6.0  # [m] to where it looks, at most
+_TINY = 1e-3  # [m]
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def social_force(east, north, faster_east, faster_north):
+    """What one person does because of another one, over `STRENGTH`: it slows down and turns aside.
+
+    Args:
+        east, north: Where the other one is, from here [m].
+        faster_east, faster_north: Velocity of this one less that of the other [m/s].
+    """
+    distance = math.sqrt(east * east + north * north)
+    if distance < 1e-9:
+        return 0.0, 0.0
+    towards_x, towards_y = east / distance, north / distance
+    tx, ty = LAMBDA * faster_east + towards_x, LAMBDA * faster_north + towards_y
+    size = math.sqrt(tx * tx + ty * ty)
+    if size < 1e-9:
+        return 0.0, 0.0
+    tx, ty, reach = tx / size, ty / size, GAMMA * size
+    angle = math.atan2(tx * towards_y - ty * towards_x, tx * towards_x + ty * towards_y)
+    slow = -math.exp(-distance / reach - (N_SLOW * reach * angle) ** 2)
+    turn = -math.exp(-distance / reach - (N_TURN * reach * angle) ** 2) if angle != 0.0 else 0.0
+    turn = math.copysign(turn, -angle)
+    return slow * tx - turn * ty, slow * ty + turn * tx
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def think(i, span, movers, streams, starts, boxes, posts, parts, lists, world, x, y, vx, vy):
+    """What the movers of robot `i` decide for the next `span` [s]: where to, and how people walk there.
+
+    Args:
+        i: Which robot it is.
+        span: [s].
+        movers: Of all robots, shape (robots, movers, 23); changed in place.
+        streams: Key of each robot's stream of random numbers for them, and how many were drawn, shape (robots, 2).
+        starts: Of all robots.
+        boxes, posts, parts, lists: The `Index` of the worlds.
+        world: The robot's in it.
+        x, y, vx, vy: Where the robot is [m] and its velocity [m/s].
+    """
+    for k in range(movers.shape[1]):
+        if movers[i, k, KIND] < STRAIGHT:
+            continue
+        left = math.hypot(movers[i, k, TARGET_X] - movers[i, k, X], movers[i, k, TARGET_Y] - movers[i, k, Y])
+        movers[i, k, PATIENCE] -= span
+        if movers[i, k, PATIENCE] <= 0.0 or left < (_ARRIVED if movers[i, k, KIND] == PERSON else _TINY):
+            _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world)
+    for k in range(movers.shape[1]):
+        if movers[i, k, KIND] == PERSON:
+            _feel(i, k, movers, boxes, posts, parts, lists, world, x, y, vx, vy)
+    for k in range(movers.shape[1]):
+        if movers[i, k, KIND] == PERSON:
+            east, north = (
+                movers[i, k, VX] + span * movers[i, k, FORCE_X],
+                movers[i, k, VY] + span * movers[i, k, FORCE_Y],
+            )
+            cut = min(1.0, HURRY * movers[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9))
+            movers[i, k, VX], movers[i, k, VY] = cut * east, cut * north
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def walk(i, duration, movers, routes, boxes, posts, parts, lists, world, x, y, radius):
+    """Move the movers of robot `i` for a physics step of `duration` [s], up to where they run into the robot.
+
+    Args:
+        i, movers, boxes, posts, parts, lists, world: As in `think`.
+        duration: [s].
+        routes: The points of all paths [m], shape (points, 2).
+        x, y, radius: Of the robot [m].
+
+    Returns:
+        Whether one of them has run into it.
+    """
+    touched = False
+    for k in range(movers.shape[1]):
+        kind, from_x, from_y = movers[i, k, KIND], movers[i, k, X], movers[i, k, Y]
+        if kind == NOBODY:
+            continue
+        cos, sin, point, stride = movers[i, k, COS], movers[i, k, SIN], movers[i, k, NEXT], movers[i, k, STRIDE]
+        if kind == PATH:
+            to_x, to_y = _follow(i, k, movers, routes, duration * movers[i, k, SPEED])
+        elif kind == STRAIGHT:
+            east, north = movers[i, k, TARGET_X] - from_x, movers[i, k, TARGET_Y] - from_y
+            share = min(1.0, duration * movers[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9))
+            to_x, to_y = from_x + share * east, from_y + share * north
+        else:
+            to_x, to_y = _keep_off_walls(i, k, duration, movers, boxes, posts, parts, lists, world)
+        length = math.hypot(to_x - from_x, to_y - from_y)
+        if length > 1e-9:
+            movers[i, k, COS], movers[i, k, SIN] = (to_x - from_x) / length, (to_y - from_y) / length
+        share = share_until_touch(x - from_x, y - from_y, x - to_x, y - to_y, radius, movers, i, k)
+        if share < 1.0:
+            touched = True
+            movers[i, k, VX], movers[i, k, VY] = 0.0, 0.0
+            movers[i, k, NEXT], movers[i, k, STRIDE] = point, stride
+            to_x, to_y = from_x + share * (to_x - from_x), from_y + share * (to_y - from_y)
+            if share == 0.0:  # nor does a box turn
+                movers[i, k, COS], movers[i, k, SIN] = cos, sin
+        elif kind != PERSON:
+            movers[i, k, VX], movers[i, k, VY] = (to_x - from_x) / duration, (to_y - from_y) / duration
+        movers[i, k, X], movers[i, k, Y] = to_x, to_y
+    return touched
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def share_until_touch(from_east, from_north, to_east, to_north, radius, movers, i, k):
+    """How much of its way the robot or a mover goes until they touch, from 0 to 1: all of it, if it leads off.
+
+    Args:
+        from_east, from_north, to_east, to_north: The robot's way, seen from the middle of the mover [m].
+        radius: Of the robot [m].
+        movers, i, k: Mover `k` of robot `i`.
+    """
+    gap = gap_to(to_east, to_north, movers, i, k) - radius
+    if gap >= 0.0 or gap > gap_to(from_east, from_north, movers, i, k) - radius:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(16):
+        middle = 0.5 * (low + high)
+        east, north = from_east + middle * (to_east - from_east), from_north + middle * (to_north - from_north)
+        if gap_to(east, north, movers, i, k) < radius:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _follow(i, k, movers, routes, left):
+    """Where a mover is on its path after `left` [m] more: there and back, or around."""
+    x, y, first, count = movers[i, k, X], movers[i, k, Y], int(movers[i, k, FIRST]), int(movers[i, k, COUNT])
+    for _ in range(count + 1):  # a path may be shorter than a step
+        point, stride = int(movers[i, k, NEXT]), int(movers[i, k, STRIDE])
+        east, north = routes[first + point, 0] - x, routes[first + point, 1] - y
+        distance = math.sqrt(east * east + north * north)
+        if distance > left:
+            return x + left / distance * east, y + left / distance * north
+        x, y, left = x + east, y + north, left - distance
+        if movers[i, k, CLOSED] != 0.0:
+            movers[i, k, NEXT] = (point + 1) % count
+        else:
+            stride = stride if 0 <= point + stride < count else -stride
+            movers[i, k, NEXT], movers[i, k, STRIDE] = point + stride, stride
+    return x, y
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world):
+    """Give a mover its next target: of some random points that it can go straight to, the farthest."""
+    x, y, best = movers[i, k, X], movers[i, k, Y], 0.0
+    movers[i, k, TARGET_X], movers[i, k, TARGET_Y] = x, y
+    needed = min(
+        max(movers[i, k, LENGTH], movers[i, k, WIDTH]) + _MARGIN, clearance_one(x, y, boxes, posts, parts, lists, world)
+    )
+    for _ in range(_TRIES):
+        angle = math.tau * uniform(streams[i, 0], streams[i, 1])
+        farthest = _NEAREST + (_FARTHEST - _NEAREST) * uniform(streams[i, 0], streams[i, 1] + np.uint64(1))
+        streams[i, 1] += np.uint64(2)
+        cos, sin, way, free = math.cos(angle), math.sin(angle), 0.0, 0.0
+        while way < farthest:
+            way = min(way + max(free, 0.05), farthest)
+            at_x, at_y = x + way * cos, y + way * sin
+            free = clearance_one(at_x, at_y, boxes, posts, parts, lists, world) - needed
+            inside = starts[i, BOUNDS.start] <= at_x <= starts[i, BOUNDS.start + 2]
+            inside = inside and starts[i, BOUNDS.start + 1] <= at_y <= starts[i, BOUNDS.start + 3]
+            if free < 0.0 or not inside:
+                break
+            if way > best:
+                best = way
+                movers[i, k, TARGET_X], movers[i, k, TARGET_Y] = at_x, at_y
+    movers[i, k, PATIENCE] = 2.0 + 2.0 * best / movers[i, k, SPEED] if best > 0.0 else 0.0
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy):
+    """The forces on a person: to its target, off other movers and walls, and off the robot if it sees that."""
+    x, y, vx, vy = movers[i, k, X], movers[i, k, Y], movers[i, k, VX], movers[i, k, VY]
+    east, north = movers[i, k, TARGET_X] - x, movers[i, k, TARGET_Y] - y
+    wanted = movers[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9)
+    force_x, force_y = (wanted * east - vx) / RELAXATION, (wanted * north - vy) / RELAXATION
+    for other in range(movers.shape[1]):
+        if other != k and movers[i, other, KIND] != NOBODY:
+            east, north = movers[i, other, X] - x, movers[i, other, Y] - y
+            aside_x, aside_y = social_force(east, north, vx - movers[i, other, VX], vy - movers[i, other, VY])
+            force_x, force_y = force_x + STRENGTH * aside_x, force_y + STRENGTH * aside_y
+    if movers[i, k, AVOIDS] != 0.0:
+        aside_x, aside_y = social_force(robot_x - x, robot_y - y, vx - robot_vx, vy - robot_vy)
+        force_x, force_y = force_x + STRENGTH * aside_x, force_y + STRENGTH * aside_y
+    gap = clearance_one(x, y, boxes, posts, parts, lists, world) - movers[i, k, LENGTH]
+    if gap < _FELT:
+        off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
+        push = WALL_STRENGTH * math.exp(-gap / WALL_REACH)
+        force_x, force_y = force_x + push * off_x, force_y + push * off_y
+    movers[i, k, FORCE_X], movers[i, k, FORCE_Y] = force_x, force_y
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _off_walls(x, y, boxes, posts, parts, lists, world):
+    """The direction that leads away from the nearest wall, a vector of length 1 at most."""
+    right = clearance_one(x + _TINY, y, boxes, posts, parts, lists, world)
+    left = clearance_one(x - _TINY, y, boxes, posts, parts, lists, world)
+    above = clearance_one(x, y + _TINY, boxes, posts, parts, lists, world)
+    below = clearance_one(x, y - _TINY, boxes, posts, parts, lists, world)
+    return (right - left) / (2.0 * _TINY), (above - below) / (2.0 * _TINY)
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _keep_off_walls(i, k, duration, movers, boxes, posts, parts, lists, world):
+    """Where a person is after a step: along a wall, not into it."""
+    x, y, radius = movers[i, k, X], movers[i, k, Y], movers[i, k, LENGTH]
+    vx, vy = movers[i, k, VX], movers[i, k, VY]
+    to_x, to_y = x + duration * vx, y + duration * vy
+    clearance = clearance_one(to_x, to_y, boxes, posts, parts, lists, world)
+    if clearance >= radius:
+        return to_x, to_y
+    here = clearance_one(x, y, boxes, posts, parts, lists, world)
+    if clearance >= here:
+        return to_x, to_y
+    off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
+    into = min(vx * off_x + vy * off_y, 0.0)
+    vx, vy = vx - into * off_x, vy - into * off_y
+    to_x, to_y = x + duration * vx, y + duration * vy
+    if clearance_one(to_x, to_y, boxes, posts, parts, lists, world) < min(radius, here) - _TINY:
+        vx, vy, to_x, to_y = 0.0, 0.0, x, y
+    movers[i, k, VX], movers[i, k, VY] = vx, vy
+    return to_x, to_y
