@@ -21,7 +21,7 @@ from tb2rl.simulation.start import Start
 from tb2rl.simulation.walking import FASTEST, HURRY, THINK, think, walk
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
-_COLOUR = (0.16, 0.42, 0.62, 1.0)  # blue, as in pictures from above
+_COLOUR = (0.49, 0.31, 0.63, 1.0)  # as in pictures from above
 _NEAR = 0.1  # [m] what is farther away does not touch
 
 

@@ -19,7 +19,7 @@ from tb2rl.simulation.odometry import believed, count_on, is_exact
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import BELIEVED_SEPARATION, WHEEL, Setup
 from tb2rl.simulation.start import Start
-from tb2rl.simulation.stepping import sense_some, step_block
+from tb2rl.simulation.stepping import sense_some, step_block, step_block_among
 from tb2rl.simulation.threads import share_out
 from tb2rl.worlds.index import join
 
@@ -105,14 +105,15 @@ class KinematicSimulation:
             poses, rims, commands, duration, self._start.table, *self._index, self._beams, self._limits, self._streams,
             twists, ways, moved, accelerations, bumped, ranges,
         )  # fmt: skip
-        cost = ROBOT + BEAM * ranges.shape[1]
+        cost, work = ROBOT + BEAM * ranges.shape[1], step_block
         if self._movers is not None:
+            work = step_block_among
             data += (self._movers.table, self._movers.walks, self._movers.routes, self._moving)
             cost += MOVER * self._movers.table.shape[1]
         if self.robots * cost > WORTH_THREADS:
-            share_out(step_block, self.robots, int(WAKING / cost), *data)
+            share_out(work, self.robots, int(WAKING / cost), *data)
         else:
-            step_block(0, self.robots, *data)
+            work(0, self.robots, *data)
 
     def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
         """Begin new episodes of the robots with indices `robots` (n,), and write them into the last reading.

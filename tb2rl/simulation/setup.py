@@ -67,6 +67,10 @@ class Setup:
         table[:, NOISE] = -1.0
         return table
 
+    def movers_in(self, world: int) -> tuple[Movers, ...]:
+        """What moves in the world with this index."""
+        return (*self.movers, *self.worlds[world].movers)
+
     @property
     def anything_moves(self) -> bool:
         """Whether there are movers in any of the worlds."""

@@ -87,15 +87,30 @@ def step_robots(
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
-    twists, ways, moved, accelerations, bumped, ranges, movers=None, walks=None, routes=None, moving=None,
+    twists, ways, moved, accelerations, bumped, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
 
     `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
     Results are `twists` (robots, 2) v and w [m/s, rad/s], `ways` (robots, 2) as in `move`, `moved` (robots,) how far
-    from where it was [m], `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,), `ranges`
-    (robots, beams) [m] and `moving` (robots,): whether what a robot touched, or else what its laser says is nearest, is
-    a mover.
+    from where it was [m], `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges`
+    (robots, beams) [m].
+    """
+    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
+    step_robots(
+        first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
+        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges, None, None, None, None,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def step_block_among(
+    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
+    twists, ways, moved, accelerations, bumped, ranges, movers, walks, routes, moving,
+):  # fmt: skip
+    """`step_block` among things that move; `moving` (robots,) is a result, too.
+
+    It says whether what a robot touched, or else what its laser says is nearest, is a mover.
     """
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     step_robots(

@@ -2,7 +2,7 @@
 
 Posts and boxes go straight, along a path or to random points. People walk by the social force model of Moussaid et al.
 2009, "Experimental study of the behavioural mechanisms underlying self-organization in human crowds", with its numbers.
-A mover that runs into the robot has touched it, and waits there until the robot has gone: nothing pushes the robot.
+A mover that runs into the robot has touched it and stops there: nothing pushes the robot.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ HURRY = 1.3  # people are at most so many times as fast as they want to be (Helb
 _FELT = 0.6  # [m] a wall farther away is not felt
 _MARGIN = 0.1  # [m] that targets are off the walls, and the ways there
 _ARRIVED = 0.3  # [m] from a target, a person looks for the next one
+_WAITS = 1.0  # [s] that a mover waits for the robot to go, unless it is on a path, before it goes elsewhere
 _TRIES = 4  # directions that a mover looks in: it takes the one in which it gets farthest
 _NEAREST, _FARTHEST = 1.0, 6.0  # [m] to where it looks, at most
 _TINY = 1e-3  # [m]
@@ -136,6 +137,7 @@ def walk(i, duration, movers, routes, boxes, posts, parts, lists, world, x, y, r
         if share < 1.0:
             touched = True
             movers[i, k, VX], movers[i, k, VY] = 0.0, 0.0
+            movers[i, k, PATIENCE] = min(movers[i, k, PATIENCE], _WAITS)
             movers[i, k, NEXT], movers[i, k, STRIDE] = point, stride
             to_x, to_y = from_x + share * (to_x - from_x), from_y + share * (to_y - from_y)
             if share == 0.0:  # nor does a box turn
@@ -226,16 +228,25 @@ def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, rob
         if other != k and movers[i, other, KIND] != NOBODY:
             east, north = movers[i, other, X] - x, movers[i, other, Y] - y
             aside_x, aside_y = social_force(east, north, vx - movers[i, other, VX], vy - movers[i, other, VY])
-            force_x, force_y = force_x + STRENGTH * aside_x, force_y + STRENGTH * aside_y
+            # Bodies do not pass through each other; what is as near as a wall pushes like one.
+            push = _push(gap_to(-east, -north, movers, i, other) - movers[i, k, LENGTH])
+            push /= max(math.sqrt(east * east + north * north), 1e-9)
+            force_x, force_y = force_x + STRENGTH * aside_x - push * east, force_y + STRENGTH * aside_y - push * north
     if movers[i, k, AVOIDS] != 0.0:
         aside_x, aside_y = social_force(robot_x - x, robot_y - y, vx - robot_vx, vy - robot_vy)
         force_x, force_y = force_x + STRENGTH * aside_x, force_y + STRENGTH * aside_y
     gap = clearance_one(x, y, boxes, posts, parts, lists, world) - movers[i, k, LENGTH]
     if gap < _FELT:
         off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
-        push = WALL_STRENGTH * math.exp(-gap / WALL_REACH)
+        push = _push(gap)
         force_x, force_y = force_x + push * off_x, force_y + push * off_y
     movers[i, k, FORCE_X], movers[i, k, FORCE_Y] = force_x, force_y
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def _push(gap):
+    """The force [m/s^2] off a wall, or a body, that is so far away [m]."""
+    return WALL_STRENGTH * math.exp(-max(gap, -WALL_REACH) / WALL_REACH)
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")

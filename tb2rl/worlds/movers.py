@@ -42,6 +42,12 @@ class Movers:
         """How many there are."""
         return self.people + self.posts + self.boxes
 
+    @property
+    def route(self) -> tuple[Point, ...]:
+        """The points of its path, the first one again where it ends there; none without a path."""
+        path = self.path or ()
+        return (*path, *path[:1]) if self.closed else path
+
 
 def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
     """What a setting means: a mapping such as {people: 4}, a list of them, or None.
