@@ -52,7 +52,7 @@ print(worst, compared)
 
 @pytest.fixture
 def walk(make_setup):
-    """A function from worlds, movers and steps to their outlines [X, Y, ...] over time, beside robots out of the way."""
+    """A function from worlds, movers and steps to their outlines over time, beside standing robots."""
 
     def walk(movers, *worlds, steps=100, robots=1, seed=0, duration=STEP):
         setup = replace(make_setup(*worlds, beams=1), movers=find_movers(movers, "movers"))
