@@ -71,7 +71,7 @@ class Setup:
         """What moves in the world with this index."""
         return (*self.movers, *self.worlds[world].movers)
 
-    @property
+    @cached_property
     def anything_moves(self) -> bool:
         """Whether there are movers in any of the worlds."""
         return bool(self.movers) or any(world.movers for world in self.worlds)
@@ -83,7 +83,9 @@ class Setup:
     def within(self, world: int) -> Setup:
         """The setup whose episodes begin in the world with this index alone."""
         setup = replace(self, only=world)
-        vars(setup).update({name: getattr(self, name) for name in ("table", "_places")})  # which are the same
+        vars(setup).update(
+            {name: getattr(self, name) for name in ("table", "_places", "anything_moves")}
+        )  # which are the same
         return setup
 
     def check_table(self, table: np.ndarray) -> None:

@@ -17,7 +17,7 @@ from tb2rl.files import write_text
 from tb2rl.values import Point, Pose, Positive, build
 from tb2rl.worlds.drawing import read_drawing
 from tb2rl.worlds.formats.imports import Import
-from tb2rl.worlds.movers import find_movers, said_of
+from tb2rl.worlds.movers import said_of
 from tb2rl.worlds.world import Bounds, BoxShape, World
 
 
@@ -108,7 +108,6 @@ def world_from(content: Any, name: str, beside: Import | None = None) -> World:
         raise InputError(f"world {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")
     boxes = [*_wall_boxes(said.walls), *((*box.centre, *box.size, box.yaw) for box in said.boxes), *drawn.boxes]
     posts = [(*post.centre, post.radius) for post in said.posts]
-    movers = find_movers(said.movers, f"world {name}.movers")
     return World.from_shapes(
         name,
         boxes,
@@ -117,7 +116,7 @@ def world_from(content: Any, name: str, beside: Import | None = None) -> World:
         goal=goal,
         bounds=beside.bounds or said.bounds,
         description=said.description,
-        movers=movers,
+        movers=said.movers,
     )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Le, MinLen
 
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, one_line
 from tb2rl.values import ASCENDING, PAIR, Point, build
 
 MOST = 50  # in one world: each is held against each other, and against every beam
@@ -53,7 +53,7 @@ def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
     """What a setting means: a mapping such as {people: 4}, a list of them, or None.
 
     Args:
-        setting: As YAML or keyword arguments bring it.
+        setting: As YAML or keyword arguments bring it; or of `Movers`.
         where: What it is, for the message: "task.movers".
 
     Raises:
@@ -64,9 +64,10 @@ def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
     entries = setting if isinstance(setting, list | tuple) else [setting]
     movers = []
     for entry in entries:
-        if not isinstance(entry, Mapping):
-            raise InputError(f"{where}: must say how many of what, such as {{people: 4}}, or be a list; got {entry!r}")
-        movers.append(build(Movers, entry, where))
+        if not isinstance(entry, Mapping | Movers):
+            text = f"{where}: must say how many of what, such as {{people: 4}}, or be a list; got {entry!r}"
+            raise InputError(one_line(text))
+        movers.append(entry if isinstance(entry, Movers) else build(Movers, entry, where))
         _check(movers[-1], where)
     if sum(group.count for group in movers) > MOST:
         raise InputError(f"{where}: must be at most {MOST} movers, got {sum(group.count for group in movers)}")

@@ -58,7 +58,7 @@ def test_a_file_may_say_what_moves_and_one_that_is_wrong_says_so():
     assert world_from({**HALL, "movers": [PATH, {"people": 2}]}, "hall").movers[1] == Movers(people=2)
     assert world_from({**HALL, "movers": PATH}, "hall").movers[0].posts == 1
     assert world_from(HALL, "hall").movers == ()
-    with pytest.raises(InputError, match=r"world hall\.movers: must say how many people"):
+    with pytest.raises(InputError, match=r"world hall: movers: must say how many people"):
         world_from({**HALL, "movers": {"radius": 1}}, "hall")
 
 
