@@ -71,6 +71,11 @@ class Setup:
         """What moves in the world with this index."""
         return (*self.movers, *self.worlds[world].movers)
 
+    def without_movers(self) -> Setup:
+        """The same robot in the same worlds, where nothing moves."""
+        worlds = tuple(replace(world, movers=()) if world.movers else world for world in self.worlds)
+        return replace(self, movers=(), worlds=worlds)
+
     @cached_property
     def anything_moves(self) -> bool:
         """Whether there are movers in any of the worlds."""
