@@ -257,25 +257,21 @@ def test_states_and_copies_go_on_to_the_bit(name, movers, make_setup):
     simulation, told = simulate(name, setup), [*drives(rng, 30)]
     simulation.reset(begin(setup, rng), np.random.default_rng(0))
     recorded(simulation, told[:15])
-    twins = [copy.deepcopy(simulation), pickle.loads(pickle.dumps(simulation))]
-    state = simulation.state()  # which rounds PyBullet's poses: copies are made before it
-    if name == "kinematic":
-        twins.append(KinematicSimulation(setup))
-        twins[-1].restore(pickle.loads(pickle.dumps(state)))
+    copies = [copy.deepcopy(simulation), pickle.loads(pickle.dumps(simulation))]
     expected = recorded(simulation, told)
-    simulation.restore(state)
-    assert recorded(simulation, told) == expected
+    for each in copies:
+        assert recorded(each, told) == expected
+        each.close()
+    state = simulation.state()
+    expected = recorded(simulation, told)
     simulation.reset(begin(setup, rng), np.random.default_rng(0))
     recorded(simulation, told)
-    simulation.restore(state)
-    assert recorded(simulation, told) == expected
-    if name == "bullet":
-        expected = recorded(twins[0], told)
-        twins = twins[1:]
-    for twin in twins:
-        assert recorded(twin, told) == expected
-        twin.close()
-    simulation.close()
+    other = simulate(name, setup)
+    other.reset(begin(setup, rng), np.random.default_rng(0))
+    for each in (simulation, other):
+        each.restore(pickle.loads(pickle.dumps(state)))
+        assert recorded(each, told) == expected
+        each.close()
 
 
 @pytest.mark.parametrize("name", ["bullet", "kinematic"])
