@@ -192,3 +192,11 @@ def test_judge_is_rehearsed_with_actions_of_the_right_shape(actions):
     make_scene(wander(actions=actions, judge=judge), "raw")
     assert seen[0].shape == (2, *actions.space.shape)
     assert actions.commands(seen[0]).shape == (2, 2)
+
+
+def test_a_task_may_ask_where_movers_are_if_there_are_some():
+    def judge(self, before, action, after):
+        near = np.hypot(*(after.movers[:, :, :2] - after.pose[:, None, :2]).transpose(2, 0, 1)).min(axis=1)
+        return Outcome(near, failed={"met": after.moving & after.bumped})
+
+    assert make_scene(replace(wander(judge=judge), movers={"people": 1}), "raw").setup.anything_moves
