@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.simulation.kernels import RADIUS
 from tb2rl.simulation.outlines import COS, LENGTH, SIN, WIDTH, X, Y, gap_to
 from tb2rl.simulation.setup import BOUNDS
 from tb2rl.simulation.streams import uniform
@@ -93,7 +94,7 @@ def think(i, span, movers, streams, starts, boxes, posts, parts, lists, world, x
             _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world)
     for k in range(movers.shape[1]):
         if movers[i, k, KIND] == PERSON:
-            _feel(i, k, movers, boxes, posts, parts, lists, world, x, y, vx, vy)
+            _feel(i, k, movers, boxes, posts, parts, lists, world, x, y, vx, vy, starts[i, RADIUS])
     for k in range(movers.shape[1]):
         if movers[i, k, KIND] == PERSON:
             east, north = (
@@ -219,7 +220,7 @@ def _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world):
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy):
+def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy, robot_radius):
     """The forces on a person: to its target, off other movers and walls, and off the robot if it sees that."""
     x, y, vx, vy = movers[i, k, X], movers[i, k, Y], movers[i, k, VX], movers[i, k, VY]
     east, north = movers[i, k, TARGET_X] - x, movers[i, k, TARGET_Y] - y
@@ -234,8 +235,11 @@ def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, rob
             push /= max(math.sqrt(east * east + north * north), 1e-9)
             force_x, force_y = force_x + STRENGTH * aside_x - push * east, force_y + STRENGTH * aside_y - push * north
     if movers[i, k, AVOIDS] != 0.0:
-        aside_x, aside_y = social_force(robot_x - x, robot_y - y, vx - robot_vx, vy - robot_vy)
-        force_x, force_y = force_x + STRENGTH * aside_x, force_y + STRENGTH * aside_y
+        east, north = robot_x - x, robot_y - y
+        aside_x, aside_y = social_force(east, north, vx - robot_vx, vy - robot_vy)
+        distance = max(math.sqrt(east * east + north * north), 1e-9)
+        push = _push(distance - robot_radius - movers[i, k, LENGTH]) / distance
+        force_x, force_y = force_x + STRENGTH * aside_x - push * east, force_y + STRENGTH * aside_y - push * north
     gap = clearance_one(x, y, boxes, posts, parts, lists, world) - movers[i, k, LENGTH]
     if gap < _FELT:
         off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)

@@ -117,6 +117,8 @@ def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation
         env.step(1)
     copied, state = copy.deepcopy(env), copy.deepcopy(env.state())
     other.restore(state)
+    np.testing.assert_equal(other.reading.state(), env.reading.state())
+    assert other.reading.movers.shape == (1, 4, 6)
     first, *others = (
         [(each.step(action)[0], each.reading.movers, each.reading.moving) for action in (0, 1, 2, 1) * 5]
         for each in (env, other, copied)
