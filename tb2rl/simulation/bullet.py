@@ -144,11 +144,9 @@ class BulletSimulation:
         return self._read(at_wall, at_mover)
 
     def _free_steps(self, duration: float) -> int:
-        """How many physics steps of the control step cannot make the robot touch anything, even at its top speed."""
-        speed, taken = self._max_speed * self._wheel, self.setup.robot.radius + _MARGIN
-        gap = max(self.world.clearance(*self._place) - taken, 0.0)
-        free = min(gap / max(speed * duration, 1e-9), self._crowd.free(*self._place, taken, speed) / duration)
-        return int(min(free, 1.0) * self._steps)
+        """How many physics steps of the control step cannot take the robot to a wall, even at its top speed."""
+        gap = max(self.world.clearance(*self._place) - self.setup.robot.radius - _MARGIN, 0.0)
+        return int(min(gap / max(self._max_speed * self._wheel * duration, 1e-9), 1.0) * self._steps)
 
     def set_wheel_speeds(self, commands: np.ndarray) -> None:
         """Tell the wheel motors the speeds for `commands` (1, 2), v [m/s] and w [rad/s]."""

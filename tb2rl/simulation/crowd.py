@@ -18,7 +18,7 @@ from tb2rl.simulation.outlines import COS, LENGTH, SIN, WIDTH, X, Y, nearest_mov
 from tb2rl.simulation.physics import pybullet
 from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
-from tb2rl.simulation.walking import FASTEST, HURRY, THINK, think, walk
+from tb2rl.simulation.walking import THINK, think, walk
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 _COLOUR = (0.49, 0.31, 0.63, 1.0)  # as in pictures from above
@@ -128,13 +128,6 @@ class Crowd:
             return hit
         contacts = pybullet.getContactPoints(robot.body, physicsClientId=self._client)
         return any(contact[2] in self._bodies.numbers and contact[8] < TOUCH for contact in contacts)
-
-    def free(self, x: float, y: float, taken: float, speed: float) -> float:
-        """How long [s] no mover can be within `taken` [m] of a robot at `x`, `y` [m] that drives at `speed` [m/s]."""
-        if self.movers is None:
-            return math.inf
-        fastest = HURRY * float(self.movers.table[0, :, FASTEST].max())
-        return max(nearest_mover(x, y, self.movers.table, 0) - taken, 0.0) / (speed + fastest)
 
     @property
     def outlines(self) -> np.ndarray | None:

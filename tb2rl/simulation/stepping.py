@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from tb2rl.compiled import UNCOUNTED, njit
-from tb2rl.simulation.kernels import RADIUS, WHEEL_SEPARATION, move, sense
-from tb2rl.simulation.outlines import LENGTH, X, Y
-from tb2rl.simulation.setup import PHYSICS_RATE, WORLD
-from tb2rl.simulation.walking import THINK, share_until_touch, think, walk
+from tb2rl.simulation.kernels import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
+from tb2rl.simulation.outlines import LENGTH, WIDTH, X, Y
+from tb2rl.simulation.setup import PHYSICS_RATE, WHEEL, WORLD
+from tb2rl.simulation.walking import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
@@ -30,6 +30,7 @@ def move_among(
     steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as PyBullet makes
     part, radius = duration / steps, starts[i, RADIUS]
     at_wall, at_mover, way, turned = False, False, 0.0, 0.0
+    alone = _out_of_reach(poses, rims, duration, starts, i, movers)
     for step in range(steps):
         x, y, yaw, v = poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * (rims[i, 0] + rims[i, 1])
         vx, vy = v * math.cos(yaw), v * math.sin(yaw)
@@ -37,6 +38,8 @@ def move_among(
             span = min(THINK, steps - step) * part
             think(i, span, movers, walks, starts, boxes, posts, parts, lists, world, x, y, vx, vy)
         hit = walk(i, part, movers, routes, boxes, posts, parts, lists, world, x, y, radius)
+        if alone:
+            continue
         at_mover = hit or at_mover
         hit = move(poses, rims, commands, part, starts, i, boxes, posts, parts, lists, world, ways)
         at_wall = hit or at_wall
@@ -50,8 +53,24 @@ def move_among(
             at_mover = True
             poses[i, 0], poses[i, 1] = x + share * (poses[i, 0] - x), y + share * (poses[i, 1] - y)
         way, turned = way + share * ways[i, 0], turned + ways[i, 1]
+    if alone:  # then the whole step at once, which takes a tenth of the time
+        return move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways), False
     ways[i, 0], ways[i, 1] = way, turned
     return at_wall, at_mover
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _out_of_reach(poses, rims, duration, starts, i, movers):
+    """Whether robot `i` and its movers can neither meet nor see each other in a control step of `duration` [s]."""
+    speed = max(abs(rims[i, 0]), abs(rims[i, 1]), starts[i, MAX_SPEED] * starts[i, WHEEL])
+    for k in range(movers.shape[1]):
+        if movers[i, k, LENGTH] > 0.0:
+            apart = math.hypot(movers[i, k, X] - poses[i, 0], movers[i, k, Y] - poses[i, 1])
+            size = math.hypot(movers[i, k, LENGTH], movers[i, k, WIDTH])  # a box may turn
+            way = duration * (speed + HURRY * movers[i, k, SPEED])
+            if movers[i, k, AVOIDS] != 0.0 or apart < starts[i, RADIUS] + HALT + size + way:
+                return False
+    return True
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")

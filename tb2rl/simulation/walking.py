@@ -40,7 +40,7 @@ HURRY = 1.3  # people are at most so many times as fast as they want to be (Helb
 _FELT = 0.6  # [m] a wall farther away is not felt
 _MARGIN = 0.1  # [m] that targets are off the walls, and the ways there
 _ARRIVED = 0.3  # [m] from a target, a person looks for the next one
-_HALT = 2e-3  # [m] at which a mover touches the robot: PyBullet's bodies push each other from 1 mm on
+HALT = 2e-3  # [m] at which a mover touches the robot: PyBullet's bodies push each other from 1 mm on
 _WAITS = 1.0  # [s] that a mover waits for the robot to go, unless it is on a path, before it goes elsewhere
 _TRIES = 4  # directions that a mover looks in: it takes the one in which it gets farthest
 _NEAREST, _FARTHEST = 1.0, 6.0  # [m] to where it looks, at most
@@ -135,7 +135,7 @@ def walk(i, duration, movers, routes, boxes, posts, parts, lists, world, x, y, r
         length = math.hypot(to_x - from_x, to_y - from_y)
         if length > 1e-9:
             movers[i, k, COS], movers[i, k, SIN] = (to_x - from_x) / length, (to_y - from_y) / length
-        share = share_until_touch(x - from_x, y - from_y, x - to_x, y - to_y, radius + _HALT, movers, i, k)
+        share = share_until_touch(x - from_x, y - from_y, x - to_x, y - to_y, radius + HALT, movers, i, k)
         if share < 1.0:
             touched = True
             movers[i, k, VX], movers[i, k, VY] = 0.0, 0.0

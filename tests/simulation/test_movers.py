@@ -361,3 +361,17 @@ def test_a_state_of_other_movers_is_refused(name, change, make_setup):
         simulation.restore({**state, "movers": {**state["movers"], "table": state["movers"]["table"][:, :2]}})
     simulation.restore(state)
     simulation.close()
+
+
+def test_a_robot_out_of_reach_of_all_movers_drives_to_the_bit_as_one_alone(make_setup):
+    world = World.from_shapes("floor", start=(0, 0, 0), bounds=(-9, -9, 9, 9))
+    far, told = (
+        {"boxes": 2, "path": [[-8, -8], [-8, 8]]},
+        np.random.default_rng(0).uniform((-0.3, -2), (0.6, 2), (40, 2)),
+    )
+    poses = []
+    for setup in (make_setup(world, beams=9), among(make_setup(world, beams=9), far)):
+        twin = KinematicSimulation(setup)
+        twin.reset(Start.proposed(setup, 1), np.random.default_rng(0))
+        poses.append([twin.step(each[None], STEP).pose for each in told])
+    np.testing.assert_array_equal(*poses)
