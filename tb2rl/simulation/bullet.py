@@ -191,14 +191,14 @@ class BulletSimulation:
             "acceleration": self._acceleration.copy(),
             "generator": self._rng.bit_generator.state,
             "start": self._start.table.copy(),
-            "movers": self._crowd.state(),
+            **self._crowd.state(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> Reading:
         start = Start(np.array(state["start"]))
         self.setup.check_table(start.table)
         self._begin(start)
-        self._crowd.restore(state.get("movers"), start)
+        self._crowd.restore(state, start)
         self._put(state["position"], state["orientation"], state["velocity"], state["wheels"])
         self._odometry = tuple(state["odometry"])
         reading = self._read()

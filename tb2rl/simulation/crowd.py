@@ -134,18 +134,18 @@ class Crowd:
         """Where the movers are, see `Reading.movers`, as an array of its own."""
         return None if self.movers is None else self.movers.outlines.copy()
 
-    def state(self) -> dict[str, np.ndarray] | None:
-        """All that the movers' future depends on."""
-        return None if self.movers is None else self.movers.state()
+    def state(self) -> dict[str, Any]:
+        """All that the movers' future depends on, as "movers"; nothing, where nothing moves."""
+        return {} if self.movers is None else {"movers": self.movers.state()}
 
-    def restore(self, state: Mapping[str, Any] | None, start: Start) -> None:
+    def restore(self, state: Mapping[str, Any], start: Start) -> None:
         """Let the movers go on from a `state`, in an episode that began with `start`.
 
         Raises:
             ValueError: If it is not of such movers.
         """
         if self.movers is not None:
-            self.movers.restore(state or {}, start)
+            self.movers.restore(state["movers"], start)
 
     @property
     def _there(self) -> Movers:
