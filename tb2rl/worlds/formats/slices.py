@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -14,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tb2rl.errors import InputError
 from tb2rl.worlds.formats.cells import merge_cells
-from tb2rl.worlds.world import BoxShape, PostShape, box_shape
+from tb2rl.worlds.world import BoxShape, PostShape, box_shapes
 
 SHEET = 0.01  # [m] thickness of a wall that is drawn as a line, and of one along an outline at least
 _HALVED = 16  # times, to find how deep a wall fits into an outline
@@ -59,16 +58,32 @@ class Slice:
         outline = radius * np.column_stack([np.cos(angles), np.sin(angles)])
         return self.add_prism(pose, outline, -length / 2, length / 2)
 
+    def add_box(self, pose: np.ndarray, half: np.ndarray) -> Side:
+        """Add a box with these half sides [m]."""
+        x, y, z = half.tolist()
+        if not upright(pose):
+            return self.add_prism(pose, np.array([[-x, -y], [x, -y], [x, y], [-x, y]]), -z, z)
+        if (side := self.side(pose[2, 3] - z, pose[2, 3] + z)) == "met":
+            self.boxes.append((pose[0, 3], pose[1, 3], 2 * x, 2 * y, math.atan2(pose[1, 0], pose[0, 0])))
+        return side
+
     def add_prism(self, pose: np.ndarray, outline: np.ndarray, low: float, high: float) -> Side:
         """Add a convex outline (corners, 2) [m], drawn out along its own z from `low` to `high` [m]."""
-        ends = [
-            np.column_stack([outline, np.full(len(outline), z)]) @ pose[:3, :3].T + pose[:3, 3] for z in (low, high)
-        ]
-        heights = np.concatenate(ends)[:, 2]
-        if (side := self.side(heights.min(), heights.max())) == "met":
+        return self.add_prisms(pose, [outline], low, high)
+
+    def add_prisms(self, pose: np.ndarray, outlines: Sequence[np.ndarray], low: float, high: float) -> Side:
+        """Add several that touch as one shape."""
+        heights, hulls = [], []
+        for outline in outlines:
+            ends = [
+                np.column_stack([outline, np.full(len(outline), z)]) @ pose[:3, :3].T + pose[:3, 3] for z in (low, high)
+            ]
             edges = [(end, np.roll(end, -1, axis=0)) for end in ends] + [(ends[0], ends[1])]
             begins, stops = (np.concatenate(points) for points in zip(*edges, strict=True))
-            self.add_outline(shapely.MultiPoint(_crossings(begins, stops, self.height)).convex_hull)
+            hulls.append(shapely.MultiPoint(_crossings(begins, stops, self.height)).convex_hull)
+            heights += [begins[:, 2].min(), begins[:, 2].max()]
+        if (side := self.side(min(heights), max(heights))) == "met":
+            self.add_outline(hulls[0] if len(hulls) == 1 else shapely.union_all(hulls, grid_size=_GAP))
         return side
 
     def add_outline(self, shape: BaseGeometry) -> None:
@@ -84,15 +99,18 @@ class Slice:
                 self.boxes.append(_box_along(rectangle.exterior.coords[:3]))
                 continue
             walls = _walls_within(part)
-            self.boxes += walls
-            for rest in shapely.get_parts(part.difference(shapely.union_all([_polygon(wall) for wall in walls]))):
+            self.boxes += map(tuple, walls.tolist())
+            for rest in shapely.get_parts(part.difference(shapely.union_all(_polygons(walls)))):
                 if rest.area > 0 and shapely.maximum_inscribed_circle(rest, tolerance=0.01).length > _HOLE:
                     self.boxes += _fill(rest)
 
     def add_sheets(self, lines: Iterable[Sequence[Sequence[float]]]) -> None:
         """Add lines of points as thin walls to the left of them: what is known of a body that is not closed."""
         for line in lines:
-            self.boxes += _sheets(line)
+            points = np.array(line)[:, :2]
+            begins, ends = points[:-1], points[1:]
+            longer = (begins != ends).any(axis=1)
+            self.boxes += map(tuple, _walls(begins[longer], ends[longer], SHEET).tolist())
 
 
 def upright(pose: np.ndarray) -> bool:
@@ -117,39 +135,33 @@ def _box_along(corners: Sequence[Sequence[float]]) -> BoxShape:
     return (x0 + x2) / 2, (y0 + y2) / 2, length, width, math.atan2(y1 - y0, x1 - x0)
 
 
-def _walls_within(part: shapely.Polygon) -> list[BoxShape]:
-    """A box along each edge of a polygon, as deep as it stays within it, but `SHEET` deep at least."""
-    walls: list[BoxShape] = []
+def _walls_within(part: shapely.Polygon) -> np.ndarray:
+    """A box along each edge of a polygon, as deep as it stays within it, but `SHEET` deep at least; as in `_walls`."""
     room = part.buffer(_GAP)
     shapely.prepare(room)
     oriented = shapely.orient_polygons(part)  # the inside is to the left of every edge, of holes too
-    for ring in (oriented.exterior, *oriented.interiors):
-        for edge in pairwise(ring.coords):
-            low, high = SHEET, max(part.bounds[2] - part.bounds[0], part.bounds[3] - part.bounds[1])
-            for _ in range(_HALVED):
-                middle = (low + high) / 2
-                low, high = (middle, high) if room.covers(_polygon(_wall(edge, middle))) else (low, middle)
-            walls.append(_wall(edge, low))
-    return walls
+    rings = [np.array(ring.coords) for ring in (oriented.exterior, *oriented.interiors)]
+    begins, ends = np.concatenate([ring[:-1] for ring in rings]), np.concatenate([ring[1:] for ring in rings])
+    low, high = np.full(len(begins), SHEET), np.full(len(begins), max(np.ptp(rings[0], axis=0)))
+    for _ in range(_HALVED):
+        middle = (low + high) / 2
+        fits = shapely.covers(room, _polygons(_walls(begins, ends, middle)))
+        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+    return _walls(begins, ends, low)
 
 
-def _wall(edge: tuple[Sequence[float], Sequence[float]], depth: float) -> BoxShape:
-    """A box to the left of an edge."""
-    (x0, y0), (x1, y1) = edge
-    length = math.hypot(x1 - x0, y1 - y0)
-    left_x, left_y = (y0 - y1) / length * depth / 2, (x1 - x0) / length * depth / 2
-    return (x0 + x1) / 2 + left_x, (y0 + y1) / 2 + left_y, length, depth, math.atan2(y1 - y0, x1 - x0)
+def _walls(begins: np.ndarray, ends: np.ndarray, depth: float | np.ndarray) -> np.ndarray:
+    """A box to the left of each edge between points (edges, 2): rows of `BoxShape`, shape (edges, 5)."""
+    along = ends - begins
+    length = np.hypot(*along.T)
+    x, y = ((begins + ends) / 2 + along[:, ::-1] * (-1.0, 1.0) * (depth / (2 * length))[:, None]).T
+    return np.column_stack([x, y, length, np.broadcast_to(depth, length.shape), np.arctan2(along[:, 1], along[:, 0])])
 
 
-def _polygon(box: BoxShape) -> BaseGeometry:
-    x, y, length, width, yaw = box
-    return box_shape(np.array([x, y, length / 2, width / 2, math.cos(yaw), math.sin(yaw)]))
-
-
-def _sheets(points: Sequence[Sequence[float]]) -> list[BoxShape]:
-    """A thin wall along each piece of a line."""
-    pieces = [(begin[:2], end[:2]) for begin, end in pairwise(points) if begin[:2] != end[:2]]
-    return [_wall(((x0, y0), (x1, y1)), SHEET) for (x0, y0), (x1, y1) in pieces]
+def _polygons(boxes: np.ndarray) -> np.ndarray:
+    """The polygons of rows of `BoxShape`."""
+    x, y, length, width, yaw = boxes.T
+    return box_shapes(np.column_stack([x, y, length / 2, width / 2, np.cos(yaw), np.sin(yaw)]))
 
 
 def _fill(part: shapely.Polygon) -> list[BoxShape]:
