@@ -42,6 +42,13 @@ def felled(rng, difficulty, size) -> World:
 """
 
 
+INCLUDE = "<include><uri>model://pole</uri></include>"
+POLE = (
+    "<sdf version='1.6'><model name='pole'><link name='l'><collision name='c'><geometry><cylinder><radius>0.2</radius>"
+    "<length>1</length></cylinder></geometry></collision></link></model></sdf>"
+)
+
+
 class Ahead:
     """Drives straight on."""
 
@@ -105,6 +112,17 @@ def test_a_file_takes_what_it_does_not_say_from_any_folder(tmp_path, monkeypatch
     assert make_scene(Wander(world=setting, start_clearance=0.3), "raw").worlds_for("test").world is hall
 
 
+def test_a_file_finds_its_models_from_any_folder(tmp_path, monkeypatch):
+    (tmp_path / "mine" / "pole").mkdir(parents=True)
+    (tmp_path / "mine" / "pole" / "model.sdf").write_text(POLE)
+    (tmp_path / "yard.world").write_text("<sdf version='1.6'><world name='y'>" + INCLUDE + "</world></sdf>")
+    monkeypatch.chdir(tmp_path)
+    said = {"file": "yard.world", "model_path": ["mine"], "start": [3, 0, 0], "bounds": [-5, -5, 5, 5]}
+    config = resolve(settings={"task.world": said})
+    monkeypatch.chdir("/")
+    assert len(config_from(config.to_dict()).scene.world.posts) == 1
+
+
 def test_a_generator_of_a_users_own(forest):
     worlds = find_worlds({"generator": "my_forest:forest", "worlds": 3, "difficulty": 1.0, "size": [9, 9]})
     assert [world.name for world in worlds] == [f"forest {i} (training)" for i in range(3)]
@@ -144,6 +162,9 @@ WRONG = [
     ({"file": "nowhere.yaml"}, "there is no world file nowhere.yaml"),
     ({"file": "loop", "strat": [0, 0, 0]}, "unknown key of task.world 'strat'; did you mean 'start'?"),
     ({"file": "loop", "start": [0, 0]}, "task.world.start"),
+    ({"file": "loop", "model_path": "models"}, "task.world.model_path"),
+    ({"file": "rooms", "start": [1, 1, 0]}, "task.world.file must be one file, for start to count; rooms is not"),
+    ({"file": "my_forest:forest", "goal": [1, 1]}, "task.world.file must be one file"),
 ]
 
 
