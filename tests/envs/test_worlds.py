@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -120,6 +121,7 @@ def test_a_file_finds_its_models_from_any_folder(tmp_path, monkeypatch):
     said = {"file": "yard.world", "model_path": ["mine"], "start": [3, 0, 0], "bounds": [-5, -5, 5, 5]}
     config = resolve(settings={"task.world": said})
     monkeypatch.chdir("/")
+    os.utime(tmp_path / "yard.world", ns=(0, 1))  # so that it is read again
     assert len(config_from(config.to_dict()).scene.world.posts) == 1
 
 
