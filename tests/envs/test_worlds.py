@@ -212,6 +212,9 @@ def test_a_setting_of_a_generator_can_be_changed_alone(tmp_path):
     config = resolve(preset=preset, settings=parse_settings(["task.world.difficulty=0.8"]))
     assert config.task.world == {"generator": "rooms", "difficulty": 0.8, "worlds": 4}
     assert resolve(preset=preset, settings={"task.world": "loop"}).scene.place == "loop"
+    for other in ({"file": "circuit", "start": [0.75, 5.0, 0.0]}, {"generator": "maze", "worlds": 3}):
+        whole = resolve(preset=preset, settings={"task.world": other, "task.start_clearance": 0.3}).task.world
+        assert whole == other, "no setting of the preset's generator is left"
     with pytest.raises(InputError, match=r"task\.world: must name its generator"):
         resolve(settings={"task.world.difficulty": 0.8})
 
