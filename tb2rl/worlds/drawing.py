@@ -31,18 +31,14 @@ def read_drawing(text: str, cell: float) -> Drawing:
     _check(lines)
     lines.reverse()
     marks: dict[str, Pose] = {}
-    runs: dict[tuple[int, int], list[int]] = {}  # (first, last column) -> rows, to stack equal runs into one box
     for row, line in enumerate(lines):
         for column, mark in enumerate(line):
             if mark in "SG":
                 marks[mark] = ((column + 0.5) * cell, (row + 0.5) * cell, 0.0)
-        for run in stretches([column for column, mark in enumerate(line) if mark == "#"]):
-            runs.setdefault(run, []).append(row)
     boxes: list[BoxShape] = []
-    for (first, last), rows in runs.items():
-        for bottom, top in stretches(rows):
-            length, width = (last - first + 1) * cell, (top - bottom + 1) * cell
-            boxes.append(((first + last + 1) / 2 * cell, (bottom + top + 1) / 2 * cell, length, width, 0.0))
+    for first, last, bottom, top in rectangles([[c for c, mark in enumerate(line) if mark == "#"] for line in lines]):
+        length, width = (last - first + 1) * cell, (top - bottom + 1) * cell
+        boxes.append(((first + last + 1) / 2 * cell, (bottom + top + 1) / 2 * cell, length, width, 0.0))
     return Drawing(boxes, marks.get("S"), marks.get("G"))
 
 
@@ -62,7 +58,19 @@ def _check(lines: Sequence[str]) -> None:
                 seen[mark] = place
 
 
-def stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:
+def rectangles(rows: Sequence[Sequence[int]]) -> list[tuple[int, int, int, int]]:
+    """First and last column, first and last row of the rectangles that cover the ascending columns of some rows.
+
+    Columns in a row are joined to runs, and equal runs above each other to one rectangle.
+    """
+    runs: dict[tuple[int, int], list[int]] = {}
+    for row, columns in enumerate(rows):
+        for run in _stretches(columns):
+            runs.setdefault(run, []).append(row)
+    return [(*run, *those) for run, found in runs.items() for those in _stretches(found)]
+
+
+def _stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:
     """First and last of each stretch of consecutive ascending integers."""
     stretches: list[tuple[int, int]] = []
     for number in numbers:
