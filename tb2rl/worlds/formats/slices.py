@@ -177,7 +177,7 @@ def _fill(part: shapely.Polygon) -> list[BoxShape]:
     x0, y0, x1, y1 = part.bounds
     side = max(x1 - x0, y1 - y0) / _FILLED
     columns, rows = max(1, math.ceil((x1 - x0) / side)), max(1, math.ceil((y1 - y0) / side))
-    left, bottom = np.meshgrid(x0 + side * np.arange(columns), y0 + side * np.arange(rows))
+    left, bottom = x0 + side * np.arange(columns), y0 + side * np.arange(rows)[:, None]
     cells = shapely.box(left, bottom, left + side, bottom + side)
     shapely.prepare(part)
     return merge_cells(shapely.contains(part, cells), side, (x0, y0, 0.0))
