@@ -61,7 +61,10 @@ def _draw(options: argparse.Namespace) -> None:
 def _convert(options: argparse.Namespace) -> None:
     world = _only_world(options)
     ending = options.out.suffix
-    _check_source(options.worlds[0], {options.out, options.out.with_suffix(".yaml" if ending == ".pgm" else ending)})
+    beside = options.out.with_suffix(".yaml") if ending == ".pgm" else options.out
+    _check_source(options.worlds[0], {options.out, beside})
+    if beside.is_file() and options.out.resolve() not in _files(beside):
+        raise InputError(one_line(f"{beside} is there, and is no map with the picture {options.out}; name another one"))
     if ending == ".pgm":
         for file in reversed(write_map(world, options.out, options.resolution)):
             print(f"wrote {file}")
@@ -143,10 +146,14 @@ def _check_source(name: str, targets: set[Path]) -> None:
     """Raise an `InputError` if a file that is to be written is one that the world is read from."""
     setting = absolute_worlds(_setting(name, {"file": name} if name[:1] not in "{[" else {}))
     file = Path(setting["file"].rpartition(":")[2]) if isinstance(setting, Mapping) and "file" in setting else Path()
-    sources = [source.resolve() for source in files_of(file)] if file.is_file() else []
+    sources = _files(file) if file.is_file() else []
     for target in targets:
         if target.resolve() in sources:
             raise InputError(one_line(f"{target} is what the world is read from; write it to another file"))
+
+
+def _files(file: Path) -> list[Path]:
+    return [each.resolve() for each in files_of(file)]
 
 
 def _is_generator(name: str) -> bool:
