@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from importlib import import_module
-from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from PIL import Image
 
+from tb2rl.envs.worlds import absolute_worlds, find_worlds
 from tb2rl.errors import InputError, one_line
 from tb2rl.files import parse_yaml, replacing
 from tb2rl.pictures.plan import draw_plan, sheet
 from tb2rl.registry import find_robot, find_world, world_names
 from tb2rl.robots import Robot
-from tb2rl.values import build
+from tb2rl.values import Worlds, checked
 from tb2rl.worlds import World
 from tb2rl.worlds.access import Access, find_access
 from tb2rl.worlds.description import write_description
-from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.formats.maps import write_map
+from tb2rl.worlds.generators import GENERATORS, Generated, generate
+from tb2rl.worlds.readers import files_of
 
 _DRAWN = 64  # worlds on a sheet
 _DIFFICULTIES, _EACH = (0.0, 0.25, 0.5, 0.75, 1.0), 4  # columns of a generator's sheet, and worlds in each
+_PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff")  # Pillow knows more that fail
 _SHOWN = 8  # parts and doors that are named one by one
 
 
@@ -36,15 +38,14 @@ def run(options: argparse.Namespace) -> None:
 def _list(options: argparse.Namespace) -> None:
     for name in world_names():
         print(f"{name:12} {find_world(name).description}".rstrip())
-    if generators := _generators():
-        print(f"generators: {', '.join(sorted(generators))}")
+    print(f"generators: {', '.join(sorted(GENERATORS))}")
 
 
 def _draw(options: argparse.Namespace) -> None:
     robot = find_robot(options.robot)
-    if options.out.suffix.lower() not in Image.registered_extensions():
-        raise InputError(one_line(f"cannot write {options.out}: pictures end in .png, .jpg, .webp, ..."))
-    if options.worlds[0] in _generators() and options.worlds[0] not in world_names():
+    if options.out.suffix.lower() not in _PICTURES:
+        raise InputError(one_line(f"cannot write {options.out}: pictures end in {', '.join(_PICTURES)}"))
+    if not _said(options) and len(options.worlds) == 1 and _is_generator(options.worlds[0]):
         worlds, columns = _by_difficulty(options.worlds[0]), len(_DIFFICULTIES)
     else:
         worlds, columns = _worlds(options), None
@@ -58,8 +59,12 @@ def _draw(options: argparse.Namespace) -> None:
 
 
 def _convert(options: argparse.Namespace) -> None:
-    world = _worlds(options)[0]
+    world = _only_world(options)
     ending = options.out.suffix
+    beside = options.out.with_suffix(".yaml") if ending == ".pgm" else options.out
+    _check_source(options.worlds[0], {options.out, beside})
+    if beside.is_file() and options.out.resolve() not in _files(beside):
+        raise InputError(one_line(f"{beside} is there, and is no map with the picture {options.out}; name another one"))
     if ending == ".pgm":
         for file in reversed(write_map(world, options.out, options.resolution)):
             print(f"wrote {file}")
@@ -71,7 +76,7 @@ def _convert(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    world = _worlds(options)[0]
+    world = _only_world(options)
     robot = find_robot(options.robot)
     x0, y0, x1, y1 = world.bounds
     print(f"{world.name}: {x1 - x0:.4g} x {y1 - y0:.4g} m, {len(world.boxes)} boxes, {len(world.posts)} posts")
@@ -110,38 +115,56 @@ def _at(place: tuple[float, ...]) -> str:
 
 def _worlds(options: argparse.Namespace) -> list[World]:
     """The worlds that the command line names, with what it says about them."""
-    said = {
-        "start": options.start,
-        "goal": options.goal,
-        "unknown": options.unknown,
-        "laser_height": options.laser_height,
-        "model_path": options.model_path,
-    }
-    given = build(Import, {key: value for key, value in said.items() if value is not None}, "world")
-    return [world for name in options.worlds for world in _found(name, given)]
+    said = _said(options)
+    return [world for name in options.worlds for world in find_worlds(_setting(name, said))]
 
 
-def _found(name: str, given: Import) -> Sequence[World]:
-    """The worlds of a name as `task.world` takes it: of a folder or of a generator there are many."""
-    several = find_spec("tb2rl.envs.worlds") if given == Import() else None
-    if several is None:
-        return [find_world(name, given)]
-    setting = parse_yaml(name, "the world") if name.startswith("{") else name
-    return import_module(several.name).find_worlds(setting)
+def _said(options: argparse.Namespace) -> dict[str, Any]:
+    """What the command line says beside the names."""
+    keys = ("start", "goal", "unknown", "laser_height", "model_path")
+    return {key: value for key in keys if (value := getattr(options, key)) is not None}
 
 
-def _generators() -> Mapping[str, Any]:
-    """What makes worlds, by name, where there is any."""
-    room = find_spec("tb2rl.worlds.generators")
-    return {} if room is None else import_module(room.name).GENERATORS
+def _only_world(options: argparse.Namespace) -> World:
+    """The world of a command that takes one."""
+    world, *more = _worlds(options)
+    if more:
+        text = f"{options.what} takes one world, and {options.worlds[0]} is {len(more) + 1}"
+        raise InputError(one_line(text))
+    return world
+
+
+def _setting(name: str, said: Mapping[str, Any]) -> Any:
+    """What the command line names and says, as `task.world` takes it."""
+    setting = parse_yaml(name, "the world") if name[:1] in "{[" else name
+    if said:
+        setting = {**(setting if isinstance(setting, Mapping) else {"file": setting}), **said}
+    return checked(Worlds, setting, "the world")
+
+
+def _check_source(name: str, targets: set[Path]) -> None:
+    """Raise an `InputError` if a file that is to be written is one that the world is read from."""
+    setting = absolute_worlds(_setting(name, {"file": name} if name[:1] not in "{[" else {}))
+    file = Path(setting["file"].rpartition(":")[2]) if isinstance(setting, Mapping) and "file" in setting else Path()
+    sources = _files(file) if file.is_file() else []
+    for target in targets:
+        if target.resolve() in sources:
+            raise InputError(one_line(f"{target} is what the world is read from; write it to another file"))
+
+
+def _files(file: Path) -> list[Path]:
+    return [each.resolve() for each in files_of(file)]
+
+
+def _is_generator(name: str) -> bool:
+    return name in GENERATORS and name not in world_names()
 
 
 def _by_difficulty(name: str) -> list[World]:
     """Some worlds of a generator, for a sheet with a column for each difficulty."""
-    room = import_module("tb2rl.worlds.generators")
     columns = []
     for difficulty in _DIFFICULTIES:
-        settings = room.Generated(name, worlds=_EACH, difficulty=(difficulty, difficulty))
-        worlds = room.generate(settings, room.GENERATORS[name], "training")
+        settings = Generated(name, worlds=_EACH, difficulty=(difficulty, difficulty))
+        worlds = generate(settings, GENERATORS[name], "training")
         columns.append([replace(world, name=f"{world.name}, {difficulty:g}") for world in worlds])
     return [world for row in zip(*columns, strict=True) for world in row]

@@ -31,8 +31,7 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
         InputError: If there is no such world, or a setting does not fit.
     """
     if isinstance(setting, Mapping) and "file" in setting:
-        said = {key: value for key, value in setting.items() if key != "file"}
-        return (find_world(setting["file"], build(Import, said, "task.world")),)
+        return (_of_file(setting),)
     if isinstance(setting, Mapping):
         return _generated(build(Generated, setting, "task.world"), purpose)
     if not isinstance(setting, str):
@@ -49,7 +48,10 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
 def absolute_worlds(setting: Any) -> Any:
     """The setting with absolute paths of files and folders: so that a run finds its worlds from any folder."""
     if isinstance(setting, Mapping):
-        return {**setting, "file": absolute_worlds(setting["file"])} if "file" in setting else setting
+        if "file" not in setting:
+            return setting
+        folders = [str(Path(folder).resolve()) for folder in _said(setting).model_path if folder]
+        return {**setting, "file": absolute_worlds(setting["file"]), **({"model_path": folders} if folders else {})}
     if not isinstance(setting, str):
         return tuple(map(absolute_worlds, setting))
     code = MADE_BY_CODE.fullmatch(setting)
@@ -75,6 +77,18 @@ def place_of(setting: Any, worlds: Sequence[World]) -> str:
     return f"{len(worlds)} worlds{of}"
 
 
+def _of_file(setting: Mapping[str, Any]) -> World:
+    file, code = setting["file"], MADE_BY_CODE.fullmatch(setting["file"])
+    if file in _generators() or _is_folder(file) or (code and code[2] is None):
+        said = ", ".join(str(key) for key in setting if key != "file")
+        raise InputError(one_line(f"task.world.file must be one file, for {said or 'it'} to count; {file} is not"))
+    return find_world(file, _said(setting))
+
+
+def _said(setting: Mapping[str, Any]) -> Import:
+    return build(Import, {key: value for key, value in setting.items() if key != "file"}, "task.world")
+
+
 @lru_cache(maxsize=16)
 def _generated(settings: Generated, purpose: Purpose) -> tuple[World, ...]:
     if ":" in settings.generator:
@@ -97,9 +111,9 @@ def _is_folder(name: str) -> bool:
 def _files_in(folder: str) -> list[str]:
     """The files of worlds in a folder, by name."""
     endings = world_endings()
-    files = sorted(str(file) for file in Path(folder).iterdir() if file.suffix in endings)
+    files = [file for file in Path(folder).iterdir() if file.suffix in endings and file.stem.upper() != "README"]
     if not files:
         raise InputError(
             one_line(f"there is no world in the folder {folder}; files of worlds end in {', '.join(endings)}")
         )
-    return files
+    return sorted(map(str, files))

@@ -112,10 +112,15 @@ def _first(key: str, single: Mapping[str, Any], chosen: Mapping[str, Any], secti
 
 
 def _merge(tree: dict[str, Any], layer: Mapping[str, Any]) -> None:
-    """Put a layer over a tree: mappings are merged key by key, a schedule replaces what was there as a whole."""
+    """Put a layer over a tree: mappings are merged key by key, but for those that are whole in themselves."""
     for key, value in layer.items():
-        if isinstance(value, Mapping) and isinstance(tree.get(key), Mapping) and not is_schedule(value):
+        if isinstance(value, Mapping) and isinstance(tree.get(key), Mapping) and not _is_whole(value):
             tree[key] = dict(tree[key])
             _merge(tree[key], value)
         else:
             tree[key] = value
+
+
+def _is_whole(value: Mapping[str, Any]) -> bool:
+    """Whether a mapping means something by itself: a schedule, or the worlds of a file or a generator."""
+    return is_schedule(value) or "file" in value or "generator" in value

@@ -26,7 +26,7 @@ from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, MOVER, PATH, START, WALL
 from tb2rl.showing.curves import Curve, Family
 from tb2rl.tasks.outcome import MOVER_CRASH
 from tb2rl.worlds import World
-from tb2rl.worlds.world import box_shape
+from tb2rl.worlds.world import box_shapes
 
 WIDTH = 4.2  # [in] a phone shows it nearly as large, so its text stays readable
 _DOTS = 120  # [1/in] of what is drawn as pixels: thousands of path segments would be megabytes as SVG
@@ -178,7 +178,7 @@ def _draw_world(figure: Figure, place: tuple[int, int, int], world: World) -> Ax
         axes.yaxis.set_visible(False)
     axes.set(xlim=(x0, x1), ylim=(y0, y1))
     axes.spines[:].set_visible(False)
-    walls = [Polygon(np.array(box_shape(row).exterior.coords)) for row in world.boxes]
+    walls = [Polygon(np.array(box.exterior.coords)) for box in box_shapes(world.boxes)]
     posts = [Circle((x, y), radius) for x, y, radius in world.posts]
     axes.add_collection(PatchCollection([*walls, *posts], facecolor=WALL, linewidth=0, zorder=2))
     return axes

@@ -9,9 +9,9 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from tb2rl.values import Point
-from tb2rl.worlds.world import World, box_shape, post_shape
+from tb2rl.worlds.world import World
 
-_FINE = 5e-4  # [m] by which posts are simpler than they are drawn elsewhere
+_FINE = 5e-4  # [m] by which posts are simpler than they are drawn elsewhere: thousands of them take seconds
 _TOUCH = 1e-6  # [m]
 _SMALLEST = 0.05  # [m^2] a part of the floor below is none to drive in
 _ROUND = 16  # segments of a quarter circle: circles are off by a five-hundredth of the robot
@@ -66,7 +66,7 @@ def find_access(world: World, radius: float) -> Access:
     Raises:
         InputError: If there is no room for it at the start.
     """
-    inside, obstacles = shapely.box(*world.bounds), _obstacles(world)
+    inside, obstacles = shapely.box(*world.bounds), shapely.union_all(shapely.simplify(world.outlines(), _FINE))
     floor, start = inside.difference(obstacles), shapely.Point(world.start[:2])
     every = _rooms(inside, obstacles, radius)
     near = [room for room in every if room.distance(start) <= 2 * _FINE]
@@ -80,12 +80,6 @@ def find_access(world: World, radius: float) -> Access:
     doors = _doors(inside, obstacles, floor, [reached, *rooms], radius)
     goal = None if world.goal is None else bool(reached.buffer(2 * _FINE).covers(shapely.Point(world.goal[:2])))
     return Access(floor.area, _covered(reached, radius).intersection(floor).area, tuple(parts), tuple(doors), goal)
-
-
-def _obstacles(world: World) -> BaseGeometry:
-    """All obstacles, posts with as few corners as will do: thousands of them take seconds."""
-    posts = [post_shape(row).simplify(_FINE) for row in world.posts]
-    return shapely.union_all([*map(box_shape, world.boxes), *posts])
 
 
 def _rooms(inside: BaseGeometry, obstacles: BaseGeometry, radius: float) -> Sequence[BaseGeometry]:

@@ -9,6 +9,8 @@ from tb2rl.errors import InputError
 from tb2rl.values import Pose
 from tb2rl.worlds.world import BoxShape
 
+MOST_SQUARES = 2**18  # 512 x 512: a second to read, if every other one is a wall
+
 
 @dataclass(frozen=True)
 class Drawing:
@@ -25,24 +27,22 @@ def read_drawing(text: str, cell: float) -> Drawing:
     Runs of `#` become one box, and equal runs above each other one larger box.
 
     Raises:
-        InputError: For any other character, or a second start or goal.
+        InputError: For any other character, a second start or goal, or more than `MOST_SQUARES`.
     """
+    if len(text) > MOST_SQUARES:
+        raise InputError(f"the drawing has more than {MOST_SQUARES} squares, the limit")
     lines = text.rstrip(" \n").split("\n")
     _check(lines)
     lines.reverse()
     marks: dict[str, Pose] = {}
-    runs: dict[tuple[int, int], list[int]] = {}  # (first, last column) -> rows, to stack equal runs into one box
     for row, line in enumerate(lines):
         for column, mark in enumerate(line):
             if mark in "SG":
                 marks[mark] = ((column + 0.5) * cell, (row + 0.5) * cell, 0.0)
-        for run in stretches([column for column, mark in enumerate(line) if mark == "#"]):
-            runs.setdefault(run, []).append(row)
     boxes: list[BoxShape] = []
-    for (first, last), rows in runs.items():
-        for bottom, top in stretches(rows):
-            length, width = (last - first + 1) * cell, (top - bottom + 1) * cell
-            boxes.append(((first + last + 1) / 2 * cell, (bottom + top + 1) / 2 * cell, length, width, 0.0))
+    for first, last, bottom, top in rectangles([[c for c, mark in enumerate(line) if mark == "#"] for line in lines]):
+        length, width = (last - first + 1) * cell, (top - bottom + 1) * cell
+        boxes.append(((first + last + 1) / 2 * cell, (bottom + top + 1) / 2 * cell, length, width, 0.0))
     return Drawing(boxes, marks.get("S"), marks.get("G"))
 
 
@@ -62,7 +62,19 @@ def _check(lines: Sequence[str]) -> None:
                 seen[mark] = place
 
 
-def stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:
+def rectangles(rows: Sequence[Sequence[int]]) -> list[tuple[int, int, int, int]]:
+    """First and last column, first and last row of the rectangles that cover the ascending columns of some rows.
+
+    Columns in a row are joined to runs, and equal runs above each other to one rectangle.
+    """
+    runs: dict[tuple[int, int], list[int]] = {}
+    for row, columns in enumerate(rows):
+        for run in _stretches(columns):
+            runs.setdefault(run, []).append(row)
+    return [(*run, *those) for run, found in runs.items() for those in _stretches(found)]
+
+
+def _stretches(numbers: Sequence[int]) -> list[tuple[int, int]]:
     """First and last of each stretch of consecutive ascending integers."""
     stretches: list[tuple[int, int]] = []
     for number in numbers:

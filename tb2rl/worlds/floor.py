@@ -11,9 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tb2rl.compiled import njit
+from tb2rl.errors import InputError
 from tb2rl.worlds.world import World
 
 SIDE = 0.1  # [m] of a square; so two that touch, each 0.18 m from all walls, have 0.17 m between them
+
+MOST_SQUARES = 4_000_000  # 200 x 200 m: a quarter of a gigabyte
 
 
 @dataclass(frozen=True)
@@ -31,8 +34,17 @@ class Floor:
 
     @classmethod
     def of(cls, world: World, reach: float) -> Floor:
-        """The floor of a world, with clearances up to `reach` [m]."""
+        """The floor of a world, with clearances up to `reach` [m].
+
+        Raises:
+            InputError: If it has more than `MOST_SQUARES`.
+        """
         x0, y0, x1, y1 = world.bounds
+        if (x1 - x0) * (y1 - y0) > MOST_SQUARES * SIDE**2:
+            size = f"{x1 - x0:.4g} x {y1 - y0:.4g} m"
+            raise InputError(
+                f"world {world.name}: {size} have more than {MOST_SQUARES} squares of {SIDE:g} m; set bounds"
+            )
         columns, rows = max(1, math.floor((x1 - x0) / SIDE)), max(1, math.floor((y1 - y0) / SIDE))
         left, bottom = (x0 + x1 - (columns - 1) * SIDE) / 2, (y0 + y1 - (rows - 1) * SIDE) / 2
         x, y = left + SIDE * np.arange(columns), bottom + SIDE * np.arange(rows)

@@ -18,7 +18,7 @@ from tb2rl.worlds.formats.sdf import read_sdf
 from tb2rl.worlds.world import World
 
 _LARGEST_YAML, _LARGEST_MAP = 2**20, 2**15  # [bytes] YAML is read slowly; a world of 5 000 boxes has 0.5 MB
-_IMAGE = re.compile(r"^image\s*:\s*(.*?)\s*$", re.MULTILINE)  # the picture of a map
+_IMAGE = re.compile(r"^image[ \t]*:(.*)", re.MULTILINE)  # the picture of a map
 
 Reader = Callable[[Path], World]
 BuiltIn = Callable[[Path, Import], World]
@@ -26,10 +26,9 @@ BuiltIn = Callable[[Path, Import], World]
 
 def _read_yaml(path: Path, said: Import) -> World:
     """The world of a YAML file: one of ours, or a map of ROS; their keys tell them apart."""
-    text = read_text(path)
-    largest = _LARGEST_MAP if _IMAGE.search(text) else _LARGEST_YAML
-    if len(text) > largest:
-        raise InputError(f"{path} is too large: {len(text) >> 10} kB, the limit is {largest >> 10}")
+    text = _read_limited(path)
+    if _IMAGE.search(text):
+        _check_size(path, _LARGEST_MAP)
     content = parse_yaml(text, str(path))
     content = {} if content is None else content
     if is_map(content):
@@ -38,7 +37,17 @@ def _read_yaml(path: Path, said: Import) -> World:
 
 
 def _read_drawn(path: Path, said: Import) -> World:
-    return world_from({"drawing": read_text(path)}, path.stem, said)
+    return world_from({"drawing": _read_limited(path)}, path.stem, said)
+
+
+def _read_limited(path: Path) -> str:
+    _check_size(path, _LARGEST_YAML)
+    return read_text(path)
+
+
+def _check_size(path: Path, largest: int) -> None:
+    if (size := path.stat().st_size) > largest:
+        raise InputError(f"{path} is too large: {size >> 10} kB, the limit is {largest >> 10}")
 
 
 READERS: dict[str, BuiltIn] = {
@@ -61,17 +70,18 @@ def read_world(path: Path, reader: Reader | BuiltIn | None = None, said: Import 
     Raises:
         InputError: If it does not describe a world.
     """
-    return _read(path.resolve(), _changed(path), reader or READERS[path.suffix], said or Import())
+    changed = tuple(file.stat().st_mtime_ns for file in files_of(path))
+    return _read(path.resolve(), changed, reader or READERS[path.suffix], said or Import())
 
 
-def _changed(path: Path) -> tuple[int, ...]:
-    """When a file changed, and when the picture of a map did."""
-    times = [path.stat().st_mtime_ns]
+def files_of(path: Path) -> list[Path]:
+    """The files that a world's file stands for: itself, and the picture of a map."""
+    files = [path]
     if path.suffix in (".yaml", ".yml") and path.stat().st_size <= _LARGEST_MAP:
         image = _IMAGE.search(path.read_text(encoding="utf-8", errors="replace"))
-        picture = path.parent / image[1].strip("'\"") if image else path
-        times += [os.stat(picture).st_mtime_ns] if os.path.isfile(picture) else []  # noqa: PTH113, PTH116 (no name is too long)
-    return tuple(times)
+        picture = path.parent / image[1].strip(" \t\r'\"") if image else path
+        files += [picture] if os.path.isfile(picture) else []  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+    return files
 
 
 @lru_cache(maxsize=32)

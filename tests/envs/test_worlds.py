@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -42,6 +43,13 @@ def felled(rng, difficulty, size) -> World:
 """
 
 
+INCLUDE = "<include><uri>model://pole</uri></include>"
+POLE = (
+    "<sdf version='1.6'><model name='pole'><link name='l'><collision name='c'><geometry><cylinder><radius>0.2</radius>"
+    "<length>1</length></cylinder></geometry></collision></link></model></sdf>"
+)
+
+
 class Ahead:
     """Drives straight on."""
 
@@ -66,7 +74,8 @@ def names(setting, purpose="training"):
 def test_worlds_are_named_alone_in_a_list_in_a_folder_or_by_a_generator(tmp_path):
     for name in ("b.txt", "a.txt"):
         (tmp_path / name).write_text("####\n#S #\n####\n")
-    (tmp_path / "notes.md").write_text("not a world")
+    for name in ("notes.md", "README.txt", "readme.yaml"):
+        (tmp_path / name).write_text("It is not a world.")
     assert find_worlds("loop") == (find_world("loop"),)
     assert names(["loop", "circuit"]) == ["loop", "circuit"]
     assert names(str(tmp_path)) == ["a", "b"]
@@ -103,6 +112,18 @@ def test_a_file_takes_what_it_does_not_say_from_any_folder(tmp_path, monkeypatch
     config = resolve(settings={"task.world": setting})
     assert config_from(config.to_dict()).scene.world.start == hall.start
     assert make_scene(Wander(world=setting, start_clearance=0.3), "raw").worlds_for("test").world is hall
+
+
+def test_a_file_finds_its_models_from_any_folder(tmp_path, monkeypatch):
+    (tmp_path / "mine" / "pole").mkdir(parents=True)
+    (tmp_path / "mine" / "pole" / "model.sdf").write_text(POLE)
+    (tmp_path / "yard.world").write_text("<sdf version='1.6'><world name='y'>" + INCLUDE + "</world></sdf>")
+    monkeypatch.chdir(tmp_path)
+    said = {"file": "yard.world", "model_path": ["mine"], "start": [3, 0, 0], "bounds": [-5, -5, 5, 5]}
+    config = resolve(settings={"task.world": said})
+    monkeypatch.chdir("/")
+    os.utime(tmp_path / "yard.world", ns=(0, 1))  # so that it is read again
+    assert len(config_from(config.to_dict()).scene.world.posts) == 1
 
 
 def test_a_generator_of_a_users_own(forest):
@@ -144,6 +165,9 @@ WRONG = [
     ({"file": "nowhere.yaml"}, "there is no world file nowhere.yaml"),
     ({"file": "loop", "strat": [0, 0, 0]}, "unknown key of task.world 'strat'; did you mean 'start'?"),
     ({"file": "loop", "start": [0, 0]}, "task.world.start"),
+    ({"file": "loop", "model_path": "models"}, "task.world.model_path"),
+    ({"file": "rooms", "start": [1, 1, 0]}, "task.world.file must be one file, for start to count; rooms is not"),
+    ({"file": "my_forest:forest", "goal": [1, 1]}, "task.world.file must be one file"),
 ]
 
 
@@ -189,6 +213,9 @@ def test_a_setting_of_a_generator_can_be_changed_alone(tmp_path):
     config = resolve(preset=preset, settings=parse_settings(["task.world.difficulty=0.8"]))
     assert config.task.world == {"generator": "rooms", "difficulty": 0.8, "worlds": 4}
     assert resolve(preset=preset, settings={"task.world": "loop"}).scene.place == "loop"
+    for other in ({"file": "circuit", "start": [0.75, 5.0, 0.0]}, {"generator": "maze", "worlds": 3}):
+        whole = resolve(preset=preset, settings={"task.world": other, "task.start_clearance": 0.3}).task.world
+        assert whole == other, "no setting of the preset's generator is left"
     with pytest.raises(InputError, match=r"task\.world: must name its generator"):
         resolve(settings={"task.world.difficulty": 0.8})
 

@@ -79,10 +79,11 @@ def test_a_floor_can_have_another_size(name):
     assert world.free_space(0.0).bounds[2] > 11.0
 
 
-@pytest.mark.parametrize("size", [[4.0, 4.0], [4.0, 20.0]])
+@pytest.mark.parametrize("difficulty", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("size", [[4.0, 4.0], [4.0, 20.0], [5.7, 4.9]])
 @pytest.mark.parametrize("name", NAMES)
-def test_the_smallest_floors_have_ways_too(name, size):
-    assert len(made(name, worlds=3, difficulty=1.0, size=size)) == 3
+def test_the_smallest_floors_have_ways_too(name, size, difficulty):
+    assert len(made(name, worlds=3, difficulty=difficulty, size=size)) == 3
 
 
 # ---- what each promises

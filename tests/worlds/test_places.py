@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import shapely
 
+from tb2rl.errors import InputError
 from tb2rl.registry import find_world
 from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.worlds import World
 from tb2rl.worlds.generators import GENERATORS, Generated, generate
 from tb2rl.worlds.places import Places
 
@@ -52,6 +54,13 @@ def test_a_pose_follows_from_its_world_and_numbers_alone():
     others = Places(WORLDS, ROBOT.radius)  # which meets the worlds one by one, and in another order
     alone = [others.poses_from(chosen[i : i + 1], draws[i : i + 1], 0.25)[0] for i in range(59, -1, -1)]
     assert (together == np.array(alone)[::-1]).all()
+
+
+@pytest.mark.parametrize("metres", [3e3, 1e6])
+def test_a_world_that_is_too_large_for_squares_is_refused(metres):
+    far = World.from_shapes("far", [(0, 0, 1, 1, 0), (metres, metres, 1, 1, 0)], start=(5, 5, 0))
+    with pytest.raises(InputError, match=r"world far: .* have more than 4000000 squares of 0.1 m; set bounds"):
+        poses_in((far, find_world("loop")), [0])
 
 
 @pytest.mark.parametrize("number", [0.0, np.nextafter(1.0, 0.0)])

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import shapely
 from pydantic import BeforeValidator
+from shapely.geometry.base import BaseGeometry
 
 from tb2rl.errors import InputError, WorldWarning
 from tb2rl.values import Pose, Positive
@@ -19,6 +20,8 @@ _FLOOR = 5.0  # [m] on each side of the origin: the rectangle of a world in whic
 _AROUND = 1.0  # [m] of floor around a start and a goal beyond the obstacles
 _GAP = 0.15  # [m] from walls: gaps of less than two of it are no way for a robot, and enclose a room
 _ROOM = 0.6  # [m] to all walls: what a task asks of a start, unless it is told otherwise
+_ROUND = 8  # segments of a quarter circle: a post of 0.2 m is off by 2 mm
+_MOST_MET, _ASKED = 1_000_000, 100  # pairs of obstacles that overlap, counted for some; to join more takes too long
 _NAMES = 100  # at most in a warning
 
 
@@ -89,7 +92,7 @@ def finished(
         description: One line for people.
 
     Raises:
-        InputError: If that is no world.
+        InputError: If that is no world, or has no start, and too many obstacles overlap to find one.
     """
     fixed = said.bounds or bounds
     if fixed is None and not (boxes or posts):
@@ -127,7 +130,7 @@ def _farthest_from_walls(world: World) -> Pose | None:
         The pose; None where no robot has any room.
     """
     outside = shapely.box(*world.bounds).buffer(_AROUND, join_style="mitre")
-    rooms = shapely.get_parts(outside.difference(world.obstacles.buffer(_GAP, join_style="mitre")))
+    rooms = shapely.get_parts(outside.difference(_joined(world.outlines(_GAP, _ROUND), world.name)))
     enclosed = ~shapely.intersects(rooms, outside.exterior)
     rooms, room = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
     rooms, enclosed = rooms[shapely.area(rooms) > 0], enclosed[room][shapely.area(rooms) > 0]
@@ -138,3 +141,16 @@ def _farthest_from_walls(world: World) -> Pose | None:
     indoors = enclosed & (radii > _ROOM - _GAP)
     x, y = circles[np.where(indoors if indoors.any() else True, radii, -1.0).argmax()].coords[0]
     return round(x, 3) + 0.0, round(y, 3) + 0.0, 0.0  # + 0.0: no -0
+
+
+def _joined(outlines: np.ndarray, name: str) -> BaseGeometry:
+    """Polygons as one shape.
+
+    Raises:
+        InputError: If so many of them overlap that it would take minutes.
+    """
+    some = np.random.default_rng(0).permutation(outlines)[:_ASKED]
+    met = shapely.STRtree(outlines).query(some).shape[1] * len(outlines)
+    if met > _MOST_MET * len(some):
+        raise InputError(f"world {name}: its obstacles overlap too often to find a start; give one")
+    return shapely.disjoint_subset_union_all(outlines)

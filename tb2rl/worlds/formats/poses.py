@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -13,6 +14,8 @@ from tb2rl.errors import InputError
 from tb2rl.worlds.formats.markup import name_of, numbers
 
 STILL = np.eye(4)
+_FRAMES = ("frame", "link", "model")  # what a pose can be relative to
+_DEEPEST = 100  # frames that are each relative to the next
 
 
 def pose_of(element: Element | None) -> np.ndarray:
@@ -81,6 +84,7 @@ class Scope:
     own: np.ndarray
     warn: Callable[[str, str], None]
     _busy: set[str] = field(default_factory=set)
+    _placed: dict[str, np.ndarray] = field(default_factory=dict)
 
     def place(self, element: Element, otherwise: np.ndarray | None = None) -> np.ndarray:
         """The pose in the world of an element within, shape (4, 4).
@@ -90,31 +94,37 @@ class Scope:
             otherwise: Where it stands if its pose names no frame, in the world; None: where the scope does.
 
         Raises:
-            InputError: If its pose is no pose, or frames are relative to each other in a circle.
+            InputError: If its pose is no pose, or frames are relative to each other in a circle, or in a long row.
         """
         pose = element.find("pose")
         named = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
         named = named or (element.get("attached_to") or "" if element.tag == "frame" else "")
-        around = self._frame(named, name_of(element)) if named else None
+        around = self.frame(named, name_of(element)) if named else None
         if around is None:
             around = self.own if otherwise is None else otherwise
         return around @ pose_of(element)
 
-    def _frame(self, name: str, asking: str) -> np.ndarray | None:
+    @cached_property
+    def _frames(self) -> dict[str, Element]:
+        """What in it is a frame, by name; the first of a name counts."""
+        return {child.get("name", ""): child for child in reversed(self.element) if child.tag in _FRAMES}
+
+    def frame(self, name: str, asking: str) -> np.ndarray | None:
+        """The pose of a frame in the world, shape (4, 4); None, and a warning about who asks, if it is not known."""
         if name == "world":
             return STILL
         if name == "__model__":
             return self.own
-        found = next((child for child in self.element if child.get("name") == name and child.tag in _FRAMES), None)
-        if found is None:
+        if name in self._placed:
+            return self._placed[name]
+        if name not in self._frames:
             self.warn("frames that poses are relative to, but that are not known", f"{name} (of {asking})")
             return None
         if name in self._busy:
             raise InputError(f"the frame {name} is relative to itself")
+        if len(self._busy) == _DEEPEST:
+            raise InputError(f"more than {_DEEPEST} frames are each relative to the next")
         self._busy.add(name)
-        placed = self.place(found)
+        self._placed[name] = self.place(self._frames[name])
         self._busy.remove(name)
-        return placed
-
-
-_FRAMES = ("frame", "link", "model")
+        return self._placed[name]

@@ -26,7 +26,7 @@ _MOST = 20_000  # models and shapes in a world: files that include each other ca
 _NO_OBSTACLE = {  # what stands in a world or a model and is nothing that a robot could touch
     "atmosphere", "audio", "frame", "gravity", "gripper", "gui", "joint", "light", "link", "magnetic_field", "model",
     "include", "physics", "pose", "scene", "self_collide", "spherical_coordinates", "static", "wind", "plugin", "state",
-    "allow_auto_disable", "enable_wind", "name", "uri",
+    "allow_auto_disable", "enable_wind", "name", "uri", "placement_frame",
 }  # fmt: skip
 
 
@@ -111,9 +111,9 @@ class _Reader:
         if state.pose is not None:
             pose = state.pose
         own = around.place(model) if pose is None else pose
+        if state.pose is None:
+            own = own @ self._from_placed(model)
         scope = Scope(model, own, self.losses.add)
-        if model.get("placement_frame"):
-            self.losses.add("models placed by a frame of theirs stand where their origin is put", name_of(model))
         for plugin in model.findall("plugin"):
             self.losses.add("plugins are not run, so what they move stands still", _plugin(plugin, model))
         for link in model.findall("link"):
@@ -124,6 +124,12 @@ class _Reader:
                 label = f"{name_of(model)}/{name_of(collision)}"
                 self.shapes.add(collision, scope.place(collision, at), state.scale, file, label)
         self._read_scope(scope, file, state)
+
+    def _from_placed(self, model: Element) -> np.ndarray:
+        """The model itself in the frame of it that its pose is meant for, shape (4, 4)."""
+        named = model.get("placement_frame")
+        placed = Scope(model, STILL, self.losses.add).frame(named, name_of(model)) if named else None
+        return STILL if placed is None else np.linalg.inv(placed)
 
     def _read_include(self, include: Element, around: Scope, file: Path, state: State) -> None:
         """Read the model that an <include> names; its name and its pose are those of the <include>, if it has any."""
@@ -144,8 +150,8 @@ class _Reader:
             self.losses.add("plugins are not run, so what they move stands still", _plugin(plugin, include))
         self._including.append(sdf)
         for model in self._models_in(sdf):
-            named = text_of(include.find("name"))
-            model = model if not named else _renamed(model, named)
+            said = {tag: text_of(include.find(tag)) for tag in ("name", "placement_frame")}
+            model = _with(model, {key: value for key, value in said.items() if value})
             if not state.deletes(name_of(model)):
                 pose = None if include.find("pose") is None else around.place(include)
                 self._read_model(model, around, sdf, state.of(model), pose)
@@ -171,7 +177,7 @@ def _plugin(plugin: Element, owner: Element) -> str:
     return f"{plugin.get('name') or plugin.get('filename')} of {name}"
 
 
-def _renamed(model: Element, name: str) -> Element:
-    renamed = Element(model.tag, {**model.attrib, "name": name})
-    renamed.extend(model)
-    return renamed
+def _with(model: Element, attributes: dict[str, str]) -> Element:
+    changed = Element(model.tag, {**model.attrib, **attributes})
+    changed.extend(model)
+    return changed

@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from tb2rl.errors import InputError
 from tb2rl.worlds.formats.imports import Losses
@@ -16,6 +17,9 @@ from tb2rl.worlds.formats.markup import numbers, sizes, text_of
 from tb2rl.worlds.formats.meshes import MeshError, cut, load_mesh
 from tb2rl.worlds.formats.model_path import ModelPath, is_remote
 from tb2rl.worlds.formats.slices import Side, Slice, upright
+
+_MOST_POLYLINES = 100  # of one shape
+_MOST_OBSTACLES = 10_000  # that shapes are cut to; an outline of a house makes 30
 
 
 class Shapes:
@@ -46,12 +50,14 @@ class Shapes:
             InputError: If its numbers are not those of a shape.
         """
         geometry = collision.find("geometry")
-        for shape in () if geometry is None else geometry:
+        for shape in () if geometry is None else _shapes_in(geometry):
             add = getattr(self, f"_add_{shape.tag}", None)
             try:
                 side = "met" if add is None else add(shape, pose, np.array(scale), file, label)
             except InputError as error:
                 raise InputError(f"{label}: {error}") from None
+            if len(self.found.boxes) + len(self.found.posts) > _MOST_OBSTACLES:
+                raise InputError(f"its shapes make more than {_MOST_OBSTACLES} obstacles, the limit")
             if add is None:
                 self._losses.add(f"<{shape.tag}> shapes are not understood", label)
             elif side != "met":
@@ -67,8 +73,7 @@ class Shapes:
         return "met"
 
     def _add_box(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path, label: str) -> Side:
-        x, y, z = np.array(sizes(shape, "size", 3)) * scale / 2
-        return self.found.add_prism(pose, np.array([[-x, -y], [x, -y], [x, y], [-x, y]]), -z, z)
+        return self.found.add_box(pose, np.array(sizes(shape, "size", 3)) * scale / 2)
 
     def _add_cylinder(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path, label: str) -> Side:
         (radius,), (length,) = sizes(shape, "radius", 1), sizes(shape, "length", 1)
@@ -79,20 +84,17 @@ class Shapes:
         return self.found.add_sphere(pose, radius * max(scale))
 
     def _add_polyline(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path, label: str) -> Side:
-        (height,) = np.array(sizes(shape, "height", 1)) * scale[2]
-        corners = [np.array(numbers(point, 2)) * scale[:2] for point in shape.findall("point")]
-        outline = shapely.Polygon(corners) if len(corners) > 2 else shapely.Polygon()
-        if not outline.is_valid or outline.area == 0:
-            raise InputError(
-                "a <polyline> must have at least three <point>, and a line around them that crosses nothing"
-            )
+        lines = shape.findall("polyline") or [shape]
+        if len(lines) > _MOST_POLYLINES:
+            raise InputError(f"it has more than {_MOST_POLYLINES} <polyline>")
+        (height,) = np.array(sizes(lines[0], "height", 1)) * scale[2]
+        outline = _between([_outline(line, scale) for line in lines])
         if upright(pose):
             if (side := self.found.side(*sorted((pose[2, 3], pose[2, 3] + pose[2, 2] * height)))) == "met":
                 self.found.add_outline(shapely.transform(outline, lambda points: points @ pose[:2, :2].T + pose[:2, 3]))
             return side
         triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(outline))
-        sides = [self.found.add_prism(pose, np.array(part.exterior.coords[:3]), 0.0, height) for part in triangles]
-        return "met" if "met" in sides else sides[0]
+        return self.found.add_prisms(pose, [np.array(part.exterior.coords[:3]) for part in triangles], 0.0, height)
 
     def _add_mesh(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path, label: str) -> Side:
         uri = text_of(shape.find("uri"))
@@ -111,3 +113,31 @@ class Shapes:
         except MeshError as why:
             self._losses.add(str(why), f"{label} ({path.name})")
             return "met"
+
+
+def _shapes_in(geometry: Element) -> list[Element]:
+    """The shapes of a <geometry>; several <polyline> are one shape together."""
+    lines = geometry.findall("polyline")
+    if len(lines) < 2:
+        return list(geometry)
+    together = Element("polyline")
+    together.extend(lines)
+    return [together, *(shape for shape in geometry if shape.tag != "polyline")]
+
+
+def _outline(polyline: Element, scale: np.ndarray) -> shapely.Polygon:
+    corners = [np.array(numbers(point, 2)) * scale[:2] for point in polyline.findall("point")]
+    outline = shapely.Polygon(corners) if len(corners) > 2 else shapely.Polygon()
+    if not outline.is_valid or outline.area == 0:
+        raise InputError("a <polyline> must have at least three <point>, and a line around them that crosses nothing")
+    return outline
+
+
+def _between(outlines: Sequence[shapely.Polygon]) -> BaseGeometry:
+    """What is within an odd number of outlines: one within another is a hole in it, as Gazebo's own tests have it."""
+    if len(outlines) == 1:
+        return outlines[0]
+    rings = shapely.multilinestrings([outline.exterior for outline in outlines])
+    if not rings.is_simple:
+        raise InputError("a <polyline> must not touch or cross another one of the same shape")
+    return shapely.build_area(rings)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -14,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tb2rl.errors import InputError
 from tb2rl.worlds.formats.cells import merge_cells
-from tb2rl.worlds.world import BoxShape, PostShape, box_shape
+from tb2rl.worlds.world import BoxShape, PostShape
 
 SHEET = 0.01  # [m] thickness of a wall that is drawn as a line, and of one along an outline at least
 _HALVED = 16  # times, to find how deep a wall fits into an outline
@@ -59,16 +58,32 @@ class Slice:
         outline = radius * np.column_stack([np.cos(angles), np.sin(angles)])
         return self.add_prism(pose, outline, -length / 2, length / 2)
 
+    def add_box(self, pose: np.ndarray, half: np.ndarray) -> Side:
+        """Add a box with these half sides [m]."""
+        x, y, z = half.tolist()
+        if not upright(pose):
+            return self.add_prism(pose, np.array([[-x, -y], [x, -y], [x, y], [-x, y]]), -z, z)
+        if (side := self.side(pose[2, 3] - z, pose[2, 3] + z)) == "met":
+            self.boxes.append((pose[0, 3], pose[1, 3], 2 * x, 2 * y, math.atan2(pose[1, 0], pose[0, 0])))
+        return side
+
     def add_prism(self, pose: np.ndarray, outline: np.ndarray, low: float, high: float) -> Side:
         """Add a convex outline (corners, 2) [m], drawn out along its own z from `low` to `high` [m]."""
-        ends = [
-            np.column_stack([outline, np.full(len(outline), z)]) @ pose[:3, :3].T + pose[:3, 3] for z in (low, high)
-        ]
-        heights = np.concatenate(ends)[:, 2]
-        if (side := self.side(heights.min(), heights.max())) == "met":
+        return self.add_prisms(pose, [outline], low, high)
+
+    def add_prisms(self, pose: np.ndarray, outlines: Sequence[np.ndarray], low: float, high: float) -> Side:
+        """Add several that touch as one shape."""
+        heights, hulls = [], []
+        for outline in outlines:
+            ends = [
+                np.column_stack([outline, np.full(len(outline), z)]) @ pose[:3, :3].T + pose[:3, 3] for z in (low, high)
+            ]
             edges = [(end, np.roll(end, -1, axis=0)) for end in ends] + [(ends[0], ends[1])]
             begins, stops = (np.concatenate(points) for points in zip(*edges, strict=True))
-            self.add_outline(shapely.MultiPoint(_crossings(begins, stops, self.height)).convex_hull)
+            hulls.append(shapely.MultiPoint(_crossings(begins, stops, self.height)).convex_hull)
+            heights += [begins[:, 2].min(), begins[:, 2].max()]
+        if (side := self.side(min(heights), max(heights))) == "met":
+            self.add_outline(hulls[0] if len(hulls) == 1 else shapely.union_all(hulls, grid_size=_GAP))
         return side
 
     def add_outline(self, shape: BaseGeometry) -> None:
@@ -83,16 +98,22 @@ class Slice:
             if part.area >= rectangle.area * (1 - 1e-6):
                 self.boxes.append(_box_along(rectangle.exterior.coords[:3]))
                 continue
-            walls = _walls_within(part)
-            self.boxes += walls
-            for rest in shapely.get_parts(part.difference(shapely.union_all([_polygon(wall) for wall in walls]))):
+            begins, ends = _edges(part)
+            depths = _depths(part, begins, ends)
+            self.boxes += _walls(begins, ends, depths)
+            walls = shapely.union_all(_strips(begins, ends, depths))
+            for rest in shapely.get_parts(part.difference(walls)):
                 if rest.area > 0 and shapely.maximum_inscribed_circle(rest, tolerance=0.01).length > _HOLE:
                     self.boxes += _fill(rest)
 
     def add_sheets(self, lines: Iterable[Sequence[Sequence[float]]]) -> None:
         """Add lines of points as thin walls to the left of them: what is known of a body that is not closed."""
         for line in lines:
-            self.boxes += _sheets(line)
+            points = np.array(line)[:, :2]
+            begins, ends = points[:-1], points[1:]
+            longer = (begins != ends).any(axis=1)
+            begins, ends = begins[longer], ends[longer]
+            self.boxes += _walls(begins, ends, np.full(len(begins), SHEET))
 
 
 def upright(pose: np.ndarray) -> bool:
@@ -117,39 +138,38 @@ def _box_along(corners: Sequence[Sequence[float]]) -> BoxShape:
     return (x0 + x2) / 2, (y0 + y2) / 2, length, width, math.atan2(y1 - y0, x1 - x0)
 
 
-def _walls_within(part: shapely.Polygon) -> list[BoxShape]:
-    """A box along each edge of a polygon, as deep as it stays within it, but `SHEET` deep at least."""
-    walls: list[BoxShape] = []
+def _edges(part: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
+    """Where the edges of a polygon begin and end, shape (edges, 2) each; its inside is to the left, of holes too."""
+    oriented = shapely.orient_polygons(part)
+    rings = [np.array(ring.coords) for ring in (oriented.exterior, *oriented.interiors)]
+    return np.concatenate([ring[:-1] for ring in rings]), np.concatenate([ring[1:] for ring in rings])
+
+
+def _depths(part: shapely.Polygon, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """How deep a wall along each edge of a polygon can be to stay within it [m], `SHEET` at least; shape (edges,)."""
     room = part.buffer(_GAP)
     shapely.prepare(room)
-    oriented = shapely.orient_polygons(part)  # the inside is to the left of every edge, of holes too
-    for ring in (oriented.exterior, *oriented.interiors):
-        for edge in pairwise(ring.coords):
-            low, high = SHEET, max(part.bounds[2] - part.bounds[0], part.bounds[3] - part.bounds[1])
-            for _ in range(_HALVED):
-                middle = (low + high) / 2
-                low, high = (middle, high) if room.covers(_polygon(_wall(edge, middle))) else (low, middle)
-            walls.append(_wall(edge, low))
-    return walls
+    low, high = np.full(len(begins), SHEET), np.full(len(begins), np.ptp(begins, axis=0).max())
+    for _ in range(_HALVED):
+        middle = (low + high) / 2
+        fits = shapely.covers(room, _strips(begins, ends, middle))
+        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+    return low
 
 
-def _wall(edge: tuple[Sequence[float], Sequence[float]], depth: float) -> BoxShape:
-    """A box to the left of an edge."""
-    (x0, y0), (x1, y1) = edge
-    length = math.hypot(x1 - x0, y1 - y0)
-    left_x, left_y = (y0 - y1) / length * depth / 2, (x1 - x0) / length * depth / 2
-    return (x0 + x1) / 2 + left_x, (y0 + y1) / 2 + left_y, length, depth, math.atan2(y1 - y0, x1 - x0)
+def _strips(begins: np.ndarray, ends: np.ndarray, depths: np.ndarray) -> np.ndarray:
+    """A rectangle to the left of each edge between points (edges, 2), shape (edges,)."""
+    along = ends - begins
+    left = along[:, ::-1] * (-1.0, 1.0) * (depths / np.hypot(*along.T))[:, None]
+    return shapely.polygons(np.stack([begins, ends, ends + left, begins + left], axis=1))
 
 
-def _polygon(box: BoxShape) -> BaseGeometry:
-    x, y, length, width, yaw = box
-    return box_shape(np.array([x, y, length / 2, width / 2, math.cos(yaw), math.sin(yaw)]))
-
-
-def _sheets(points: Sequence[Sequence[float]]) -> list[BoxShape]:
-    """A thin wall along each piece of a line."""
-    pieces = [(begin[:2], end[:2]) for begin, end in pairwise(points) if begin[:2] != end[:2]]
-    return [_wall(((x0, y0), (x1, y1)), SHEET) for (x0, y0), (x1, y1) in pieces]
+def _walls(begins: np.ndarray, ends: np.ndarray, depths: np.ndarray) -> Iterator[BoxShape]:
+    """The same as boxes."""
+    for (x0, y0), (x1, y1), depth in zip(begins.tolist(), ends.tolist(), depths.tolist(), strict=True):
+        length = math.hypot(x1 - x0, y1 - y0)
+        left_x, left_y = (y0 - y1) / length * depth / 2, (x1 - x0) / length * depth / 2
+        yield (x0 + x1) / 2 + left_x, (y0 + y1) / 2 + left_y, length, depth, math.atan2(y1 - y0, x1 - x0)
 
 
 def _fill(part: shapely.Polygon) -> list[BoxShape]:
@@ -157,7 +177,7 @@ def _fill(part: shapely.Polygon) -> list[BoxShape]:
     x0, y0, x1, y1 = part.bounds
     side = max(x1 - x0, y1 - y0) / _FILLED
     columns, rows = max(1, math.ceil((x1 - x0) / side)), max(1, math.ceil((y1 - y0) / side))
-    left, bottom = np.meshgrid(x0 + side * np.arange(columns), y0 + side * np.arange(rows))
+    left, bottom = x0 + side * np.arange(columns), y0 + side * np.arange(rows)[:, None]
     cells = shapely.box(left, bottom, left + side, bottom + side)
     shapely.prepare(part)
     return merge_cells(shapely.contains(part, cells), side, (x0, y0, 0.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -27,23 +28,25 @@ class State:
         self.depth: int = 0 if above is None else above.depth + 1  # models within models
         self._label: str = "" if above is None or element is None else f"{above._label}{name_of(element)}/"
         self._parts: dict[str, Element] = {}
-        self._used: list[State | str] = []
+        self._used: set[str] = set()
+        self._within: list[State] = []
         for part in () if element is None else element:
             if part.tag in ("model", "link"):
                 self._parts[f"{part.tag} {name_of(part)}"] = part
-        self._scale: Sequence[float] = (1.0, 1.0, 1.0) if above is None else above.scale
+        self._gone = set() if element is None else {text_of(name) for name in element.findall("deletions/name")}
+        self._above = above
 
     @property
     def pose(self) -> np.ndarray | None:
         """Where the model stands in the world, shape (4, 4); None: where its own pose says."""
         return None if self._element is None else _pose(self._element)
 
-    @property
+    @cached_property
     def scale(self) -> Sequence[float]:
         """By how much the model's shapes were drawn out along their axes, three numbers."""
         scale = None if self._element is None else self._element.find("scale")
         if scale is None:
-            return self._scale
+            return (1.0, 1.0, 1.0) if self._above is None else self._above.scale
         said = numbers(scale, 3)
         if min(said) <= 0:
             raise InputError(f"<scale> of {self._label} must be above 0, got {text_of(scale)}")
@@ -56,20 +59,20 @@ class State:
 
     def deletes(self, model: str) -> bool:
         """Whether a model had gone from the world."""
-        gone = [] if self._element is None else self._element.findall("deletions/name")
-        return model in map(text_of, gone)
+        return model in self._gone
 
     def of(self, model: Element) -> State:
         """What is said about a model within."""
         key = f"model {name_of(model)}"
         state = State(self._parts.get(key), self)
-        self._used += [key, state]
+        self._used.add(key)
+        self._within.append(state)
         return state
 
     def link(self, link: Element) -> np.ndarray | None:
         """Where a link of the model is in the world, shape (4, 4); None: where its own pose says."""
         key = f"link {name_of(link)}"
-        self._used.append(key)
+        self._used.add(key)
         return _pose(self._parts[key]) if key in self._parts else None
 
     def missing(self) -> Iterator[str]:
@@ -77,9 +80,8 @@ class State:
         for key, part in self._parts.items():
             if key not in self._used:
                 yield f"{self._label}{name_of(part)}"
-        for state in self._used:
-            if isinstance(state, State):
-                yield from state.missing()
+        for state in self._within:
+            yield from state.missing()
 
 
 def _pose(element: Element) -> np.ndarray | None:

@@ -7,31 +7,36 @@ from __future__ import annotations
 
 import numpy as np
 
-from tb2rl.worlds.generators.enclosure import Shapes, Size, solvable
+from tb2rl.worlds.generators.enclosure import NARROW, Shapes, Size, solvable
 from tb2rl.worlds.generators.lattice import Field, spanning_tree, spread, walls
 from tb2rl.worlds.world import World
 
 CORRIDOR = (1.6, 1.0)  # [m] its width at difficulty 0 and 1, at least
 WALL = 0.16  # [m] its thickness
+_WAY = 2 * NARROW / CORRIDOR[0]  # of a corridor's width is a passage: on a small floor less than the difficulty says
 _USED = 0.75  # of the fields of the tree, at least; the others are solid
 
 
 def circuit(rng: np.random.Generator, difficulty: float, size: Size) -> World:
     """Each stretch of the corridor has a width of its own."""
-    return solvable(_draw, rng, difficulty, size)
+    narrowest = min(_fields(difficulty, length)[1] for length in size)
+    return solvable(_draw, rng, difficulty, size, widest=_WAY * narrowest)
 
 
 def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
-    width = float(np.interp(difficulty, (0.0, 1.0), CORRIDOR))
-    columns, rows = (max(2, int((length + WALL) / (width + WALL) / 2)) for length in size)
+    (columns, least_width), (rows, least_height) = (_fields(difficulty, length) for length in size)
     fields = int(rng.integers(int(np.ceil(_USED * columns * rows)), columns * rows + 1))
     joined = _around(spanning_tree(rng, columns, rows, fields))
-    rooms = [length - (2 * count - 1) * WALL for length, count in zip(size, (columns, rows), strict=True)]
-    widths, heights = (
-        spread(rng, room, min(width, room / (2 * count)), 2 * count)
-        for room, count in zip(rooms, (columns, rows), strict=True)
-    )
+    widths = spread(rng, size[0] - (2 * columns - 1) * WALL, least_width, 2 * columns)
+    heights = spread(rng, size[1] - (2 * rows - 1) * WALL, least_height, 2 * rows)
     return walls(joined, widths, heights, WALL), []
+
+
+def _fields(difficulty: float, length: float) -> tuple[int, float]:
+    """How many fields of the tree fit along a side of the floor, and how wide their corridors are at least [m]."""
+    width = float(np.interp(difficulty, (0.0, 1.0), CORRIDOR))
+    count = max(2, int((length + WALL) / (width + WALL) / 2))
+    return count, min(width, (length - (2 * count - 1) * WALL) / (2 * count))
 
 
 def _around(tree: set[frozenset[Field]]) -> set[frozenset[Field]]:

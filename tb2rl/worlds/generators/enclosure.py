@@ -27,6 +27,7 @@ def solvable(
     rng: np.random.Generator,
     difficulty: float,
     size: Size,
+    widest: float = math.inf,
 ) -> World:
     """The first world that `draw` draws in which a robot gets from its start to a good part of the floor.
 
@@ -38,11 +39,12 @@ def solvable(
         rng: Where its random numbers come from.
         difficulty: From 0 to 1.
         size: Of the floor [m].
+        widest: The widest passage that the way may need [m], if the floor is too small for what the difficulty says.
 
     Raises:
         InputError: If no such world is found.
     """
-    passage = NARROW * (2.0 - difficulty)
+    passage = min(NARROW * (2.0 - difficulty), widest)
     for _ in range(_ATTEMPTS):
         world = _enclosed(*draw(rng, difficulty, size), size)
         floor = Floor.of(world, _REACH)
@@ -55,7 +57,8 @@ def solvable(
             return replace(world, start=(*start, rng.uniform(-math.pi, math.pi)), goal=(*goal, 0.0))
     raise InputError(
         f"generator {draw.__module__.rpartition('.')[2]}: in {_ATTEMPTS} worlds of {size[0]:g} x {size[1]:g} m with "
-        f"difficulty {difficulty:.2f} a robot gets to less than a third of the floor; lower the difficulty"
+        f"difficulty {difficulty:.2f} a robot gets to less than a third of the floor; "
+        "try another difficulty, or a larger size"
     )
 
 

@@ -7,7 +7,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from tb2rl.worlds.drawing import stretches
+from tb2rl.worlds.drawing import rectangles
 from tb2rl.worlds.world import BoxShape
 
 Field = tuple[int, int]  # column, row
@@ -61,27 +61,18 @@ def walls(
         (c0, r0), (c1, r1) = sorted(pair)
         for row, column in ((2 * r0, 2 * c0), (2 * r1, 2 * c1), (r0 + r1, c0 + c1)):
             solid[row, column] = False
-    return _boxes(solid, _edges(widths, wall), _edges(heights, wall))
+    x, y = _edges(widths, wall), _edges(heights, wall)
+    sides = [
+        (x[first], x[last + 1], y[low], y[high + 1])
+        for first, last, low, high in rectangles([np.flatnonzero(row).tolist() for row in solid])
+    ]
+    return [((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, 0.0) for x0, x1, y0, y1 in sides]
 
 
 def _edges(sizes: Sequence[float], wall: float) -> list[float]:
     """Where fields and the walls between them begin and end [m]."""
     parts = [part for size in sizes for part in (size, wall)][:-1]
     return [0.0, *accumulate(parts)]
-
-
-def _boxes(solid: np.ndarray, x: Sequence[float], y: Sequence[float]) -> list[BoxShape]:
-    """The solid parts (rows, columns) as boxes: runs of a row are one, and equal runs above each other one larger."""
-    runs: dict[tuple[int, int], list[int]] = {}
-    for row, line in enumerate(solid):
-        for run in stretches(np.flatnonzero(line).tolist()):
-            runs.setdefault(run, []).append(row)
-    boxes: list[BoxShape] = []
-    for (first, last), those in runs.items():
-        for low, high in stretches(those):
-            (x0, x1), (y0, y1) = (x[first], x[last + 1]), (y[low], y[high + 1])
-            boxes.append(((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, 0.0))
-    return boxes
 
 
 def spread(rng: np.random.Generator, total: float, least: float, count: int) -> list[float]:

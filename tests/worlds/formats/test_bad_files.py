@@ -33,6 +33,11 @@ def solid(pose="0 0 0 0 0 0", shape=BOX):
     return world(SOLID.format(pose=pose, shape=shape))
 
 
+def outline(pose):
+    points = "".join(f"<point>{x} {y}</point>" for x, y in ((0, 0), (1, 0), (0.5, 0.3), (1, 1), (0, 1)))
+    return SOLID.format(pose=pose, shape=f"<polyline>{points}<height>1</height></polyline>")
+
+
 def include(uri):
     return world(f"<include><uri>{uri}</uri></include>")
 
@@ -91,6 +96,30 @@ BAD = {
               "<model name='m'><pose relative_to='a'>1 0 0 0 0 0</pose></model>"),
         "relative to itself",
     ),
+    "frame-chain": (
+        world("".join(f"<frame name='f{i}'><pose relative_to='f{i + 1}'>0 0 0 0 0 0</pose></frame>" for i in range(600))
+              + "<model name='m'><pose relative_to='f0'>1 0 0 0 0 0</pose></model>"),
+        "more than 100 frames",
+    ),
+    "crossing-lines": (
+        solid(shape="".join(f"<polyline><point>{x} 0</point><point>{x + 2} 0</point><point>{x + 1} 2</point>"
+                            "<height>1</height></polyline>" for x in (0, 1))),
+        "must not touch or cross",
+    ),
+    "many-lines": (
+        solid(shape=200 * ("<polyline><point>0 0</point><point>2 0</point><point>1 2</point><height>1</height>"
+              "</polyline>")),
+        "more than 100 <polyline>",
+    ),
+    "many-outlines": (
+        world("".join(outline(f"{k % 70} {k // 70} 0 0.1 0 0") for k in range(5000))),
+        "more than 10000 obstacles",
+    ),
+    "overlapping": (
+        world("".join(SOLID.format(pose=f"0 0 0 0 0 {k / 1000}", shape="<box><size>100 1 1</size></box>")
+                      for k in range(3000))),
+        "give one",
+    ),
     "quaternion": (
         world("<model name='m'><pose rotation_format='quat_xyzw'>0 0 0 0 0 0 0</pose></model>"),
         "length 0",
@@ -127,6 +156,45 @@ def test_a_bad_world_is_one_line_within_two_seconds(name, bad):
     assert name in message
     assert "\n" not in message
     assert "root:" not in message, "nothing of a file outside is shown"
+
+
+def deletions():
+    gone = "".join(f"<name>n{i}</name>" for i in range(60_000))
+    return f"<state><deletions>{gone}</deletions></state>" + "".join(row("", 1000))
+
+
+def states():
+    here = "".join(f"<model name='a{i}'><pose>{i} 0 0 0 0 0</pose></model>" for i in range(15_000))
+    return f"<state>{here}</state>" + "".join(row("", 3000))
+
+
+def frames():
+    poses = (f"<frame name='f{i}'><pose relative_to='f{i + 1}'>0 0 0 0 0 0</pose></frame>" for i in range(90))
+    return "".join(poses) + "<frame name='f90'/>" + "".join(row(" relative_to='f0'", 2000))
+
+
+def row(frame, count):
+    for i in range(count):
+        yield (
+            SOLID.format(pose="{pose}", shape=BOX)
+            .replace("'m'", f"'m{i}'")
+            .replace("<pose>{pose}", f"<pose{frame}>{i % 50 * 2} {i // 50 * 2} 0 0 0 0")
+        )
+
+
+def posts():
+    shape = "<cylinder><radius>0.2</radius><length>1</length></cylinder>"
+    return "".join(SOLID.format(pose=f"{k % 70} {k // 70} 0 0 0 0", shape=shape) for k in range(5000))
+
+
+@pytest.mark.filterwarnings("ignore::tb2rl.errors.WorldWarning")
+@pytest.mark.parametrize("inside", [deletions, states, frames, posts])
+def test_a_world_of_thousands_of_parts_is_read_within_two_seconds(inside, write):
+    path = write("large.world", world(inside()))
+    began = time.process_time()
+    found = read_world(path)
+    assert time.process_time() - began < 2.0
+    assert len(found.boxes) + len(found.posts) in (1000, 2000, 3000, 5000)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read as Linux tells it")
@@ -194,6 +262,7 @@ MAPS = {
     "noise": (GOOD, noise(), "obstacles, the limit"),
     "occupied": (GOOD, b"P5\n4 4\n255\n" + b"\0" * 16, "no floor"),
     "huge-yaml": (GOOD + "more: [" + "1, " * 1_000_000 + "]\n", FREE, "too large"),
+    "blanks": ("image: map.pgm" + " " * 200_000 + "b\nresolution: 0.5\n", FREE, "too large"),
     "image-number": ("image: 7\nresolution: 0.5\n", FREE, "image"),
 }
 

@@ -83,6 +83,43 @@ def test_a_polyline_is_its_outline(read):
     assert world.obstacles.symmetric_difference(expected).area < 1e-3
 
 
+@pytest.mark.parametrize(("tilt", "scale"), [(0, 1.0), (0.3, 1 / math.cos(0.3))])
+def test_a_polyline_within_another_is_a_hole_and_one_within_that_is_none(read, tilt, scale):
+    lines = [
+        "<polyline>" + "".join(f"<point>{x * side} {y * side}</point>" for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+        + "<height>5</height></polyline>" for side in (3, 2, 0.5)
+    ]  # fmt: skip
+    collision = f"<collision name='c'><geometry>{''.join(lines)}</geometry></collision>"
+    pose = f"9 9 -2 0 {tilt} 0"
+    world, _ = read(f"<model name='m'><pose>{pose}</pose><link name='l'>{collision}</link></model>")
+    middle = shapely.centroid(world.obstacles)
+    for x, y, solid in ((0, 0, True), (0, 1.25, False), (1.25, 0, False), (0, -2.5, True), (2.5 * scale, 0, True)):
+        assert (world.clearance(middle.x + x, middle.y + y) == 0) == solid, (x, y)
+    assert world.obstacles.area == pytest.approx((36 - 16 + 1) * scale, rel=0.03)
+
+
+def test_a_model_stands_where_the_frame_that_it_is_placed_by_is_put(read, write, sdf):
+    frames = (
+        "<frame name='door'><pose>5 0 0 0 0 0</pose></frame><frame name='wall'><pose>0 1 0 0 0 1.570796</pose></frame>"
+    )
+    post = sdf.link(sdf.collision(sdf.cylinder(0.1)))
+    write("models/hut/model.sdf", f"<sdf version='1.7'><model name='hut'>{frames}{post}</model></sdf>")
+    placed = (
+        "<include><name>{}</name><uri>model://hut</uri><placement_frame>{}</placement_frame><pose>{}</pose></include>"
+    )
+    world, warned = read(
+        f"<model name='own' placement_frame='door'><pose>1 0 0 0 0 0</pose>{frames}{post}</model>"
+        + placed.format("a", "door", "2 1 0 0 0 0")
+        + placed.format("b", "wall", "0 9 0 0 0 0")
+        + placed.format("c", "gate", "7 7 0 0 0 0")
+        + state("<model name='d'><pose>8 8 0 0 0 0</pose></model>")
+        + placed.format("d", "door", "0 0 0 0 0 0")
+    )
+    assert posts(world) == [(-4, 0, 0.1), (-3, 1, 0.1), (-1, 9, 0.1), (7, 7, 0.1), (8, 8, 0.1)]
+    assert len(warned) == 1
+    assert "gate (of c)" in warned[0]
+
+
 def state(*models):
     return f"<state world_name='default'><sim_time>1 0</sim_time>{''.join(models)}</state>"
 
