@@ -12,7 +12,7 @@ from tb2rl.pictures.colours import BEAM, BODY, GOAL, MOVER, NOSE, PATH, ROUTE, W
 from tb2rl.robots import Laser, Robot
 from tb2rl.worlds import World
 from tb2rl.worlds.movers import Movers
-from tb2rl.worlds.world import box_shape
+from tb2rl.worlds.world import box_shapes
 
 GOAL_RADIUS = 0.2  # [m] of what marks a goal
 _NOSE = ((150 / 178, 0.0), (50 / 178, 60 / 178), (50 / 178, -60 / 178))  # in the robot's frame, shares of its radius
@@ -72,7 +72,8 @@ def draw_movers(canvas: Canvas, movers: np.ndarray | None) -> None:
     for row in np.empty((0, 6)) if movers is None else movers:
         x, y, cos, sin, length, width = row.tolist()
         if width > 0.0:
-            canvas.polygon(box_shape(np.array([x, y, length, width, cos, sin])).exterior.coords, MOVER)
+            (box,) = box_shapes(np.array([[x, y, length, width, cos, sin]]))
+            canvas.polygon(box.exterior.coords, MOVER)
         elif length > 0.0:
             canvas.disc(x, y, length, MOVER)
 
