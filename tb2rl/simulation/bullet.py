@@ -11,7 +11,7 @@ import numpy as np
 
 from tb2rl.errors import InputError
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
-from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, connect
+from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect
 from tb2rl.simulation.camera import look_ahead
 from tb2rl.simulation.crowd import Crowd
 from tb2rl.simulation.odometry import count_wheels, is_exact
@@ -58,12 +58,25 @@ class BulletSimulation:
         with quiet():
             self._client = connect(self._window)
             try:
-                add_floor(self._client)
-                self._walls = add_walls(self._client, self.world)
-                self._body = add_robot(self._client, self.setup.robot)
+                self._build()
             except InputError:
                 self.close()
                 raise
+
+    def _renew(self) -> None:
+        """Build all of it again, as in a new client, in half of its time.
+
+        Where the robot touches something, PyBullet's rounding depends on which bodies were there before: to take out
+        some and put in others is not the same again.
+        """
+        with quiet():
+            clear(self._client)
+            self._build()
+
+    def _build(self) -> None:
+        add_floor(self._client)
+        self._walls = add_walls(self._client, self.world)
+        self._body = add_robot(self._client, self.setup.robot)
         self._robot, self._wheels = self._body.body, self._body.wheels
         self._duration, self._steps = 0.0, 0
         self._crowd.join(self._client)
@@ -109,8 +122,8 @@ class BulletSimulation:
         self._odometry = (x, y, yaw)
         return self._read()
 
-    def _begin(self, start: Start) -> None:
-        """Make the world and the robot those of an episode.
+    def _begin(self, start: Start, anew: bool = False) -> None:
+        """Make the world and the robot those of an episode; `anew`: build them again even if they are there.
 
         Raises:
             InputError: If the robot is to have another radius than in its URDF file.
@@ -118,6 +131,10 @@ class BulletSimulation:
         own, wanted = self.setup.robot.parameters, start.parameters[0]
         if wanted[RADIUS] != own[RADIUS]:
             raise InputError("PyBullet takes the robot's radius from its URDF file alone")
+        if anew or start.world[0] != self._world_number:
+            self._world_number = int(start.world[0])
+            self.world = self.setup.worlds[self._world_number]
+            self._renew()
         self._start, self._exact = start, is_exact(start)
         self._max_speed, self._max_turn_rate = float(wanted[MAX_SPEED]), float(wanted[MAX_TURN_RATE])
         # A loaded body keeps its wheels: told other speeds, they move it as the wheels of the episode would.
@@ -125,12 +142,6 @@ class BulletSimulation:
         self._turn = self._wheel * float(start.table[0, BELIEVED_SEPARATION])
         self._body.weigh(*start.table[0, [MASS, FRICTION]].tolist())
         self._torque = self.setup.robot.wheel_torque * float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
-        if start.world[0] != self._world_number:
-            for body in self._walls:
-                pybullet.removeBody(body, self._client)
-            self._world_number = int(start.world[0])
-            self.world = self.setup.worlds[self._world_number]
-            self._walls = add_walls(self._client, self.world)
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         self._driven.append((commands.copy(), duration))
@@ -179,6 +190,7 @@ class BulletSimulation:
         velocity = pybullet.getBaseVelocity(self._robot, self._client)
         wheels = tuple(joint[:2] for joint in self._joint_states())
         # PyBullet rounds what it is given, so that without this a restored robot would differ from the present one.
+        self._begin(self._start, anew=True)
         self._put(position, orientation, velocity, wheels)
         return {
             "position": position,
@@ -197,7 +209,7 @@ class BulletSimulation:
     def restore(self, state: Mapping[str, Any]) -> Reading:
         start = Start(np.array(state["start"]))
         self.setup.check_table(start.table)
-        self._begin(start)
+        self._begin(start, anew=True)
         self._crowd.restore(state, start)
         self._put(state["position"], state["orientation"], state["velocity"], state["wheels"])
         self._odometry = tuple(state["odometry"])
