@@ -115,7 +115,8 @@ def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation
     env.reset(seed=3)
     for _ in range(4):
         env.step(1)
-    copied, state = copy.deepcopy(env), copy.deepcopy(env.state())
+    state = copy.deepcopy(env.state())  # PyBullet rounds here, so the copy comes after it
+    copied = copy.deepcopy(env)
     other.restore(state)
     np.testing.assert_equal(other.reading.state(), env.reading.state())
     assert other.reading.movers.shape == (1, 4, 6)
@@ -123,9 +124,8 @@ def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation
         [(each.step(action)[0], each.reading.movers, each.reading.moving) for action in (0, 1, 2, 1) * 5]
         for each in (env, other, copied)
     )
-    np.testing.assert_equal(others[0], first)
-    np.testing.assert_allclose([seen for seen, *_ in others[1]], [seen for seen, *_ in first], atol=1e-4)
-    np.testing.assert_equal([movers for _, movers, _ in others[1]], [movers for _, movers, _ in first])
+    for each in others:
+        np.testing.assert_equal(each, first)
     for each in (env, other, copied):
         each.close()
 
