@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from tb2rl.simulation.bodies import MOVING_GROUP, TOUCH, WALL_GROUP, RobotBody
+from tb2rl.simulation.kernels import MAX_SPEED
 from tb2rl.simulation.movers import Movers, movers_of
 from tb2rl.simulation.outlines import COS, LENGTH, SIN, WIDTH, X, Y, nearest_mover
 from tb2rl.simulation.physics import pybullet
-from tb2rl.simulation.setup import Setup
+from tb2rl.simulation.setup import WHEEL, Setup
 from tb2rl.simulation.start import Start
+from tb2rl.simulation.stepping import out_of_reach, walk_alone
 from tb2rl.simulation.walking import THINK, think, walk
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
@@ -76,6 +78,7 @@ class Crowd:
 
     def __init__(self, setup: Setup) -> None:
         self._radius, self.movers = setup.robot.radius, movers_of(setup, 1)
+        self._alone = False  # whether the movers have gone through the whole of this control step already
 
     def join(self, client: int) -> None:
         """Have bodies in a PyBullet client from now on."""
@@ -94,7 +97,7 @@ class Crowd:
     def advance(
         self, first: int, last: int, steps: int, part: float, robot: RobotBody, start: Start, world: World
     ) -> bool:
-        """Run some steps of the physics, in each of which the movers go first.
+        """Run some steps of the physics, in each of which the movers go first; out of reach, they go all at once.
 
         Args:
             first, last: Numbers of the physics steps in their control step, from 0; without the last one.
@@ -107,12 +110,29 @@ class Crowd:
         Returns:
             Whether the robot and a mover touched.
         """
+        if first == 0 < last:
+            self._alone = self._walk_alone(steps, part, robot, start, world)
+        if self._alone:
+            for _ in range(first, last):
+                pybullet.stepSimulation(self._client)
+            return False
         touched = False
         for number in range(first, last):
             if number % THINK == 0:
                 self._think(min(THINK, steps - number) * part, robot, start, world)
             touched = self._step(part, robot, world) or touched
         return touched
+
+    def _walk_alone(self, steps: int, part: float, robot: RobotBody, start: Start, world: World) -> bool:
+        """Where the robot is out of reach, move all through the control step at once; else say False."""
+        (x, y, _), movers = robot.pose(), self._there
+        (vx, vy, _), _ = pybullet.getBaseVelocity(robot.body, self._client)
+        speed = max(math.hypot(vx, vy), float(start.table[0, MAX_SPEED] * start.table[0, WHEEL]))
+        if not out_of_reach(x, y, speed, steps * part, self._radius + _NEAR, movers.table, 0):
+            return False
+        walk_alone(0, steps, part, movers.table, movers.walks, movers.routes, start.table, *world.index, 0, x, y)
+        self.place()
+        return True
 
     def _think(self, span: float, robot: RobotBody, start: Start, world: World) -> None:
         (x, y, _), movers = robot.pose(), self._there

@@ -47,7 +47,7 @@ class Movers:
         robots: How many.
 
     Attributes:
-        table: All that a moment says of them, shape (robots, movers, 23), see `tb2rl.simulation.walking`.
+        table: All that a moment says of them, shape (robots, movers, 24), see `tb2rl.simulation.walking`.
         walks: Keys and counts of the random numbers of each robot's movers, shape (robots, 2), uint64.
         routes: The points of all paths [m], shape (points, 2).
     """
@@ -116,7 +116,7 @@ def movers_of(setup: Setup, robots: int) -> Movers | None:
 
 
 def _tables(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
-    """The movers of each world, (worlds, movers, 23), with what no step changes; and the points of their paths."""
+    """The movers of each world, (worlds, movers, 24), with what no step changes; and the points of their paths."""
     routes: list[tuple[float, float]] = []
     common = [row for group in setup.movers for row in _rows(group, routes)]
     rows = [[*common, *(row for group in world.movers for row in _rows(group, routes))] for world in setup.worlds]
@@ -146,7 +146,7 @@ def _rows(group: Group, routes: list[tuple[float, float]]) -> list[np.ndarray]:
 
 @njit(cache=True)
 def _settle(movers, routes, places, starts, boxes, posts, parts, lists, world_of):
-    """Put each mover (robots, movers, 23) at the first of its places with room, else at that farthest from the robot.
+    """Put each mover (robots, movers, 24) at the first of its places with room, else at that farthest from the robot.
 
     `places` (robots, movers, n, 4) are x, y [m], heading [rad], and a number in [0, 1) that says where on its path it
     is. What is on a path may stand anywhere on it that the robot is not near.

@@ -1,6 +1,6 @@
 """The compiled control steps of the fast twin, of many robots, among things that move or where nothing does.
 
-Arrays are as in `tb2rl.simulation.kernels`. Movers (robots, movers, 23), their `walks` (robots, 2), keys and counts of
+Arrays are as in `tb2rl.simulation.kernels`. Movers (robots, movers, 24), their `walks` (robots, 2), keys and counts of
 their random numbers, and `routes` (points, 2) are as in `tb2rl.simulation.walking`; where nothing moves they are None,
 and numba leaves out what concerns them.
 """
@@ -29,8 +29,12 @@ def move_among(
     """
     steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as PyBullet makes
     part, radius = duration / steps, starts[i, RADIUS]
+    speed = max(abs(rims[i, 0]), abs(rims[i, 1]), starts[i, MAX_SPEED] * starts[i, WHEEL])
+    x, y = poses[i, 0], poses[i, 1]
+    if out_of_reach(x, y, speed, duration, radius, movers, i):
+        walk_alone(i, steps, part, movers, walks, routes, starts, boxes, posts, parts, lists, world, x, y)
+        return move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways), False
     at_wall, at_mover, way, turned = False, False, 0.0, 0.0
-    alone = _out_of_reach(poses, rims, duration, starts, i, movers)
     for step in range(steps):
         x, y, yaw, v = poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * (rims[i, 0] + rims[i, 1])
         vx, vy = v * math.cos(yaw), v * math.sin(yaw)
@@ -38,8 +42,6 @@ def move_among(
             span = min(THINK, steps - step) * part
             think(i, span, movers, walks, starts, boxes, posts, parts, lists, world, x, y, vx, vy)
         hit = walk(i, part, movers, routes, boxes, posts, parts, lists, world, x, y, radius)
-        if alone:
-            continue
         at_mover = hit or at_mover
         hit = move(poses, rims, commands, part, starts, i, boxes, posts, parts, lists, world, ways)
         at_wall = hit or at_wall
@@ -53,24 +55,45 @@ def move_among(
             at_mover = True
             poses[i, 0], poses[i, 1] = x + share * (poses[i, 0] - x), y + share * (poses[i, 1] - y)
         way, turned = way + share * ways[i, 0], turned + ways[i, 1]
-    if alone:  # then the whole step at once, which takes a tenth of the time
-        return move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways), False
     ways[i, 0], ways[i, 1] = way, turned
     return at_wall, at_mover
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _out_of_reach(poses, rims, duration, starts, i, movers):
-    """Whether robot `i` and its movers can neither meet nor see each other in a control step of `duration` [s]."""
-    speed = max(abs(rims[i, 0]), abs(rims[i, 1]), starts[i, MAX_SPEED] * starts[i, WHEEL])
+def out_of_reach(x, y, speed, duration, radius, movers, i):
+    """Whether robot `i` and its movers can neither meet nor see each other in a control step.
+
+    Then robot and movers go through it by themselves, which takes far less time.
+
+    Args:
+        x, y: Where the robot is [m].
+        speed: As fast as it can become [m/s].
+        duration: Of the step [s].
+        radius: Of the robot [m].
+        movers: Of all robots.
+        i: Which robot it is.
+    """
     for k in range(movers.shape[1]):
         if movers[i, k, LENGTH] > 0.0:
-            apart = math.hypot(movers[i, k, X] - poses[i, 0], movers[i, k, Y] - poses[i, 1])
+            apart = math.hypot(movers[i, k, X] - x, movers[i, k, Y] - y)
             size = math.hypot(movers[i, k, LENGTH], movers[i, k, WIDTH])  # a box may turn
             way = duration * (speed + HURRY * movers[i, k, SPEED])
-            if movers[i, k, AVOIDS] != 0.0 or apart < starts[i, RADIUS] + HALT + size + way:
+            if movers[i, k, AVOIDS] != 0.0 or apart < radius + HALT + size + way:
                 return False
     return True
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def walk_alone(i, steps, part, movers, walks, routes, starts, boxes, posts, parts, lists, world, x, y):
+    """A control step of the movers of robot `i`, which is out of reach: so many physics steps of `part` [s].
+
+    `x`, `y` [m] are where it is at the beginning; out of reach, it makes no difference where it goes.
+    """
+    for step in range(steps):
+        if step % THINK == 0:
+            span = min(THINK, steps - step) * part
+            think(i, span, movers, walks, starts, boxes, posts, parts, lists, world, x, y, 0.0, 0.0)
+        walk(i, part, movers, routes, boxes, posts, parts, lists, world, x, y, 0.0)
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")

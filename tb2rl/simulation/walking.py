@@ -25,10 +25,11 @@ SPEED = 10  # [m/s] at which it goes, or wants to
 PATIENCE = 11  # [s] until it looks for another target
 NEXT, STRIDE = 12, 13  # number of the path's point that it goes to, and 1, or -1 on the way back
 FORCE_X, FORCE_Y = 14, 15  # [m/s^2] room to calculate in
+ROOM = 16  # [m] that a person may go until it has to look at walls
 # What no step changes: the kind; the first of its points among all paths', how many, whether from the last one on to
 # the first; whether it walks around the robot; the range of its speed [m/s].
-KIND, FIRST, COUNT, CLOSED, AVOIDS, SLOWEST, FASTEST = range(16, 23)
-MOVER_COLUMNS = 23
+KIND, FIRST, COUNT, CLOSED, AVOIDS, SLOWEST, FASTEST = range(17, 24)
+MOVER_COLUMNS = 24
 NOBODY, PATH, STRAIGHT, PERSON = range(4)  # kinds
 
 THINK = 4  # physics steps between two decisions: 20 a second
@@ -78,7 +79,7 @@ def think(i, span, movers, streams, starts, boxes, posts, parts, lists, world, x
     Args:
         i: Which robot it is.
         span: [s].
-        movers: Of all robots, shape (robots, movers, 23); changed in place.
+        movers: Of all robots, shape (robots, movers, 24); changed in place.
         streams: Key of each robot's stream of random numbers for them, and how many were drawn, shape (robots, 2).
         starts: Of all robots.
         boxes, posts, parts, lists: The `Index` of the worlds.
@@ -92,11 +93,14 @@ def think(i, span, movers, streams, starts, boxes, posts, parts, lists, world, x
         movers[i, k, PATIENCE] -= span
         if movers[i, k, PATIENCE] <= 0.0 or left < (_ARRIVED if movers[i, k, KIND] == PERSON else _TINY):
             _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world)
+        if movers[i, k, KIND] == PERSON:
+            _want(i, k, movers)
+    for k in range(movers.shape[1]):
+        for other in range(k + 1, movers.shape[1]):
+            _feel_each_other(i, k, other, movers)
     for k in range(movers.shape[1]):
         if movers[i, k, KIND] == PERSON:
             _feel(i, k, movers, boxes, posts, parts, lists, world, x, y, vx, vy, starts[i, RADIUS])
-    for k in range(movers.shape[1]):
-        if movers[i, k, KIND] == PERSON:
             east, north = (
                 movers[i, k, VX] + span * movers[i, k, FORCE_X],
                 movers[i, k, VY] + span * movers[i, k, FORCE_Y],
@@ -132,9 +136,10 @@ def walk(i, duration, movers, routes, boxes, posts, parts, lists, world, x, y, r
             to_x, to_y = from_x + share * east, from_y + share * north
         else:
             to_x, to_y = _keep_off_walls(i, k, duration, movers, boxes, posts, parts, lists, world)
-        length = math.hypot(to_x - from_x, to_y - from_y)
+        east, north = to_x - from_x, to_y - from_y
+        length = math.sqrt(east * east + north * north)
         if length > 1e-9:
-            movers[i, k, COS], movers[i, k, SIN] = (to_x - from_x) / length, (to_y - from_y) / length
+            movers[i, k, COS], movers[i, k, SIN] = east / length, north / length
         share = share_until_touch(x - from_x, y - from_y, x - to_x, y - to_y, radius + HALT, movers, i, k)
         if share < 1.0:
             touched = True
@@ -219,24 +224,43 @@ def _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world):
     movers[i, k, PATIENCE] = 2.0 + 2.0 * best / movers[i, k, SPEED] if best > 0.0 else 0.0
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy, robot_radius):
-    """The forces on a person: to its target, off other movers and walls, and off the robot if it sees that."""
-    x, y, vx, vy = movers[i, k, X], movers[i, k, Y], movers[i, k, VX], movers[i, k, VY]
-    east, north = movers[i, k, TARGET_X] - x, movers[i, k, TARGET_Y] - y
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def _want(i, k, movers):
+    """The force on a person towards its target."""
+    east, north = movers[i, k, TARGET_X] - movers[i, k, X], movers[i, k, TARGET_Y] - movers[i, k, Y]
     wanted = movers[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9)
-    force_x, force_y = (wanted * east - vx) / RELAXATION, (wanted * north - vy) / RELAXATION
-    for other in range(movers.shape[1]):
-        if other != k and movers[i, other, KIND] != NOBODY:
-            east, north = movers[i, other, X] - x, movers[i, other, Y] - y
-            aside_x, aside_y = social_force(east, north, vx - movers[i, other, VX], vy - movers[i, other, VY])
-            # Bodies do not pass through each other; what is as near as a wall pushes like one.
-            push = _push(gap_to(-east, -north, movers, i, other) - movers[i, k, LENGTH])
-            push /= max(math.sqrt(east * east + north * north), 1e-9)
-            force_x, force_y = force_x + STRENGTH * aside_x - push * east, force_y + STRENGTH * aside_y - push * north
+    movers[i, k, FORCE_X] = (wanted * east - movers[i, k, VX]) / RELAXATION
+    movers[i, k, FORCE_Y] = (wanted * north - movers[i, k, VY]) / RELAXATION
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def _feel_each_other(i, k, other, movers):
+    """The forces between two movers, on those of them that are people: one is the other turned round."""
+    kind, others = movers[i, k, KIND], movers[i, other, KIND]
+    if kind == NOBODY or others == NOBODY or (kind != PERSON and others != PERSON):
+        return
+    east, north = movers[i, other, X] - movers[i, k, X], movers[i, other, Y] - movers[i, k, Y]
+    faster = movers[i, k, VX] - movers[i, other, VX], movers[i, k, VY] - movers[i, other, VY]
+    aside_x, aside_y = social_force(east, north, *faster)
+    distance = max(math.sqrt(east * east + north * north), 1e-9)
+    # Bodies do not pass through each other; what is as near as a wall pushes like one.
+    if kind == PERSON:
+        push = _push(gap_to(-east, -north, movers, i, other) - movers[i, k, LENGTH]) / distance
+        movers[i, k, FORCE_X] = movers[i, k, FORCE_X] + STRENGTH * aside_x - push * east
+        movers[i, k, FORCE_Y] = movers[i, k, FORCE_Y] + STRENGTH * aside_y - push * north
+    if others == PERSON:
+        push = _push(gap_to(east, north, movers, i, k) - movers[i, other, LENGTH]) / distance
+        movers[i, other, FORCE_X] = movers[i, other, FORCE_X] - STRENGTH * aside_x + push * east
+        movers[i, other, FORCE_Y] = movers[i, other, FORCE_Y] - STRENGTH * aside_y + push * north
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy, robot_radius):
+    """The forces on a person off walls, and off the robot if it sees that."""
+    x, y, force_x, force_y = movers[i, k, X], movers[i, k, Y], movers[i, k, FORCE_X], movers[i, k, FORCE_Y]
     if movers[i, k, AVOIDS] != 0.0:
         east, north = robot_x - x, robot_y - y
-        aside_x, aside_y = social_force(east, north, vx - robot_vx, vy - robot_vy)
+        aside_x, aside_y = social_force(east, north, movers[i, k, VX] - robot_vx, movers[i, k, VY] - robot_vy)
         distance = max(math.sqrt(east * east + north * north), 1e-9)
         push = _push(distance - robot_radius - movers[i, k, LENGTH]) / distance
         force_x, force_y = force_x + STRENGTH * aside_x - push * east, force_y + STRENGTH * aside_y - push * north
@@ -245,7 +269,7 @@ def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, rob
         off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
         push = _push(gap)
         force_x, force_y = force_x + push * off_x, force_y + push * off_y
-    movers[i, k, FORCE_X], movers[i, k, FORCE_Y] = force_x, force_y
+    movers[i, k, FORCE_X], movers[i, k, FORCE_Y], movers[i, k, ROOM] = force_x, force_y, gap - _TINY
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
@@ -270,6 +294,9 @@ def _keep_off_walls(i, k, duration, movers, boxes, posts, parts, lists, world):
     x, y, radius = movers[i, k, X], movers[i, k, Y], movers[i, k, LENGTH]
     vx, vy = movers[i, k, VX], movers[i, k, VY]
     to_x, to_y = x + duration * vx, y + duration * vy
+    movers[i, k, ROOM] -= duration * (abs(vx) + abs(vy))  # it goes less far than that
+    if movers[i, k, ROOM] > 0.0:
+        return to_x, to_y
     clearance = clearance_one(to_x, to_y, boxes, posts, parts, lists, world)
     if clearance >= radius:
         return to_x, to_y

@@ -227,6 +227,20 @@ def test_a_wall_that_is_touched_is_nothing_that_moves(name, make_setup):
 
 
 @pytest.mark.parametrize("name", ["bullet", "kinematic"])
+def test_what_is_far_off_goes_at_its_speed_while_the_robot_is_at_a_wall(name, make_setup):
+    wall = World.from_shapes("wall", [(0.3, 0.0, 0.2, 4.0, 0.0)], start=(0, 0, 0), bounds=(-9, -9, 9, 9))
+    far = {"boxes": 1, "path": [[-6, -100], [-6, 100]], "speed": 0.5}
+    setup = among(make_setup(wall, beams=9), far)
+    simulation = simulate(name, setup)
+    before = simulation.reset(Start.proposed(setup, 1), np.random.default_rng(0)).movers
+    for _ in range(5):
+        reading = simulation.step(np.array([[0.5, 0.0]]), STEP)
+    assert reading.bumped[0]
+    assert np.abs(reading.movers - before)[0, 0, Y] == pytest.approx(0.5 * 5 * STEP)
+    simulation.close()
+
+
+@pytest.mark.parametrize("name", ["bullet", "kinematic"])
 @pytest.mark.parametrize("ahead", ["post", "wall"])
 def test_what_is_nearest_along_the_beams_is_told_apart(name, ahead, make_setup):
     """A post in sight at 1.25 m, a wall behind the robot's back at 0.5 m, and one ahead at 1 m or at 3 m."""
