@@ -6,16 +6,18 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
-from annotated_types import Ge, Gt, Le, MinLen
+from annotated_types import Ge, Le, Len
 
 from tb2rl.errors import InputError, one_line
 from tb2rl.values import ASCENDING, PAIR, Point, build
 
 MOST = 50  # in one world: each is held against each other, and against every beam
 _Number = Annotated[int, Ge(0), Le(MOST)]
-_Speed = Annotated[float, Gt(0), Le(5)]
-_Length = Annotated[float, Gt(0), Le(10)]
+_Speed = Annotated[float, Ge(0.001), Le(5)]
+_Length = Annotated[float, Ge(0.001), Le(10)]
+_Coordinate = Annotated[float, Ge(-1e6), Le(1e6)]
 Speeds = Annotated[tuple[_Speed, _Speed], PAIR, ASCENDING]
+Path = Annotated[tuple[tuple[_Coordinate, _Coordinate], ...], Len(2, 1000)]
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Movers:
     size: tuple[_Length, _Length] = (0.5, 0.4)  # [m] of boxes: along their way and across
     # [m/s] each draws its own. People walk at 1.34 on a free pavement (Weidmann 1993), and slower in a room.
     speed: Speeds = (0.5, 1.0)
-    path: Annotated[tuple[Point, ...], MinLen(2)] | None = None  # of posts and boxes; None: between random points
+    path: Path | None = None  # [m] of posts and boxes; None: between random points
     closed: bool = False  # whether the path goes on from its last point to its first; else back the way it came
     avoid_robot: bool = False  # whether people walk around the robot, too, or do not see it
 
@@ -62,6 +64,8 @@ def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
     if setting is None:
         return ()
     entries = setting if isinstance(setting, list | tuple) else [setting]
+    if len(entries) > MOST:
+        raise InputError(f"{where}: must be at most {MOST} entries, got {len(entries)}")
     movers = []
     for entry in entries:
         if not isinstance(entry, Mapping | Movers):
