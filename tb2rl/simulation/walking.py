@@ -269,7 +269,7 @@ def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, rob
         off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
         push = _push(gap)
         force_x, force_y = force_x + push * off_x, force_y + push * off_y
-    movers[i, k, FORCE_X], movers[i, k, FORCE_Y], movers[i, k, ROOM] = force_x, force_y, gap - _TINY
+    movers[i, k, FORCE_X], movers[i, k, FORCE_Y], movers[i, k, ROOM] = force_x, force_y, min(gap, _FARTHEST) - _TINY
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)

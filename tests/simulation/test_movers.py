@@ -305,6 +305,20 @@ def test_the_same_start_gives_the_same_episode_whatever_was_before(name, seed, m
     assert episodes[0] == episodes[1] == episodes[2]
 
 
+@pytest.mark.parametrize("name", ["bullet", "kinematic"])
+def test_a_state_of_people_on_an_open_floor_goes_on(name, make_setup):
+    setup = among(make_setup(beams=9), {"people": 2})
+    simulation = simulate(name, setup)
+    simulation.reset(Start.proposed(setup, 1), np.random.default_rng(0))
+    recorded(simulation, [*drives(np.random.default_rng(0), 5)])
+    state = simulation.state()
+    told = [*drives(np.random.default_rng(1), 10)]
+    expected = recorded(simulation, told)
+    simulation.restore(state)
+    assert recorded(simulation, told) == expected
+    simulation.close()
+
+
 def test_robots_that_begin_anew_leave_the_others_and_their_movers_alone(make_setup):
     setup, rng = among(make_setup("loop", "maze", beams=9, noise=0.01), MIXED), np.random.default_rng(1)
     start, anew = begin(setup, rng, 20), np.array([0, 3, 11])
