@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tb2rl.compiled import njit
-from tb2rl.simulation.outlines import COS, LENGTH, OUTLINE, SIN, WIDTH, X, Y, gap_to
+from tb2rl.simulation.outlines import COS, LENGTH, OUTLINE, SIN, WIDTH, X, Y, gap_to, reach_of
 from tb2rl.simulation.setup import CROWD, POSE, Setup
 from tb2rl.simulation.start import Start
 from tb2rl.simulation.streams import StreamDraws
@@ -156,7 +156,7 @@ def _settle(movers, routes, places, starts, boxes, posts, parts, lists, world_of
         for k in range(movers.shape[1]):
             if movers[i, k, KIND] == NOBODY:
                 continue
-            farthest, radius = -np.inf, max(movers[i, k, LENGTH], movers[i, k, WIDTH])
+            farthest, radius = -np.inf, reach_of(movers, i, k)
             best, point, stride = places[i, k, 0], 0, 1.0
             for n in range(places.shape[2]):
                 place = places[i, k, n].copy()

@@ -32,6 +32,12 @@ def gap_to(east, north, movers, i, k):
     return math.sqrt(along * along + across * across)
 
 
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def reach_of(movers, i, k):
+    """Radius of the circle [m] in which mover `k` of robot `i` is, wherever it turns."""
+    return math.sqrt(movers[i, k, LENGTH] ** 2 + movers[i, k, WIDTH] ** 2)
+
+
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
 def nearest_mover(x, y, movers, i):
     """Distance of a point [m] from the nearest mover of robot `i`; inf where there is none."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kernels import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
-from tb2rl.simulation.outlines import LENGTH, WIDTH, X, Y
+from tb2rl.simulation.outlines import LENGTH, X, Y, reach_of
 from tb2rl.simulation.setup import PHYSICS_RATE, WHEEL, WORLD
 from tb2rl.simulation.walking import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
 
@@ -76,9 +76,8 @@ def out_of_reach(x, y, speed, duration, radius, movers, i):
     for k in range(movers.shape[1]):
         if movers[i, k, LENGTH] > 0.0:
             apart = math.hypot(movers[i, k, X] - x, movers[i, k, Y] - y)
-            size = math.hypot(movers[i, k, LENGTH], movers[i, k, WIDTH])  # a box may turn
             way = duration * (speed + HURRY * movers[i, k, SPEED])
-            if movers[i, k, AVOIDS] != 0.0 or apart < radius + HALT + size + way:
+            if movers[i, k, AVOIDS] != 0.0 or apart < radius + HALT + reach_of(movers, i, k) + way:
                 return False
     return True
 

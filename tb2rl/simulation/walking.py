@@ -13,7 +13,7 @@ import numpy as np
 
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kernels import RADIUS
-from tb2rl.simulation.outlines import COS, LENGTH, SIN, WIDTH, X, Y, gap_to
+from tb2rl.simulation.outlines import COS, LENGTH, SIN, X, Y, gap_to, reach_of
 from tb2rl.simulation.setup import BOUNDS
 from tb2rl.simulation.streams import uniform
 from tb2rl.worlds.geometry import clearance_one
@@ -202,9 +202,7 @@ def _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world):
     """Give a mover its next target: of some random points that it can go straight to, the farthest."""
     x, y, best = movers[i, k, X], movers[i, k, Y], 0.0
     movers[i, k, TARGET_X], movers[i, k, TARGET_Y] = x, y
-    needed = min(
-        max(movers[i, k, LENGTH], movers[i, k, WIDTH]) + _MARGIN, clearance_one(x, y, boxes, posts, parts, lists, world)
-    )
+    needed = min(reach_of(movers, i, k) + _MARGIN, clearance_one(x, y, boxes, posts, parts, lists, world))
     for _ in range(_TRIES):
         angle = math.tau * uniform(streams[i, 0], streams[i, 1])
         farthest = _NEAREST + (_FARTHEST - _NEAREST) * uniform(streams[i, 0], streams[i, 1] + np.uint64(1))

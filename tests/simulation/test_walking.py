@@ -15,6 +15,7 @@ from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.outlines import COS, SIN, X, Y
 from tb2rl.simulation.setup import CROWD
 from tb2rl.simulation.walking import HURRY, SPEED, social_force
+from tb2rl.worlds import World
 from tb2rl.worlds.movers import find_movers
 
 STEP = 0.2  # [s]
@@ -130,6 +131,14 @@ def test_movers_walk_far_at_their_speed_and_through_no_wall(kind, world, walk):
     assert (speeds <= HURRY * wanted + 1e-9).all()
     assert np.median(speeds / wanted) > 0.8
     assert np.ptp(places, axis=0).max(axis=-1).min() > 1.0, "one of them goes nowhere"
+
+
+def test_the_corners_of_a_large_box_stay_out_of_walls(walk):
+    around = [(10.1 * math.cos(yaw), 10.1 * math.sin(yaw), 0.2, 20.4, yaw) for yaw in np.arange(4) * math.pi / 2]
+    hall = World.from_shapes("hall", around, start=(0, 0, 0))
+    outlines, _ = walk({"boxes": 1, "size": [3, 3]}, hall, robots=30, steps=150)
+    cos, sin = np.abs(outlines[..., [COS, SIN]]).T
+    assert (np.abs(outlines[..., [X, Y]]).T + 1.5 * (cos + sin)).max() < 10.0
 
 
 def test_people_walk_around_each_other(walk):
