@@ -15,6 +15,7 @@ from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kernels import RADIUS
 from tb2rl.simulation.outlines import COS, LENGTH, SIN, X, Y, gap_to, reach_of
 from tb2rl.simulation.setup import BOUNDS
+from tb2rl.simulation.social_force import social_force
 from tb2rl.simulation.streams import uniform
 from tb2rl.worlds.geometry import clearance_one
 
@@ -35,7 +36,6 @@ NOBODY, PATH, STRAIGHT, PERSON = range(4)  # kinds
 THINK = 4  # physics steps between two decisions: 20 a second
 RELAXATION = 0.54  # [s] to the wanted velocity; this and the following: Moussaid et al. 2009
 STRENGTH = 4.5  # [m/s^2] of the force between two people
-GAMMA, LAMBDA, N_TURN, N_SLOW = 0.35, 2.0, 2.0, 3.0
 WALL_STRENGTH, WALL_REACH = 3.0, 0.1  # [m/s^2], [m]
 HURRY = 1.3  # people are at most so many times as fast as they want to be (Helbing and Molnar 1995)
 _FELT = 0.6  # [m] a wall farther away is not felt
@@ -46,30 +46,6 @@ _WAITS = 1.0  # [s] that a mover waits for the robot to go, unless it is on a pa
 _TRIES = 4  # directions that a mover looks in: it takes the one in which it gets farthest
 _NEAREST, _FARTHEST = 1.0, 6.0  # [m] to where it looks, at most
 _TINY = 1e-3  # [m]
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def social_force(east, north, faster_east, faster_north):
-    """What one person does because of another one, over `STRENGTH`: it slows down and turns aside.
-
-    Args:
-        east, north: Where the other one is, from here [m].
-        faster_east, faster_north: Velocity of this one less that of the other [m/s].
-    """
-    distance = math.sqrt(east * east + north * north)
-    if distance < 1e-9:
-        return 0.0, 0.0
-    towards_x, towards_y = east / distance, north / distance
-    tx, ty = LAMBDA * faster_east + towards_x, LAMBDA * faster_north + towards_y
-    size = math.sqrt(tx * tx + ty * ty)
-    if size < 1e-9:
-        return 0.0, 0.0
-    tx, ty, reach = tx / size, ty / size, GAMMA * size
-    angle = math.atan2(tx * towards_y - ty * towards_x, tx * towards_x + ty * towards_y)
-    slow = -math.exp(-distance / reach - (N_SLOW * reach * angle) ** 2)
-    turn = -math.exp(-distance / reach - (N_TURN * reach * angle) ** 2) if angle != 0.0 else 0.0
-    turn = math.copysign(turn, -angle)
-    return slow * tx - turn * ty, slow * ty + turn * tx
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")

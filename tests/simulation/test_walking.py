@@ -14,7 +14,8 @@ from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.outlines import COS, SIN, X, Y
 from tb2rl.simulation.setup import CROWD
-from tb2rl.simulation.walking import HURRY, SPEED, social_force
+from tb2rl.simulation.social_force import social_force
+from tb2rl.simulation.walking import HURRY, SPEED
 from tb2rl.worlds import World
 from tb2rl.worlds.movers import find_movers
 
@@ -34,7 +35,7 @@ FORCES = [
 COMPARE = """
 import sys
 import numpy as np
-from tb2rl.simulation.walking import social_force
+from tb2rl.simulation.social_force import social_force
 import numba
 numba.config.DISABLE_JIT = 1  # the library's functions would need SciPy
 from pysocialforce import Simulator
