@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
@@ -73,9 +73,15 @@ def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
             raise InputError(one_line(text))
         movers.append(entry if isinstance(entry, Movers) else build(Movers, entry, where))
         _check(movers[-1], where)
-    if sum(group.count for group in movers) > MOST:
-        raise InputError(f"{where}: must be at most {MOST} movers, got {sum(group.count for group in movers)}")
+    check_number(movers, where)
     return tuple(movers)
+
+
+def check_number(movers: Sequence[Movers], where: str) -> None:
+    """Raise an `InputError` if there are more than `MOST`; `where` is what they are of, for the message."""
+    count = sum(group.count for group in movers)
+    if count > MOST:
+        raise InputError(f"{where}: must be at most {MOST} movers, got {count}")
 
 
 def said_of(group: Movers) -> dict[str, Any]:

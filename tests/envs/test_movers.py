@@ -74,6 +74,13 @@ def test_what_does_not_fit_is_said_when_it_is_made(setting):
     assert "\n" not in str(caught.value)
 
 
+def test_a_world_and_a_task_have_at_most_fifty_movers_together(tmp_path):
+    (tmp_path / "hall.yaml").write_text(HALL)
+    make(world=str(tmp_path / "hall.yaml"), movers={"people": 49})
+    with pytest.raises(InputError, match=r"world hall and task\.movers: must be at most 50 movers, got 51"):
+        make(world=str(tmp_path / "hall.yaml"), movers={"people": 50})
+
+
 def test_a_config_keeps_the_setting():
     config = resolve("qlearn", settings={"task.movers": [{"people": 2}, {"posts": 1, "path": [[0, 0], [1, 0]]}]})
     assert len(config.scene.setup.movers) == 2
