@@ -3,7 +3,8 @@
 Numba keeps what it compiles in the first folder that it may write to: NUMBA_CACHE_DIR, `__pycache__` beside the source,
 the user's cache. Where there is none, it refuses to compile, and it reads no folder that it may not write to, such as
 those in the image of a container. So here a private folder stands in where there is none, and what was compiled earlier
-is copied to where numba reads.
+is copied to where numba reads. Numba also holds a cache against the function's own file alone, though what it calls is
+compiled into it: here a cache must be younger than all files whose functions it may call.
 """
 
 from __future__ import annotations
@@ -32,12 +33,16 @@ UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") e
 _VARIABLE = "TB2RL_PRIVATE_CACHE"  # tells processes that this one starts where its private folder is; "": there is none
 _inherited = os.environ.get(_VARIABLE)
 _lock = threading.Lock()
+_sources: dict[str, float] = {}  # files that have compiled so far, and when each was changed [s]
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit(cache=True, ...)` that also works where nothing can be written: then without a cache."""
 
     def decorated(function: Callable[..., Any]) -> Any:
+        file = function.__code__.co_filename
+        with suppress(OSError):  # a notebook's cell is no file
+            _sources[file] = os.stat(file).st_mtime
         earlier = _earlier_folders(function)
         with suppress(RuntimeError):  # numba may write to no folder
             return _with_cache(function, options, earlier)
@@ -54,6 +59,10 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 def _with_cache(function: Callable[..., Any], options: dict[str, Any], earlier: list[Path], warn: bool = False) -> Any:
     compiled = numba.njit(**options)(function)
     folder, name = Path(compiled.stats.cache_path), f"{Path(function.__code__.co_filename).stem}.*.nbi"
+    for index in folder.glob(name):
+        with suppress(FileNotFoundError):  # another process may be doing the same
+            if _is_stale(index):
+                index.unlink()
     for place in earlier:
         if place != folder:
             with suppress(OSError):
@@ -71,13 +80,18 @@ def _earlier_folders(function: Callable[..., Any]) -> list[Path]:
     return [beside, *([Path(named, _CacheLocator.get_suitable_cache_subpath(file))] if named else [])]
 
 
+def _is_stale(index: Path) -> bool:
+    """Whether a file was changed later whose functions are compiled before: what a function calls is among them."""
+    return index.stat().st_mtime < max(_sources.values(), default=0.0)
+
+
 def _take_over(place: Path, folder: Path, name: str) -> None:
     """Copy the caches in `place` whose index is called so to `folder`, but for those that it has.
 
     The index comes last: while it is missing, nobody reads the other files. Numba itself holds it against the source.
     """
     for index in place.glob(name):
-        if not (folder / index.name).exists():
+        if not (folder / index.name).exists() and not _is_stale(index):
             for file in (*place.glob(f"{index.stem}.*.nbc"), index):
                 temporary = folder / f"{file.name}.{os.getpid()}"
                 shutil.copyfile(file, temporary)

@@ -17,6 +17,14 @@ from tb2rl.compiled import njit
 def twice(x):
     return 2 * x
 """
+CALLER = """
+from tb2rl.compiled import njit
+from tiny import twice
+
+@njit(cache=True)
+def call(x):
+    return twice(x)
+"""
 USE = """
 import numba, tiny
 assert numba.config.CACHE_DIR == os.environ.get("NUMBA_CACHE_DIR", ""), "numba's own settings are left alone"
@@ -97,3 +105,16 @@ def test_a_folder_that_others_may_write_to_is_not_trusted(site, use, guest, tmp_
     open_to_all.chmod(0o777)
     (_, _, folder), _ = use(TB2RL_PRIVATE_CACHE=str(open_to_all))
     assert Path(folder).is_relative_to(guest.scratch)
+
+
+def test_what_calls_a_function_of_a_changed_file_is_compiled_again(site):
+    (site / "caller.py").write_text(CALLER)
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(CHECKOUT)])}
+    use = "import caller; print(caller.call(4), sum(caller.call.stats.cache_hits.values()))"
+
+    def run():
+        return subprocess.run([sys.executable, "-c", use], env=env, check=True, capture_output=True, text=True).stdout
+
+    assert [run(), run()] == ["8 0\n", "8 1\n"]
+    (site / "tiny.py").write_text(MODULE.replace("2 * x", "3 * x"))
+    assert run() == "12 0\n"
