@@ -42,7 +42,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorated(function: Callable[..., Any]) -> Any:
         file = function.__code__.co_filename
         with suppress(OSError):  # a notebook's cell is no file
-            _sources[file] = os.stat(file).st_mtime
+            _sources[file] = Path(file).stat().st_mtime
         earlier = _earlier_folders(function)
         with suppress(RuntimeError):  # numba may write to no folder
             return _with_cache(function, options, earlier)
