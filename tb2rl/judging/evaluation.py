@@ -94,10 +94,11 @@ class Evaluation:
     def score(self) -> tuple[float, float]:
         """What makes one evaluation better than another: the success rate, then the mean return.
 
-        Rates of the same whole percent count alike: to be one episode of a thousand better is chance, and a training
+        Rates of the same half percent count alike: to be one episode of a thousand better is chance, and a training
         would keep a slow policy for it.
         """
-        return round(float(np.mean(self._each("success"))), 2), float(np.mean(self._each("episode_return")))
+        half_percents = round(200 * float(np.mean(self._each("success"))))
+        return half_percents / 200, float(np.mean(self._each("episode_return")))
 
     @property
     def good_rate(self) -> float:
