@@ -48,7 +48,7 @@ class BulletSimulation:
         self._rng = np.random.default_rng()
         self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels
         self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
-        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), np.zeros(1)  # of the last reading
+        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), 0.0  # of the last reading
         self._open()
         self._begin(Start.proposed(setup, 1))
 
@@ -102,7 +102,7 @@ class BulletSimulation:
         position, orientation = self._body.frame_at(x, y, yaw)
         self._put(position, orientation, _AT_REST, ((0.0, 0.0), (0.0, 0.0)))
         self._odometry = (x, y, yaw)
-        return self._read(bumped=False)
+        return Reading.of_one(self._sense(bumped=False), self._start, self)
 
     def _begin(self, start: Start) -> None:
         """Make the world and the robot those of an episode.
@@ -128,6 +128,10 @@ class BulletSimulation:
             self._walls = add_walls(self._client, self.world)
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
+        return Reading.of_one(self.drive(commands, duration), self._start, self)
+
+    def drive(self, commands: np.ndarray, duration: float) -> tuple[Any, ...]:
+        """`step`, for `BulletBatch`: what the robot senses now, see `Reading.of_one`."""
         self._driven.append((commands.copy(), duration))
         self._set_duration(duration)
         self.set_wheel_speeds(commands)
@@ -136,7 +140,7 @@ class BulletSimulation:
         for _ in range(free, self._steps):  # near a wall: a touch may be shorter than a control step
             pybullet.stepSimulation(self._client)
             bumped = bumped or self._touches_a_wall()
-        return self._read(bumped)
+        return self._sense(bumped)
 
     def _free_steps(self, duration: float) -> int:
         """How many physics steps of the control step cannot take the robot to a wall, even at its top speed."""
@@ -184,7 +188,7 @@ class BulletSimulation:
             "odometry": self._odometry,
             "speed": self._speed,
             "command": self._command.copy(),
-            "acceleration": self._acceleration.copy(),
+            "acceleration": np.array([self._acceleration]),
             "generator": self._rng.bit_generator.state,
             "start": self._start.table.copy(),
         }
@@ -195,11 +199,11 @@ class BulletSimulation:
         self._begin(start)
         self._put(state["position"], state["orientation"], state["velocity"], state["wheels"])
         self._odometry = tuple(state["odometry"])
-        reading = self._read(bumped=False)
+        reading = Reading.of_one(self._sense(bumped=False), start, self)
         self._rng.bit_generator.state = dict(state["generator"])
         self._speed = float(state["speed"])
-        self._command, self._acceleration = state["command"].copy(), state["acceleration"].copy()
-        return replace(reading, command=self._command, acceleration=self._acceleration)
+        self._command, self._acceleration = state["command"].copy(), float(state["acceleration"][0])
+        return replace(reading, command=self._command, acceleration=np.array([self._acceleration]))
 
     def _put(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
         self._put_at, self._driven = (position, orientation, velocity, wheels), []
@@ -218,27 +222,16 @@ class BulletSimulation:
 
     # ---- sensors
 
-    def _read(self, bumped: bool) -> Reading:
+    def _sense(self, bumped: bool) -> tuple[Any, ...]:
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._robot, self._client)
-        x, y, yaw = self._body.pose()
+        x, y, yaw = pose = self._body.pose()
         self._place = x, y
-        ranges = self._scanner.scan((x, y, yaw), self.world, self._start, self._rng)
+        ranges = self._scanner.scan(pose, self.world, self._start, self._rng)
         earlier, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
         command, duration = self._driven[-1] if self._driven else (np.zeros((1, 2)), math.inf)
-        self._command, self._acceleration = command, np.array([(self._speed - earlier) / duration])
-        odometry, odometry_twist = self._count_wheels()
-        return Reading(
-            pose=np.array([[x, y, yaw]]),
-            twist=np.array([[self._speed, turn_rate]]),
-            odometry=np.array([odometry]),
-            odometry_twist=np.array([odometry_twist]),
-            ranges=ranges,
-            bumped=np.array([bumped]),
-            command=self._command,
-            acceleration=self._acceleration,
-            start=self._start,
-            eye=self,
-        )
+        self._command, self._acceleration = command, (self._speed - earlier) / duration
+        twist = self._speed, turn_rate
+        return pose, twist, *self._count_wheels(), ranges[0], bumped, command[0], self._acceleration
 
     def _count_wheels(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
         """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give; and its speeds."""
