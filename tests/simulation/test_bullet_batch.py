@@ -135,18 +135,26 @@ def test_the_cameras_see_where_each_robot_is(make):
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_a_state_brings_back_all_that_follows(processes, make):
-    batch = make(SETUP, 3, processes)
+    batch = make(SETUP, 8, processes)
     begun(batch)
-    for told in commands(3, 3):
+    for told in commands(3, 8):
         batch.step(told, PERIOD)
     state = copy.deepcopy(batch.state())
     ways = []
-    for go_on in (batch, batch, make(SETUP, 3, 3)):
+    for go_on in (batch, batch, make(SETUP, 8, 3)):
         if ways:
             go_on.restore(state)
-        ways.append([{**go_on.step(told, PERIOD).state(), "moved": go_on.moved} for told in commands(5, 3)])
+        ways.append([{**go_on.step(told, PERIOD).state(), "moved": go_on.moved} for told in commands(5, 8)])
         ways[-1].append(go_on.restart(np.array([2]), starts(1), None)[1].state())
     np.testing.assert_equal(ways[1:], [ways[0], ways[0]])
+
+
+def test_the_next_way_is_counted_from_the_last_reading_though_physics_rounds_what_it_is_given(make):
+    batch = make(SETUP, 3, 2)
+    last = begun(batch).pose + [1e-9, 0.0, 0.0]
+    batch.restore({**batch.state(), "poses": last})
+    change = batch.step(commands(1, 3)[0], PERIOD).pose - last
+    np.testing.assert_array_equal(batch.moved, np.hypot(change[:, 0], change[:, 1]))
 
 
 def test_a_state_in_a_world_that_is_not_there_is_refused(make):
