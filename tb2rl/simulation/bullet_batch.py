@@ -10,7 +10,7 @@ import os
 import pickle
 import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -51,7 +51,6 @@ class BulletBatch:
         self.setup, self.robots = setup, robots
         shares = np.array_split(np.arange(robots), min(processes or processors(), robots))
         self._parts = [slice(int(share[0]), int(share[-1]) + 1) for share in shares]
-        self._start = Start.proposed(setup, robots)
         # The first share is this process's own: it would do nothing while it waits for the others.
         self._share = _Share(setup, len(shares[0]))
         context, kind = process_context(), self._share.record_type
@@ -81,8 +80,9 @@ class BulletBatch:
         raise InputError("PyBullet's worlds in processes cannot be copied or sent; make others")
 
     def reset(self, start: Start, rng: np.random.Generator) -> Reading:
-        self._start, noise = start, rng.spawn(self.robots)
-        self._ask("reset", [(start.table[part], noise[part]) for part in self._parts])
+        noise = rng.spawn(self.robots)
+        self._records["start"] = start.table
+        self._ask("reset", [(noise[part],) for part in self._parts])
         return self._latest()
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
@@ -96,9 +96,9 @@ class BulletBatch:
 
     def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
         """Begin new episodes of the robots with indices `robots` (n,), see `KinematicSimulation.restart`."""
-        self._start.table[robots] = start.table
-        self._ask("restart", [(here, start.table[mask]) if len(here) else None for mask, here in self._among(robots)])
-        return self._latest(), self._reading(self._records[robots], start, _Eyes(self, robots))
+        self._records["start"][robots] = start.table
+        self._ask("restart", [(here,) if here else None for here in self._among(robots)])
+        return self._latest(), self._reading(self._records[robots], _Eyes(self, robots))
 
     def state(self) -> dict[str, Any]:
         """The state of each world, and where the robots were at the last reading."""
@@ -113,17 +113,17 @@ class BulletBatch:
         """
         worlds = state["worlds"]
         self._ask("restore", [(worlds[part],) for part in self._parts])
-        self._start = Start(np.concatenate([world["start"] for world in worlds]))
         reading = self._latest()
         self._poses = state["poses"].copy()
         return reading
 
-    def look(
-        self, reading: Reading, width: int, height: int, robots: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """What the cameras see at the latest reading, see `Reading.look`; of `robots` (n,) alone, in rising order."""
-        robots = np.arange(self.robots) if robots is None else robots
-        seen = self._ask("look", [(here, width, height) if len(here) else None for _, here in self._among(robots)])
+    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the cameras see at the latest reading, see `Reading.look`."""
+        return self.look_from(np.arange(self.robots), width, height)
+
+    def look_from(self, robots: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the robots with indices `robots` (n,) alone, in rising order."""
+        seen = self._ask("look", [(here, width, height) if here else None for here in self._among(robots)])
         colours, depth = zip(*(image for images in seen for image in images), strict=True)
         return np.stack(colours), np.stack(depth)
 
@@ -144,29 +144,29 @@ class BulletBatch:
         with _deaths_named():
             for pipe, others in zip(self._pipes, theirs, strict=True):
                 if others is not None:
-                    _send(pipe, (method, others))
+                    pipe.send((method, others))
             try:
                 answers = [] if mine is None else [_answer(self._share, method, mine)]
             finally:  # an answer that nobody reads would be taken for that to the next question
                 answers_of_others = [_soon(pipe) for pipe in asked]
         return _unless_failed(answers + answers_of_others)
 
-    def _among(self, robots: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Of each share: which of the indices `robots` (n,) are of its robots, and their indices in it."""
+    def _among(self, robots: np.ndarray) -> Iterator[list[int]]:
+        """Of each share: which of the robots with indices `robots` (n,) it has, by their indices in it."""
+        wanted = robots.tolist()
         for part in self._parts:
-            mask = (part.start <= robots) & (robots < part.stop)
-            yield mask, robots[mask] - part.start
+            yield [robot - part.start for robot in wanted if part.start <= robot < part.stop]
 
     def _latest(self) -> Reading:
         """What all robots read now."""
-        reading = self._reading(self._records, self._start, self)
+        reading = self._reading(self._records, self)
         self._poses = reading.pose
         return reading
 
-    def _reading(self, records: np.ndarray, start: Start, eye: Eye) -> Reading:
+    def _reading(self, records: np.ndarray, eye: Eye) -> Reading:
         """The reading of some robots, in arrays of its own."""
         columns: dict[str, Any] = {name: records[name].copy() for name in self._share.names}
-        return Reading(**columns, start=start, eye=eye)
+        return Reading(**columns, start=Start(records["start"].copy()), eye=eye)
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class _Eyes:
 
     def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """See `Reading.look`."""
-        return self.batch.look(reading, width, height, self.robots)
+        return self.batch.look_from(self.robots, width, height)
 
 
 class _Share:
@@ -195,7 +195,7 @@ class _Share:
 
     Attributes:
         names: Of the arrays of a `Reading`.
-        record_type: What a robot reads, as one record of these.
+        record_type: What a robot reads and how its episode began, as one record.
     """
 
     def __init__(self, setup: Setup, robots: int) -> None:
@@ -203,29 +203,31 @@ class _Share:
         self._noise = [np.random.default_rng() for _ in range(robots)]
         start = Start.proposed(setup, 1)
         self._first = [world.reset(start, noise) for world, noise in zip(self._worlds, self._noise, strict=True)]
-        columns = {name: array for name, array in self._first[0].state().items() if name != "start"}
-        self.names = list(columns)
+        columns = self._first[0].state()
+        self.names = [name for name in columns if name != "start"]
         self.record_type = np.dtype([(name, c.dtype, c.shape[1:]) for name, c in columns.items()], align=True)
 
     def write_to(self, records: np.ndarray) -> None:
         """Write to these records, shape (robots,), from now on."""
-        self._records = records
+        self._records, self._sensed = records, records[self.names]
         for i, reading in enumerate(self._first):
             self._write(i, reading)
 
-    def reset(self, table: np.ndarray, noise: list[np.random.Generator]) -> None:
+    def reset(self, noise: list[np.random.Generator]) -> None:
         self._noise = noise
-        self.restart(np.arange(len(table)), table)
+        self.restart(range(len(noise)))
 
-    def restart(self, robots: np.ndarray, table: np.ndarray) -> None:
-        for i, row in zip(robots.tolist(), table, strict=True):
-            self._write(i, self._worlds[i].reset(Start(row[None].copy()), self._noise[i]))
+    def restart(self, robots: Iterable[int]) -> None:
+        """Begin anew; how stands in their records."""
+        for i in robots:
+            start = Start(self._records["start"][i : i + 1].copy())
+            self._write(i, self._worlds[i].reset(start, self._noise[i]))
 
     def step(self, duration: float) -> None:
         """Drive on; what the robots are told stands in their records."""
         commands = self._records["command"].copy()
         for i, world in enumerate(self._worlds):
-            self._records[i] = world.drive(commands[i : i + 1], duration)
+            self._sensed[i] = world.drive(commands[i : i + 1], duration)
 
     def state(self) -> list[dict[str, Any]]:
         return [world.state() for world in self._worlds]
@@ -234,7 +236,7 @@ class _Share:
         for i, (world, state) in enumerate(zip(self._worlds, states, strict=True)):
             self._write(i, world.restore(state))
 
-    def look(self, robots: np.ndarray, width: int, height: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def look(self, robots: Iterable[int], width: int, height: int) -> list[tuple[np.ndarray, np.ndarray]]:
         return [self._worlds[i].camera(width, height) for i in robots]
 
     def close(self) -> None:
@@ -242,12 +244,8 @@ class _Share:
             world.close()
 
     def _write(self, robot: int, reading: Reading) -> None:
-        self._records[robot] = tuple(getattr(reading, name)[0] for name in self.names)
-
-
-def _send(pipe: Connection, message: Any) -> None:
-    """Half as long as `Connection.send` takes, which looks for what only processes can send each other."""
-    pipe.send_bytes(pickle.dumps(message))
+        self._sensed[robot] = tuple(getattr(reading, name)[0] for name in self.names)
+        self._records["start"][robot] = reading.start.table[0]
 
 
 def _soon(pipe: Connection) -> Any:
@@ -291,10 +289,10 @@ def _serve(pipe: Connection, pickled: bytes, memory: Any, part: slice) -> None:
         share = _Share(pickle.loads(pickled), part.stop - part.start)
         share.write_to(np.frombuffer(memory, share.record_type)[part])
     except Exception as error:
-        _send(pipe, error)
+        pipe.send(error)
         return
-    _send(pipe, None)
+    pipe.send(None)
     with closing(share), suppress(EOFError, OSError):  # nobody asks any more, or listens
         while True:
             method, arguments = _soon(pipe)
-            _send(pipe, _answer(share, method, arguments))
+            pipe.send(_answer(share, method, arguments))
