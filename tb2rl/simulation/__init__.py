@@ -2,8 +2,7 @@
 
 Everything carries a leading robot axis. `bullet` simulates one robot in PyBullet's physics, the judge of every policy,
 and `bullet_batch` several, in parallel processes; `kinematic` is its fast twin, for thousands, and judges where
-PyBullet is missing. Imported from here: worlds, robots,
-and what all need.
+PyBullet is missing. Imported from here: worlds, robots, and what all need.
 """
 
 from __future__ import annotations

@@ -140,15 +140,14 @@ class BulletBatch:
     def _ask(self, method: str, arguments: Sequence[tuple | None]) -> list[Any]:
         """Call a method of the shares, each with arguments of its own, None: not of this one; their answers."""
         mine, *theirs = arguments
-        asked = [pipe for pipe, others in zip(self._pipes, theirs, strict=True) if others is not None]
+        asked = [(pipe, given) for pipe, given in zip(self._pipes, theirs, strict=True) if given is not None]
         with _deaths_named():
-            for pipe, others in zip(self._pipes, theirs, strict=True):
-                if others is not None:
-                    pipe.send((method, others))
+            for pipe, given in asked:
+                pipe.send((method, given))
             try:
                 answers = [] if mine is None else [_answer(self._share, method, mine)]
             finally:  # an answer that nobody reads would be taken for that to the next question
-                answers_of_others = [_soon(pipe) for pipe in asked]
+                answers_of_others = [_soon(pipe) for pipe, _ in asked]
         return _unless_failed(answers + answers_of_others)
 
     def _among(self, robots: np.ndarray) -> Iterator[list[int]]:
