@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "narrow.yaml").write_text(NARROW)
     (tmp_path / "pole.sdf").write_text(POLE)
-    (tmp_path / "map.yaml").write_text("image: 'scan.pgm'\nresolution: 1\nstart: [2, 2, 0]\n")
+    (tmp_path / "hall.yaml").write_text("image: 'scan.pgm'\nresolution: 1\nstart: [2, 2, 0]\n")
     (tmp_path / "scan.pgm").write_bytes(b"P5\n4 4\n255\n" + b"\xfe" * 16)
     (tmp_path / "two").mkdir()
     for name in ("one", "other"):
@@ -83,6 +83,8 @@ def test_it_converts_to_a_map_of_ros_and_back(folder, capsys):
     with Image.open("map.pgm") as picture:
         assert picture.size == (101, 101)
     assert said("convert map.yaml mine.yaml", capsys) == ["wrote mine.yaml"]
+    assert said("convert maze map.pgm", capsys)[0] == "wrote map.pgm", "the same once more"
+    assert said("convert maze mine.yaml", capsys) == ["wrote mine.yaml"]
     assert find_world("mine.yaml").goal == find_world("maze").goal
 
 
@@ -115,7 +117,8 @@ def test_what_is_said_beside_a_world_counts_and_what_is_left_out_is_one_line(fol
         ("convert narrow.yaml narrow.pgm", ["narrow.yaml is what the world is read from"]),
         ("convert narrow.yaml ./narrow.yaml", ["narrow.yaml is what the world is read from"]),
         ("convert '{file: narrow.yaml, goal: [2.5, 0.75]}' narrow.pgm", ["narrow.yaml is what the world is read from"]),
-        ("convert map.yaml scan.pgm", ["scan.pgm is what the world is read from"]),
+        ("convert hall.yaml scan.pgm", ["scan.pgm is what the world is read from"]),
+        ("convert loop narrow.pgm", ["narrow.yaml is there, and is no map with the picture narrow.pgm"]),
         ("draw rooms --start 1 1 0", ["for start to count; rooms is not"]),
         ("check rooms --start 1 1 0", ["for start to count; rooms is not"]),
         ("check two --goal 1 1", ["for goal to count; two is not"]),

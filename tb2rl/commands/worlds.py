@@ -45,9 +45,10 @@ def _draw(options: argparse.Namespace) -> None:
     robot = find_robot(options.robot)
     if options.out.suffix.lower() not in _PICTURES:
         raise InputError(one_line(f"cannot write {options.out}: pictures end in {', '.join(_PICTURES)}"))
-    worlds, columns = _worlds(options), None
-    if len(options.worlds) == 1 and _is_generator(options.worlds[0]):
+    if not _said(options) and len(options.worlds) == 1 and _is_generator(options.worlds[0]):
         worlds, columns = _by_difficulty(options.worlds[0]), len(_DIFFICULTIES)
+    else:
+        worlds, columns = _worlds(options), None
     if len(worlds) > _DRAWN:
         print(f"{len(worlds)} worlds; the first {_DRAWN} are drawn")
     titles = [world.name for world in worlds[:_DRAWN]]
@@ -60,7 +61,10 @@ def _draw(options: argparse.Namespace) -> None:
 def _convert(options: argparse.Namespace) -> None:
     world = _only_world(options)
     ending = options.out.suffix
-    _check_source(options.worlds[0], {options.out, options.out.with_suffix(".yaml" if ending == ".pgm" else ending)})
+    beside = options.out.with_suffix(".yaml") if ending == ".pgm" else options.out
+    _check_source(options.worlds[0], {options.out, beside})
+    if beside.is_file() and options.out.resolve() not in _files(beside):
+        raise InputError(one_line(f"{beside} is there, and is no map with the picture {options.out}; name another one"))
     if ending == ".pgm":
         for file in reversed(write_map(world, options.out, options.resolution)):
             print(f"wrote {file}")
@@ -111,15 +115,14 @@ def _at(place: tuple[float, ...]) -> str:
 
 def _worlds(options: argparse.Namespace) -> list[World]:
     """The worlds that the command line names, with what it says about them."""
-    said = {
-        "start": options.start,
-        "goal": options.goal,
-        "unknown": options.unknown,
-        "laser_height": options.laser_height,
-        "model_path": options.model_path,
-    }
-    given = {key: value for key, value in said.items() if value is not None}
-    return [world for name in options.worlds for world in find_worlds(_setting(name, given))]
+    said = _said(options)
+    return [world for name in options.worlds for world in find_worlds(_setting(name, said))]
+
+
+def _said(options: argparse.Namespace) -> dict[str, Any]:
+    """What the command line says beside the names."""
+    keys = ("start", "goal", "unknown", "laser_height", "model_path")
+    return {key: value for key in keys if (value := getattr(options, key)) is not None}
 
 
 def _only_world(options: argparse.Namespace) -> World:
@@ -131,11 +134,11 @@ def _only_world(options: argparse.Namespace) -> World:
     return world
 
 
-def _setting(name: str, given: Mapping[str, Any]) -> Any:
+def _setting(name: str, said: Mapping[str, Any]) -> Any:
     """What the command line names and says, as `task.world` takes it."""
     setting = parse_yaml(name, "the world") if name[:1] in "{[" else name
-    if given:
-        setting = {**(setting if isinstance(setting, Mapping) else {"file": setting}), **given}
+    if said:
+        setting = {**(setting if isinstance(setting, Mapping) else {"file": setting}), **said}
     return checked(Worlds, setting, "the world")
 
 
@@ -143,9 +146,14 @@ def _check_source(name: str, targets: set[Path]) -> None:
     """Raise an `InputError` if a file that is to be written is one that the world is read from."""
     setting = absolute_worlds(_setting(name, {"file": name} if name[:1] not in "{[" else {}))
     file = Path(setting["file"].rpartition(":")[2]) if isinstance(setting, Mapping) and "file" in setting else Path()
-    for target in targets if file.is_file() else ():
-        if target.resolve() in files_of(file):
+    sources = _files(file) if file.is_file() else []
+    for target in targets:
+        if target.resolve() in sources:
             raise InputError(one_line(f"{target} is what the world is read from; write it to another file"))
+
+
+def _files(file: Path) -> list[Path]:
+    return [each.resolve() for each in files_of(file)]
 
 
 def _is_generator(name: str) -> bool:

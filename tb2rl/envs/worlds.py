@@ -111,9 +111,9 @@ def _is_folder(name: str) -> bool:
 def _files_in(folder: str) -> list[str]:
     """The files of worlds in a folder, by name."""
     endings = world_endings()
-    files = sorted(str(file) for file in Path(folder).iterdir() if file.suffix in endings)
+    files = [file for file in Path(folder).iterdir() if file.suffix in endings and file.stem.upper() != "README"]
     if not files:
         raise InputError(
             one_line(f"there is no world in the folder {folder}; files of worlds end in {', '.join(endings)}")
         )
-    return files
+    return sorted(map(str, files))

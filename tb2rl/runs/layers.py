@@ -112,7 +112,7 @@ def _first(key: str, single: Mapping[str, Any], chosen: Mapping[str, Any], secti
 
 
 def _merge(tree: dict[str, Any], layer: Mapping[str, Any]) -> None:
-    """Put a layer over a tree: mappings are merged key by key, those that stand by themselves replace what was there."""
+    """Put a layer over a tree: mappings are merged key by key, but for those that are whole in themselves."""
     for key, value in layer.items():
         if isinstance(value, Mapping) and isinstance(tree.get(key), Mapping) and not _is_whole(value):
             tree[key] = dict(tree[key])

@@ -9,6 +9,8 @@ from tb2rl.errors import InputError
 from tb2rl.values import Pose
 from tb2rl.worlds.world import BoxShape
 
+MOST_SQUARES = 2**18  # 512 x 512: a second to read, if every other one is a wall
+
 
 @dataclass(frozen=True)
 class Drawing:
@@ -25,8 +27,10 @@ def read_drawing(text: str, cell: float) -> Drawing:
     Runs of `#` become one box, and equal runs above each other one larger box.
 
     Raises:
-        InputError: For any other character, or a second start or goal.
+        InputError: For any other character, a second start or goal, or more than `MOST_SQUARES`.
     """
+    if len(text) > MOST_SQUARES:
+        raise InputError(f"the drawing has more than {MOST_SQUARES} squares, the limit")
     lines = text.rstrip(" \n").split("\n")
     _check(lines)
     lines.reverse()

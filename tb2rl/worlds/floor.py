@@ -42,7 +42,9 @@ class Floor:
         x0, y0, x1, y1 = world.bounds
         if (x1 - x0) * (y1 - y0) > MOST_SQUARES * SIDE**2:
             size = f"{x1 - x0:.4g} x {y1 - y0:.4g} m"
-            raise InputError(f"world {world.name}: {size} have more than {MOST_SQUARES} squares of {SIDE:g} m; set bounds")
+            raise InputError(
+                f"world {world.name}: {size} have more than {MOST_SQUARES} squares of {SIDE:g} m; set bounds"
+            )
         columns, rows = max(1, math.floor((x1 - x0) / SIDE)), max(1, math.floor((y1 - y0) / SIDE))
         left, bottom = (x0 + x1 - (columns - 1) * SIDE) / 2, (y0 + y1 - (rows - 1) * SIDE) / 2
         x, y = left + SIDE * np.arange(columns), bottom + SIDE * np.arange(rows)

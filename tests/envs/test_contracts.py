@@ -94,6 +94,7 @@ for name in tb2rl.GYM_IDS:
 """
 
 
+@pytest.mark.slow
 def test_the_same_seed_and_actions_give_the_same_trajectory_to_the_bit_in_another_process():
     started = [
         subprocess.Popen(

@@ -74,7 +74,8 @@ def names(setting, purpose="training"):
 def test_worlds_are_named_alone_in_a_list_in_a_folder_or_by_a_generator(tmp_path):
     for name in ("b.txt", "a.txt"):
         (tmp_path / name).write_text("####\n#S #\n####\n")
-    (tmp_path / "notes.md").write_text("not a world")
+    for name in ("notes.md", "README.txt", "readme.yaml"):
+        (tmp_path / name).write_text("It is not a world.")
     assert find_worlds("loop") == (find_world("loop"),)
     assert names(["loop", "circuit"]) == ["loop", "circuit"]
     assert names(str(tmp_path)) == ["a", "b"]

@@ -13,6 +13,7 @@ import torch as th
 from stable_baselines3 import A2C
 
 from tb2rl import evaluate, make_env
+from tb2rl.envs.scene import make_scene
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.registry import agent_names, find_agent, find_world
@@ -106,6 +107,15 @@ def test_the_standard_start_poses_are_those_of_the_world_for_its_seed():
     clearance = Wander().start_clearance
     expected = find_world("loop").random_poses(np.random.default_rng(SEED), EPISODES, clearance)
     np.testing.assert_array_equal(evaluator.poses, expected)
+
+
+def test_imperfect_robots_are_judged_from_the_same_starts(ahead):
+    starts = []
+    for variation in ("none", "strong"):
+        with Evaluator(make_scene(Wander(variation=variation), "raw"), episodes=4, steps=2, workers=1) as evaluator:
+            starts.append([episode.start for episode in evaluator.run(ahead).episodes])
+    assert starts[0] == starts[1]
+    assert len(set(starts[0])) == 4
 
 
 def test_a_task_says_itself_where_its_episodes_begin(northward, ahead):

@@ -59,7 +59,7 @@ def test_a_pose_follows_from_its_world_and_numbers_alone():
 @pytest.mark.parametrize("metres", [3e3, 1e6])
 def test_a_world_that_is_too_large_for_squares_is_refused(metres):
     far = World.from_shapes("far", [(0, 0, 1, 1, 0), (metres, metres, 1, 1, 0)], start=(5, 5, 0))
-    with pytest.raises(InputError, match="world far: .* have more than 4000000 squares of 0.1 m; set bounds"):
+    with pytest.raises(InputError, match=r"world far: .* have more than 4000000 squares of 0.1 m; set bounds"):
         poses_in((far, find_world("loop")), [0])
 
 

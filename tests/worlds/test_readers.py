@@ -67,10 +67,21 @@ def test_a_file_is_read_once_and_again_when_it_changed(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "content"),
-    [("bad.yaml", b"walls: [\n  a: b: c\n"), ("bad.yaml", b": 3"), ("bad.yaml", b"\xff\xfe"), ("bad.txt", b"S..\xff#")],
+    [
+        ("bad.yaml", b"walls: [\n  a: b: c\n"),
+        ("bad.yaml", b": 3"),
+        ("bad.yaml", b"\xff\xfe"),
+        ("bad.txt", b"S..\xff#"),
+    ],
 )
 def test_a_file_that_cannot_be_read_is_refused_with_one_line_that_names_it(name, content, tmp_path):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=name) as error:
         read_world(tmp_path / name)
     assert "\n" not in str(error.value)
+
+
+def test_a_drawing_of_too_many_squares_is_refused(tmp_path):
+    (tmp_path / "huge.txt").write_text("S." + "#." * 200_000)
+    with pytest.raises(InputError, match="world huge: the drawing has more than 262144 squares, the limit"):
+        read_world(tmp_path / "huge.txt")

@@ -38,7 +38,8 @@ def merge_cells(occupied: np.ndarray, side: float, origin: Pose) -> list[BoxShap
 
 def _rectangles(occupied: np.ndarray) -> np.ndarray:
     """First column, the one after the last, first row, the one after the last, of each box; shape (boxes, 4)."""
-    padded = np.pad(occupied.astype(np.int8), ((0, 0), (1, 1)))
+    padded = np.zeros((len(occupied), occupied.shape[1] + 2), dtype=np.int8)
+    padded[:, 1:-1] = occupied
     change = np.diff(padded, axis=1)
     (row, begin), (_, end) = np.nonzero(change == 1), np.nonzero(change == -1)
     order = np.lexsort((row, end, begin))

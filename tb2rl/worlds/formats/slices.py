@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tb2rl.errors import InputError
 from tb2rl.worlds.formats.cells import merge_cells
-from tb2rl.worlds.world import BoxShape, PostShape, box_shapes
+from tb2rl.worlds.world import BoxShape, PostShape
 
 SHEET = 0.01  # [m] thickness of a wall that is drawn as a line, and of one along an outline at least
 _HALVED = 16  # times, to find how deep a wall fits into an outline
@@ -98,9 +98,11 @@ class Slice:
             if part.area >= rectangle.area * (1 - 1e-6):
                 self.boxes.append(_box_along(rectangle.exterior.coords[:3]))
                 continue
-            walls = _walls_within(part)
-            self.boxes += map(tuple, walls.tolist())
-            for rest in shapely.get_parts(part.difference(shapely.union_all(_polygons(walls)))):
+            begins, ends = _edges(part)
+            depths = _depths(part, begins, ends)
+            self.boxes += _walls(begins, ends, depths)
+            walls = shapely.union_all(_strips(begins, ends, depths))
+            for rest in shapely.get_parts(part.difference(walls)):
                 if rest.area > 0 and shapely.maximum_inscribed_circle(rest, tolerance=0.01).length > _HOLE:
                     self.boxes += _fill(rest)
 
@@ -110,7 +112,8 @@ class Slice:
             points = np.array(line)[:, :2]
             begins, ends = points[:-1], points[1:]
             longer = (begins != ends).any(axis=1)
-            self.boxes += map(tuple, _walls(begins[longer], ends[longer], SHEET).tolist())
+            begins, ends = begins[longer], ends[longer]
+            self.boxes += _walls(begins, ends, np.full(len(begins), SHEET))
 
 
 def upright(pose: np.ndarray) -> bool:
@@ -135,33 +138,38 @@ def _box_along(corners: Sequence[Sequence[float]]) -> BoxShape:
     return (x0 + x2) / 2, (y0 + y2) / 2, length, width, math.atan2(y1 - y0, x1 - x0)
 
 
-def _walls_within(part: shapely.Polygon) -> np.ndarray:
-    """A box along each edge of a polygon, as deep as it stays within it, but `SHEET` deep at least; as in `_walls`."""
+def _edges(part: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
+    """Where the edges of a polygon begin and end, shape (edges, 2) each; its inside is to the left, of holes too."""
+    oriented = shapely.orient_polygons(part)
+    rings = [np.array(ring.coords) for ring in (oriented.exterior, *oriented.interiors)]
+    return np.concatenate([ring[:-1] for ring in rings]), np.concatenate([ring[1:] for ring in rings])
+
+
+def _depths(part: shapely.Polygon, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """How deep a wall along each edge of a polygon can be to stay within it [m], `SHEET` at least; shape (edges,)."""
     room = part.buffer(_GAP)
     shapely.prepare(room)
-    oriented = shapely.orient_polygons(part)  # the inside is to the left of every edge, of holes too
-    rings = [np.array(ring.coords) for ring in (oriented.exterior, *oriented.interiors)]
-    begins, ends = np.concatenate([ring[:-1] for ring in rings]), np.concatenate([ring[1:] for ring in rings])
-    low, high = np.full(len(begins), SHEET), np.full(len(begins), max(np.ptp(rings[0], axis=0)))
+    low, high = np.full(len(begins), SHEET), np.full(len(begins), np.ptp(begins, axis=0).max())
     for _ in range(_HALVED):
         middle = (low + high) / 2
-        fits = shapely.covers(room, _polygons(_walls(begins, ends, middle)))
+        fits = shapely.covers(room, _strips(begins, ends, middle))
         low, high = np.where(fits, middle, low), np.where(fits, high, middle)
-    return _walls(begins, ends, low)
+    return low
 
 
-def _walls(begins: np.ndarray, ends: np.ndarray, depth: float | np.ndarray) -> np.ndarray:
-    """A box to the left of each edge between points (edges, 2): rows of `BoxShape`, shape (edges, 5)."""
+def _strips(begins: np.ndarray, ends: np.ndarray, depths: np.ndarray) -> np.ndarray:
+    """A rectangle to the left of each edge between points (edges, 2), shape (edges,)."""
     along = ends - begins
-    length = np.hypot(*along.T)
-    x, y = ((begins + ends) / 2 + along[:, ::-1] * (-1.0, 1.0) * (depth / (2 * length))[:, None]).T
-    return np.column_stack([x, y, length, np.broadcast_to(depth, length.shape), np.arctan2(along[:, 1], along[:, 0])])
+    left = along[:, ::-1] * (-1.0, 1.0) * (depths / np.hypot(*along.T))[:, None]
+    return shapely.polygons(np.stack([begins, ends, ends + left, begins + left], axis=1))
 
 
-def _polygons(boxes: np.ndarray) -> np.ndarray:
-    """The polygons of rows of `BoxShape`."""
-    x, y, length, width, yaw = boxes.T
-    return box_shapes(np.column_stack([x, y, length / 2, width / 2, np.cos(yaw), np.sin(yaw)]))
+def _walls(begins: np.ndarray, ends: np.ndarray, depths: np.ndarray) -> Iterator[BoxShape]:
+    """The same as boxes."""
+    for (x0, y0), (x1, y1), depth in zip(begins.tolist(), ends.tolist(), depths.tolist(), strict=True):
+        length = math.hypot(x1 - x0, y1 - y0)
+        left_x, left_y = (y0 - y1) / length * depth / 2, (x1 - x0) / length * depth / 2
+        yield (x0 + x1) / 2 + left_x, (y0 + y1) / 2 + left_y, length, depth, math.atan2(y1 - y0, x1 - x0)
 
 
 def _fill(part: shapely.Polygon) -> list[BoxShape]:
@@ -169,7 +177,7 @@ def _fill(part: shapely.Polygon) -> list[BoxShape]:
     x0, y0, x1, y1 = part.bounds
     side = max(x1 - x0, y1 - y0) / _FILLED
     columns, rows = max(1, math.ceil((x1 - x0) / side)), max(1, math.ceil((y1 - y0) / side))
-    left, bottom = np.meshgrid(x0 + side * np.arange(columns), y0 + side * np.arange(rows))
+    left, bottom = x0 + side * np.arange(columns), y0 + side * np.arange(rows)[:, None]
     cells = shapely.box(left, bottom, left + side, bottom + side)
     shapely.prepare(part)
     return merge_cells(shapely.contains(part, cells), side, (x0, y0, 0.0))

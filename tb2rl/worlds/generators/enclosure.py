@@ -57,7 +57,8 @@ def solvable(
             return replace(world, start=(*start, rng.uniform(-math.pi, math.pi)), goal=(*goal, 0.0))
     raise InputError(
         f"generator {draw.__module__.rpartition('.')[2]}: in {_ATTEMPTS} worlds of {size[0]:g} x {size[1]:g} m with "
-        f"difficulty {difficulty:.2f} a robot gets to less than a third of the floor; try another difficulty, or a larger size"
+        f"difficulty {difficulty:.2f} a robot gets to less than a third of the floor; "
+        "try another difficulty, or a larger size"
     )
 
 

@@ -156,7 +156,7 @@ def test_without_the_extra_a_mesh_is_named_with_what_it_takes(read_mesh, monkeyp
     assert "m/c (box.stl)" in warned
 
 
-@pytest.mark.parametrize("faces", [2_000, 150_000])
+@pytest.mark.parametrize("faces", [2_000, pytest.param(150_000, marks=pytest.mark.slow)])
 def test_a_mesh_meant_to_do_harm_is_named_within_seconds(faces, trimesh, read_mesh):
     triangles = np.random.default_rng(0).uniform(-10, 10, (faces, 3, 3))
     began = time.process_time()
