@@ -95,6 +95,14 @@ def _variation(value: Any) -> Any:
     return value
 
 
+def _movers(value: Any) -> Any:
+    entries = value if isinstance(value, list | tuple) else [value]
+    if value is not None and not all(isinstance(entry, Mapping) for entry in entries):
+        raise ValueError("must say how many of what move, such as {people: 4}, or be a list of such")
+    return tuple(value) if isinstance(value, list) else value
+
+
+Moved = Annotated[Any, BeforeValidator(_movers)]  # what it means: see `tb2rl.worlds.movers`
 Varied = Annotated[Any, BeforeValidator(_variation)]  # what it means: see `tb2rl.simulation.variation`
 Arguments = dict[str, Any]
 Observed = Annotated[tuple[str | dict[str, Arguments | None], ...], Len(1, 100), BeforeValidator(_sensors)]

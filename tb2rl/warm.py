@@ -34,8 +34,11 @@ def main(arguments: list[str] | None = None) -> None:
             "eval_steps": 2,
         }
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
-        film(policy, Path(folder, "film.gif"), steps=2)
-    make_env("maze", "raw", simulation="kinematic", observe=["laser", "camera"]).reset()
+        for movers in (None, {"people": 1, "boxes": 1}):
+            film(policy, Path(folder, "film.gif"), settings={"movers": movers}, steps=2)
+    env = make_env("maze", "raw", simulation="kinematic", observe=["laser", "camera"], movers={"people": 1})
+    env.reset()
+    env.step(0)
     posts = [(x / 10, 1.0, 0.01) for x in range(200)]  # enough to need a grid
     World.from_shapes("posts", posts=posts, start=(0.0, 0.0, 0.0)).clearance(0.0, 0.0)
     print("compiled; what comes next starts without")

@@ -109,4 +109,4 @@ def drive_by_keyboard(scene: Scene, seed: int, camera: str = "above") -> None:
             with closing(Window(scene, camera)) as window:
                 steer_in_terminal(teleop, window.show)
         else:
-            steer_in_terminal(teleop, lambda start, pose: True)
+            steer_in_terminal(teleop, lambda start, pose, movers: True)

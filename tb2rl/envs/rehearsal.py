@@ -69,10 +69,13 @@ def _at_rest(start: Start, setup: Setup) -> Reading:
     table, poses, twists = start.table.copy(), start.pose.copy(), np.zeros((_ROBOTS, 2))
     ranges = np.full((_ROBOTS, len(setup.laser.angles)), setup.laser.max_range)
     bumped, still, nearest = np.zeros(_ROBOTS, dtype=bool), np.zeros(_ROBOTS), ranges.min(axis=1)
-    for array in (table, poses, twists, ranges, bumped, still, nearest):
+    movers: tuple[np.ndarray, ...] = (
+        (np.zeros((_ROBOTS, 1, 6)), np.zeros(_ROBOTS, dtype=bool)) if setup.anything_moves else ()
+    )
+    for array in (table, poses, twists, ranges, bumped, still, nearest, *movers):
         array.flags.writeable = False
     truth = poses, twists
-    reading = Reading(*truth, *truth, ranges, bumped, twists, still, Start(table), _NothingInSight())
+    reading = Reading(*truth, *truth, ranges, bumped, twists, still, Start(table), _NothingInSight(), *movers)
     vars(reading)["nearest"] = nearest  # its compiled function would be compiled again for arrays of this kind
     return reading
 

@@ -24,6 +24,7 @@ from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Actions, Task
 from tb2rl.worlds import World
 from tb2rl.worlds.generators import Purpose
+from tb2rl.worlds.movers import check_number, find_movers
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,9 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
         sees = f"{robot.name}'s laser sees {robot.laser.field_of_view:.4g} rad"
         raise InputError(f"task.field_of_view cannot be {field:.4g}: {sees}")
     laser = replace(robot.laser, beams=beams, indices=task.beam_indices, noise=task.noise, field_of_view=field)
-    setup = Setup(robot, laser, worlds)
+    setup = Setup(robot, laser, worlds, movers=find_movers(task.movers, "task.movers"))
+    for number, world in enumerate(worlds):
+        check_number(setup.movers_in(number), f"world {world.name} and task.movers")
     _check_starts(task, robot, worlds)
     actions, sensors = rehearse(task, setup)
     encoding = encode(observation, sensors)

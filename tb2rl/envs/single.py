@@ -41,9 +41,9 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     | `pose` | true x [m], y [m], yaw [rad], shape (3,) |
     | `distance` | driven since the reset [m] |
     | `min_range` | shortest laser range [m] |
-    | `bumped` | whether the base touched a wall |
+    | `bumped` | whether the base touched a wall, or something that moves |
     | `is_success` | goal reached; for a task without a goal: the time limit reached |
-    | `ended` | why the episode is over: "crash", "goal", ..., "time limit"; "" while it goes on |
+    | `ended` | why the episode is over: "crash", "crash with something that moves", ..., "time limit"; else "" |
     | `failed` | whether it is over and counts as failed |
 
     Args:
@@ -122,7 +122,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         scene, reading = self.scene, self.reading
         world = scene.setup.worlds[int(reading.start.world[0])]
         picture = WorldPicture(world, scene.robot, scene.laser, reading.goal[0] if self.task.goal_task else None)
-        return picture.draw(reading.pose[0], reading.ranges[0], self.path)
+        movers = None if reading.movers is None else reading.movers[0]
+        return picture.draw(reading.pose[0], reading.ranges[0], self.path, movers)
 
     def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
         """Colours and depth [m] that the camera on the robot's front sees, see `BulletSimulation.camera`.

@@ -34,6 +34,9 @@ class Moment:
     total: float  # rewards since the reset
     info: Mapping[str, Any]  # of `TurtleBot2Env.step`; its "ended" says whether the episode is over, and why
     start: Start  # how the episode began: one robot's world, goal and bounds
+    # What moves, at its beginning and at its end: outlines as in `Reading.movers`, shape (movers, 6); None: nothing.
+    movers_before: np.ndarray | None = None
+    movers: np.ndarray | None = None
 
 
 def roll_out(
@@ -58,11 +61,17 @@ def roll_out(
         step, total, over = 0, 0.0, False
         remembered: dict[str, Any] = {}  # by a recurrent policy; others do not know the argument
         while not over:
-            before, step = info["pose"], step + 1
+            before, movers_before, step = info["pose"], _movers(env), step + 1
             action, memory = policy.predict(observation, deterministic=True, **remembered)
             remembered = {} if memory is None else {"state": memory}
             observation, reward, terminated, truncated, info = env.step(action)
             total += float(reward)
             over = terminated or truncated
             start = env.reading.start  # type: ignore[union-attr]
-            yield Moment(step, before, info["pose"], np.asarray(action), float(reward), total, info, start)
+            moving = movers_before, _movers(env)
+            yield Moment(step, before, info["pose"], np.asarray(action), float(reward), total, info, start, *moving)
+
+
+def _movers(env: TurtleBot2Env) -> np.ndarray | None:
+    reading = env.reading
+    return None if reading is None or reading.movers is None else reading.movers[0]

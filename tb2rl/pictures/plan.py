@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from PIL import Image, ImageDraw
 
-from tb2rl.pictures.above import draw_goal, draw_robot
+from tb2rl.pictures.above import draw_goal, draw_robot, draw_routes
 from tb2rl.pictures.canvas import Canvas
 from tb2rl.pictures.colours import FREE, LABEL, STRIP
 from tb2rl.robots import Robot
@@ -20,7 +20,7 @@ _TITLE = 18  # [px] height of a plan's name
 
 
 def draw_plan(world: World, robot: Robot) -> np.ndarray:
-    """A world from above, with the robot at the start, and all that its middle can get to.
+    """A world from above, with the robot at the start, all that its middle can get to, and the paths of movers.
 
     Returns:
         Shape (height, width, 3), uint8.
@@ -32,6 +32,7 @@ def draw_plan(world: World, robot: Robot) -> np.ndarray:
     # Triangles, because what can be reached has holes.
     for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(world.free_space(robot.radius))):
         canvas.polygon(triangle.exterior.coords, FREE)
+    draw_routes(canvas, world.movers)
     draw_goal(canvas, None if world.goal is None else world.goal[:2])
     draw_robot(canvas, robot, *world.start)
     return canvas.array()

@@ -9,7 +9,7 @@ from tb2rl.simulation import Reading
 
 
 class Bumper(Sensor):
-    """1 if the base touched a wall since the last reading, else 0."""
+    """1 if the base touched a wall, or something that moves, since the last reading, else 0."""
 
     name = "bumper"
     low, high = 0.0, 1.0

@@ -52,7 +52,7 @@ class ActionMap:
 def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     """What the greedy policy does, at rest, at places all over the free space and at headings all around.
 
-    Of several worlds it is the first.
+    Of several worlds it is the first, without what moves there.
 
     All places are seen at once, by the robots of the twin; None where it cannot show what a sensor reads.
 
@@ -67,7 +67,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     table: Any = policy.policy
     scene = scene.changed(noise=0.0)
     places, side = _places(scene.world, scene.robot.radius)
-    simulation = KinematicSimulation(scene.setup, len(places))
+    simulation = KinematicSimulation(scene.setup.without_movers(), len(places))
     actions, states = [], []
     for start in _starts(scene, places):
         reading = simulation.reset(start, np.random.default_rng(0))

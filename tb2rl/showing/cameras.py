@@ -11,6 +11,7 @@ from tb2rl.pictures.above import WorldPicture
 from tb2rl.showing.pictures import goal_of
 from tb2rl.showing.shots import Shot
 from tb2rl.simulation import Start, check_bullet
+from tb2rl.simulation.outlines import cast_all_at_movers
 from tb2rl.worlds.geometry import cast_many
 
 _CHASE_SIZE = (640, 360)  # [px]
@@ -43,7 +44,9 @@ class AboveCamera:
         if shot.moment.start is not self._start:
             self._begin(shot.moment.start)
         cast_many(shot.pose[None], np.zeros(1), *self._beams, *self._world.index, self._ranges)
-        return self._picture.draw(shot.pose, self._ranges[0], [*shot.path, shot.pose])
+        if shot.movers is not None:
+            cast_all_at_movers(shot.pose[None], *self._beams, shot.movers[None], self._ranges)
+        return self._picture.draw(shot.pose, self._ranges[0], [*shot.path, shot.pose], shot.movers)
 
     def _begin(self, start: Start) -> None:
         """Draw what stands still in an episode."""
@@ -69,7 +72,7 @@ class ChaseCamera:
     def picture(self, shot: Shot) -> np.ndarray:
         start = shot.moment.start
         self._stage.begin(int(start.world[0]), goal_of(self._task, start))
-        self._stage.place(shot.pose)
+        self._stage.place(shot.pose, shot.movers)
         return self._stage.chase(*_CHASE_SIZE)
 
     def close(self) -> None:

@@ -22,8 +22,9 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
 
 from tb2rl.judging.evaluation import Episode, Evaluation
-from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, PATH, START, WALL
+from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, MOVER, PATH, START, WALL
 from tb2rl.showing.curves import Curve, Family
+from tb2rl.tasks.outcome import MOVER_CRASH
 from tb2rl.worlds import World
 from tb2rl.worlds.world import box_shapes
 
@@ -77,6 +78,8 @@ def _draw_family(axes: Axes, family: Family, number: int) -> None:
 def draw_ways(evaluation: Evaluation) -> Markup:
     """The paths of episodes in their worlds, a dot at each start and a cross at the end of each that failed.
 
+    The cross has another colour where the robot crashed with something that moves; paths of such things are faint.
+
     Each world has a picture of its own; where there are many, see `shown_worlds`.
     """
     scene, together = evaluation.scene, shown_worlds(evaluation)
@@ -85,7 +88,11 @@ def draw_ways(evaluation: Evaluation) -> Markup:
         paths, own = [episode.path for episode in episodes], f"-{world}" * (len(together) > 1)
         axes.add_collection(LineCollection(paths, colors=PATH, linewidths=0.6, alpha=0.3, rasterized=True))
         _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
-        failures = [episode.path[-1] for episode in episodes if episode.failed]
+        for group in scene.setup.movers_in(world):
+            axes.plot(*np.reshape(group.route, (-1, 2)).T, color=MOVER, linewidth=1.2, alpha=0.3)
+        run_into = [episode.path[-1] for episode in episodes if episode.ended == MOVER_CRASH]
+        _mark(axes, run_into, s=22, color=MOVER, marker="x", linewidths=1.2, zorder=4, gid=f"run-into{own}")
+        failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended != MOVER_CRASH]
         _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
         goal = scene.goal_in(world)
         if goal is not None:

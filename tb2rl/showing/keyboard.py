@@ -48,6 +48,11 @@ class Teleop:
         elif self.command.any():
             self.news = f"as action {actions.describe(action)}: reward {outcome.reward[0]:+g}"
 
+    @property
+    def movers(self) -> np.ndarray | None:
+        """Outlines of what moves, see `Reading.movers`, shape (movers, 6); None: nothing does."""
+        return None if self.reading.movers is None else self.reading.movers[0]
+
     def lines(self, height: int) -> list[str]:
         """What the terminal shows on at most so many lines."""
         head = [
@@ -71,7 +76,8 @@ class Teleop:
         return self.env.simulation.step(self.command[None], self.scene.task.control_period)
 
     def _how_it_was(self) -> str:
-        return "touched a wall" if self.reading.bumped[0] else f"nearest {self.reading.nearest[0]:.2f} m"
+        touched = "something that moves" if self.reading.moving is not None and self.reading.moving[0] else "a wall"
+        return f"touched {touched}" if self.reading.bumped[0] else f"nearest {self.reading.nearest[0]:.2f} m"
 
 
 def steered(robot: Robot, command: np.ndarray, key: str) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tb2rl.envs.scene import Scene
-from tb2rl.pictures.above import draw_goal
+from tb2rl.pictures.above import draw_goal, draw_routes
 from tb2rl.pictures.canvas import Canvas
 from tb2rl.pictures.colours import FAILED, PATH, START
 from tb2rl.simulation import Start
@@ -17,7 +17,7 @@ from tb2rl.tasks import Task
 def draw_paths(
     scene: Scene, paths: Sequence[np.ndarray], failed: Sequence[bool], worlds: Sequence[int] | None = None
 ) -> np.ndarray:
-    """The paths of episodes, a dot at each start and a red one at the end of each that failed.
+    """The paths of episodes, a dot at each start, a red one at the end of each that failed; movers' paths are faint.
 
     Args:
         scene: Where they drove.
@@ -37,6 +37,7 @@ def draw_paths(
 def _draw_in(scene: Scene, world: int, driven: Sequence[tuple[np.ndarray, bool]]) -> np.ndarray:
     """The paths in one world, each with whether it failed."""
     canvas = Canvas(scene.setup.worlds[world])
+    draw_routes(canvas, scene.setup.movers_in(world))
     draw_goal(canvas, scene.goal_in(world))
     for path, _ in driven:
         if len(path) > 1:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tb2rl.judging.rollout import Moment
+from tb2rl.simulation.outlines import X, Y
 
 _HOLD = 1.0  # [s] that the end of an episode stays to be seen
 
@@ -22,10 +23,11 @@ class Shot:
     pose: np.ndarray  # x [m], y [m], yaw [rad], shape (3,)
     time: float  # since the reset [s]
     over: bool  # whether the episode is
+    movers: np.ndarray | None = None  # outlines as in `Reading.movers`, shape (movers, 6); None: nothing moves
 
 
 def shots(moments: Iterable[Moment], period: float, rate: float, speed: float = 1.0) -> Iterator[Shot]:
-    """Show an episode; its end stays for a while. Between control steps the robot moves on a straight line.
+    """Show an episode; its end stays for a while. Between control steps all moves on straight lines.
 
     Args:
         moments: Its control steps.
@@ -40,10 +42,11 @@ def shots(moments: Iterable[Moment], period: float, rate: float, speed: float = 
         end = moment.step * period
         while (instant := count * speed / rate) < end - 1e-9:
             share = instant / period - (moment.step - 1)
-            yield Shot(moment, path, between(moment.before, moment.pose, share), instant, over=False)
+            pose, movers = between(moment.before, moment.pose, share), movers_between(moment, share)
+            yield Shot(moment, path, pose, instant, over=False, movers=movers)
             count += 1
         if moment.info["ended"]:
-            yield from [Shot(moment, path, moment.pose, end, over=True)] * round(_HOLD * rate)
+            yield from [Shot(moment, path, moment.pose, end, True, moment.movers)] * round(_HOLD * rate)
 
 
 def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
@@ -51,6 +54,15 @@ def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
     way = after - before
     way[2] = math.remainder(way[2], math.tau)
     return before + share * way
+
+
+def movers_between(moment: Moment, share: float) -> np.ndarray | None:
+    """The outlines (movers, 6) a `share` of the way through a control step; they look where they look at its end."""
+    if moment.movers_before is None or moment.movers is None:
+        return None
+    outlines = moment.movers.copy()
+    outlines[:, [X, Y]] = (1 - share) * moment.movers_before[:, [X, Y]] + share * moment.movers[:, [X, Y]]
+    return outlines
 
 
 def speeds(before: np.ndarray, after: np.ndarray, period: float) -> tuple[float, float]:

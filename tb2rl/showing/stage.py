@@ -17,6 +17,7 @@ from tb2rl.showing.floor import EYE, FIELD_OF_VIEW, TARGET, draw_floor
 from tb2rl.simulation import Setup
 from tb2rl.simulation.bodies import add_floor, add_robot, add_walls, connect
 from tb2rl.simulation.camera import take_picture
+from tb2rl.simulation.crowd import MoverBodies
 from tb2rl.simulation.physics import pybullet, quiet
 
 _REACH = (0.05, 30.0)  # [m] nearest and farthest that the chase camera sees
@@ -24,7 +25,7 @@ _GOAL_COLOUR = (0.42, 0.75, 0.29, 1.0)
 
 
 class Stage:
-    """One world at a time, the robot, and a disc on the floor for the goal.
+    """One world at a time, the robot, what moves, and a disc on the floor for the goal.
 
     Args:
         setup: The robot and the worlds.
@@ -42,6 +43,7 @@ class Stage:
             floor = add_floor(self._client)
             self._walls = add_walls(self._client, self._worlds[0])
             self._robot = add_robot(self._client, setup.robot)
+            self._movers = MoverBodies(self._client)
         if window:
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
             self._look_at_all(setup.worlds[0].bounds)
@@ -64,9 +66,10 @@ class Stage:
                 pybullet.removeBody(self._disc, self._client)
             self._goal, self._disc = goal, -1 if np.isnan(goal).any() else self._add_disc(goal)
 
-    def place(self, pose: np.ndarray) -> None:
-        """Put the robot at a pose (3,)."""
+    def place(self, pose: np.ndarray, movers: np.ndarray | None = None) -> None:
+        """Put the robot at a pose (3,), and movers where their outlines are, see `Reading.movers`, (movers, 6)."""
         self._robot.place(pose)
+        self._movers.place(np.empty((0, 6)) if movers is None else movers)
 
     def follow(self) -> None:
         """Turn the window's view to look over the robot's shoulder."""
@@ -119,7 +122,7 @@ def show(connection: Connection, setup: Setup, follow: bool) -> None:
 
     Args:
         connection: Sends True once the window is open, then receives what `Stage.begin` and `Stage.place` take, as
-            tuples of the world's index, the goal (2,) and the pose (3,), and None to close the window.
+            tuples of the world's index, the goal (2,), the pose (3,) and the movers, and None to close the window.
         setup: The robot and the worlds.
         follow: Look over the robot's shoulder instead of at the whole world.
     """
@@ -128,9 +131,9 @@ def show(connection: Connection, setup: Setup, follow: bool) -> None:
         connection.send(True)
         shown = connection.recv()
         while shown is not None and stage.is_open:
-            world, goal, pose = shown
+            world, goal, pose, movers = shown
             stage.begin(world, goal)
-            stage.place(pose)
+            stage.place(pose, movers)
             if follow:
                 stage.follow()
             shown = connection.recv()

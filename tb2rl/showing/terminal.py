@@ -13,7 +13,8 @@ from tb2rl.errors import InputError
 from tb2rl.showing.keyboard import Teleop
 from tb2rl.simulation import Start
 
-Show = Callable[[Start, np.ndarray], bool]  # of the start of the episode and a pose (3,); False: it is over
+# Of the start of the episode, a pose (3,) and the movers (movers, 6) or None; False: it is over.
+Show = Callable[[Start, np.ndarray, np.ndarray | None], bool]
 
 
 def steer_in_terminal(teleop: Teleop, show: Show) -> None:
@@ -34,7 +35,7 @@ def steer_in_terminal(teleop: Teleop, show: Show) -> None:
 
 def _steer(terminal: Any, teleop: Teleop, show: Show) -> None:
     due = time.monotonic()
-    while show(teleop.reading.start, teleop.reading.pose[0]):
+    while show(teleop.reading.start, teleop.reading.pose[0], teleop.movers):
         _write(terminal, teleop.lines(terminal.getmaxyx()[0]))
         due = max(due + teleop.scene.task.control_period, time.monotonic())
         for key in _keys_until(terminal, due):

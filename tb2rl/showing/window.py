@@ -52,10 +52,13 @@ class Window:
                 "and without the variable DISPLAY nothing asks for a window"
             )
 
-    def show(self, start: Start, pose: np.ndarray) -> bool:
-        """Show the robot at a pose (3,) of the episode that began so; False once the user has closed the window."""
+    def show(self, start: Start, pose: np.ndarray, movers: np.ndarray | None = None) -> bool:
+        """Show the robot at a pose (3,) of the episode that began so; False once the user has closed the window.
+
+        `movers` (movers, 6) are the outlines of what moves, see `Reading.movers`.
+        """
         try:
-            self._pipe.send((int(start.world[0]), goal_of(self._task, start), pose))
+            self._pipe.send((int(start.world[0]), goal_of(self._task, start), pose, movers))
         except OSError:
             return False
         return True
@@ -94,7 +97,7 @@ def watch(drives: Iterable[Iterator[Moment]], period: float, window: Window, spe
     for moments in drives:
         due = time.monotonic()
         for shot in shots(moments, period, _RATE, speed):
-            if not window.show(shot.moment.start, shot.pose):
+            if not window.show(shot.moment.start, shot.pose, shot.movers):
                 return
             due += 1 / _RATE
             time.sleep(max(0.0, due - time.monotonic()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,17 +20,15 @@ FLOOR_FRICTION = 1.0  # rubber on a dry floor
 WHEEL_FRICTION = 1.0  # times that of the floor
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
 WALL_GROUP = 2  # of collisions: what laser rays are to hit
-_MOVING_GROUP = 1  # PyBullet's own, of what moves: else each wall would be held against the floor in every step
+TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
+MOVING_GROUP = 1  # PyBullet's own, of what moves: else each wall would be held against the floor in every step
 _SHAPES = 16  # of one body; PyBullet drops all that are beyond without a word
 _ALIKE = 0.01  # share by which a robot's number and its URDF file's may differ
 _SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
 
 
 def connect(window: bool) -> int:
-    """A new PyBullet client with gravity and the solver set, with PyBullet's window or without.
-
-    The direct solver (Dantzig's, for the exact linear complementarity problem) holds the wheel speeds that the usual
-    iterative one misses, at a fifth of its cost.
+    """A new PyBullet client, see `clear`, with PyBullet's window or without.
 
     Raises:
         InputError: If there is no display for a window.
@@ -37,11 +36,21 @@ def connect(window: bool) -> int:
     if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise InputError("render_mode 'human' opens a window, and there is no display; use 'rgb_array'")
     client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
+    clear(client)
+    return client
+
+
+def clear(client: int) -> None:
+    """Take all bodies out of a client, and set gravity and the solver.
+
+    The direct solver (Dantzig's, for the exact linear complementarity problem) holds the wheel speeds that the usual
+    iterative one misses, at a fifth of its cost.
+    """
+    pybullet.resetSimulation(physicsClientId=client)
     pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(
         constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG, globalCFM=_SOFTNESS, physicsClientId=client
     )
-    return client
 
 
 def add_floor(client: int) -> int:
@@ -84,7 +93,7 @@ def add_walls(client: int, world: World) -> tuple[int, ...]:
         # Maximal coordinates: as a plain body that does not move, no step of the physics goes through it.
         body = pybullet.createMultiBody(0.0, collision, visual, useMaximalCoordinates=True, physicsClientId=client)
         bodies.append(body)
-        pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, _MOVING_GROUP, physicsClientId=client)
+        pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, MOVING_GROUP, physicsClientId=client)
     return tuple(bodies)
 
 
@@ -141,6 +150,18 @@ class RobotBody:
         for wheel in self.wheels:
             pybullet.changeDynamics(
                 self.body, wheel, lateralFriction=friction * WHEEL_FRICTION, physicsClientId=self.client
+            )
+
+    def turn_wheels(self, rates: Sequence[float], torque: float) -> None:
+        """Tell the wheels' motors how fast to turn [rad/s], and how hard they may push [N m]."""
+        for wheel, rate in zip(self.wheels, rates, strict=True):
+            pybullet.setJointMotorControl2(
+                self.body,
+                wheel,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocity=rate,
+                force=torque,
+                physicsClientId=self.client,
             )
 
     def place(self, pose: np.ndarray) -> None:

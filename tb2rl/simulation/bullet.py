@@ -11,9 +11,10 @@ import numpy as np
 
 from tb2rl.errors import InputError
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
-from tb2rl.simulation.bodies import WALL_GROUP, add_floor, add_robot, add_walls, connect
+from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect
 from tb2rl.simulation.camera import look_ahead
-from tb2rl.simulation.odometry import believed, is_exact
+from tb2rl.simulation.crowd import Crowd
+from tb2rl.simulation.odometry import count_wheels, is_exact
 from tb2rl.simulation.physics import pybullet, quiet
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.scan import Scanner
@@ -22,7 +23,6 @@ from tb2rl.simulation.start import Start
 from tb2rl.worlds.world import WALL_HEIGHT
 
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
-TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
 _OF_THE_CLIENT = {"_client", "_walls", "_body", "_robot", "_wheels", "_duration", "_steps"}
 _AT_REST = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -46,7 +46,8 @@ class BulletSimulation:
         self._world_number, self.world = 0, setup.worlds[0]
         self._scanner = Scanner(setup.laser)
         self._rng = np.random.default_rng()
-        self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels
+        self._crowd = Crowd(setup)
+        self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels; the movers' state
         self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
         self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), 0.0  # of the last reading
         self._open()
@@ -57,14 +58,19 @@ class BulletSimulation:
         with quiet():
             self._client = connect(self._window)
             try:
-                add_floor(self._client)
-                self._walls = add_walls(self._client, self.world)
-                self._body = add_robot(self._client, self.setup.robot)
+                self._build()
             except InputError:
                 self.close()
                 raise
+
+    def _build(self) -> None:
+        """Always all of it: what touches rounds by which bodies were there before, so to exchange some is not exact."""
+        add_floor(self._client)
+        self._walls = add_walls(self._client, self.world)
+        self._body = add_robot(self._client, self.setup.robot)
         self._robot, self._wheels = self._body.body, self._body.wheels
         self._duration, self._steps = 0.0, 0
+        self._crowd.join(self._client)
 
     # ---- copies, and what a process is sent: no two of them share a client
 
@@ -74,17 +80,18 @@ class BulletSimulation:
         return vars(self).copy()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Drive the same way again, in a client of its own: to read the physics out and write it back would round.
-
-        The physics depends on nothing but where the robot was put and what its wheels were told since.
-        """
+        """Drive the same way again, in a client of its own: to read the physics out and write it back would round."""
+        # All depends on where it was put and what its wheels were told since, but for the last digits of a drive in 300
+        # among posts side by side: whatever was touched at once in an earlier episode in this world counts, too.
         vars(self).update(state)
         if self._client < 0:
             return
         self._open()
         self._body.weigh(*self._start.table[0, [MASS, FRICTION]].tolist())
         if self._put_at is not None:
-            self._put(*self._put_at)
+            *where, crowd = self._put_at
+            self._crowd.restore(crowd, self._start)
+            self._put(*where)
             for commands, duration in state["_driven"]:
                 self._set_duration(duration)
                 self.set_wheel_speeds(commands)
@@ -99,13 +106,13 @@ class BulletSimulation:
         self._begin(start)
         self._rng = rng
         x, y, yaw = map(float, start.pose[0])
-        position, orientation = self._body.frame_at(x, y, yaw)
-        self._put(position, orientation, _AT_REST, ((0.0, 0.0), (0.0, 0.0)))
+        self._crowd.begin(start, self.world)
+        self._put(*self._body.frame_at(x, y, yaw), _AT_REST, ((0.0, 0.0), (0.0, 0.0)))
         self._odometry = (x, y, yaw)
-        return Reading.of_one(self._sense(bumped=False), self._start, self)
+        return Reading.of_one(self._sense(), self._start, self)
 
-    def _begin(self, start: Start) -> None:
-        """Make the world and the robot those of an episode.
+    def _begin(self, start: Start, anew: bool = False) -> None:
+        """Make the world and the robot those of an episode; `anew`: build them again even if they are there.
 
         Raises:
             InputError: If the robot is to have another radius than in its URDF file.
@@ -113,6 +120,12 @@ class BulletSimulation:
         own, wanted = self.setup.robot.parameters, start.parameters[0]
         if wanted[RADIUS] != own[RADIUS]:
             raise InputError("PyBullet takes the robot's radius from its URDF file alone")
+        if anew or start.world[0] != self._world_number:
+            self._world_number = int(start.world[0])
+            self.world = self.setup.worlds[self._world_number]
+            with quiet():
+                clear(self._client)  # which takes half of the time of another client
+                self._build()
         self._start, self._exact = start, is_exact(start)
         self._max_speed, self._max_turn_rate = float(wanted[MAX_SPEED]), float(wanted[MAX_TURN_RATE])
         # A loaded body keeps its wheels: told other speeds, they move it as the wheels of the episode would.
@@ -120,12 +133,6 @@ class BulletSimulation:
         self._turn = self._wheel * float(start.table[0, BELIEVED_SEPARATION])
         self._body.weigh(*start.table[0, [MASS, FRICTION]].tolist())
         self._torque = self.setup.robot.wheel_torque * float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
-        if start.world[0] != self._world_number:
-            for body in self._walls:
-                pybullet.removeBody(body, self._client)
-            self._world_number = int(start.world[0])
-            self.world = self.setup.worlds[self._world_number]
-            self._walls = add_walls(self._client, self.world)
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         return Reading.of_one(self.drive(commands, duration), self._start, self)
@@ -135,12 +142,12 @@ class BulletSimulation:
         self._driven.append((commands.copy(), duration))
         self._set_duration(duration)
         self.set_wheel_speeds(commands)
-        free, bumped = self._free_steps(duration), False
-        self.advance(free)
-        for _ in range(free, self._steps):  # near a wall: a touch may be shorter than a control step
-            pybullet.stepSimulation(self._client)
-            bumped = bumped or self._touches_a_wall()
-        return self._sense(bumped)
+        free, at_wall = self._free_steps(duration), False
+        at_mover = self.advance(free)
+        for number in range(free, self._steps):  # near a wall: a touch may be shorter than a control step
+            at_mover = self.advance(1, number) or at_mover
+            at_wall = at_wall or self._touches_a_wall()
+        return self._sense(at_wall, at_mover)
 
     def _free_steps(self, duration: float) -> int:
         """How many physics steps of the control step cannot take the robot to a wall, even at its top speed."""
@@ -154,31 +161,31 @@ class BulletSimulation:
         v = min(max(v, -self._max_speed), self._max_speed) * self._wheel
         w = min(max(w, -self._max_turn_rate), self._max_turn_rate) * self._turn
         reach = w * robot.wheel_separation / 2
-        for wheel, speed in zip(self._wheels, (v - reach, v + reach), strict=True):
-            pybullet.setJointMotorControl2(
-                self._robot,
-                wheel,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocity=speed / robot.wheel_radius,
-                force=self._torque,
-                physicsClientId=self._client,
-            )
+        self._body.turn_wheels([speed / robot.wheel_radius for speed in (v - reach, v + reach)], self._torque)
 
-    def advance(self, steps: int | None = None) -> None:
-        """Run so many steps of the physics, None: for the duration last set.
+    def advance(self, steps: int | None = None, first: int = 0) -> bool:
+        """Run so many steps of the physics, None: for the duration last set; the first has number `first` in it.
 
         The bare stepping that `benchmark` compares `step` with.
+
+        Returns:
+            Whether something that moves has run into the robot.
         """
-        client, step = self._client, pybullet.stepSimulation
-        for _ in range(self._steps if steps is None else steps):
-            step(client)
+        steps = self._steps if steps is None else steps
+        if self._crowd.movers is not None:
+            told = self._duration / self._steps, self._body, self._start, self.world
+            return self._crowd.advance(first, first + steps, self._steps, *told)
+        for _ in range(steps):
+            pybullet.stepSimulation(self._client)
+        return False
 
     def state(self) -> dict[str, Any]:
-        """Base and wheels of the robot, what its sensors remember, and the start of the episode."""
+        """Base and wheels of the robot, what its sensors remember, the start of the episode, and what moves."""
         position, orientation = pybullet.getBasePositionAndOrientation(self._robot, self._client)
         velocity = pybullet.getBaseVelocity(self._robot, self._client)
         wheels = tuple(joint[:2] for joint in self._joint_states())
         # PyBullet rounds what it is given, so that without this a restored robot would differ from the present one.
+        self._begin(self._start, anew=True)
         self._put(position, orientation, velocity, wheels)
         return {
             "position": position,
@@ -191,22 +198,25 @@ class BulletSimulation:
             "acceleration": np.array([self._acceleration]),
             "generator": self._rng.bit_generator.state,
             "start": self._start.table.copy(),
+            **self._crowd.state(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> Reading:
         start = Start(np.array(state["start"]))
         self.setup.check_table(start.table)
-        self._begin(start)
+        self._begin(start, anew=True)
+        self._crowd.restore(state, start)
         self._put(state["position"], state["orientation"], state["velocity"], state["wheels"])
         self._odometry = tuple(state["odometry"])
-        reading = Reading.of_one(self._sense(bumped=False), start, self)
+        reading = Reading.of_one(self._sense(), start, self)
         self._rng.bit_generator.state = dict(state["generator"])
         self._speed = float(state["speed"])
         self._command, self._acceleration = state["command"].copy(), float(state["acceleration"][0])
         return replace(reading, command=self._command, acceleration=np.array([self._acceleration]))
 
     def _put(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
-        self._put_at, self._driven = (position, orientation, velocity, wheels), []
+        self._put_at, self._driven = (position, orientation, velocity, wheels, self._crowd.state()), []
+        self._crowd.place()
         pybullet.resetBasePositionAndOrientation(self._robot, (0.0, 0.0, 100.0), (0.0, 0.0, 0.0, 1.0), self._client)
         pybullet.performCollisionDetection(self._client)  # forgets the contacts of where it was
         pybullet.resetBasePositionAndOrientation(self._robot, position, orientation, self._client)
@@ -222,36 +232,28 @@ class BulletSimulation:
 
     # ---- sensors
 
-    def _sense(self, bumped: bool) -> tuple[Any, ...]:
+    def _sense(self, at_wall: bool = False, at_mover: bool = False) -> tuple[Any, ...]:
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._robot, self._client)
         x, y, yaw = pose = self._body.pose()
         self._place = x, y
-        ranges = self._scanner.scan(pose, self.world, self._start, self._rng)
+        movers = self._crowd.outlines
+        ranges, moving = self._scanner.scan(pose, self.world, self._start, self._rng, movers)
         earlier, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
         command, duration = self._driven[-1] if self._driven else (np.zeros((1, 2)), math.inf)
         self._command, self._acceleration = command, (self._speed - earlier) / duration
-        twist = self._speed, turn_rate
-        return pose, twist, *self._count_wheels(), ranges[0], bumped, command[0], self._acceleration
+        twist, bumped = (self._speed, turn_rate), at_wall or at_mover
+        sensed = pose, twist, *self._count_wheels(), ranges[0], bumped, command[0], self._acceleration
+        return sensed if movers is None else (*sensed, movers[0], at_mover or (moving and not at_wall))
 
     def _count_wheels(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
         """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give; and its speeds."""
-        robot = self.setup.robot
-        (left, left_rate), (right, right_rate) = (joint[:2] for joint in self._joint_states())
-        step_left = (left - self._angles[0]) * robot.wheel_radius
-        step_right = (right - self._angles[1]) * robot.wheel_radius
-        self._angles = (left, right)
-        x, y, yaw = self._odometry
-        length, turn = (step_left + step_right) / 2, (step_right - step_left) / robot.wheel_separation
-        rims = left_rate * robot.wheel_radius, right_rate * robot.wheel_radius
-        v, w = sum(rims) / 2, (rims[1] - rims[0]) / robot.wheel_separation
-        if not self._exact:
-            (length, turn), (v, w) = believed(np.array([(length, turn), (v, w)]), self._start).tolist()
-        if turn:
-            length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
-        heading = yaw + turn / 2
-        yaw = math.remainder(yaw + turn, math.tau)
-        self._odometry = (x + length * math.cos(heading), y + length * math.sin(heading), yaw)
-        return self._odometry, (v, w)
+        radius, joints, earlier = self.setup.robot.wheel_radius, self._joint_states(), self._angles
+        self._angles = tuple(joint[0] for joint in joints)
+        ways = [(joint[0] - angle) * radius for joint, angle in zip(joints, earlier, strict=True)]
+        left, right = ((way, joint[1] * radius) for way, joint in zip(ways, joints, strict=True))
+        start = None if self._exact else self._start
+        self._odometry, twist = count_wheels(self._odometry, left, right, self.setup.robot.wheel_separation, start)
+        return self._odometry, twist
 
     def _joint_states(self) -> tuple:
         return pybullet.getJointStates(self._robot, self._wheels, self._client)

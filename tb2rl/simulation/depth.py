@@ -1,4 +1,4 @@
-"""The depth camera of the fast twin: all walls are equally high, so each column of pixels needs one planar ray."""
+"""The depth camera of the fast twin: walls and movers are equally high, so a column of pixels needs one planar ray."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from tb2rl.compiled import njit
 from tb2rl.robots import Camera
+from tb2rl.simulation.outlines import cast_all_at_movers
 from tb2rl.worlds.geometry import cast_many
 from tb2rl.worlds.index import Index
 from tb2rl.worlds.world import WALL_HEIGHT
@@ -20,6 +21,7 @@ def depth_images(
     index: Index,
     width: int,
     height: int,
+    movers: np.ndarray | None = None,
 ) -> np.ndarray:
     """What the cameras of robots see that look along x from below the top of the walls.
 
@@ -29,6 +31,7 @@ def depth_images(
         world_of: The world of each, shape (robots,).
         index: Of all worlds.
         width, height: Of an image [px].
+        movers: What moves, see `Reading.movers`; as high as the walls.
 
     Returns:
         Depth along the optical axis [m], shape (robots, height, width), float32; inf beyond the camera's range.
@@ -44,6 +47,8 @@ def depth_images(
     along = 1.0 / np.hypot(1.0, leftward)  # the cosine of each ray's angle
     walls = np.empty((len(eyes), width))
     cast_many(eyes, world_of, along, along * leftward, *index, walls)
+    if movers is not None:
+        cast_all_at_movers(eyes, along, along * leftward, movers, walls)
     walls *= along
     images = np.empty((len(eyes), height, width), dtype=np.float32)
     _fill(walls, upward, up, camera.range[1], images)

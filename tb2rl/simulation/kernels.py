@@ -1,7 +1,7 @@
 """The compiled motion of the fast twin.
 
 Arrays of all robots: poses (robots, 3) x [m], y [m], yaw [rad]; rims (robots, 2), speeds of the left and the right
-wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 30), the columns of
+wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 31), the columns of
 `tb2rl.simulation.setup`, among them each robot's parameters and its flaws; boxes, posts, parts and lists, the
 `Index` of all worlds.
 """
@@ -14,6 +14,7 @@ import numpy as np
 
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.robots import robot
+from tb2rl.simulation.outlines import cast_at_movers
 from tb2rl.simulation.setup import (
     BELIEVED_SEPARATION,
     BIAS,
@@ -23,7 +24,6 @@ from tb2rl.simulation.setup import (
     PARAMETERS,
     PHYSICS_RATE,
     WHEEL,
-    WORLD,
 )
 from tb2rl.simulation.streams import normal, uniform
 from tb2rl.worlds.geometry import cast_one, clearance_one, limit_ranges
@@ -168,7 +168,8 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
 def sense(
-    poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges
+    poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges,
+    movers=None, moving=None,
 ):  # fmt: skip
     """The laser of robot `i`.
 
@@ -182,6 +183,8 @@ def sense(
         streams: Key of each robot's stream of random numbers, and how often it has read, shape (robots, 2), uint64.
         over_x, over_y: Room to calculate in, shape (beams,).
         ranges: Of all robots; its row is the result [m], shape (robots, beams).
+        movers: Of all robots, see `tb2rl.simulation.outlines`; None: nothing moves.
+        moving: Whether what is nearest to each robot is one of them, shape (robots,): its row is a result.
     """
     x, y, yaw, beams = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
     east, north = starts[i, MOUNT_X], starts[i, MOUNT_Y]
@@ -189,6 +192,8 @@ def sense(
         x, y = x + east * math.cos(yaw) - north * math.sin(yaw), y + east * math.sin(yaw) + north * math.cos(yaw)
     yaw += starts[i, MOUNT_YAW]
     cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, i)
+    if movers is not None:
+        moving[i] = cast_at_movers(x, y, yaw, cos_beams, sin_beams, movers, i, ranges, i)
     noise, bias, dropped = starts[i, NOISE], starts[i, BIAS], starts[i, DROPPED]
     noise = limits[0] if noise < 0.0 else noise
     first = streams[i, 1] * np.uint64(beams)
@@ -203,68 +208,3 @@ def sense(
         for beam in range(beams):
             if uniform(streams[i, 0] ^ _EMPTY, first + np.uint64(beam)) < dropped:
                 ranges[i, beam] = np.inf
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def step_robots(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, cos_beams, sin_beams, limits,
-    streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges,
-):  # fmt: skip
-    """`step_block`, with room to calculate in: arrays that a loop's own function made are counted in every turn."""
-    for i in range(first, last):
-        world = int(starts[i, WORLD])
-        x, y, earlier = poses[i, 0], poses[i, 1], 0.5 * (rims[i, 0] + rims[i, 1])
-        bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways)
-        moved[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
-        twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
-        twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
-        accelerations[i] = (twists[i, 0] - earlier) / duration
-        streams[i, 1] += np.uint64(1)
-        sense(
-            poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y,
-            ranges,
-        )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def step_block(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
-    twists, ways, moved, accelerations, bumped, ranges,
-):  # fmt: skip
-    """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
-
-    `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
-    Results are `twists` (robots, 2) v and w [m/s, rad/s], `ways` (robots, 2) as in `move`, `moved` (robots,) how far
-    from where it was [m], `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges`
-    (robots, beams) [m].
-    """
-    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
-    step_robots(
-        first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
-        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges,
-    )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def sense_some(robots, poses, starts, boxes, posts, parts, lists, beams, limits, streams, ranges):
-    """The laser of the robots with the indices `robots` (n,), into their rows of `ranges` (robots, beams)."""
-    cos_beams, sin_beams = beams[0], beams[1]
-    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
-    for i in robots:
-        sense(
-            poses,
-            starts,
-            i,
-            cos_beams,
-            sin_beams,
-            boxes,
-            posts,
-            parts,
-            lists,
-            int(starts[i, WORLD]),
-            limits,
-            streams,
-            over_x,
-            over_y,
-            ranges,
-        )

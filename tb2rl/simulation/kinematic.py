@@ -14,15 +14,17 @@ import numpy as np
 
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, WHEEL_SEPARATION
 from tb2rl.simulation.depth import depth_images
-from tb2rl.simulation.kernels import sense_some, step_block
+from tb2rl.simulation.movers import movers_of
 from tb2rl.simulation.odometry import believed, count_on, is_exact
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import BELIEVED_SEPARATION, WHEEL, Setup
 from tb2rl.simulation.start import Start
+from tb2rl.simulation.stepping import sense_some, step_block, step_block_among
 from tb2rl.simulation.threads import share_out
 from tb2rl.worlds.index import join
 
 ROBOT, BEAM = 0.25e-6, 4e-9  # [s] what a step costs a thread, for each robot and for each of its beams
+MOVER = 2e-6  # [s] and for each mover
 WAKING = 0.06e-3  # [s] until another thread has begun
 WORTH_THREADS = 0.25e-3  # [s] of work; to wake a thread costs 0.1 ms, and more on a busy machine
 
@@ -53,6 +55,8 @@ class KinematicSimulation:
         self._twists, self._commands = np.zeros((robots, 2)), np.zeros((robots, 2))
         self._accelerations = np.zeros(robots)
         self._odometry: np.ndarray | None = None  # None: the wheels are what they should be, so it is the truth
+        self._movers = movers_of(setup, robots)
+        self._moving = np.zeros(robots, dtype=bool)
 
     def reset(self, start: Start, rng: np.random.Generator) -> Reading:
         self._start = start
@@ -62,6 +66,8 @@ class KinematicSimulation:
         self._odometry = None if is_exact(start) else self._poses.copy()
         self._streams = np.zeros((self.robots, 2), dtype=np.uint64)
         self._streams[:, 0] = rng.integers(2**64, size=self.robots, dtype=np.uint64)
+        self._renew_movers()
+        self._begin_movers(np.arange(self.robots), start)
         return self._look()
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
@@ -70,6 +76,7 @@ class KinematicSimulation:
         moved, accelerations = np.empty(self.robots), np.empty(self.robots)
         bumped, ranges = np.empty(self.robots, dtype=bool), np.empty((self.robots, self._beams.shape[1]))
         commands = np.array(commands, dtype=float, order="C")  # a copy: an episode that ends overwrites it
+        self._renew_movers()
         self.advance(poses, rims, commands, duration, twists, ways, moved, accelerations, bumped, ranges)
         self._poses, self._rims, self._bumped, self.moved = poses, rims, bumped, moved
         self._twists, self._commands, self._accelerations = twists, commands, accelerations
@@ -90,19 +97,23 @@ class KinematicSimulation:
         bumped: np.ndarray,
         ranges: np.ndarray,
     ) -> None:
-        """The compiled work of a step alone, into the caller's arrays (see `kernels.step_block`).
+        """The compiled work of a step alone, into the caller's arrays (see `stepping.step_block`).
 
-        For `step` and the benchmark.
+        For `step` and the benchmark. The movers are not the caller's: they are where they were, and go on from there.
         """
-        data = (
+        data: tuple[Any, ...] = (
             poses, rims, commands, duration, self._start.table, *self._index, self._beams, self._limits, self._streams,
             twists, ways, moved, accelerations, bumped, ranges,
         )  # fmt: skip
-        cost = ROBOT + BEAM * ranges.shape[1]
+        cost, work = ROBOT + BEAM * ranges.shape[1], step_block
+        if self._movers is not None:
+            work = step_block_among
+            data += (self._movers.table, self._movers.walks, self._movers.routes, self._moving)
+            cost += MOVER * self._movers.table.shape[1]
         if self.robots * cost > WORTH_THREADS:
-            share_out(step_block, self.robots, int(WAKING / cost), *data)
+            share_out(work, self.robots, int(WAKING / cost), *data)
         else:
-            step_block(0, self.robots, *data)
+            work(0, self.robots, *data)
 
     def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
         """Begin new episodes of the robots with indices `robots` (n,), and write them into the last reading.
@@ -124,25 +135,28 @@ class KinematicSimulation:
             self._odometry = self._poses.copy()
         for array in (self._twists, self._commands, self._accelerations, self._bumped):
             array[robots] = 0
+        self._begin_movers(robots, start)
         self._sense(robots, reading.ranges)
         # Cut out of the reading of all, array by array, it would take four times as long. They all stand.
         still, untouched, steady = np.zeros((len(robots), 2)), np.zeros(len(robots), dtype=bool), np.zeros(len(robots))
         truth, ranges = (start.pose, still), reading.ranges[robots]
-        first = Reading(*truth, *truth, ranges, untouched, still, steady, start, self)
+        first = Reading(*truth, *truth, ranges, untouched, still, steady, start, self, *self._seen(robots))
         return self._reading(reading.ranges), first
 
     def state(self) -> dict[str, Any]:
-        """Poses, rim speeds, random streams and starts of all robots."""
+        """Poses, rim speeds, random streams and starts of all robots, and what moves beside them."""
         now = {"poses": self._poses, "rims": self._rims, "streams": self._streams, "bumped": self._bumped}
         now |= {"commands": self._commands, "accelerations": self._accelerations}
         now["odometry"] = self._poses if self._odometry is None else self._odometry
-        return {**{name: array.copy() for name, array in now.items()}, "start": self._start.table.copy()}
+        moving = {} if self._movers is None else {"movers": self._movers.state()}
+        return {**{name: array.copy() for name, array in now.items()}, "start": self._start.table.copy(), **moving}
 
     def restore(self, state: Mapping[str, Any]) -> Reading:
         """Go on from a state.
 
         Raises:
-            ValueError: If it names a world that is not there, or robots so fast that a step would not end.
+            ValueError: If it names a world that is not there, robots so fast that a step would not end, or
+                other movers.
         """
         start = Start(np.array(state["start"]))
         self.setup.check_table(start.table)
@@ -151,6 +165,9 @@ class KinematicSimulation:
         fastest = table[:, WHEEL] * (robot[:, MAX_SPEED] + reach)
         if not (np.abs(state["rims"]) <= 1.01 * fastest[:, None]).all():
             raise ValueError("the wheels turn faster than they can")
+        if self._movers is not None:
+            self._movers.restore(state["movers"], start)
+            self._renew_movers()
         self._start = start
         self._poses, self._rims = state["poses"].copy(), state["rims"].copy()
         self._streams, self._bumped = state["streams"].copy(), state["bumped"].copy()
@@ -176,13 +193,28 @@ class KinematicSimulation:
         truth = counted = self._poses, self._twists
         if self._odometry is not None:
             counted = self._odometry, believed(self._twists, self._start)
-        return Reading(*truth, *counted, ranges, self._bumped, self._commands, self._accelerations, self._start, self)
+        told = self._commands, self._accelerations
+        return Reading(*truth, *counted, ranges, self._bumped, *told, self._start, self, *self._seen())
 
     def look(self, reading: Reading, width: int, height: int) -> tuple[None, np.ndarray]:
         """Depth images, see `Reading.look`; the twin has no colours."""
         camera = self.setup.robot.camera
-        return None, depth_images(camera, reading.pose, reading.start.world, self._index, width, height)
+        return None, depth_images(camera, reading.pose, reading.start.world, self._index, width, height, reading.movers)
 
     def _sense(self, robots: np.ndarray, ranges: np.ndarray) -> None:
         laser = self._beams, self._limits, self._streams
-        sense_some(robots, self._poses, self._start.table, *self._index, *laser, ranges)
+        moving = () if self._movers is None else (self._movers.table, self._moving)
+        sense_some(robots, self._poses, self._start.table, *self._index, *laser, ranges, *moving)
+
+    def _seen(self, robots: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, ...]:
+        """What the reading of some robots says of movers, see `Reading`."""
+        return () if self._movers is None else (self._movers.outlines[robots], self._moving[robots])
+
+    def _renew_movers(self) -> None:
+        """Arrays of their own for what comes now: readings keep what they show."""
+        if self._movers is not None:
+            self._movers.table, self._moving = self._movers.table.copy(), np.zeros(self.robots, dtype=bool)
+
+    def _begin_movers(self, robots: np.ndarray, start: Start) -> None:
+        if self._movers is not None:
+            self._movers.begin(robots, start, self._index, start.world.astype(int))

@@ -41,3 +41,30 @@ def count_on(odometry: np.ndarray, ways: np.ndarray) -> np.ndarray:
     yaw = odometry[:, 2] + ways[:, 1]
     yaw -= math.tau * np.floor((yaw + math.pi) / math.tau)
     return np.stack([odometry[:, 0] + chord * np.cos(heading), odometry[:, 1] + chord * np.sin(heading), yaw], axis=1)
+
+
+def count_wheels(
+    odometry: tuple[float, float, float],
+    left: tuple[float, float],
+    right: tuple[float, float],
+    separation: float,
+    start: Start | None,
+) -> tuple[tuple[float, float, float], tuple[float, float]]:
+    """Odometry x, y, yaw of one robot after an arc, and v [m/s] and w [rad/s], by its wheels.
+
+    Args:
+        odometry: Before it.
+        left, right: How far the wheel's rim went [m], and how fast it is [m/s].
+        separation: Of the wheels [m].
+        start: How the episode began; None: the wheels are what they should be.
+    """
+    x, y, yaw = odometry
+    length, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / separation
+    v, w = (left[1] + right[1]) / 2, (right[1] - left[1]) / separation
+    if start is not None:
+        (length, turn), (v, w) = believed(np.array([(length, turn), (v, w)]), start).tolist()
+    if turn:
+        length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
+    heading = yaw + turn / 2
+    yaw = math.remainder(yaw + turn, math.tau)
+    return (x + length * math.cos(heading), y + length * math.sin(heading), yaw), (v, w)

@@ -35,12 +35,17 @@ class Reading:
         odometry_twist: Forward speed [m/s] and turn rate [rad/s] by the wheels' speeds, shape (robots, 2).
         ranges: Distances along the laser's beams [m], right to left, shape (robots, beams); inf where nothing was hit
             or a beam was dropped.
-        bumped: Whether the base touched a wall since the last reading, shape (robots,), bool.
+        bumped: Whether the base touched a wall or something that moves since the last reading, shape (robots,), bool.
         command: What each robot was last told, v [m/s] and w [rad/s], shape (robots, 2); 0 at an episode's start. With
             latency: what it obeyed last.
         acceleration: Mean forward acceleration since the last reading [m/s^2], shape (robots,); 0 at a start.
         start: How the episode of each robot began: its world, its goal, its bounds.
         eye: What makes images, see `look`; None for a reading that comes from no simulation.
+        movers: Outlines of what moves beside each robot: x, y [m], cos and sin of the heading, half length and half
+            width [m] of a box, or radius and 0, shape (robots, movers, 6); 0 and 0 in rows that are of none. None:
+            nothing moves in these worlds, and no rows.
+        moving: Whether what a robot touched, or if it touched nothing what is nearest along its laser's beams, is one
+            of them, shape (robots,), bool; None: nothing moves.
     """
 
     pose: np.ndarray
@@ -53,6 +58,8 @@ class Reading:
     acceleration: np.ndarray
     start: Start
     eye: Eye | None = None
+    movers: np.ndarray | None = None
+    moving: np.ndarray | None = None
 
     @cached_property
     def nearest(self) -> np.ndarray:
@@ -82,7 +89,7 @@ class Reading:
     def of_one(cls, sensed: Sequence[Any], start: Start, eye: Eye) -> Reading:
         """The reading of one robot: the rows of the arrays above in their order, as plain values or arrays."""
         arrays = [row[None] if isinstance(row, np.ndarray) else np.array([row]) for row in sensed]
-        columns: dict[str, Any] = dict(zip(_ARRAYS, arrays, strict=True))
+        columns: dict[str, Any] = dict(zip((*_ARRAYS, "movers", "moving"), arrays, strict=False))
         return cls(**columns, start=start, eye=eye)
 
     @classmethod
@@ -92,4 +99,5 @@ class Reading:
 
     def state(self) -> dict[str, Any]:
         """All of it by name, in arrays of its own."""
-        return {**{name: np.array(getattr(self, name)) for name in _ARRAYS}, "start": self.start.table.copy()}
+        names = _ARRAYS if self.movers is None else (*_ARRAYS, "movers", "moving")
+        return {**{name: np.array(getattr(self, name)) for name in names}, "start": self.start.table.copy()}

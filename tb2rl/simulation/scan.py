@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from tb2rl.robots import Laser
+from tb2rl.simulation.outlines import cast_at_movers
 from tb2rl.simulation.setup import BIAS, DROPPED, MOUNT, NOISE
 from tb2rl.simulation.start import Start
 from tb2rl.worlds import World
@@ -14,7 +15,7 @@ from tb2rl.worlds.geometry import cast_one, limit_ranges
 
 
 class Scanner:
-    """A laser that reads the walls of a world.
+    """A laser that reads the walls of a world, and what moves there.
 
     Args:
         laser: Its beams and how far they reach.
@@ -26,15 +27,21 @@ class Scanner:
         self._scratch = tuple(np.empty((2, len(laser.angles))))
 
     def scan(
-        self, pose: tuple[float, float, float], world: World, start: Start, rng: np.random.Generator
-    ) -> np.ndarray:
-        """Ranges [m], shape (1, beams).
+        self,
+        pose: tuple[float, float, float],
+        world: World,
+        start: Start,
+        rng: np.random.Generator,
+        movers: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, bool]:
+        """Ranges [m], shape (1, beams), and whether the shortest one is to something that moves.
 
         Args:
             pose: Of the robot: x [m], y [m], yaw [rad].
             world: What it is in.
             start: How its episode began: with which flaws.
             rng: Where noise and dropped beams come from.
+            movers: What moves, see `Reading.movers`.
         """
         x, y, yaw = pose
         flaws = start.table[0]
@@ -44,6 +51,7 @@ class Scanner:
             x, y = x + ahead * cos - aside * sin, y + ahead * sin + aside * cos
         ranges = np.empty((1, len(self._laser.angles)))
         cast_one(x, y, yaw + turned, *self._directions, *world.index, 0, *self._scratch, ranges, 0)
+        moving = movers is not None and cast_at_movers(x, y, yaw + turned, *self._directions, movers, 0, ranges, 0)
         noise = self._laser.noise if flaws[NOISE] < 0.0 else flaws[NOISE]
         if noise:
             ranges += noise * rng.standard_normal(ranges.shape)
@@ -52,4 +60,4 @@ class Scanner:
         limit_ranges(ranges, 0, self._laser.min_range, self._laser.max_range)
         if flaws[DROPPED]:
             ranges[rng.random(ranges.shape) < flaws[DROPPED]] = np.inf
-        return ranges
+        return ranges, moving

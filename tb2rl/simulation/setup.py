@@ -10,13 +10,15 @@ import numpy as np
 from tb2rl.robots import Laser, Robot
 from tb2rl.simulation.streams import Draws
 from tb2rl.worlds import World
+from tb2rl.worlds.movers import Movers
 from tb2rl.worlds.places import Places
 
 PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9 mm deep; 100 Hz costs a third more
 
 # The columns of a table of starts, which the compiled kernels read: one row for each robot.
 POSE, WORLD, GOAL, BOUNDS, PARAMETERS, FLAWS = slice(0, 3), 3, slice(4, 6), slice(6, 10), slice(10, 16), slice(16, 30)
-COLUMNS = FLAWS.stop
+CROWD = 30  # number in [0, 1) that decides all that movers do in the episode; see `tb2rl.simulation.movers`
+COLUMNS = CROWD + 1
 # The flaws, which `tb2rl.simulation.variation` draws:
 WHEEL = 16  # true radius of the wheels / the radius that the robot counts with
 BELIEVED_SEPARATION = 17  # wheel separation that the robot counts with / the true one
@@ -41,16 +43,18 @@ class Setup:
         laser: The robot's laser with the beams and the noise that the task asks for.
         worlds: At least one; a `Start` names one by its index.
         only: Index of the one world that episodes begin in; None: any of them.
+        movers: What moves in every world, beside what each world has itself.
     """
 
     robot: Robot
     laser: Laser
     worlds: tuple[World, ...]
     only: int | None = None
+    movers: tuple[Movers, ...] = ()
 
     @cached_property
     def table(self) -> np.ndarray:
-        """The start that each world proposes, a row of columns as above for each, shape (worlds, 30)."""
+        """The start that each world proposes, a row of columns as above for each, shape (worlds, 31)."""
         table = np.empty((len(self.worlds), COLUMNS))
         for number, world in enumerate(self.worlds):
             table[number, POSE] = world.start
@@ -58,10 +62,24 @@ class Setup:
             table[number, GOAL] = world.goal[:2] if world.goal else np.nan
             table[number, BOUNDS] = world.bounds
         table[:, PARAMETERS] = self.robot.parameters
-        table[:, FLAWS] = 0.0
+        table[:, FLAWS], table[:, CROWD] = 0.0, 0.0
         table[:, [WHEEL, BELIEVED_SEPARATION, LEFT_COUNT, RIGHT_COUNT, MASS, FRICTION]] = 1.0
         table[:, NOISE] = -1.0
         return table
+
+    def movers_in(self, world: int) -> tuple[Movers, ...]:
+        """What moves in the world with this index."""
+        return (*self.movers, *self.worlds[world].movers)
+
+    def without_movers(self) -> Setup:
+        """The same robot in the same worlds, where nothing moves."""
+        worlds = tuple(replace(world, movers=()) if world.movers else world for world in self.worlds)
+        return replace(self, movers=(), worlds=worlds)
+
+    @cached_property
+    def anything_moves(self) -> bool:
+        """Whether there are movers in any of the worlds."""
+        return bool(self.movers) or any(world.movers for world in self.worlds)
 
     @cached_property
     def _places(self) -> Places:
@@ -70,7 +88,9 @@ class Setup:
     def within(self, world: int) -> Setup:
         """The setup whose episodes begin in the world with this index alone."""
         setup = replace(self, only=world)
-        vars(setup).update({name: getattr(self, name) for name in ("table", "_places")})  # which are the same
+        vars(setup).update(
+            {name: getattr(self, name) for name in ("table", "_places", "anything_moves")}
+        )  # which are the same
         return setup
 
     def check_table(self, table: np.ndarray) -> None:
@@ -81,6 +101,8 @@ class Setup:
         alike = parameters <= _LARGEST_VARIATION * np.abs(self.robot.parameters)
         if not (alike.all() and (flaws >= _LEAST).all() and (flaws <= _MOST).all()):
             raise ValueError("a robot's parameters are far from what it is")
+        if not ((table[:, CROWD] >= 0.0) & (table[:, CROWD] < 1.0)).all():
+            raise ValueError("what decides about movers must be a number in [0, 1)")
 
     def draw_worlds(self, draws: Draws) -> int | np.ndarray:
         """The world that each robot begins in: a number of its own decides where there are several.

@@ -10,7 +10,7 @@ import numpy as np
 from tb2rl.simulation import Reading
 from tb2rl.tasks.actions import Velocities
 from tb2rl.tasks.crashing import Crashing
-from tb2rl.tasks.outcome import Outcome
+from tb2rl.tasks.outcome import Outcome, crash_endings
 from tb2rl.values import Positive
 
 
@@ -36,4 +36,4 @@ class Drive(Crashing):
         crashed = self.crashed(after)
         v, w = after.twist.T  # what the robot does, not what it was told
         driven = v * np.cos(w) * self.control_period
-        return Outcome(np.where(crashed, self.crash_reward, driven), failed={"crash": crashed})
+        return Outcome(np.where(crashed, self.crash_reward, driven), failed=crash_endings(crashed, after))

@@ -8,7 +8,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tb2rl.simulation import Reading
+
 TIME_LIMIT = "time limit"  # the ending of an episode whose steps are used up
+CRASH, MOVER_CRASH = "crash", "crash with something that moves"
+
+
+def crash_endings(crashed: np.ndarray, after: Reading) -> dict[str, np.ndarray]:
+    """Endings of robots that have crashed, for `Outcome.failed`: into a wall, or into something that moves.
+
+    Args:
+        crashed: Which have, bool, shape (robots,).
+        after: The reading that says so.
+    """
+    if after.moving is None:
+        return {CRASH: crashed}
+    return {CRASH: crashed & ~after.moving, MOVER_CRASH: crashed & after.moving}
 
 
 class Ending(NamedTuple):

@@ -54,6 +54,6 @@ class ReachGoal(Wander):
         outside: np.ndarray = (x <= x0) | (x > x1) | (y <= y0) | (y > y1)
         closer = np.hypot(*missing.T) < np.hypot(*(after.goal - before.pose[:, :2]).T)
         moving = wandered.reward + self.closer_reward * closer
-        crashed = wandered.failed["crash"]
+        crashed = wandered.terminated
         reward = np.select([crashed | outside, reached], [self.crash_reward, self.goal_reward], moving)
-        return Outcome(reward, failed={"crash": crashed, "out of bounds": outside}, succeeded={"goal": reached})
+        return Outcome(reward, failed={**wandered.failed, "out of bounds": outside}, succeeded={"goal": reached})

@@ -14,10 +14,11 @@ from annotated_types import Ge, Gt, Le, Len
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Draws, Reading, Setup, Start
+from tb2rl.simulation.setup import CROWD
 from tb2rl.simulation.variation import Variation, find_variation
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
-from tb2rl.values import Count, Edges, Name, NonNegative, Observed, Positive, Varied, Worlds
+from tb2rl.values import Count, Edges, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Task(ABC):
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # to read; None: all
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
     variation: Varied = "none"  # of the robot: a preset, or a mapping; see tb2rl/robots/README.md
+    movers: Moved = None  # what moves in every world, such as {people: 4}; see tb2rl/worlds/README.md
     frames: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first
     edges: Edges = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
     observe: Observed | None = None  # the sensors, by name: see tb2rl/sensors/README.md; None: the task's own
@@ -87,7 +89,12 @@ class Task(ABC):
         return start
 
     def begin_varied(self, setup: Setup, draws: Draws) -> Start:
-        """What environments call: `begin`, and then the robot's `variation`, so that it changes nothing else."""
+        """What environments call: `begin`, then the robot's `variation`, and then what decides about movers.
+
+        In this order, and nothing is drawn for nothing: so none of them changes what comes before it.
+        """
         start = self.begin(setup, draws)
         self.imperfections.vary(start, draws)
+        if setup.anything_moves:
+            start.table[:, CROWD] = draws.uniform(1)[:, 0]
         return start

@@ -10,7 +10,7 @@ import numpy as np
 from tb2rl.simulation import Reading
 from tb2rl.tasks.actions import Commands
 from tb2rl.tasks.crashing import Crashing
-from tb2rl.tasks.outcome import Outcome
+from tb2rl.tasks.outcome import Outcome, crash_endings
 
 
 @dataclass(frozen=True)
@@ -38,4 +38,4 @@ class Wander(Crashing):
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
         crashed = self.crashed(after)
         moving = np.where(action == self.actions.forward, self.forward_reward, self.turn_reward)
-        return Outcome(np.where(crashed, self.crash_reward, moving), failed={"crash": crashed})
+        return Outcome(np.where(crashed, self.crash_reward, moving), failed=crash_endings(crashed, after))

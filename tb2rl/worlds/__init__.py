@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tb2rl.worlds.formats.imports import Import
+    from tb2rl.worlds.movers import Movers
     from tb2rl.worlds.world import World
 
-__all__ = ["Import", "World"]
+__all__ = ["Import", "Movers", "World"]
 
-_HOMES = {"Import": "formats.imports", "World": "world"}
+_HOMES = {"Import": "formats.imports", "Movers": "movers", "World": "world"}
 
 
 def __getattr__(name: str) -> Any:

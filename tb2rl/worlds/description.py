@@ -17,6 +17,7 @@ from tb2rl.files import write_text
 from tb2rl.values import Point, Pose, Positive, build
 from tb2rl.worlds.drawing import read_drawing
 from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.movers import said_of
 from tb2rl.worlds.world import Bounds, BoxShape, World
 
 
@@ -59,10 +60,11 @@ class Description:
     start: Pose | None = None
     goal: Pose | None = None
     bounds: Bounds | None = None  # None: around the obstacles
+    movers: Any = None  # what moves: see `tb2rl.worlds.movers`
 
 
 def write_description(world: World, path: Path) -> None:
-    """Write a world as a YAML file that `world_from` reads: the same boxes and posts.
+    """Write a world as a YAML file that `world_from` reads: the same boxes and posts, and what moves.
 
     Raises:
         OSError: If it cannot be written.
@@ -78,6 +80,7 @@ def write_description(world: World, path: Path) -> None:
         "start": [float(value) for value in world.start],
         "goal": world.goal and [float(value) for value in world.goal],
         "bounds": [float(value) for value in world.bounds],
+        "movers": [said_of(group) for group in world.movers],
     }
     kept = {key: value for key, value in said.items() if value}
     write_text(path, yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, width=120))
@@ -105,8 +108,16 @@ def world_from(content: Any, name: str, beside: Import | None = None) -> World:
         raise InputError(f"world {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")
     boxes = [*_wall_boxes(said.walls), *((*box.centre, *box.size, box.yaw) for box in said.boxes), *drawn.boxes]
     posts = [(*post.centre, post.radius) for post in said.posts]
-    bounds = beside.bounds or said.bounds
-    return World.from_shapes(name, boxes, posts, start=start, goal=goal, bounds=bounds, description=said.description)
+    return World.from_shapes(
+        name,
+        boxes,
+        posts,
+        start=start,
+        goal=goal,
+        bounds=beside.bounds or said.bounds,
+        description=said.description,
+        movers=said.movers,
+    )
 
 
 def _wall_boxes(walls: Sequence[Wall]) -> Iterator[BoxShape]:

@@ -19,6 +19,7 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.values import Point, Pose
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
 from tb2rl.worlds.index import Index, index_of
+from tb2rl.worlds.movers import Movers, find_movers
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
 _ROUNDING = 1e-9  # [m]
@@ -41,6 +42,7 @@ class World:
         goal: The goal pose, or None.
         bounds: The rectangle that counts as the world.
         description: One line for people.
+        movers: What moves in it, beside the obstacles.
     """
 
     name: str
@@ -50,6 +52,7 @@ class World:
     goal: Pose | None
     bounds: Bounds
     description: str = ""
+    movers: tuple[Movers, ...] = ()
     _free_spaces: dict[float, BaseGeometry] = field(default_factory=dict, repr=False)
     _triangles: dict[float, Triangles] = field(default_factory=dict, repr=False)
 
@@ -64,6 +67,7 @@ class World:
         goal: Pose | None = None,
         bounds: Bounds | None = None,
         description: str = "",
+        movers: Any = None,
     ) -> World:
         """A world from the shapes in it; what a reader of a file format ends with.
 
@@ -75,10 +79,11 @@ class World:
             goal: The goal pose, if there is one.
             bounds: The rectangle that counts as the world; None: around the obstacles.
             description: One line for people.
+            movers: What moves in it: `Movers`, or what `find_movers` takes.
 
         Raises:
-            InputError: If there is neither an obstacle nor a rectangle, the rectangle is empty, a shape is not what it
-                should be, or the goal is outside or in an obstacle.
+            InputError: If there is neither an obstacle nor a rectangle, the rectangle is empty, a shape or a mover is
+                not what it should be, or the goal is outside or in an obstacle.
         """
         box_rows = _box_rows(_shapes(boxes, "box", ("x", "y", "length", "width", "yaw"), name))
         post_rows = np.array(_shapes(posts, "post", ("x", "y", "radius"), name)).reshape(-1, 3)
@@ -87,7 +92,8 @@ class World:
         _numbers(bounds, ("x from", "y from", "x to", "y to"), f"world {name}: bounds")
         if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise InputError(f"world {name}: bounds must be x from, y from, x to, y to, got {list(bounds)}")
-        world = cls(name, box_rows, post_rows, start, goal, bounds, description)
+        groups = find_movers(movers, f"world {name}: movers")
+        world = cls(name, box_rows, post_rows, start, goal, bounds, description, groups)
         if goal is not None:
             x, y, _ = _numbers(goal, ("x", "y", "yaw"), f"world {name}: the goal")
             if not world.contains((x, y)) or world.clearance(x, y) == 0.0:
@@ -112,7 +118,14 @@ class World:
         posts = [(x, y, radius) for x, y, radius in self.posts]
         start, goal, bounds = start or self.start, goal or self.goal, bounds or self.bounds
         return World.from_shapes(
-            self.name, boxes, posts, start=start, goal=goal, bounds=bounds, description=self.description
+            self.name,
+            boxes,
+            posts,
+            start=start,
+            goal=goal,
+            bounds=bounds,
+            description=self.description,
+            movers=self.movers,
         )
 
     @property

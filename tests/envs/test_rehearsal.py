@@ -77,7 +77,7 @@ REFUSED = {
     "actions without @property": (wander(actions=lambda self: Commands(go=(1, 0))), "@property is missing above it"),
     "actions that are a dict": (wander(actions={"go": (1, 0)}), "actions must be Commands or Velocities; got {'go'"),
     "no return from begin": (wander(begin=lambda self, setup, draws: None), "begin must return a Start; got None"),
-    "a start for one robot": (begun(lambda start: Start(start.table[:1])), r"draws.robots rows.* shape \(1, 30\)"),
+    "a start for one robot": (begun(lambda start: Start(start.table[:1])), r"draws.robots rows.* shape \(1, 31\)"),
     "a world that is not there": (
         begun(lambda start: put(start.world, 1)),
         "begin must name worlds by index, below 1; got .1.0",
@@ -192,3 +192,11 @@ def test_judge_is_rehearsed_with_actions_of_the_right_shape(actions):
     make_scene(wander(actions=actions, judge=judge), "raw")
     assert seen[0].shape == (2, *actions.space.shape)
     assert actions.commands(seen[0]).shape == (2, 2)
+
+
+def test_a_task_may_ask_where_movers_are_if_there_are_some():
+    def judge(self, before, action, after):
+        near = np.hypot(*(after.movers[:, :, :2] - after.pose[:, None, :2]).transpose(2, 0, 1)).min(axis=1)
+        return Outcome(near, failed={"met": after.moving & after.bumped})
+
+    assert make_scene(replace(wander(judge=judge), movers={"people": 1}), "raw").setup.anything_moves

@@ -16,7 +16,7 @@ EXPLORING = {"agent.use_sde": True}  # with matrices of noise, drawn once a roll
 MEMORY = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
 NORMALISED = {"train.norm_obs": True, "train.norm_reward": True}
 FRAMES = {"task.frames": 4}
-VARIED = {"task.variation": "strong"}
+VARIED, MOVING = {"task.variation": "strong"}, {"task.movers": [{"people": 2}, {"boxes": 1}]}
 CAMERA, TOLD = {"camera": {"width": 36, "height": 36}}, ["twist", "last_action"]
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.noise": 0.01}
 ALGORITHMS = {
@@ -47,6 +47,7 @@ ALGORITHMS = {
     "PPO, only rewards normalised": (f"{SB3}:PPO", "maze", {**ON_POLICY, "train.norm_reward": True}),
     "PPO, frames": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES}),
     "PPO, varied frames": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES, **VARIED}),
+    "PPO, varied, among movers": (f"{SB3}:PPO", "maze", {**ON_POLICY, **VARIED, **MOVING}),
     "PPO, frames of classes": (f"{SB3}:PPO", "maze", {**ON_POLICY, **FRAMES, "task.observation": "discrete"}),
     "DQN, an image, normalised frames": (f"{SB3}:DQN", "my_tasks:Pictured", {**OFF_POLICY, **NORMALISED, **FRAMES}),
     "TD3, normalised": (f"{SB3}:TD3", "my_tasks:Glide", {**OFF_POLICY, **NORMALISED}),
@@ -73,7 +74,7 @@ LONGER = {
     "SAC",
     "TD3",
     "RecurrentPPO",
-    *(name for name in ALGORITHMS if any(w in name for w in ("frames", "normalised", "camera"))),
+    *(name for name in ALGORITHMS if any(w in name for w in ("frames", "normalised", "camera", "movers"))),
 }
 TWIN_ONLY = {"A2C, noisy", "PPO, often noisy", "DQN, three steps", "SAC, fixed entropy", "TQC, noisy"}
 TWIN_ONLY |= {"TRPO", "CrossQ", "RecurrentPPO, an image", "RecurrentPPO, noisy", "PPO, only rewards normalised"}

@@ -11,6 +11,7 @@ from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.plain import check_plain, check_sections, plain
 from tb2rl.simulation.variation import find_variation
+from tb2rl.worlds.movers import find_movers
 
 MY_WORLD = "drawing: |\n  #####\n  #S..#\n  #...#\n  #####\n"
 
@@ -31,6 +32,14 @@ def test_a_config_with_variation_comes_back_from_its_yaml(variation):
     again = config_from(yaml.safe_load(yaml.safe_dump(config.to_dict())))
     assert again == config
     assert again.task.imperfections == find_variation(variation)
+
+
+@pytest.mark.parametrize("movers", [{"people": 4}, [{"boxes": 1, "path": [[0, 0], [1, 0]], "speed": 0.5}]], ids=str)
+def test_a_config_with_movers_comes_back_from_its_yaml(movers):
+    config = resolve("qlearn", settings={"task.movers": movers})
+    again = config_from(yaml.safe_load(yaml.safe_dump(config.to_dict())))
+    assert again == config
+    assert again.scene.setup.movers == find_movers(movers, "movers")
 
 
 def test_a_changed_config_comes_back_from_its_yaml():

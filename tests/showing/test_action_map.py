@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.showing.action_map import HEADINGS, OVER, UNMET, action_map
+from tb2rl.worlds.movers import find_movers
 
 
 def test_the_map_shows_what_the_policy_does_where_training_met_the_state(seeds):
@@ -45,6 +47,18 @@ def test_known_is_a_share_of_the_states_that_the_robot_can_go_on_from():
     shown = action_map(policy, config.scene)
     assert shown.known == pytest.approx(1 / 3), "of classes 1, 2 and 3 it met 1; in class 0 an episode is over"
     assert (shown.actions >= 0).sum() < 0.1 * (shown.actions != OVER).sum(), "which few poses lead to"
+
+
+def test_the_map_is_of_the_world_without_what_moves_there():
+    config = resolve("qlearn", settings={"task.edges": [1, 3, 5], "task.beams": 5})  # classes of what is far away
+    policy, scene = make_algorithm(config, Spaces.vectorised(config)), config.scene
+    policy.policy.visits[:] = 1
+    policy.policy.q[:] = th.from_numpy(np.random.default_rng(0).random(policy.policy.q.shape))
+    shown = action_map(policy, scene).actions
+    world = replace(scene.world, movers=find_movers({"posts": 9}, "movers"))
+    crowded = replace(scene, setup=replace(scene.setup, worlds=(world, *scene.setup.worlds[1:])))
+    for other in (crowded, scene.changed(movers={"people": 9})):
+        np.testing.assert_array_equal(action_map(policy, other).actions, shown)
 
 
 def test_what_pybullet_alone_can_show_has_no_map():

@@ -1,6 +1,6 @@
 """What every task keeps to, and a task of one's own."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,11 +9,12 @@ from tb2rl import make_env
 from tb2rl.errors import InputError
 from tb2rl.registry import find_robot, find_task, find_world, task_names
 from tb2rl.robots.robot import WHEEL_ACCELERATION
-from tb2rl.simulation.setup import BOUNDS, GOAL, POSE, WORLD
+from tb2rl.simulation.setup import BOUNDS, CROWD, GOAL, POSE, WORLD
 from tb2rl.simulation.streams import GeneratorDraws, StreamDraws
 from tb2rl.tasks import Commands
 from tb2rl.tasks.wander import Wander
 from tb2rl.values import build
+from tb2rl.worlds.movers import find_movers
 
 
 def draws(robots=1, seed=0):
@@ -106,6 +107,20 @@ def test_a_varied_robot_begins_where_any_other_would(name, make_setup):
     for column in (POSE, WORLD, GOAL, BOUNDS):
         np.testing.assert_array_equal(strong.table[:, column], plain.table[:, column])
     assert (strong.parameters[:, WHEEL_ACCELERATION] != plain.parameters[:, WHEEL_ACCELERATION]).all()
+
+
+@pytest.mark.parametrize("variation", ["none", "strong"])
+@pytest.mark.parametrize("name", task_names())
+def test_movers_change_nothing_that_was_drawn_before_them(name, variation, make_setup):
+    task, keys = find_task(name)(variation=variation), np.arange(5, dtype=np.uint64)
+    bare = make_setup(find_task(name)().world)
+    moving = replace(bare, movers=find_movers({"people": 1}, "movers"))
+    alone, among = (
+        task.begin_varied(setup, StreamDraws(keys, np.zeros(5, np.uint64))).table for setup in (bare, moving)
+    )
+    np.testing.assert_array_equal(among[:, :CROWD], alone[:, :CROWD])
+    assert (alone[:, CROWD] == 0).all()
+    assert len(np.unique(among[:, CROWD])) == 5
 
 
 # ---- a task of one's own

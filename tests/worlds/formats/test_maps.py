@@ -18,6 +18,7 @@ from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.formats.maps import write_map
 from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.movers import find_movers
 from tb2rl.worlds.readers import read_world
 from tb2rl.worlds.world import World
 
@@ -243,3 +244,9 @@ def test_a_map_is_read_again_when_its_picture_changed(read, tmp_path):
     os.utime(tmp_path / "map.pgm", ns=(0, 1))  # two writes within a tick of the file system's clock look alike
     after = read_world(tmp_path / "map.yaml", said=Import(start=START))
     assert (occupied(before, 1, 2), occupied(after, 1, 2)) == ([[0, 1]], [[1, 0]])
+
+
+def test_a_map_of_a_world_with_movers_says_that_it_leaves_them_out(tmp_path):
+    world = World.from_shapes("hall", start=START, bounds=(-1, -1, 1, 1), movers=find_movers({"people": 1}, "movers"))
+    with pytest.warns(WorldWarning, match=r"world hall: .* movers are left out"):
+        write_map(world, tmp_path / "hall.yaml")

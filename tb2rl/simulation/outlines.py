@@ -1,0 +1,101 @@
+"""The outlines of what moves: circles and turned rectangles, what the laser sees of them, and how far they are off.
+
+A table of movers has a block for each robot and a row for each of its movers, shape (robots, movers, n). The first six
+columns are their outlines, which pictures, bodies and readings show; a row without a size is of no mover.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.worlds.grid import PARALLEL
+
+X, Y, COS, SIN = range(4)  # [m, m] and the direction that a box looks in
+LENGTH, WIDTH = 4, 5  # [m] half of a box's; of what is round its radius, and 0
+OUTLINE = slice(0, 6)
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def gap_to(east, north, movers, i, k):
+    """Distance of a point from mover `k` of robot `i` [m]; below 0 inside a round one.
+
+    `east`, `north` [m] are where the point is, seen from the middle of the mover.
+    """
+    if movers[i, k, WIDTH] == 0.0:
+        return math.sqrt(east * east + north * north) - movers[i, k, LENGTH]
+    cos, sin = movers[i, k, COS], movers[i, k, SIN]
+    along = max(abs(cos * east + sin * north) - movers[i, k, LENGTH], 0.0)
+    across = max(abs(cos * north - sin * east) - movers[i, k, WIDTH], 0.0)
+    return math.sqrt(along * along + across * across)
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
+def reach_of(movers, i, k):
+    """Radius of the circle [m] in which mover `k` of robot `i` is, wherever it turns."""
+    return math.sqrt(movers[i, k, LENGTH] ** 2 + movers[i, k, WIDTH] ** 2)
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def nearest_mover(x, y, movers, i):
+    """Distance of a point [m] from the nearest mover of robot `i`; inf where there is none."""
+    nearest = np.inf
+    for k in range(movers.shape[1]):
+        if movers[i, k, LENGTH] > 0.0:
+            nearest = min(nearest, gap_to(x - movers[i, k, X], y - movers[i, k, Y], movers, i, k))
+    return nearest
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def cast_at_movers(x, y, yaw, cos_beams, sin_beams, movers, i, ranges, robot):
+    """Shorten the ranges [m] of a laser at a pose where the movers of robot `i` are nearer than the walls.
+
+    Args:
+        x, y, yaw: Pose of the laser [m, m, rad].
+        cos_beams, sin_beams: Beam directions in the laser's frame, shape (beams,).
+        movers: The table.
+        i: Whose movers.
+        ranges: What the walls leave [m], shape (robots, beams); changed in place.
+        robot: Index of its row.
+
+    Returns:
+        Whether the shortest range is that to a mover.
+    """
+    cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
+    to_wall, to_mover = np.inf, np.inf
+    for beam in range(cos_beams.size):
+        to_wall = min(to_wall, ranges[robot, beam])
+    for k in range(movers.shape[1]):
+        length, width = movers[i, k, LENGTH], movers[i, k, WIDTH]
+        if length == 0.0:
+            continue
+        east, north, cos, sin = x - movers[i, k, X], y - movers[i, k, Y], movers[i, k, COS], movers[i, k, SIN]
+        ox, oy = cos * east + sin * north, cos * north - sin * east
+        c, s = cos_yaw * cos + sin_yaw * sin, sin_yaw * cos - cos_yaw * sin
+        for beam in range(cos_beams.size):
+            dx, dy = c * cos_beams[beam] - s * sin_beams[beam], s * cos_beams[beam] + c * sin_beams[beam]
+            if width == 0.0:
+                along, across = -(ox * dx + oy * dy), ox * dy - oy * dx
+                half_chord = length * length - across * across
+                if half_chord < 0.0:
+                    continue
+                near, far = along - math.sqrt(half_chord), along + math.sqrt(half_chord)
+            else:
+                over_x = 1.0 / (dx if abs(dx) > PARALLEL else PARALLEL)
+                over_y = 1.0 / (dy if abs(dy) > PARALLEL else PARALLEL)
+                near = max(-ox * over_x - length * abs(over_x), -oy * over_y - width * abs(over_y))
+                far = min(-ox * over_x + length * abs(over_x), -oy * over_y + width * abs(over_y))
+            hit = max(near, 0.0)
+            if far >= hit:
+                to_mover = min(to_mover, hit)
+                ranges[robot, beam] = min(ranges[robot, beam], hit)
+    return to_mover < to_wall
+
+
+@njit(cache=True)
+def cast_all_at_movers(poses, cos_beams, sin_beams, movers, ranges):
+    """`cast_at_movers` for all robots: poses (robots, 3), ranges (robots, beams)."""
+    for i in range(poses.shape[0]):
+        cast_at_movers(poses[i, 0], poses[i, 1], poses[i, 2], cos_beams, sin_beams, movers, i, ranges, i)

@@ -1,0 +1,176 @@
+"""The compiled control steps of the fast twin, of many robots, among things that move or where nothing does.
+
+Arrays are as in `tb2rl.simulation.kernels`. Movers (robots, movers, 24), their `walks` (robots, 2), keys and counts of
+their random numbers, and `routes` (points, 2) are as in `tb2rl.simulation.walking`; where nothing moves they are None,
+and numba leaves out what concerns them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.simulation.kernels import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
+from tb2rl.simulation.outlines import LENGTH, X, Y, reach_of
+from tb2rl.simulation.setup import PHYSICS_RATE, WHEEL, WORLD
+from tb2rl.simulation.walking import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def move_among(
+    poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways, movers, walks, routes
+):  # fmt: skip
+    """The control step of robot `i` and of its movers, which go first in each physics step.
+
+    Returns:
+        Whether it touched a wall, and whether it touched a mover.
+    """
+    steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as PyBullet makes
+    part, radius = duration / steps, starts[i, RADIUS]
+    speed = max(abs(rims[i, 0]), abs(rims[i, 1]), starts[i, MAX_SPEED] * starts[i, WHEEL])
+    x, y = poses[i, 0], poses[i, 1]
+    if out_of_reach(x, y, speed, duration, radius, movers, i):
+        walk_alone(i, steps, part, movers, walks, routes, starts, boxes, posts, parts, lists, world, x, y)
+        return move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways), False
+    at_wall, at_mover, way, turned = False, False, 0.0, 0.0
+    for step in range(steps):
+        x, y, yaw, v = poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * (rims[i, 0] + rims[i, 1])
+        vx, vy = v * math.cos(yaw), v * math.sin(yaw)
+        if step % THINK == 0:
+            span = min(THINK, steps - step) * part
+            think(i, span, movers, walks, starts, boxes, posts, parts, lists, world, x, y, vx, vy)
+        hit = walk(i, part, movers, routes, boxes, posts, parts, lists, world, x, y, radius)
+        at_mover = hit or at_mover
+        hit = move(poses, rims, commands, part, starts, i, boxes, posts, parts, lists, world, ways)
+        at_wall = hit or at_wall
+        share = 1.0
+        for k in range(movers.shape[1]):
+            if movers[i, k, LENGTH] > 0.0:
+                at_x, at_y = movers[i, k, X], movers[i, k, Y]
+                seen = x - at_x, y - at_y, poses[i, 0] - at_x, poses[i, 1] - at_y
+                share = min(share, share_until_touch(*seen, radius, movers, i, k))
+        if share < 1.0:
+            at_mover = True
+            poses[i, 0], poses[i, 1] = x + share * (poses[i, 0] - x), y + share * (poses[i, 1] - y)
+        way, turned = way + share * ways[i, 0], turned + ways[i, 1]
+    ways[i, 0], ways[i, 1] = way, turned
+    return at_wall, at_mover
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def out_of_reach(x, y, speed, duration, radius, movers, i):
+    """Whether robot `i` and its movers can neither meet nor see each other in a control step.
+
+    Then robot and movers go through it by themselves, which takes far less time.
+
+    Args:
+        x, y: Where the robot is [m].
+        speed: As fast as it can become [m/s].
+        duration: Of the step [s].
+        radius: Of the robot [m].
+        movers: Of all robots.
+        i: Which robot it is.
+    """
+    for k in range(movers.shape[1]):
+        if movers[i, k, LENGTH] > 0.0:
+            apart = math.hypot(movers[i, k, X] - x, movers[i, k, Y] - y)
+            way = duration * (speed + HURRY * movers[i, k, SPEED])
+            if movers[i, k, AVOIDS] != 0.0 or apart < radius + HALT + reach_of(movers, i, k) + way:
+                return False
+    return True
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def walk_alone(i, steps, part, movers, walks, routes, starts, boxes, posts, parts, lists, world, x, y):
+    """A control step of the movers of robot `i`, which is out of reach: so many physics steps of `part` [s].
+
+    `x`, `y` [m] are where it is at the beginning; out of reach, it makes no difference where it goes.
+    """
+    for step in range(steps):
+        if step % THINK == 0:
+            span = min(THINK, steps - step) * part
+            think(i, span, movers, walks, starts, boxes, posts, parts, lists, world, x, y, 0.0, 0.0)
+        walk(i, part, movers, routes, boxes, posts, parts, lists, world, x, y, 0.0)
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def step_robots(
+    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, cos_beams, sin_beams, limits,
+    streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges, movers, walks, routes, moving,
+):  # fmt: skip
+    """`step_block`, with room to calculate in: arrays that a loop's own function made are counted in every turn."""
+    for i in range(first, last):
+        world = int(starts[i, WORLD])
+        x, y, earlier = poses[i, 0], poses[i, 1], 0.5 * (rims[i, 0] + rims[i, 1])
+        if movers is None:
+            bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways)
+        else:
+            at_wall, at_mover = move_among(
+                poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways, movers, walks,
+                routes,
+            )  # fmt: skip
+            bumped[i] = at_wall or at_mover
+        moved[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
+        twists[i, 0] = 0.5 * (rims[i, 0] + rims[i, 1])
+        twists[i, 1] = (rims[i, 1] - rims[i, 0]) / starts[i, WHEEL_SEPARATION]
+        accelerations[i] = (twists[i, 0] - earlier) / duration
+        streams[i, 1] += np.uint64(1)
+        sense(
+            poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y,
+            ranges, movers, moving,
+        )  # fmt: skip
+        if movers is not None:
+            moving[i] = at_mover if bumped[i] else moving[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def step_block(
+    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
+    twists, ways, moved, accelerations, bumped, ranges,
+):  # fmt: skip
+    """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
+
+    `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
+    Results are `twists` (robots, 2) v and w [m/s, rad/s], `ways` (robots, 2) as in `move`, `moved` (robots,) how far
+    from where it was [m], `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges`
+    (robots, beams) [m].
+    """
+    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
+    step_robots(
+        first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
+        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges, None, None, None, None,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def step_block_among(
+    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
+    twists, ways, moved, accelerations, bumped, ranges, movers, walks, routes, moving,
+):  # fmt: skip
+    """`step_block` among things that move; `moving` (robots,) is a result, too.
+
+    It says whether what a robot touched, or else what its laser says is nearest, is a mover.
+    """
+    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
+    step_robots(
+        first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
+        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges, movers, walks, routes, moving,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def sense_some(
+    robots, poses, starts, boxes, posts, parts, lists, beams, limits, streams, ranges, movers=None, moving=None
+):  # fmt: skip
+    """The laser of the robots with the indices `robots` (n,), into their rows of `ranges` (robots, beams).
+
+    `movers` and `moving` are as in `sense`.
+    """
+    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
+    for i in robots:
+        sense(
+            poses, starts, i, beams[0], beams[1], boxes, posts, parts, lists, int(starts[i, WORLD]), limits, streams,
+            over_x, over_y, ranges, movers, moving,
+        )  # fmt: skip

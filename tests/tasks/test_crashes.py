@@ -1,0 +1,49 @@
+"""A crash with something that moves is an ending of its own, in every task that knows crashes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tb2rl.tasks import crash_endings
+from tb2rl.tasks.drive import Drive
+from tb2rl.tasks.outcome import CRASH, MOVER_CRASH
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.wander import Wander
+
+TASKS = (Wander(), Drive(), ReachGoal())
+
+
+@pytest.fixture
+def reading(make_reading):
+    """Four robots: one far from all, one at a wall, one near something that moves, one that something ran into."""
+    moving = np.array([True, False, True, True])
+    return make_reading([3.0, 0.4, 0.4, 3.0], bumped=[False, False, False, True], moving=moving, goal=(5.0, 5.0))
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: type(task).__name__)
+def test_an_ending_says_with_what_the_robot_crashed(task, reading):
+    action = np.zeros((4, *(task.actions.space.shape or ())), task.actions.space.dtype)
+    outcome = task.judge(reading, action, reading)
+    endings = [outcome.ending(robot, timed_out=True) for robot in range(4)]
+    assert [ending.name for ending in endings[1:]] == [CRASH, MOVER_CRASH, MOVER_CRASH]
+    assert all(ending.failed and not ending.success for ending in endings[1:])
+    assert endings[0].name == "time limit"
+    assert outcome.endings(np.arange(4)) == endings
+    assert (outcome.reward[1:] == task.crash_reward).all()
+    assert outcome.terminated.tolist() == [False, True, True, True]
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: type(task).__name__)
+def test_where_nothing_moves_there_is_one_crash(task, make_reading):
+    reading = make_reading([3.0, 0.1], goal=(5.0, 5.0))
+    action = np.zeros((2, *(task.actions.space.shape or ())), task.actions.space.dtype)
+    failed = task.judge(reading, action, reading).failed
+    assert MOVER_CRASH not in failed
+    assert failed[CRASH].tolist() == [False, True]
+
+
+def test_a_task_of_ones_own_tells_crashes_apart_with_one_call(reading):
+    failed = crash_endings(reading.bumped, reading)
+    assert failed[CRASH].tolist() == [False] * 4
+    assert failed[MOVER_CRASH].tolist() == [False, False, False, True]
