@@ -11,7 +11,7 @@ import pytest
 from tb2rl import benchmark
 from tb2rl.commands import benchmark as work
 from tb2rl.commands.benchmark import PARTS, Figure, learners
-from tb2rl.envs.processes import processors
+from tb2rl.processes import processors
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.threads import THREADS

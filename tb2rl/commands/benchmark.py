@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tb2rl.envs.processes import ProcessVecEnv, processors
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vec_env import BatchVecEnv
@@ -27,11 +25,13 @@ from tb2rl.errors import InputError, unknown
 from tb2rl.files import write_text
 from tb2rl.judging.evaluator import PASSED, evaluate
 from tb2rl.learning.training import Training, train_config
+from tb2rl.processes import processors
 from tb2rl.registry import Agent, agent_names, find_agent
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.simulation import SIMULATIONS, check_bullet
+from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.tasks.wander import Wander
 
 BEAMS = (6, 36, 720)
@@ -95,8 +95,8 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
 
 def measure_processes(environments: int, seconds: float) -> list[Figure]:
     """Environments in parallel processes and one alone, in turns: machines change from second to second."""
-    make = partial(gym.make, "tb2rl:TurtleBot2Maze-v0")
-    together, alone = ProcessVecEnv([make] * environments), make()
+    alone = gym.make("tb2rl:TurtleBot2Maze-v0")
+    together = BatchVecEnv(alone.get_wrapper_attr("scene"), environments, simulation="bullet")
     together.seed(0)
     together.reset()
     alone.reset(seed=0)
@@ -141,6 +141,7 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
     env.seed(0)
     env.reset()
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
+    assert isinstance(simulation, KinematicSimulation)
     numbers = [np.empty(shape) for shape in ((robots, 2), (robots, 2), robots, robots)]
     results = *numbers, np.empty(robots, dtype=bool), np.empty((robots, beams))
     whole: list[float] = []

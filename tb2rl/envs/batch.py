@@ -1,4 +1,4 @@
-"""Thousands of robots at one task, over the kinematic simulation; `vec_env` and `vector_env` are its two faces."""
+"""Many robots at one task, thousands in the twin; `vec_env` and `vector_env` are its two faces."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 
 from tb2rl.envs.encodings import Observations, rows
 from tb2rl.envs.scene import Scene
-from tb2rl.simulation import Reading, Start
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation import Reading, Start, simulate_many
 from tb2rl.simulation.streams import StreamDraws
 from tb2rl.tasks import Outcome
 
@@ -44,6 +43,7 @@ class Batch:
     Args:
         scene: The task, the robot and the worlds, and how the task is observed.
         robots: How many.
+        simulation: "kinematic" or "bullet", whose worlds are shared out among processes.
 
     Attributes:
         reading: The latest.
@@ -52,11 +52,11 @@ class Batch:
 
     reading: Reading
 
-    def __init__(self, scene: Scene, robots: int) -> None:
-        scene.check("kinematic")
+    def __init__(self, scene: Scene, robots: int, simulation: str = "kinematic") -> None:
+        scene.check(simulation)
         self.scene, self.task, self.robots = scene, scene.task, robots
         self._observer, self._actions, self._commander = scene.observer(), scene.actions, scene.commander()
-        self.simulation = KinematicSimulation(scene.setup, robots)
+        self.simulation = simulate_many(simulation, scene.setup, robots)
         self.seed(None)
 
     def seed(self, seed: Any) -> None:

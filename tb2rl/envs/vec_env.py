@@ -1,4 +1,4 @@
-"""Thousands of robots as one Stable-Baselines3 `VecEnv`."""
+"""Many robots as one Stable-Baselines3 `VecEnv`."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ class BatchVecEnv(VecEnv):
         scene: The task, the robot and the worlds, and how the task is observed.
         robots: How many.
         reward_scale: Of the rewards that `step` returns; `episode` holds the unscaled return.
+        simulation: "kinematic" or "bullet", see `Batch`.
     """
 
-    def __init__(self, scene: Scene, robots: int, reward_scale: float = 1.0) -> None:
-        self.batch = Batch(scene, robots)
+    def __init__(self, scene: Scene, robots: int, reward_scale: float = 1.0, simulation: str = "kinematic") -> None:
+        self.batch = Batch(scene, robots, simulation)
         self.render_mode = None
         self.reward_scale = reward_scale
         super().__init__(robots, scene.observation_space, scene.action_space)

@@ -20,7 +20,6 @@ import torch as th
 from gymnasium import spaces
 
 from tb2rl.envs.make import make_task
-from tb2rl.envs.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
@@ -28,6 +27,7 @@ from tb2rl.judging.evaluation import Episode, Evaluation, smallest_type
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import Policy, roll_out
 from tb2rl.judging.spaces import check_observes
+from tb2rl.processes import main_hidden, process_context, processors
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
 from tb2rl.simulation import judging_simulation

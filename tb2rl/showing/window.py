@@ -11,10 +11,10 @@ from contextlib import suppress
 
 import numpy as np
 
-from tb2rl.envs.processes import main_hidden
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError
 from tb2rl.judging.rollout import Moment
+from tb2rl.processes import main_hidden
 from tb2rl.showing.pictures import goal_of
 from tb2rl.showing.shots import shots
 from tb2rl.simulation import Start, check_bullet, judging_simulation

@@ -1,8 +1,8 @@
 """What moves: robots in their worlds, what they are told, and what they read.
 
-Everything carries a leading robot axis. `bullet` simulates one robot in PyBullet's physics, the judge of every policy;
-`kinematic` is its fast twin, for thousands, and judges where PyBullet is missing. Imported from here: worlds, robots,
-and what all need.
+Everything carries a leading robot axis. `bullet` simulates one robot in PyBullet's physics, the judge of every policy,
+and `bullet_batch` several, in parallel processes; `kinematic` is its fast twin, for thousands, and judges where
+PyBullet is missing. Imported from here: worlds, robots, and what all need.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ __all__ = [
     "Reading",
     "Setup",
     "Simulation",
+    "SimulationOfMany",
     "Start",
     "check_bullet",
     "judging_simulation",
     "simulate",
+    "simulate_many",
 ]
 
 SIMULATIONS = ("bullet", "kinematic")
@@ -57,6 +59,28 @@ class Simulation(Protocol):
 
     def close(self) -> None:
         """Free what the simulation holds."""
+
+
+class SimulationOfMany(Simulation, Protocol):
+    """Robots whose episodes end at different times.
+
+    Attributes:
+        moved: How far from where it was the last step took each robot [m], shape (robots,).
+    """
+
+    moved: np.ndarray
+
+    def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
+        """Begin new episodes of some robots.
+
+        Args:
+            robots: Their indices in rising order, shape (n,).
+            start: One row for each of them.
+            reading: The last one; its arrays may be changed in place.
+
+        Returns:
+            The reading of all robots, and that of those which begin, n rows.
+        """
 
 
 @cache
@@ -95,3 +119,21 @@ def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
     from tb2rl.simulation.kinematic import KinematicSimulation
 
     return KinematicSimulation(setup)
+
+
+def simulate_many(name: str, setup: Setup, robots: int) -> SimulationOfMany:
+    """The simulation of a name, with many robots; only what is asked for is imported.
+
+    Raises:
+        InputError: For an unknown name, or PyBullet where it is not installed.
+    """
+    if name not in SIMULATIONS:
+        raise unknown("simulation", name, SIMULATIONS)
+    if name == "bullet":
+        check_bullet("simulation 'bullet' (unlike its fast twin 'kinematic')")
+        from tb2rl.simulation.bullet_batch import BulletBatch
+
+        return BulletBatch(setup, robots)
+    from tb2rl.simulation.kinematic import KinematicSimulation
+
+    return KinematicSimulation(setup, robots)

@@ -49,7 +49,7 @@ class BulletSimulation:
         self._crowd = Crowd(setup)
         self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels; the movers' state
         self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
-        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), np.zeros(1)  # of the last reading
+        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), 0.0  # of the last reading
         self._open()
         self._begin(Start.proposed(setup, 1))
 
@@ -109,7 +109,7 @@ class BulletSimulation:
         self._crowd.begin(start, self.world)
         self._put(*self._body.frame_at(x, y, yaw), _AT_REST, ((0.0, 0.0), (0.0, 0.0)))
         self._odometry = (x, y, yaw)
-        return self._read()
+        return Reading.of_one(self._sense(), self._start, self)
 
     def _begin(self, start: Start, anew: bool = False) -> None:
         """Make the world and the robot those of an episode; `anew`: build them again even if they are there.
@@ -135,6 +135,10 @@ class BulletSimulation:
         self._torque = self.setup.robot.wheel_torque * float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
+        return Reading.of_one(self.drive(commands, duration), self._start, self)
+
+    def drive(self, commands: np.ndarray, duration: float) -> tuple[Any, ...]:
+        """`step`, for `BulletBatch`: what the robot senses now, see `Reading.of_one`."""
         self._driven.append((commands.copy(), duration))
         self._set_duration(duration)
         self.set_wheel_speeds(commands)
@@ -143,7 +147,7 @@ class BulletSimulation:
         for number in range(free, self._steps):  # near a wall: a touch may be shorter than a control step
             at_mover = self.advance(1, number) or at_mover
             at_wall = at_wall or self._touches_a_wall()
-        return self._read(at_wall, at_mover)
+        return self._sense(at_wall, at_mover)
 
     def _free_steps(self, duration: float) -> int:
         """How many physics steps of the control step cannot take the robot to a wall, even at its top speed."""
@@ -191,7 +195,7 @@ class BulletSimulation:
             "odometry": self._odometry,
             "speed": self._speed,
             "command": self._command.copy(),
-            "acceleration": self._acceleration.copy(),
+            "acceleration": np.array([self._acceleration]),
             "generator": self._rng.bit_generator.state,
             "start": self._start.table.copy(),
             **self._crowd.state(),
@@ -204,11 +208,11 @@ class BulletSimulation:
         self._crowd.restore(state, start)
         self._put(state["position"], state["orientation"], state["velocity"], state["wheels"])
         self._odometry = tuple(state["odometry"])
-        reading = self._read()
+        reading = Reading.of_one(self._sense(), start, self)
         self._rng.bit_generator.state = dict(state["generator"])
         self._speed = float(state["speed"])
-        self._command, self._acceleration = state["command"].copy(), state["acceleration"].copy()
-        return replace(reading, command=self._command, acceleration=self._acceleration)
+        self._command, self._acceleration = state["command"].copy(), float(state["acceleration"][0])
+        return replace(reading, command=self._command, acceleration=np.array([self._acceleration]))
 
     def _put(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
         self._put_at, self._driven = (position, orientation, velocity, wheels, self._crowd.state()), []
@@ -228,30 +232,18 @@ class BulletSimulation:
 
     # ---- sensors
 
-    def _read(self, at_wall: bool = False, at_mover: bool = False) -> Reading:
+    def _sense(self, at_wall: bool = False, at_mover: bool = False) -> tuple[Any, ...]:
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._robot, self._client)
-        x, y, yaw = self._body.pose()
+        x, y, yaw = pose = self._body.pose()
         self._place = x, y
         movers = self._crowd.outlines
-        ranges, moving = self._scanner.scan((x, y, yaw), self.world, self._start, self._rng, movers)
+        ranges, moving = self._scanner.scan(pose, self.world, self._start, self._rng, movers)
         earlier, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
         command, duration = self._driven[-1] if self._driven else (np.zeros((1, 2)), math.inf)
-        self._command, self._acceleration = command, np.array([(self._speed - earlier) / duration])
-        odometry, odometry_twist = self._count_wheels()
-        return Reading(
-            pose=np.array([[x, y, yaw]]),
-            twist=np.array([[self._speed, turn_rate]]),
-            odometry=np.array([odometry]),
-            odometry_twist=np.array([odometry_twist]),
-            ranges=ranges,
-            bumped=np.array([at_wall or at_mover]),
-            command=self._command,
-            acceleration=self._acceleration,
-            start=self._start,
-            eye=self,
-            movers=movers,
-            moving=None if movers is None else np.array([at_mover or (moving and not at_wall)]),
-        )
+        self._command, self._acceleration = command, (self._speed - earlier) / duration
+        twist, bumped = (self._speed, turn_rate), at_wall or at_mover
+        sensed = pose, twist, *self._count_wheels(), ranges[0], bumped, command[0], self._acceleration
+        return sensed if movers is None else (*sensed, movers[0], at_mover or (moving and not at_wall))
 
     def _count_wheels(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
         """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give; and its speeds."""
@@ -278,7 +270,8 @@ class BulletSimulation:
 
     def ray_ranges(self, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """PyBullet's own ranges [m] from `pose` (3,) along `angles` (beams,), to hold the exact laser against."""
-        (x, y, yaw), reach = pose, self.laser.max_range
+        x, y, yaw = pose
+        reach = self.laser.max_range
         ends = [(x + reach * math.cos(yaw + a), y + reach * math.sin(yaw + a), WALL_HEIGHT / 2) for a in angles]
         hits = pybullet.rayTestBatch(
             [(x, y, WALL_HEIGHT / 2)] * len(ends), ends, collisionFilterMask=WALL_GROUP, physicsClientId=self._client

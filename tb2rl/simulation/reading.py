@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -84,6 +84,13 @@ class Reading:
         if self.eye is None:
             raise InputError("this reading comes from no simulation, so it has no images")
         return self.eye.look(self, width, height)
+
+    @classmethod
+    def of_one(cls, sensed: Sequence[Any], start: Start, eye: Eye) -> Reading:
+        """The reading of one robot: the rows of the arrays above in their order, as plain values or arrays."""
+        arrays = [row[None] if isinstance(row, np.ndarray) else np.array([row]) for row in sensed]
+        columns: dict[str, Any] = dict(zip((*_ARRAYS, "movers", "moving"), arrays, strict=False))
+        return cls(**columns, start=start, eye=eye)
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], eye: Eye | None = None) -> Reading:

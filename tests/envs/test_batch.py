@@ -1,4 +1,4 @@
-"""Thousands of robots as one vectorised environment: what each meets, and how episodes end and begin."""
+"""Many robots as one vectorised environment: what each meets, and how episodes end and begin."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import tb2rl
+from tb2rl.envs.encodings import row
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.judging.evaluator import Evaluator
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.runs.loading import config_of
-from tb2rl.simulation import Start
+from tb2rl.simulation import SIMULATIONS, Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
@@ -76,23 +77,33 @@ def test_an_episode_lasts_as_many_steps_as_it_says():
     assert [info["episode"]["l"] for info in ends[13][1]] == [7] * 5
 
 
-@pytest.mark.parametrize("observation", ["raw", "discrete"])
-def test_a_batch_of_one_is_the_gymnasium_environment(observation):
-    task = Wander(start="fixed", episode_steps=80)
-    many, first = batch(task, observation, 1)
-    env = tb2rl.make_env(task, observation, simulation="kinematic")
-    np.testing.assert_array_equal(first[0], env.reset()[0])
-    for action in np.random.default_rng(1).choice(3, size=80, p=[0.3, 0.4, 0.3]):
-        observations, rewards, dones, infos = many.step(np.array([action]))
-        seen, reward, terminated, truncated, info = env.step(action)
-        assert (rewards[0], dones[0]) == (reward, terminated or truncated)
-        if dones[0]:
-            assert (infos[0]["ended"], infos[0]["failed"]) == (info["ended"], info["failed"])
-            assert infos[0]["distance"] == pytest.approx(info["distance"])
-            np.testing.assert_array_equal(infos[0]["terminal_observation"], seen)
-            break
-        np.testing.assert_array_equal(observations[0], seen)
-    assert dones[0]
+CAMERA = ["laser", {"camera": {"width": 12, "height": 9}}]
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize(
+    ("observation", "settings"), [("raw", {}), ("discrete", {"frames": 3}), ("raw", {"observe": CAMERA, "frames": 2})]
+)
+def test_each_robot_is_a_gymnasium_environment(observation, settings, simulation, make):
+    task = Wander(start="fixed", episode_steps=50, **settings)
+    many, first = batch(task, observation, 2, simulation=simulation)
+    envs, ends = [make(task, observation, simulation=simulation) for _ in range(2)], set()
+    np.testing.assert_equal([row(first, robot) for robot in range(2)], [env.reset()[0] for env in envs])
+    for actions in np.random.default_rng(1).choice(3, size=(150, 2), p=[0.3, 0.4, 0.3]):
+        observations, rewards, dones, infos = many.step(actions)
+        for robot, (env, action) in enumerate(zip(envs, actions, strict=True)):
+            seen, reward, terminated, truncated, info = env.step(action)
+            assert (rewards[robot], dones[robot]) == (reward, terminated or truncated)
+            if dones[robot]:
+                ends.add(info["ended"])
+                assert infos[robot]["TimeLimit.truncated"] == truncated
+                assert infos[robot]["distance"] == pytest.approx(info.pop("distance"))
+                np.testing.assert_equal(infos[robot]["terminal_observation"], seen)
+                np.testing.assert_equal({name: infos[robot][name] for name in info}, info)
+                seen, _ = env.reset()
+            np.testing.assert_equal(row(observations, robot), seen)
+    many.close()
+    assert ends == {"crash", "time limit"}
 
 
 def test_a_batch_of_one_drives_at_any_velocities_as_the_gymnasium_environment(glide):

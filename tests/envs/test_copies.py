@@ -4,12 +4,12 @@ import copy
 import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from tb2rl.envs.processes import ProcessVecEnv
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.envs.vector_env import BatchVectorEnv
@@ -115,10 +115,7 @@ def test_a_batch_is_copied(kind):
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
-def test_environments_in_processes_are_not_copied(copied, make):
-    envs = ProcessVecEnv([lambda: gym.make("tb2rl:TurtleBot2Maze-v0")] * 2, 1)
-    try:
-        with pytest.raises(InputError, match="environments in processes cannot be copied"):
-            copied(envs)
-    finally:
-        envs.close()
+def test_worlds_of_pybullet_in_processes_are_not_copied(copied):
+    envs = BatchVecEnv(make_scene(Wander(), "raw"), 2, simulation="bullet")
+    with closing(envs), pytest.raises(InputError, match="worlds in processes cannot be copied"):
+        copied(envs)

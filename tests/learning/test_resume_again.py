@@ -101,7 +101,6 @@ def test_a_training_in_many_worlds_resumes_to_the_bit(
     assert resume(resumed.folder).timesteps == steps // 2
     states = [read_checkpoint(run.checkpoints[0]) for run in (whole, resumed)]
     assert differences(*states) == []
-    environment = states[0]["training"]["environments"]
-    each = [environment] if simulation == "kinematic" else environment
-    places = [state["simulation"]["start"][:, 3] for state in each]
+    state = states[0]["training"]["environments"]["simulation"]
+    places = [part["start"][:, 3] for part in ([state] if simulation == "kinematic" else state["worlds"])]
     assert len(np.unique(places)) > 0.6 * environments, "robots in worlds of their own"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import multiprocessing
 import os
 import shutil
 import subprocess
@@ -16,6 +17,7 @@ from tb2rl import load
 from tb2rl.errors import InputError
 from tb2rl.learning.training import resume, train_config
 from tb2rl.runs.folder import Run
+from tb2rl.simulation.bullet_batch import BulletBatch
 from tb2rl.tasks.wander import Wander
 
 PPO = {"agent.n_steps": 16, "agent.batch_size": 32}
@@ -44,6 +46,22 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_stands(small_disk, small):
     run = Run.open(small_disk / "run")
     assert load(run.folder).num_timesteps == timesteps(run) >= 500
     assert not [file for file in run.folder.rglob(".*") if file.name != ".lock"], "nothing half-written is left"
+
+
+def test_a_process_with_worlds_that_is_killed_is_named_and_none_is_left(small, tmp_path, monkeypatch):
+    before, step = set(multiprocessing.active_children()), BulletBatch.step
+
+    def killed(batch, *arguments):
+        for process in batch._processes:
+            process.kill()
+            process.join()
+        return step(batch, *arguments)
+
+    monkeypatch.setattr("tb2rl.simulation.bullet_batch.processors", lambda: 3)
+    monkeypatch.setattr(BulletBatch, "step", killed)
+    with pytest.raises(InputError, match="a process with worlds of PyBullet has ended"):
+        train_config(small(simulation="bullet", n_envs=3), tmp_path / "run")
+    assert set(multiprocessing.active_children()) <= before
 
 
 def test_a_folder_that_becomes_read_only_is_named_and_the_last_checkpoint_stands(small, tmp_path, monkeypatch):

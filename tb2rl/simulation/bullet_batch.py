@@ -1,0 +1,297 @@
+"""Many robots in PyBullet, each in a world of its own, shared out among processes.
+
+PyBullet steps one world at a time and lets no other thread run meanwhile. A step is so short that a message for each
+world would cost a good part of it: here each process serves several, and their readings come through shared memory.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, NoReturn
+
+import cloudpickle
+import numpy as np
+
+from tb2rl.errors import InputError
+from tb2rl.processes import main_hidden, process_context, processors
+from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation.reading import Eye, Reading
+from tb2rl.simulation.setup import Setup
+from tb2rl.simulation.start import Start
+
+_AWAKE = 5e-3  # [s] more than the worlds of a process take for a step
+_let_others_run = getattr(os, "sched_yield", lambda: None)  # macOS and Windows have none
+
+
+class BulletBatch:
+    """N robots that do not meet, with what `KinematicSimulation` offers a `Batch`.
+
+    Args:
+        setup: The robot, its laser and the worlds.
+        robots: How many.
+        processes: Among how many processes to share them out, this one among them; None: one for each processor.
+
+    Attributes:
+        moved: How far from where it was the last step took each robot [m], shape (robots,).
+
+    Raises:
+        InputError: If PyBullet cannot load the robot.
+    """
+
+    moved: np.ndarray
+
+    def __init__(self, setup: Setup, robots: int, processes: int | None = None) -> None:
+        self.setup, self.robots = setup, robots
+        shares = np.array_split(np.arange(robots), min(processes or processors(), robots))
+        self._parts = [slice(int(share[0]), int(share[-1]) + 1) for share in shares]
+        # The first share is this process's own: it would do nothing while it waits for the others.
+        self._share = _Share(setup, len(shares[0]))
+        context, kind = process_context(), self._share.record_type
+        memory = context.RawArray("b", robots * kind.itemsize)
+        self._records = np.frombuffer(memory, kind)
+        self._share.write_to(self._records[self._parts[0]])
+        self._pipes: list[Connection] = []
+        self._processes: list[Any] = []
+        pickled = cloudpickle.dumps(setup)
+        for part in self._parts[1:]:
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_serve, args=(theirs, pickled, memory, part), daemon=True)
+            with main_hidden():
+                process.start()
+            theirs.close()
+            self._pipes.append(ours)
+            self._processes.append(process)
+        try:
+            with _deaths_named():
+                _unless_failed([_soon(pipe) for pipe in self._pipes])  # they have opened their worlds
+        except Exception:
+            self.close()
+            raise
+        self._poses = self._latest().pose
+
+    def __reduce__(self) -> NoReturn:
+        raise InputError("PyBullet's worlds in processes cannot be copied or sent; make others")
+
+    def reset(self, start: Start, rng: np.random.Generator) -> Reading:
+        noise = rng.spawn(self.robots)
+        self._records["start"] = start.table
+        self._ask("reset", [(noise[part],) for part in self._parts])
+        return self._latest()
+
+    def step(self, commands: np.ndarray, duration: float) -> Reading:
+        before = self._poses
+        self._records["command"] = commands
+        self._ask("step", [(duration,)] * len(self._parts))
+        reading = self._latest()
+        change = reading.pose - before
+        self.moved = np.hypot(change[:, 0], change[:, 1])
+        return reading
+
+    def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
+        """Begin new episodes of the robots with indices `robots` (n,), see `KinematicSimulation.restart`."""
+        self._records["start"][robots] = start.table
+        self._ask("restart", [(here,) if here else None for here in self._among(robots)])
+        return self._latest(), self._reading(self._records[robots], _Eyes(self, robots))
+
+    def state(self) -> dict[str, Any]:
+        """The state of each world, and where the robots were at the last reading."""
+        worlds = [world for share in self._ask("state", [()] * len(self._parts)) for world in share]
+        return {"worlds": worlds, "poses": self._poses.copy()}
+
+    def restore(self, state: Mapping[str, Any]) -> Reading:
+        """Go on from a state.
+
+        Raises:
+            ValueError: If it names a world that is not there.
+        """
+        worlds = state["worlds"]
+        self._ask("restore", [(worlds[part],) for part in self._parts])
+        reading = self._latest()
+        self._poses = state["poses"].copy()
+        return reading
+
+    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the cameras see at the latest reading, see `Reading.look`."""
+        return self.look_from(np.arange(self.robots), width, height)
+
+    def look_from(self, robots: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the robots with indices `robots` (n,) alone, in rising order."""
+        seen = self._ask("look", [(here, width, height) if here else None for here in self._among(robots)])
+        colours, depth = zip(*(image for images in seen for image in images), strict=True)
+        return np.stack(colours), np.stack(depth)
+
+    def close(self) -> None:
+        """End the processes and the worlds."""
+        for pipe in self._pipes:
+            pipe.close()  # the process sees the end and leaves
+        for process in self._processes:
+            process.join(timeout=5)
+            process.terminate()
+        self._pipes, self._processes = [], []
+        self._share.close()
+
+    def _ask(self, method: str, arguments: Sequence[tuple | None]) -> list[Any]:
+        """Call a method of the shares, each with arguments of its own, None: not of this one; their answers."""
+        mine, *theirs = arguments
+        asked = [(pipe, given) for pipe, given in zip(self._pipes, theirs, strict=True) if given is not None]
+        with _deaths_named():
+            for pipe, given in asked:
+                pipe.send((method, given))
+            try:
+                answers = [] if mine is None else [_answer(self._share, method, mine)]
+            finally:  # an answer that nobody reads would be taken for that to the next question
+                answers_of_others = [_soon(pipe) for pipe, _ in asked]
+        return _unless_failed(answers + answers_of_others)
+
+    def _among(self, robots: np.ndarray) -> Iterator[list[int]]:
+        """Of each share: which of the robots with indices `robots` (n,) it has, by their indices in it."""
+        wanted = robots.tolist()
+        for part in self._parts:
+            yield [robot - part.start for robot in wanted if part.start <= robot < part.stop]
+
+    def _latest(self) -> Reading:
+        """What all robots read now."""
+        reading = self._reading(self._records, self)
+        self._poses = reading.pose
+        return reading
+
+    def _reading(self, records: np.ndarray, eye: Eye) -> Reading:
+        """The reading of some robots, in arrays of its own."""
+        columns: dict[str, Any] = {name: records[name].copy() for name in self._share.names}
+        return Reading(**columns, start=Start(records["start"].copy()), eye=eye)
+
+
+@dataclass(frozen=True)
+class _Eyes:
+    """The cameras of some robots of a batch.
+
+    Attributes:
+        batch: The batch.
+        robots: Their indices, in rising order, shape (n,).
+    """
+
+    batch: BulletBatch
+    robots: np.ndarray
+
+    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `Reading.look`."""
+        return self.batch.look_from(self.robots, width, height)
+
+
+class _Share:
+    """The worlds of one process.
+
+    Args:
+        setup: The robot, its laser and the worlds.
+        robots: How many of them.
+
+    Attributes:
+        names: Of the arrays of a `Reading`.
+        record_type: What a robot reads and how its episode began, as one record.
+    """
+
+    def __init__(self, setup: Setup, robots: int) -> None:
+        self._worlds = [BulletSimulation(setup) for _ in range(robots)]
+        self._noise = [np.random.default_rng() for _ in range(robots)]
+        start = Start.proposed(setup, 1)
+        self._first = [world.reset(start, noise) for world, noise in zip(self._worlds, self._noise, strict=True)]
+        columns = self._first[0].state()
+        self.names = [name for name in columns if name != "start"]
+        self.record_type = np.dtype([(name, c.dtype, c.shape[1:]) for name, c in columns.items()], align=True)
+
+    def write_to(self, records: np.ndarray) -> None:
+        """Write to these records, shape (robots,), from now on."""
+        self._records, self._sensed = records, records[self.names]
+        for i, reading in enumerate(self._first):
+            self._write(i, reading)
+
+    def reset(self, noise: list[np.random.Generator]) -> None:
+        self._noise = noise
+        self.restart(range(len(noise)))
+
+    def restart(self, robots: Iterable[int]) -> None:
+        """Begin anew; how stands in their records."""
+        for i in robots:
+            start = Start(self._records["start"][i : i + 1].copy())
+            self._write(i, self._worlds[i].reset(start, self._noise[i]))
+
+    def step(self, duration: float) -> None:
+        """Drive on; what the robots are told stands in their records."""
+        commands = self._records["command"].copy()
+        for i, world in enumerate(self._worlds):
+            self._sensed[i] = world.drive(commands[i : i + 1], duration)
+
+    def state(self) -> list[dict[str, Any]]:
+        return [world.state() for world in self._worlds]
+
+    def restore(self, states: Sequence[Mapping[str, Any]]) -> None:
+        for i, (world, state) in enumerate(zip(self._worlds, states, strict=True)):
+            self._write(i, world.restore(state))
+
+    def look(self, robots: Iterable[int], width: int, height: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [self._worlds[i].camera(width, height) for i in robots]
+
+    def close(self) -> None:
+        for world in self._worlds:
+            world.close()
+
+    def _write(self, robot: int, reading: Reading) -> None:
+        self._sensed[robot] = tuple(getattr(reading, name)[0] for name in self.names)
+        self._records["start"][robot] = reading.start.table[0]
+
+
+def _soon(pipe: Connection) -> Any:
+    """What comes next; at first waited for awake: a processor that has gone to sleep may need a millisecond to wake."""
+    until = time.perf_counter() + _AWAKE
+    while not pipe.poll() and time.perf_counter() < until:
+        _let_others_run()
+    return pipe.recv()
+
+
+@contextmanager
+def _deaths_named() -> Iterator[None]:
+    """Say in one line that a process has ended that is asked something, or is to answer."""
+    try:
+        yield
+    except (EOFError, OSError):
+        raise InputError(
+            "a process with worlds of PyBullet has ended: something killed it, or the memory is too small"
+        ) from None
+
+
+def _answer(share: _Share, method: str, arguments: tuple) -> Any:
+    """The answer to a call, or the exception that it fails with: it is raised again where it was asked for."""
+    try:
+        return getattr(share, method)(*arguments)
+    except Exception as error:
+        return error
+
+
+def _unless_failed(answers: list[Any]) -> list[Any]:
+    for answer in answers:
+        if isinstance(answer, Exception):
+            raise answer
+    return answers
+
+
+def _serve(pipe: Connection, pickled: bytes, memory: Any, part: slice) -> None:
+    """The life of another process: answer calls of its share's methods until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the training decides what it means
+    try:
+        share = _Share(pickle.loads(pickled), part.stop - part.start)
+        share.write_to(np.frombuffer(memory, share.record_type)[part])
+    except Exception as error:
+        pipe.send(error)
+        return
+    pipe.send(None)
+    with closing(share), suppress(EOFError, OSError):  # nobody asks any more, or listens
+        while True:
+            method, arguments = _soon(pipe)
+            pipe.send(_answer(share, method, arguments))

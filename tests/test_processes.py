@@ -1,0 +1,30 @@
+"""How processes start: from a clean server, and without the user's script."""
+
+from __future__ import annotations
+
+import multiprocessing
+import multiprocessing.spawn
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+from tb2rl.processes import main_hidden, process_context
+
+
+def test_only_on_linux_processes_come_from_a_fork(monkeypatch):
+    assert process_context().get_start_method() == ("forkserver" if sys.platform == "linux" else "spawn")
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert process_context().get_start_method() == "spawn"
+
+
+def test_the_users_script_is_hidden_from_new_processes_and_from_nobody_else(monkeypatch):
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "__file__", "/home/ada/script.py", raising=False)
+    monkeypatch.setattr(main, "__spec__", None)
+
+    def scripts():
+        return [key for key in multiprocessing.spawn.get_preparation_data("one") if key.startswith("init_main")]
+
+    with ThreadPoolExecutor(1) as other, main_hidden():
+        assert scripts() == []
+        assert (main.__file__, other.submit(scripts).result()) == ("/home/ada/script.py", ["init_main_from_path"])
+    assert scripts() == ["init_main_from_path"]
