@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import repeat
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -85,11 +84,26 @@ class BatchVecEnv(VecEnv):
         return [reports_episodes for _ in self._get_indices(indices)]
 
 
-def _reports(finals: Finals, truncated: np.ndarray) -> Iterator[dict[str, Any]]:
-    """The info of each robot whose episode ended; column by column, as a batch of thousands ends a hundred a step."""
-    columns = {name: column if name == "pose" else column.tolist() for name, column in finals.infos.items()}
-    columns["terminal_observation"] = [row(finals.observations, i) for i in range(len(finals.robots))]
-    columns["TimeLimit.truncated"] = truncated[finals.robots].tolist()
-    results = zip(finals.returns.tolist(), finals.lengths.tolist(), strict=True)
-    columns["episode"] = [{"r": total, "l": length, "t": 0.0} for total, length in results]
-    return map(dict, map(zip, repeat(columns), zip(*columns.values(), strict=True)))
+def _reports(finals: Finals, truncated: np.ndarray) -> list[dict[str, Any]]:
+    """The info of each robot whose episode ended, spelt out: a batch of thousands ends a hundred a step."""
+    infos, observations = finals.infos, finals.observations
+    names = "distance", "min_range", "bumped", "is_success", "ended", "failed"
+    columns = *(infos[name].tolist() for name in names), finals.returns.tolist(), finals.lengths.tolist()
+    last = [row(observations, i) for i in range(len(finals.robots))] if isinstance(observations, dict) else observations
+    return [
+        {
+            "pose": pose,
+            "distance": distance,
+            "min_range": nearest,
+            "bumped": bumped,
+            "is_success": success,
+            "ended": ended,
+            "failed": failed,
+            "terminal_observation": observation,
+            "TimeLimit.truncated": late,
+            "episode": {"r": total, "l": length, "t": 0.0},
+        }
+        for pose, late, observation, distance, nearest, bumped, success, ended, failed, total, length in zip(
+            infos["pose"], truncated[finals.robots].tolist(), last, *columns, strict=True
+        )
+    ]

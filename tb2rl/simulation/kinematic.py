@@ -19,7 +19,7 @@ from tb2rl.simulation.odometry import believed, count_on, is_exact
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import BELIEVED_SEPARATION, WHEEL, Setup
 from tb2rl.simulation.start import Start
-from tb2rl.simulation.stepping import sense_some, step_block, step_block_among
+from tb2rl.simulation.stepping import begin_some, sense_some, step_block, step_block_among
 from tb2rl.simulation.threads import share_out
 from tb2rl.worlds.index import join
 
@@ -126,15 +126,13 @@ class KinematicSimulation:
         Returns:
             The reading of all robots, and that of those which begin, n rows.
         """
-        self._start.table[robots] = start.table
-        self._poses[robots], self._rims[robots] = start.pose, 0.0
-        self._streams[robots, 1] += np.uint64(1)
+        state = self._start.table, self._poses, self._rims, self._streams
+        told = self._twists, self._commands, self._accelerations, self._bumped
+        begin_some(robots, start.table, *state, *told)
         if self._odometry is not None:
             self._odometry[robots] = start.pose
         elif not is_exact(start):
             self._odometry = self._poses.copy()
-        for array in (self._twists, self._commands, self._accelerations, self._bumped):
-            array[robots] = 0
         self._begin_movers(robots, start)
         self._sense(robots, reading.ranges)
         # Cut out of the reading of all, array by array, it would take four times as long. They all stand.

@@ -10,13 +10,13 @@ import math
 import numpy as np
 
 from tb2rl.robots.robot import WHEEL_SEPARATION
-from tb2rl.simulation.setup import BELIEVED_SEPARATION, LEFT_COUNT, RIGHT_COUNT, WHEEL
+from tb2rl.simulation.setup import BELIEVED_SEPARATION, LEFT_COUNT, RIGHT_COUNT, WHEEL, WHEELS
 from tb2rl.simulation.start import Start
 
 
 def is_exact(start: Start) -> bool:
     """Whether the wheels of all robots are what they should be, so that odometry is what they did."""
-    return bool((start.table[:, [WHEEL, BELIEVED_SEPARATION, LEFT_COUNT, RIGHT_COUNT]] == 1.0).all())
+    return bool((start.table[:, WHEELS] == 1.0).all())
 
 
 def believed(ways: np.ndarray, start: Start) -> np.ndarray:

@@ -23,6 +23,7 @@ COLUMNS = CROWD + 1
 WHEEL = 16  # true radius of the wheels / the radius that the robot counts with
 BELIEVED_SEPARATION = 17  # wheel separation that the robot counts with / the true one
 LEFT_COUNT, RIGHT_COUNT = 18, 19  # way that the encoder of a wheel counts / the way that the wheel went
+WHEELS = slice(16, 20)  # these four
 NOISE = 20  # [m] standard deviation of the laser; below 0: that of `Laser.noise`
 BIAS = 21  # [m] added to all ranges
 DROPPED = 22  # share of the laser's beams that come back empty
@@ -63,7 +64,7 @@ class Setup:
             table[number, BOUNDS] = world.bounds
         table[:, PARAMETERS] = self.robot.parameters
         table[:, FLAWS], table[:, CROWD] = 0.0, 0.0
-        table[:, [WHEEL, BELIEVED_SEPARATION, LEFT_COUNT, RIGHT_COUNT, MASS, FRICTION]] = 1.0
+        table[:, WHEELS], table[:, [MASS, FRICTION]] = 1.0, 1.0
         table[:, NOISE] = -1.0
         return table
 

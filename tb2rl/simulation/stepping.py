@@ -14,7 +14,7 @@ import numpy as np
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kernels import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
 from tb2rl.simulation.outlines import LENGTH, X, Y, reach_of
-from tb2rl.simulation.setup import PHYSICS_RATE, WHEEL, WORLD
+from tb2rl.simulation.setup import PHYSICS_RATE, POSE, WHEEL, WORLD
 from tb2rl.simulation.walking import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
 
 
@@ -174,3 +174,15 @@ def sense_some(
             poses, starts, i, beams[0], beams[1], boxes, posts, parts, lists, int(starts[i, WORLD]), limits, streams,
             over_x, over_y, ranges, movers, moving,
         )  # fmt: skip
+
+
+@njit(cache=True)
+def begin_some(robots, table, starts, poses, rims, streams, twists, commands, accelerations, bumped):
+    """The robots with the indices `robots` (n,) stand where the rows of `table` (n, 31) say, and read once more.
+
+    `table` goes into their rows of `starts` (robots, 31); the other arrays are as in `step_block`.
+    """
+    for row, i in enumerate(robots):
+        starts[i], poses[i] = table[row], table[row, POSE]
+        rims[i], twists[i], commands[i], accelerations[i], bumped[i] = 0.0, 0.0, 0.0, 0.0, False
+        streams[i, 1] += np.uint64(1)

@@ -132,13 +132,15 @@ def place_in_triangles(draws, corners, shares, poses):
         poses[i, 2] = math.tau * draws[i, 3] - math.pi
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"nnan", "nsz"})  # several beams at a time: ranges are numbers
 def shortest(ranges):
     """The shortest of each robot's ranges (robots, beams), shape (robots,)."""
-    nearest = np.full(ranges.shape[0], np.inf)
+    nearest = np.empty(ranges.shape[0])
     for i in range(ranges.shape[0]):
+        least = np.inf
         for beam in range(ranges.shape[1]):
-            nearest[i] = min(nearest[i], ranges[i, beam])
+            least = min(least, ranges[i, beam])
+        nearest[i] = least
     return nearest
 
 
