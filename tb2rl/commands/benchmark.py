@@ -143,7 +143,7 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
     assert isinstance(simulation, KinematicSimulation)
     numbers = [np.empty(shape) for shape in ((robots, 2), (robots, 2), robots, robots)]
-    results = *numbers, np.empty(robots, dtype=bool), np.empty((robots, beams))
+    results = *numbers, np.empty(robots, dtype=bool), np.empty(robots), np.empty((robots, beams))
     whole: list[float] = []
     bare: list[float] = []
     end = time.perf_counter() + seconds

@@ -75,14 +75,17 @@ class KinematicSimulation:
         twists, ways = np.empty_like(rims), np.empty_like(rims)
         moved, accelerations = np.empty(self.robots), np.empty(self.robots)
         bumped, ranges = np.empty(self.robots, dtype=bool), np.empty((self.robots, self._beams.shape[1]))
+        nearest = np.empty(self.robots)
         commands = np.array(commands, dtype=float, order="C")  # a copy: an episode that ends overwrites it
         self._renew_movers()
-        self.advance(poses, rims, commands, duration, twists, ways, moved, accelerations, bumped, ranges)
+        self.advance(poses, rims, commands, duration, twists, ways, moved, accelerations, bumped, nearest, ranges)
         self._poses, self._rims, self._bumped, self.moved = poses, rims, bumped, moved
         self._twists, self._commands, self._accelerations = twists, commands, accelerations
         if self._odometry is not None:
             self._odometry = count_on(self._odometry, believed(ways, self._start))
-        return self._reading(ranges)
+        reading = self._reading(ranges)
+        vars(reading)["nearest"] = nearest  # found on the way, while the ranges were at hand
+        return reading
 
     def advance(
         self,
@@ -95,6 +98,7 @@ class KinematicSimulation:
         moved: np.ndarray,
         accelerations: np.ndarray,
         bumped: np.ndarray,
+        nearest: np.ndarray,
         ranges: np.ndarray,
     ) -> None:
         """The compiled work of a step alone, into the caller's arrays (see `stepping.step_block`).
@@ -103,7 +107,7 @@ class KinematicSimulation:
         """
         data: tuple[Any, ...] = (
             poses, rims, commands, duration, self._start.table, *self._index, self._beams, self._limits, self._streams,
-            twists, ways, moved, accelerations, bumped, ranges,
+            twists, ways, moved, accelerations, bumped, nearest, ranges,
         )  # fmt: skip
         cost, work = ROBOT + BEAM * ranges.shape[1], step_block
         if self._movers is not None:

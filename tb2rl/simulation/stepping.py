@@ -16,6 +16,7 @@ from tb2rl.simulation.kernels import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, 
 from tb2rl.simulation.outlines import LENGTH, X, Y, reach_of
 from tb2rl.simulation.setup import PHYSICS_RATE, POSE, WHEEL, WORLD
 from tb2rl.simulation.walking import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
+from tb2rl.worlds.geometry import shortest_of
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
@@ -98,7 +99,7 @@ def walk_alone(i, steps, part, movers, walks, routes, starts, boxes, posts, part
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
 def step_robots(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, cos_beams, sin_beams, limits,
-    streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges, movers, walks, routes, moving,
+    streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, movers, walks, routes, moving,
 ):  # fmt: skip
     """`step_block`, with room to calculate in: arrays that a loop's own function made are counted in every turn."""
     for i in range(first, last):
@@ -121,6 +122,7 @@ def step_robots(
             poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y,
             ranges, movers, moving,
         )  # fmt: skip
+        nearest[i] = shortest_of(ranges, i)
         if movers is not None:
             moving[i] = at_mover if bumped[i] else moving[i]
 
@@ -128,26 +130,26 @@ def step_robots(
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
-    twists, ways, moved, accelerations, bumped, ranges,
+    twists, ways, moved, accelerations, bumped, nearest, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
 
     `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (robots, 2) are keys and counts.
     Results are `twists` (robots, 2) v and w [m/s, rad/s], `ways` (robots, 2) as in `move`, `moved` (robots,) how far
-    from where it was [m], `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,) and `ranges`
-    (robots, beams) [m].
+    from where it was [m], `accelerations` (robots,) the mean one ahead [m/s^2], `bumped` (robots,), `ranges`
+    (robots, beams) [m] and the shortest of each robot, `nearest` (robots,) [m].
     """
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     step_robots(
         first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
-        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges, None, None, None, None,
+        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, None, None, None, None,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block_among(
     first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
-    twists, ways, moved, accelerations, bumped, ranges, movers, walks, routes, moving,
+    twists, ways, moved, accelerations, bumped, nearest, ranges, movers, walks, routes, moving,
 ):  # fmt: skip
     """`step_block` among things that move; `moving` (robots,) is a result, too.
 
@@ -156,7 +158,8 @@ def step_block_among(
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     step_robots(
         first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
-        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, ranges, movers, walks, routes, moving,
+        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, movers, walks, routes,
+        moving,
     )  # fmt: skip
 
 

@@ -133,14 +133,20 @@ def place_in_triangles(draws, corners, shares, poses):
 
 
 @njit(cache=True, fastmath={"nnan", "nsz"})  # several beams at a time: ranges are numbers
+def shortest_of(ranges, i):
+    """The shortest of the ranges (robots, beams) of robot `i`."""
+    nearest = np.inf
+    for beam in range(ranges.shape[1]):
+        nearest = min(nearest, ranges[i, beam])
+    return nearest
+
+
+@njit(cache=True)
 def shortest(ranges):
     """The shortest of each robot's ranges (robots, beams), shape (robots,)."""
     nearest = np.empty(ranges.shape[0])
     for i in range(ranges.shape[0]):
-        least = np.inf
-        for beam in range(ranges.shape[1]):
-            least = min(least, ranges[i, beam])
-        nearest[i] = least
+        nearest[i] = shortest_of(ranges, i)
     return nearest
 
 
