@@ -10,7 +10,9 @@ import pytest
 
 from tb2rl import benchmark
 from tb2rl.commands import benchmark as work
-from tb2rl.commands.benchmark import PARTS, Figure, learners
+from tb2rl.commands import rates
+from tb2rl.commands.benchmark import PARTS, learners
+from tb2rl.commands.rates import Figure
 from tb2rl.processes import processors
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
@@ -20,9 +22,9 @@ from tb2rl.simulation.threads import THREADS
 @pytest.fixture
 def brief(monkeypatch):
     """Less of everything."""
-    monkeypatch.setattr(work, "BEAMS", (6,))
-    monkeypatch.setattr(work, "ROBOTS", (1, 100))
-    monkeypatch.setattr(work, "ENVIRONMENTS", 2)
+    monkeypatch.setattr(rates, "BEAMS", (6,))
+    monkeypatch.setattr(rates, "ROBOTS", (1, 100))
+    monkeypatch.setattr(rates, "ENVIRONMENTS", 2)
     monkeypatch.setattr(work, "learners", lambda: ["qlearn"])
 
 

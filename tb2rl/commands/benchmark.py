@@ -6,21 +6,17 @@ import argparse
 import json
 import platform
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tb2rl.envs.scene import make_scene
-from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.envs.vec_env import BatchVecEnv
+from tb2rl.commands.rates import Figure, measure_physics, measure_twin
 from tb2rl.errors import InputError, unknown
 from tb2rl.files import write_text
 from tb2rl.judging.evaluator import PASSED, evaluate
@@ -31,23 +27,8 @@ from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.simulation import SIMULATIONS, check_bullet
-from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.tasks.wander import Wander
 
-BEAMS = (6, 36, 720)
-ROBOTS = (1, 64, 1024, 4096)
-ENVIRONMENTS = 16  # as in the presets
-_BLOCK = 50  # control steps between the two sides of a ratio
 _STEPS = 50_000  # of a training in PyBullet whose rate is measured
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One measured number."""
-
-    name: str
-    value: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -57,110 +38,6 @@ class Conditions:
     seconds: float = 5.0  # for each figure of the parts physics and twin
     seeds: int = 1  # trainings of each agent in the part trained, with seeds from 0
     simulations: Sequence[str] = ("kinematic",)  # in which the part trained does so
-
-
-def measure_physics(conditions: Conditions) -> list[Figure]:
-    """The environment's step, alone and in parallel processes."""
-    figures = [figure for beams in BEAMS for figure in measure_step(beams, conditions.seconds)]
-    return [*figures, *measure_processes(ENVIRONMENTS, conditions.seconds)]
-
-
-def measure_step(beams: int, seconds: float) -> list[Figure]:
-    """The environment's step with raw ranges of so many beams, and the bare stepping in it."""
-    scene = make_scene(Wander(beams=beams), "raw")
-    env = TurtleBot2Env(scene)
-    rng = np.random.default_rng(0)
-    env.reset(seed=0)
-    whole, bare = [], []
-    end = time.perf_counter() + seconds
-    while time.perf_counter() < end:
-        actions = rng.integers(len(scene.actions.names), size=_BLOCK)
-        before = env.simulation.state()
-        times, over = _time_steps(env, actions)
-        after = env.simulation.state()
-        env.simulation.restore(before)
-        whole.append(np.mean(times))
-        bare.append(_time_bare(env.simulation, scene.actions.commands(actions[: len(times)])))
-        env.simulation.restore(after)
-        if over:
-            env.reset()
-    env.close()
-    step, physics = float(np.median(whole)), float(np.median(bare))
-    return [
-        Figure(f"PyBullet, {beams} beams: step", 1.0 / step, "steps/s"),
-        Figure(f"PyBullet, {beams} beams: bare stepping in it", 1e3 * physics, f"ms per {env.task.control_period} s"),
-        Figure(f"PyBullet, {beams} beams: step / bare stepping", float(np.median(np.divide(whole, bare))), "ratio"),
-    ]
-
-
-def measure_processes(environments: int, seconds: float) -> list[Figure]:
-    """Environments in parallel processes and one alone, in turns: machines change from second to second."""
-    alone = gym.make("tb2rl:TurtleBot2Maze-v0")
-    together = BatchVecEnv(alone.get_wrapper_attr("scene"), environments, simulation="bullet")
-    together.seed(0)
-    together.reset()
-    alone.reset(seed=0)
-    rng = np.random.default_rng(0)
-    rates = []
-    end = time.perf_counter() + seconds
-    while time.perf_counter() < end:
-        start = time.perf_counter()
-        for actions in rng.integers(3, size=(_BLOCK, environments)):
-            together.step(actions)
-        between = time.perf_counter()
-        for action in rng.integers(3, size=4 * _BLOCK):
-            if True in alone.step(action)[2:4]:  # terminated, truncated
-                alone.reset()
-        rates.append((_BLOCK * environments / (between - start), 4 * _BLOCK / (time.perf_counter() - between)))
-    together.close()
-    alone.close()
-    many, one = np.array(rates).T
-    name = f"PyBullet, {environments} environments in parallel processes"
-    share = float(np.median(many / one) / processors())
-    return [
-        Figure("PyBullet, one environment alone", float(np.median(one)), "steps/s"),
-        Figure(name, float(np.median(many)), "steps/s"),
-        Figure(f"PyBullet, {environments} in parallel / ({processors()} x one alone)", share, "ratio"),
-    ]
-
-
-def measure_twin(conditions: Conditions) -> list[Figure]:
-    """The fast twin for every number of robots and beams."""
-    return [
-        figure
-        for beams in BEAMS
-        for robots in ROBOTS
-        for figure in measure_batch(robots, beams, conditions.seconds / 5)
-    ]
-
-
-def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
-    """The VecEnv's own step, everything included, and the twin's compiled kernel alone over the same commands."""
-    scene = make_scene(Wander(beams=beams), "raw")
-    env = BatchVecEnv(scene, robots)
-    env.seed(0)
-    env.reset()
-    simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
-    assert isinstance(simulation, KinematicSimulation)
-    numbers = [np.empty(shape) for shape in ((robots, 2), (robots, 2), robots, robots)]
-    results = *numbers, np.empty(robots, dtype=bool), np.empty(robots), np.empty((robots, beams))
-    whole: list[float] = []
-    bare: list[float] = []
-    end = time.perf_counter() + seconds
-    while time.perf_counter() < end or len(whole) < 3:  # the first ones start the threads
-        action = rng.integers(len(scene.actions.names), size=robots)
-        commands, state = scene.actions.commands(action), simulation.state()
-        start = time.perf_counter()
-        env.step(action)
-        between = time.perf_counter()
-        simulation.advance(state["poses"], state["rims"], commands, period, *results)
-        whole.append(between - start)
-        bare.append(time.perf_counter() - between)
-    name = f"twin, {robots} robots, {beams} beams"
-    return [
-        Figure(f"{name}: step", robots / float(np.mean(whole[2:])), "robot-steps/s"),
-        Figure(f"{name}: step / bare kernel", float(np.mean(whole[2:]) / np.mean(bare[2:])), "ratio"),
-    ]
 
 
 def measure_training(conditions: Conditions) -> list[Figure]:
@@ -215,8 +92,8 @@ def _is_here(agent: Agent) -> bool:
 
 
 PARTS: dict[str, Callable[[Conditions], list[Figure]]] = {
-    "physics": measure_physics,
-    "twin": measure_twin,
+    "physics": lambda conditions: measure_physics(conditions.seconds),
+    "twin": lambda conditions: measure_twin(conditions.seconds),
     "training": measure_training,
     "trained": measure_trained,
 }
@@ -230,27 +107,6 @@ def _train(agent: str, simulation: str, seed: int, folder: Path | None = None, *
     with tempfile.TemporaryDirectory() as scratch:
         train_config(short, Path(scratch) / "short")
         return train_config(config, (folder or Path(scratch)) / "run")
-
-
-def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], bool]:
-    times = []
-    for action in actions:
-        start = time.perf_counter()
-        _, _, terminated, truncated, _ = env.step(action)
-        times.append(time.perf_counter() - start)
-        if terminated or truncated:
-            return times, True
-    return times, False
-
-
-def _time_bare(simulation: Any, commands: np.ndarray) -> float:
-    total = 0.0
-    for told in commands:
-        simulation.set_wheel_speeds(told[None])
-        start = time.perf_counter()
-        simulation.advance()
-        total += time.perf_counter() - start
-    return total / len(commands)
 
 
 def machine() -> str:

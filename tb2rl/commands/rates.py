@@ -1,0 +1,179 @@
+"""How fast the simulations are: PyBullet's step, alone and in processes, and the fast twin's."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from tb2rl.envs.scene import make_scene
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.vec_env import BatchVecEnv
+from tb2rl.processes import main_hidden, process_context, processors
+from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.tasks.wander import Wander
+
+BEAMS = (6, 36, 720)
+ROBOTS = (1, 64, 1024, 4096)
+ENVIRONMENTS = 16  # as in the presets
+_BLOCK = 50  # control steps between the two sides of a ratio
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number."""
+
+    name: str
+    value: float
+    unit: str
+
+
+def measure_physics(seconds: float) -> list[Figure]:
+    """The environment's step, alone and in parallel processes."""
+    figures = [figure for beams in BEAMS for figure in measure_step(beams, seconds)]
+    return [*figures, *measure_processes(ENVIRONMENTS, seconds)]
+
+
+def measure_step(beams: int, seconds: float) -> list[Figure]:
+    """The environment's step with raw ranges of so many beams, and the bare stepping in it."""
+    scene = make_scene(Wander(beams=beams), "raw")
+    env = TurtleBot2Env(scene)
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    whole, bare = [], []
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        actions = rng.integers(len(scene.actions.names), size=_BLOCK)
+        before = env.simulation.state()
+        times, over = _time_steps(env, actions)
+        after = env.simulation.state()
+        env.simulation.restore(before)
+        whole.append(np.mean(times))
+        bare.append(_time_bare(env.simulation, scene.actions.commands(actions[: len(times)])))
+        env.simulation.restore(after)
+        if over:
+            env.reset()
+    env.close()
+    step, physics = float(np.median(whole)), float(np.median(bare))
+    return [
+        Figure(f"PyBullet, {beams} beams: step", 1.0 / step, "steps/s"),
+        Figure(f"PyBullet, {beams} beams: bare stepping in it", 1e3 * physics, f"ms per {env.task.control_period} s"),
+        Figure(f"PyBullet, {beams} beams: step / bare stepping", float(np.median(np.divide(whole, bare))), "ratio"),
+    ]
+
+
+def measure_processes(environments: int, seconds: float) -> list[Figure]:
+    """Environments in parallel processes, one alone, and one alone in each process at once.
+
+    They take turns: machines change from second to second. Processors that share a core, or a busy host, do less at
+    once than one after the other: the last figure says how much of what they do at once is left.
+    """
+    together = BatchVecEnv(make_scene(Wander(), "discrete"), environments, simulation="bullet")
+    together.seed(0)
+    together.reset()
+    rng, rates = np.random.default_rng(0), []
+    with main_hidden():
+        others = process_context().Pool(processors() - 1) if processors() > 1 else None
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        start = time.perf_counter()
+        for actions in rng.integers(3, size=(_BLOCK, environments)):
+            together.step(actions)
+        many = _BLOCK * environments / (time.perf_counter() - start)
+        asked = others.map_async(_rate_alone, range(1, processors()), 1) if others else None
+        at_once = _rate_alone(0) + (sum(asked.get()) if asked else 0.0)
+        rates.append((many, at_once, _rate_alone(0)))
+    together.close()
+    if others:
+        others.terminate()
+    many, at_once, one = np.array(rates).T
+    name, count = f"PyBullet, {environments} environments in parallel processes", processors()
+    return [
+        Figure("PyBullet, one environment alone", float(np.median(one)), "steps/s"),
+        Figure(f"PyBullet, {count} alone at once", float(np.median(at_once)), "steps/s"),
+        Figure(name, float(np.median(many)), "steps/s"),
+        Figure(
+            f"PyBullet, {environments} in parallel / ({count} x one alone)",
+            float(np.median(many / one)) / count,
+            "ratio",
+        ),
+        Figure(
+            f"PyBullet, {environments} in parallel / {count} alone at once", float(np.median(many / at_once)), "ratio"
+        ),
+    ]
+
+
+@cache
+def _alone() -> gym.Env:
+    """The environment of this process."""
+    env = gym.make("tb2rl:TurtleBot2Maze-v0")
+    env.reset(seed=0)
+    return env
+
+
+def _rate_alone(seed: int) -> float:
+    """Of this process's environment [steps/s], driven at random."""
+    env, start = _alone(), time.perf_counter()
+    for action in np.random.default_rng(seed).integers(3, size=4 * _BLOCK):
+        if True in env.step(action)[2:4]:  # terminated, truncated
+            env.reset()
+    return 4 * _BLOCK / (time.perf_counter() - start)
+
+
+def measure_twin(seconds: float) -> list[Figure]:
+    """The fast twin for every number of robots and beams."""
+    return [figure for beams in BEAMS for robots in ROBOTS for figure in measure_batch(robots, beams, seconds / 5)]
+
+
+def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
+    """The VecEnv's own step, everything included, and the twin's compiled kernel alone over the same commands."""
+    scene = make_scene(Wander(beams=beams), "raw")
+    env = BatchVecEnv(scene, robots)
+    env.seed(0)
+    env.reset()
+    simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
+    assert isinstance(simulation, KinematicSimulation)
+    numbers = [np.empty(shape) for shape in ((robots, 2), (robots, 2), robots, robots)]
+    results = *numbers, np.empty(robots, dtype=bool), np.empty(robots), np.empty((robots, beams))
+    whole: list[float] = []
+    bare: list[float] = []
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end or len(whole) < 3:  # the first ones start the threads
+        action = rng.integers(len(scene.actions.names), size=robots)
+        commands, state = scene.actions.commands(action), simulation.state()
+        start = time.perf_counter()
+        env.step(action)
+        between = time.perf_counter()
+        simulation.advance(state["poses"], state["rims"], commands, period, *results)
+        whole.append(between - start)
+        bare.append(time.perf_counter() - between)
+    name = f"twin, {robots} robots, {beams} beams"
+    return [
+        Figure(f"{name}: step", robots / float(np.mean(whole[2:])), "robot-steps/s"),
+        Figure(f"{name}: step / bare kernel", float(np.mean(whole[2:]) / np.mean(bare[2:])), "ratio"),
+    ]
+
+
+def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], bool]:
+    times = []
+    for action in actions:
+        start = time.perf_counter()
+        _, _, terminated, truncated, _ = env.step(action)
+        times.append(time.perf_counter() - start)
+        if terminated or truncated:
+            return times, True
+    return times, False
+
+
+def _time_bare(simulation: Any, commands: np.ndarray) -> float:
+    total = 0.0
+    for told in commands:
+        simulation.set_wheel_speeds(told[None])
+        start = time.perf_counter()
+        simulation.advance()
+        total += time.perf_counter() - start
+    return total / len(commands)
