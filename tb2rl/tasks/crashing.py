@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tb2rl.robots.robot import RADIUS
 from tb2rl.simulation import Reading
 from tb2rl.tasks.task import Task
 from tb2rl.values import NonNegative
@@ -17,7 +18,16 @@ class Crashing(Task):
 
     crash_reward: float = -200.0  # replaces the step's reward
     crash_range: NonNegative = 0.5  # [m] a range below this is a crash; so is any touch of the bumper
+    margin: NonNegative = 0.0  # [m] between robot and wall, below which a step is fined
+    margin_reward: float = 0.0  # the fine at a touch; farther away it falls to 0 by its square
 
     def crashed(self, after: Reading) -> np.ndarray:
         """Which robots have crashed, bool, shape (robots,)."""
         return after.bumped | (after.nearest < self.crash_range)
+
+    def rewards(self, earned: np.ndarray, crashed: np.ndarray, after: Reading) -> np.ndarray:
+        """What robots get that earned so much, less the fine; crashed ones get `crash_reward` alone. Shape (robots,)."""
+        if self.margin:
+            gap = after.nearest - after.start.parameters[:, RADIUS]
+            earned = earned + self.margin_reward * np.clip(1.0 - gap / self.margin, 0.0, 1.0) ** 2
+        return np.where(crashed, self.crash_reward, earned)

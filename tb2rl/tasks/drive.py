@@ -36,4 +36,4 @@ class Drive(Crashing):
         crashed = self.crashed(after)
         v, w = after.twist.T  # what the robot does, not what it was told
         driven = v * np.cos(w) * self.control_period
-        return Outcome(np.where(crashed, self.crash_reward, driven), failed=crash_endings(crashed, after))
+        return Outcome(self.rewards(driven, crashed, after), failed=crash_endings(crashed, after))

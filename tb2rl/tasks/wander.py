@@ -38,4 +38,4 @@ class Wander(Crashing):
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
         crashed = self.crashed(after)
         moving = np.where(action == self.actions.forward, self.forward_reward, self.turn_reward)
-        return Outcome(np.where(crashed, self.crash_reward, moving), failed=crash_endings(crashed, after))
+        return Outcome(self.rewards(moving, crashed, after), failed=crash_endings(crashed, after))
