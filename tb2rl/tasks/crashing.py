@@ -26,7 +26,7 @@ class Crashing(Task):
         return after.bumped | (after.nearest < self.crash_range)
 
     def rewards(self, earned: np.ndarray, crashed: np.ndarray, after: Reading) -> np.ndarray:
-        """What robots get that earned so much, less the fine; crashed ones get `crash_reward` alone. Shape (robots,)."""
+        """What robots get that earned so much, less the fine, shape (robots,); of a crash, `crash_reward` alone."""
         if self.margin:
             gap = after.nearest - after.start.parameters[:, RADIUS]
             earned = earned + self.margin_reward * np.clip(1.0 - gap / self.margin, 0.0, 1.0) ** 2
