@@ -7,6 +7,7 @@ from tb2rl.sensors.camera import Camera
 from tb2rl.sensors.goal import GoalBearing, GoalDistance
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
+from tb2rl.sensors.sectors import Sectors
 from tb2rl.sensors.sensor import Sensor
 
 SENSORS: dict[str, tuple[type[Sensor], ...]] = {
@@ -16,5 +17,6 @@ SENSORS: dict[str, tuple[type[Sensor], ...]] = {
     "imu": (YawRate, ForwardAcceleration),
     "laser": (LaserRanges,),
     "last_action": (LastAction,),
+    "sectors": (Sectors,),
     "twist": (ForwardSpeed, TurnRate),
 }
