@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.tasks import crash_endings
 from tb2rl.tasks.drive import Drive
 from tb2rl.tasks.outcome import CRASH, MOVER_CRASH
@@ -47,3 +48,14 @@ def test_a_task_of_ones_own_tells_crashes_apart_with_one_call(reading):
     failed = crash_endings(reading.bumped, reading)
     assert failed[CRASH].tolist() == [False] * 4
     assert failed[MOVER_CRASH].tolist() == [False, False, False, True]
+
+
+@pytest.mark.parametrize(("kind", "earned"), [(Wander, 5.0), (Drive, 0.0)])
+def test_a_step_near_a_wall_is_fined_by_the_square_of_how_near(kind, earned, make_reading):
+    radius = ROBOT.radius
+    after = make_reading([radius, radius + 0.1, radius + 0.2, 3.0, radius], bumped=[False] * 4 + [True])
+    task = kind(crash_range=0.0, margin=0.2, margin_reward=-4.0, crash_reward=-9.0)
+    action = np.zeros((5, *(task.actions.space.shape or ())), task.actions.space.dtype)
+    fined = task.judge(after, action, after).reward
+    assert fined == pytest.approx([earned - 4.0, earned - 1.0, earned, earned, -9.0])
+    assert kind(crash_range=0.0).judge(after, action, after).reward[:4].tolist() == [earned] * 4
