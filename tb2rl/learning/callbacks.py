@@ -17,6 +17,7 @@ from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.evaluator import Evaluator
 from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning.state import Stateful, capture
+from tb2rl.runs.config import TrainSettings
 from tb2rl.runs.folder import Run
 from tb2rl.runs.normalisation import driving_policy
 from tb2rl.showing.pictures import draw_paths
@@ -33,28 +34,18 @@ class Evaluate(BaseCallback):
     Args:
         run: Gets the best policy, and a line for each evaluation.
         evaluator: Drives the episodes.
-        freq: Control steps between evaluations.
-        stop_score: The share of good episodes that is good enough; None: never.
-        stop_evaluations: How many evaluations in a row have to reach it.
+        settings: How often, what makes one the best, and when one is good enough.
 
     Attributes:
         stopped: Whether it stopped the training.
     """
 
-    def __init__(
-        self,
-        run: Run,
-        evaluator: Evaluator | TwinEvaluator,
-        freq: int,
-        stop_score: float | None = None,
-        stop_evaluations: int = 2,
-    ) -> None:
+    def __init__(self, run: Run, evaluator: Evaluator | TwinEvaluator, settings: TrainSettings) -> None:
         super().__init__()
-        self.run, self.evaluator, self.freq = run, evaluator, freq
-        self.stop_score, self.stop_evaluations = stop_score, stop_evaluations
+        self.run, self.evaluator, self.settings = run, evaluator, settings
         self.stopped = False
         self._reached = 0  # evaluations in a row
-        self._next = freq
+        self._next = settings.eval_freq
         self._best = (-np.inf, -np.inf)
         self._elapsed_before = 0.0
 
@@ -81,11 +72,11 @@ class Evaluate(BaseCallback):
 
     def _on_step(self) -> bool:
         if self._next <= self.num_timesteps < self.locals["total_timesteps"]:  # the end has an evaluation of its own
-            self._next = (self.num_timesteps // self.freq + 1) * self.freq
-            evaluation = self.evaluate()
-            good = self.stop_score is not None and evaluation.good_rate >= self.stop_score
-            self._reached = self._reached + 1 if good else 0
-            self.stopped = self._reached >= self.stop_evaluations
+            freq, enough = self.settings.eval_freq, self.settings.stop_score
+            self._next = (self.num_timesteps // freq + 1) * freq
+            rate = self.evaluate().good_rate
+            self._reached = self._reached + 1 if enough is not None and rate >= enough else 0
+            self.stopped = self._reached >= self.settings.stop_evaluations
         return not self.stopped
 
     def evaluate(self, progress: bool = False) -> Evaluation:
@@ -95,9 +86,10 @@ class Evaluate(BaseCallback):
         summary = {"timesteps": self.num_timesteps, **evaluation.summary()}
         summary["seconds"] = round(time.monotonic() - started, 3)
         summary["elapsed"] = self._elapsed()
-        summary["best"] = evaluation.score > self._best
+        score = evaluation.score if self.settings.best_by == "success" else (evaluation.score[1], 0.0)
+        summary["best"] = score > self._best
         if summary["best"]:
-            self._best = evaluation.score
+            self._best = score
             self.run.save(self.model, "best/policy")
         self.run.note_evaluation(summary)
         for key in _LOGGED:

@@ -173,7 +173,7 @@ def _train(
             Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.fastest),
         ]
         if evaluator:
-            evaluation = Evaluate(run, evaluator, settings.eval_freq, settings.stop_score, settings.stop_evaluations)
+            evaluation = Evaluate(run, evaluator, settings)
             remembering.append(evaluation)
         if settings.episodes:
             remembering.append(StopAfterEpisodes(settings.episodes))

@@ -147,3 +147,20 @@ def test_what_the_twin_cannot_observe_is_evaluated_in_pybullet(small, tmp_path, 
     assert "evaluations on the way are in PyBullet, and slower: the twin has no colours\n" in capsys.readouterr().out
     (line,) = map(json.loads, (run.folder / "evaluations.jsonl").read_text().splitlines())
     assert line["simulation"] == "bullet"
+
+
+@pytest.mark.parametrize(("best_by", "kept"), [("success", 128), ("return", 192)])
+def test_the_policy_is_kept_that_has_the_most_of_what_counts(best_by, kept, small, monkeypatch, tmp_path):
+    found = iter([(0.5, 7.0), (0.9, 1.0), (0.8, 9.0), (0.8, 8.0)])  # a robot that turns on the spot crashes least
+    run = TwinEvaluator.run
+
+    def evaluate(evaluator: TwinEvaluator, *arguments) -> Evaluation:
+        evaluation, (share, total) = run(evaluator, *arguments), next(found)
+        good = round(share * len(evaluation.episodes))
+        episodes = [replace(e, success=i < good, episode_return=total) for i, e in enumerate(evaluation.episodes)]
+        return replace(evaluation, episodes=episodes)
+
+    monkeypatch.setattr(TwinEvaluator, "run", evaluate)
+    settings = {**OFTEN, "total_timesteps": 256, "best_by": best_by}
+    trained = train_config(small("qlearn", **settings), tmp_path / "run")
+    assert load(trained.run.folder).num_timesteps == kept
