@@ -28,7 +28,7 @@ class Sectors(Sensor):
 
     name, unit = "sectors", "m"
 
-    def __init__(self, laser: Laser, count: Count = 9, edges: Edges = (0.7, 1.0, 1.7)) -> None:
+    def __init__(self, laser: Laser, count: Count = 7, edges: Edges = (0.7, 1.0, 1.7)) -> None:
         beams = len(laser.angles)
         if count > beams:
             raise InputError(f"{count} sectors need as many beams, and the laser has {beams}; set task.beams")
