@@ -29,5 +29,5 @@ class Crashing(Task):
         """What robots get that earned so much, less the fine, shape (robots,); of a crash, `crash_reward` alone."""
         if self.margin:
             gap = after.nearest - after.start.parameters[:, RADIUS]
-            earned = earned + self.margin_reward * np.clip(1.0 - gap / self.margin, 0.0, 1.0) ** 2
+            earned = earned + self.margin_reward * (np.clip(self.margin - gap, 0.0, self.margin) / self.margin) ** 2
         return np.where(crashed, self.crash_reward, earned)
