@@ -53,7 +53,7 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
         after = env.simulation.state()
         env.simulation.restore(before)
         whole.append(np.mean(times))
-        bare.append(_time_bare(env.simulation, scene.actions.commands(actions[: len(times)])))
+        bare.append(_time_bare(env.simulation, scene.actions.commands(actions[: len(times)]), env.task.control_period))
         env.simulation.restore(after)
         if over:
             env.reset()
@@ -169,8 +169,9 @@ def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], b
     return times, False
 
 
-def _time_bare(simulation: Any, commands: np.ndarray) -> float:
+def _time_bare(simulation: Any, commands: np.ndarray, period: float) -> float:
     total = 0.0
+    simulation.set_duration(period)
     for told in commands:
         simulation.set_wheel_speeds(told[None])
         start = time.perf_counter()

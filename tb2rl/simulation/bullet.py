@@ -93,7 +93,7 @@ class BulletSimulation:
             self._crowd.restore(crowd, self._start)
             self._put(*where)
             for commands, duration in state["_driven"]:
-                self._set_duration(duration)
+                self.set_duration(duration)
                 self.set_wheel_speeds(commands)
                 self.advance()
         vars(self).update({name: value for name, value in state.items() if name not in _OF_THE_CLIENT})
@@ -140,7 +140,7 @@ class BulletSimulation:
     def drive(self, commands: np.ndarray, duration: float) -> tuple[Any, ...]:
         """`step`, for `BulletBatch`: what the robot senses now, see `Reading.of_one`."""
         self._driven.append((commands.copy(), duration))
-        self._set_duration(duration)
+        self.set_duration(duration)
         self.set_wheel_speeds(commands)
         free, at_wall = self._free_steps(duration), False
         at_mover = self.advance(free)
@@ -262,7 +262,8 @@ class BulletSimulation:
         contacts = pybullet.getContactPoints(self._robot, physicsClientId=self._client)
         return any(contact[2] in self._walls and contact[8] < TOUCH for contact in contacts)  # the other one; distance
 
-    def _set_duration(self, duration: float) -> None:
+    def set_duration(self, duration: float) -> None:
+        """Say how long the control steps [s] are that `advance` runs; a world that was built anew has forgotten."""
         if duration != self._duration:
             self._duration = duration
             self._steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))
