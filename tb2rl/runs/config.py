@@ -43,7 +43,7 @@ class TrainSettings:
     eval_simulation: Literal["bullet", "kinematic"] = "kinematic"  # where these drive: the twin drives all at once
     eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in PyBullet and of images
     eval_steps: Count = 1000  # control steps at most in an episode of these
-    best_by: Literal["success", "return"] = "success"  # of these, what the policy has the most of that is kept
+    best_by: Literal["success", "return"] = "success"  # what makes one the best: good episodes, or mean return
     stop_score: Fraction | None = None  # stop once evaluations reach it: the share of good episodes; None: never
     stop_evaluations: Count = 2  # so many of them in a row
     save_freq: CountOrZero = 50_000  # control steps between checkpoints; 0: only the last

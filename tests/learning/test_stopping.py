@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 
 import pytest
 
@@ -31,16 +33,19 @@ OFTEN = {
 
 @pytest.fixture
 def rates(monkeypatch):
-    """A function that makes the evaluations find these shares of good episodes, one after the other."""
+    """A function that makes the evaluations find these shares of good episodes, and returns, one after the other."""
     run = TwinEvaluator.run
 
-    def find(*shares: float) -> None:
-        left = list(shares)
+    def find(*shares: float, returns: Sequence[float] = ()) -> None:
+        left = list(zip_longest(shares, returns))
 
         def evaluate(evaluator: TwinEvaluator, *arguments) -> Evaluation:
-            evaluation = run(evaluator, *arguments)
-            good = round(left.pop(0) * len(evaluation.episodes))
-            episodes = [replace(e, failed=i >= good, success=i < good) for i, e in enumerate(evaluation.episodes)]
+            evaluation, (share, found) = run(evaluator, *arguments), left.pop(0)
+            good = round(share * len(evaluation.episodes))
+            others = {} if found is None else {"episode_return": found}
+            episodes = [
+                replace(e, failed=i >= good, success=i < good, **others) for i, e in enumerate(evaluation.episodes)
+            ]
             return replace(evaluation, episodes=episodes)
 
         monkeypatch.setattr(TwinEvaluator, "run", evaluate)
@@ -150,17 +155,8 @@ def test_what_the_twin_cannot_observe_is_evaluated_in_pybullet(small, tmp_path, 
 
 
 @pytest.mark.parametrize(("best_by", "kept"), [("success", 128), ("return", 192)])
-def test_the_policy_is_kept_that_has_the_most_of_what_counts(best_by, kept, small, monkeypatch, tmp_path):
-    found = iter([(0.5, 7.0), (0.9, 1.0), (0.8, 9.0), (0.8, 8.0)])  # a robot that turns on the spot crashes least
-    run = TwinEvaluator.run
-
-    def evaluate(evaluator: TwinEvaluator, *arguments) -> Evaluation:
-        evaluation, (share, total) = run(evaluator, *arguments), next(found)
-        good = round(share * len(evaluation.episodes))
-        episodes = [replace(e, success=i < good, episode_return=total) for i, e in enumerate(evaluation.episodes)]
-        return replace(evaluation, episodes=episodes)
-
-    monkeypatch.setattr(TwinEvaluator, "run", evaluate)
+def test_the_policy_is_kept_that_has_the_most_of_what_counts(best_by, kept, small, rates, tmp_path):
+    rates(0.5, 0.9, 0.8, 0.8, returns=(7.0, 1.0, 9.0, 8.0))  # a robot that turns on the spot crashes least
     settings = {**OFTEN, "total_timesteps": 256, "best_by": best_by}
     trained = train_config(small("qlearn", **settings), tmp_path / "run")
     assert load(trained.run.folder).num_timesteps == kept
