@@ -84,7 +84,7 @@ def parse_yaml(text: str, where: str) -> Any:
     try:
         _check_events(text)
         return yaml.load(text, _LOADER)
-    except (yaml.YAMLError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(one_line(f"{where} is not YAML: {error}")) from None
 
 
