@@ -7,16 +7,16 @@ from tb2rl.sensors.camera import Camera
 from tb2rl.sensors.goal import GoalBearing, GoalDistance
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
-from tb2rl.sensors.sectors import Sectors
+from tb2rl.sensors.paths import FreePaths
 from tb2rl.sensors.sensor import Sensor
 
 SENSORS: dict[str, tuple[type[Sensor], ...]] = {
     "bumper": (Bumper,),
     "camera": (Camera,),
+    "free_paths": (FreePaths,),
     "goal": (GoalDistance, GoalBearing),
     "imu": (YawRate, ForwardAcceleration),
     "laser": (LaserRanges,),
     "last_action": (LastAction,),
-    "sectors": (Sectors,),
     "twist": (ForwardSpeed, TurnRate),
 }
