@@ -8,7 +8,7 @@
 | physics | the environment's step in PyBullet, and what it costs on top of the physics in it |
 | twin | robot-steps a second of the fast twin, by robots and beams, and the VecEnv's step over the bare kernel |
 | training | control steps a second of each agent that learns, with its own preset, no evaluations |
-| trained | seconds until an evaluation in PyBullet first passes 95 % failure-free, then the standard evaluation |
+| trained | seconds until an evaluation on the way first passes 95 % failure-free; then the standard one, in PyBullet |
 
 Both sides of a ratio run in turn over the very same motion, from the same state. So ratios hold on a noisy machine,
 where rates do not.
