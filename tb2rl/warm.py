@@ -36,7 +36,8 @@ def main(arguments: list[str] | None = None) -> None:
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
         for movers in (None, {"people": 1, "boxes": 1}):
             film(policy, Path(folder, "film.gif"), settings={"movers": movers}, steps=2)
-    env = make_env("maze", "raw", simulation="kinematic", observe=["laser", "camera"], movers={"people": 1})
+    sensors = ["laser", "camera", "free_paths"]
+    env = make_env("maze", "raw", simulation="kinematic", observe=sensors, movers={"people": 1})
     env.reset()
     env.step(0)
     posts = [(x / 10, 1.0, 0.01) for x in range(200)]  # enough to need a grid
