@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import gymnasium as gym
+import numpy as np
 import pytest
 from stable_baselines3.common.monitor import Monitor
+
+from tb2rl.envs.make import make_task
+from tb2rl.envs.scene import make_scene
 
 
 class Drive(gym.Env):
@@ -38,6 +44,74 @@ class Bandit(gym.Env):
 
     def step(self, action):
         return 0, 1.0 + action, True, False, {}
+
+
+@cache
+def navigating(guide, frames):
+    """What is observed and done in task `navigate`."""
+    return make_scene(make_task("navigate", {"world": "wall", "guide": guide, "frames": frames}), "raw")
+
+
+class Playground:
+    """A floor with posts (x, y, radius [m]) on which a robot at x = y = 0, looking ahead, is to get to a target.
+
+    A waypoint is the target itself, cut to its 1.5 m. Walls are posts in a row.
+    """
+
+    GOAL_RADIUS = 0.3  # [m]
+
+    def __init__(self, target, posts=(), guide="plan", frames=1):
+        self.target, self.posts = np.array(target), np.array(posts, dtype=float).reshape(-1, 3)
+        self.scene, self.guide = navigating(guide, frames), guide
+        self.angles = self.scene.laser.angles
+
+    def policy(self, kind, **arguments):
+        """One for what is observed here."""
+        return kind(self.scene.observation_space, self.scene.action_space, **arguments)
+
+    def observe(self, pose=(0.0, 0.0, 0.0), speeds=(0.0, 0.0)):
+        """What the robot observes at a pose x, y, yaw with speeds v, w: one frame."""
+        x, y, yaw = pose
+        east, north = self.target - (x, y)
+        far, bearing = np.hypot(east, north), np.arctan2(north, east) - yaw
+        direction = np.array([np.cos(bearing), np.sin(bearing)])
+        guide = [far, *direction] if self.guide == "goal" else min(far, 1.5) * direction
+        return np.array([*self._ranges(x, y, yaw), *guide, *speeds, 0.0, 0.0], dtype=np.float32)
+
+    def command(self, kind, speeds=(0.0, 0.0), **arguments):
+        """The v and w that a policy answers at the start."""
+        return self.scene.actions.commands(self.policy(kind, **arguments).predict(self.observe(speeds=speeds))[0])
+
+    def drive(self, kind, steps, **arguments):
+        """Where a policy leads in so many steps of 0.1 s at most, until it is at the target.
+
+        Returns:
+            The path x, y [m], shape (steps + 1, 2), and the least distance from it to a post [m].
+        """
+        policy, pose, speeds, path = self.policy(kind, **arguments), np.zeros(3), np.zeros(2), [(0.0, 0.0)]
+        for _ in range(steps):
+            speeds = self.scene.actions.commands(policy.predict(self.observe(pose, speeds))[0])
+            middle = pose[2] + 0.05 * speeds[1]
+            pose = pose + 0.1 * np.array([speeds[0] * np.cos(middle), speeds[0] * np.sin(middle), speeds[1]])
+            path.append(pose[:2])
+            if np.hypot(*(self.target - pose[:2])) < self.GOAL_RADIUS:
+                break
+        away = np.hypot(*(np.array(path)[:, None] - self.posts[:, :2]).T).T - self.posts[:, 2]
+        return np.array(path), away.min(initial=np.inf)
+
+    def _ranges(self, x, y, yaw):
+        (east, north), cos, sin = (self.posts[:, :2] - (x, y)).T, np.cos(yaw + self.angles), np.sin(yaw + self.angles)
+        along = np.outer(cos, east) + np.outer(sin, north)  # shape (beams, posts)
+        aside = np.outer(cos, north) - np.outer(sin, east)
+        depth = self.posts[:, 2] ** 2 - aside**2
+        hits = np.where((depth > 0.0) & (along > 0.0), along - np.sqrt(np.maximum(depth, 0.0)), 30.0)
+        return hits.min(axis=1, initial=30.0)
+
+
+@pytest.fixture
+def playground():
+    """The class `Playground`."""
+    return Playground
 
 
 @pytest.fixture

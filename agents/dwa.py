@@ -1,0 +1,157 @@
+"""The dynamic window approach (Fox, Burgard & Thrun 1997, "The dynamic window approach to collision avoidance")."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+
+from tb2rl.agents._guided import Guided, Seen, free_way, way_out
+from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.registry import Agent
+from tb2rl.values import NonNegative, Positive
+
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.dwa:DWA", observation="raw", only=True)
+
+SPEEDS, TURNS = 4, 15  # that are tried together, the ends of both windows among them, and the middle of turns
+_SOON = 0.4  # [s] when the heading counts
+_CLEAR = 1.0  # [m] longer free ways count alike
+
+
+class _Limits(NamedTuple):
+    """What the robot can do, in metres, seconds and radians; see `DWA`."""
+
+    fastest: float
+    turn_rate: float
+    acceleration: float
+    turn_acceleration: float
+    period: float
+    horizon: float
+    radius: float
+    gap: float
+
+
+class _Weights(NamedTuple):
+    """Of the parts of the objective, which lie between 0 and 1 (progress: -1 and 1)."""
+
+    heading: float
+    clearance: float
+    speed: float
+    progress: float
+
+
+class DWA(Guided):
+    """Of the speeds that the motors reach within a control period it takes the best pair that is safe.
+
+    Safe is a pair (v, w) whose arc is free for as far as the robot needs to stop. The best one has the largest sum of
+    heading (to the target, soon), clearance (of its arc), speed, and progress (how much nearer to the target it gets
+    within `horizon`), each times its weight. The first three are the paper's, the last is that of ROS's
+    `dwa_local_planner`. Where nothing leads on it rotates away, as the paper's robot does.
+
+    Args:
+        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next five.
+        action_space: See there.
+        fastest: See there [m/s].
+        turn_rate: See there [rad/s].
+        radius: See there [m].
+        field_of_view: See there [rad].
+        gap: To keep to what the laser sees [m].
+        acceleration: Of v, also to brake [m/s^2].
+        turn_acceleration: Of w [rad/s^2].
+        period: From one command to the next [s], `task.control_period`.
+        horizon: How far ahead progress counts [s].
+        heading: Weight.
+        clearance: Weight.
+        speed: Weight.
+        progress: Weight.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        fastest: Positive = 0.65,
+        turn_rate: Positive = 2.0,
+        radius: Positive = 0.178,
+        field_of_view: Positive = math.pi,
+        gap: NonNegative = 0.04,
+        acceleration: Positive = 1.0,
+        turn_acceleration: Positive = 6.0,
+        period: Positive = 0.1,
+        horizon: Positive = 1.0,
+        heading: NonNegative = 1.0,
+        clearance: NonNegative = 0.5,
+        speed: NonNegative = 0.5,
+        progress: NonNegative = 1.0,
+        **kwargs: Any,
+    ) -> None:
+        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "field_of_view": field_of_view}
+        super().__init__(observation_space, action_space, **robot, **kwargs)
+        speeds = self.fastest, self.turn_rate, acceleration, turn_acceleration
+        self._limits = _Limits(*speeds, period, horizon, radius, gap)
+        self._weights = _Weights(heading, clearance, speed, progress)
+
+    def drive(self, seen: Seen) -> np.ndarray:
+        commands = np.zeros((len(seen.speed), 2))
+        _choose(seen.points, seen.target, seen.speed, seen.turn, self._limits, self._weights, commands)
+        return commands
+
+
+@njit(cache=True, **UNCOUNTED)
+def _choose(points, targets, speeds, turns, limits, weights, commands):
+    """Write the best speeds into `commands`, zeros of shape (robots, 2); the first four are those of `Seen`."""
+    for robot in range(points.shape[0]):
+        side = way_out(points[robot], targets[robot], speeds[robot], turns[robot], limits.radius, limits.gap)
+        if side:
+            commands[robot, 1] = side * limits.turn_rate
+            continue
+        slowest, fastest = _window(speeds[robot], limits.acceleration * limits.period, 0.0, limits.fastest)
+        right, left = _window(
+            turns[robot], limits.turn_acceleration * limits.period, -limits.turn_rate, limits.turn_rate
+        )
+        best = -math.inf
+        for i in range(SPEEDS):
+            v = slowest + (fastest - slowest) * i / (SPEEDS - 1)
+            for j in range(TURNS):
+                w = right + (left - right) * j / (TURNS - 1)
+                value = _value(points[robot], targets[robot], v, w, limits, weights)
+                if value > best:
+                    best, commands[robot, 0], commands[robot, 1] = value, v, w
+
+
+@njit(cache=True, **UNCOUNTED)
+def _window(now, change, low, high):
+    """The least and the largest speed within reach of the one now."""
+    return min(max(now - change, low), high), max(min(now + change, high), low)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _value(points, target, v, w, limits, weights):
+    """The objective for one robot at speeds v, w; -inf: from these it could not stop in time."""
+    free = math.inf
+    if v > 1e-3:
+        enough = max(_CLEAR, limits.fastest * limits.horizon)
+        free = free_way(points, w / v, limits.radius, limits.gap, enough)
+        if v * limits.period + v * v / (2.0 * limits.acceleration) > free:
+            return -math.inf
+    x, y = _after(v, w, _SOON)
+    off = math.atan2(target[1] - y, target[0] - x) - w * _SOON
+    heading = 1.0 - abs((off + math.pi) % math.tau - math.pi) / math.pi
+    x, y = _after(v, w, min(limits.horizon, free / max(v, 1e-3)))
+    closer = math.hypot(target[0], target[1]) - math.hypot(target[0] - x, target[1] - y)
+    return (
+        weights.heading * heading
+        + weights.clearance * min(free / _CLEAR, 1.0)
+        + weights.speed * v / limits.fastest
+        + weights.progress * closer / (limits.fastest * limits.horizon)
+    )
+
+
+@njit(cache=True, **UNCOUNTED)
+def _after(v, w, seconds):
+    """Where speeds lead to, x and y in the frame of now [m]."""
+    if abs(w) < 1e-3:
+        return v * seconds, 0.0
+    return v / w * math.sin(w * seconds), v / w * (1.0 - math.cos(w * seconds))

@@ -1,0 +1,172 @@
+"""VFH+, the vector field histogram of a robot with a width (Ulrich & Borenstein 1998).
+
+I. Ulrich and J. Borenstein, "VFH+: reliable obstacle avoidance for fast mobile robots".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from annotated_types import Ge, Le
+from gymnasium import spaces
+
+from tb2rl.agents._guided import STANDING, TURNING, Guided, Seen
+from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.registry import Agent
+from tb2rl.values import NonNegative, Positive
+
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", observation="raw", only=True)
+
+SECTORS = 72  # of the histogram: all around, the first one looks back
+_WIDTH = math.tau / SECTORS  # [rad] of each
+_LEAST = 0.05  # [m] a direction with less free way is blocked, however near the target is
+_ASIDE = math.radians(10.0)  # so much to the other side counts as straight ahead
+
+
+class _Costs(NamedTuple):
+    """What a candidate costs for each radian that it lies off the target, straight ahead, and the direction before."""
+
+    target: float
+    heading: float
+    previous: float
+
+
+class VFH(Guided):
+    """Turns to the best free direction, and drives as fast as the way ahead allows.
+
+    The histogram says how far the robot, as wide as it is, gets in each direction; one with less than `window` is
+    blocked, which is VFH+'s threshold without its grid of past readings. Directions that the laser does not see count
+    as free. Candidates keep half of `valley` from both edges of a wide valley, or to the middle of a narrow one; one of
+    them may be the target's own direction. A robot that turns on the spot chooses among those on the side to which it
+    turns: what was on the other side is out of sight, and else it would turn to and fro.
+
+    The direction chosen before is not remembered: the turn rate that is observed says it.
+
+    Args:
+        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next five.
+        action_space: See there.
+        fastest: See there [m/s].
+        turn_rate: See there [rad/s].
+        radius: See there [m].
+        field_of_view: See there [rad].
+        gap: To keep to what the laser sees [m].
+        window: How far a direction is free that is not blocked, or to the target, where that is nearer [m].
+        valley: How many sectors of 5 degrees a wide valley has.
+        to_target: Cost of a radian off the target; more than the next two together, or it may never get there.
+        to_heading: Cost of a radian off straight ahead.
+        to_previous: Cost of a radian off the direction chosen before.
+        gain: Turn rate for a direction that lies one radian to the left [1/s].
+        braking: How fast it counts on becoming slower [m/s^2].
+        spin: From this direction on it turns on the spot [rad].
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        fastest: Positive = 0.65,
+        turn_rate: Positive = 2.0,
+        radius: Positive = 0.178,
+        field_of_view: Positive = math.pi,
+        gap: NonNegative = 0.02,
+        window: Positive = 1.0,
+        valley: Annotated[int, Ge(1), Le(SECTORS)] = 10,
+        to_target: NonNegative = 5.0,
+        to_heading: NonNegative = 2.0,
+        to_previous: NonNegative = 2.0,
+        gain: Positive = 3.0,
+        braking: Positive = 0.5,
+        spin: Positive = 1.0,
+        **kwargs: Any,
+    ) -> None:
+        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "field_of_view": field_of_view}
+        super().__init__(observation_space, action_space, **robot, **kwargs)
+        self.room, self.window, self.valley = radius + gap, window, valley
+        self.gain, self.braking, self.spin = gain, braking, spin
+        self._costs = _Costs(to_target, to_heading, to_previous)
+
+    def drive(self, seen: Seen) -> np.ndarray:
+        free = np.full((len(seen.points), SECTORS), math.inf)
+        _measure(seen.points, self.room, free)
+        direction = self._directions(free, seen)
+        v = np.minimum(np.sqrt(2.0 * self.braking * free[:, SECTORS // 2]), self.fastest)
+        v *= np.clip(1.0 - np.abs(direction) / self.spin, 0.0, 1.0)
+        return np.column_stack([v, np.clip(self.gain * direction, -self.turn_rate, self.turn_rate)])
+
+    def _directions(self, free: np.ndarray, seen: Seen) -> np.ndarray:
+        """Where to turn [rad], shape (robots,), for the free way in each sector [m], shape (robots, SECTORS)."""
+        away = np.hypot(*seen.target.T) - self.room
+        is_open = free >= np.clip(away, _LEAST, max(self.window, _LEAST))[:, None]
+        on_the_spot = (np.abs(seen.speed) < STANDING) & (np.abs(seen.turn) > TURNING)
+        side = np.where(on_the_spot, np.sign(seen.turn), 0.0)
+        target, directions = np.arctan2(seen.target[:, 1], seen.target[:, 0]), np.empty(len(free))
+        _choose(is_open, self.valley, target, seen.turn / self.gain, side, self._costs, directions)
+        return directions
+
+
+@njit(cache=True, **UNCOUNTED)
+def _measure(points, room, free):
+    """Shorten the free ways [m], shape (robots, SECTORS), to where a circle touches `points` (robots, beams, 2).
+
+    Args:
+        points: See `tb2rl.agents._guided.Seen`.
+        room: The circle's radius [m]; a point within it blocks the half of all directions that leads towards it.
+        free: Changed in place.
+    """
+    for robot in range(points.shape[0]):
+        for beam in range(points.shape[1]):
+            x, y = points[robot, beam, 0], points[robot, beam, 1]
+            far, bearing = math.hypot(x, y), math.atan2(y, x)
+            aside = math.asin(room / far) if far > room else math.pi / 2.0
+            for sector in range(math.ceil((bearing - aside) / _WIDTH), math.floor((bearing + aside) / _WIDTH) + 1):
+                off = sector * _WIDTH - bearing
+                before = math.sqrt(max(room**2 - (far * math.sin(off)) ** 2, 0.0))
+                way = max(far * math.cos(off) - before, 0.0) if far > room else 0.0
+                column = (sector + SECTORS // 2) % SECTORS
+                free[robot, column] = min(free[robot, column], way)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _choose(is_open, valley, targets, previous, sides, costs, directions):
+    """Write the cheapest candidate of each robot; where there is none, a turn on the spot.
+
+    Args:
+        is_open: Whether each sector is, shape (robots, SECTORS).
+        valley: Sectors of a wide one.
+        targets, previous: Directions of the target, and that chosen before [rad], shape (robots,).
+        sides: 1 or -1: only candidates to the left or to the right; 0: all, shape (robots,).
+        costs: `_Costs`.
+        directions: Where to turn [rad], shape (robots,).
+    """
+    for robot in range(is_open.shape[0]):
+        target, best = targets[robot], math.inf
+        directions[robot] = math.copysign(math.pi / 2.0, sides[robot] if sides[robot] else target)
+        for sector in range(SECTORS):
+            direction = (sector - SECTORS // 2) * _WIDTH
+            if _between(direction, target) <= _WIDTH / 2.0:
+                direction = target
+            if not _is_candidate(is_open[robot], sector, valley) or sides[robot] * direction < -_ASIDE:
+                continue
+            cost = costs.target * _between(direction, target) + costs.heading * abs(direction)
+            cost += costs.previous * _between(direction, previous[robot])
+            if cost < best:
+                best, directions[robot] = cost, direction
+
+
+@njit(cache=True, **UNCOUNTED)
+def _is_candidate(is_open, sector, valley):
+    """Whether a sector lies deep enough in a wide valley, or in the middle of a narrow one."""
+    right = left = 0
+    while right < valley and is_open[(sector - right - 1) % SECTORS]:
+        right += 1
+    while left < valley and is_open[(sector + left + 1) % SECTORS]:
+        left += 1
+    return is_open[sector] and min(left, right) >= min(valley // 2, (left + right) // 2)
+
+
+@njit(cache=True, **UNCOUNTED)
+def _between(one, other):
+    """The angle between two directions [rad], from 0 to pi."""
+    return abs((one - other + math.pi) % math.tau - math.pi)
