@@ -6,6 +6,13 @@
 The greedy policy drives 100 episodes of at most 1 500 control steps, each with a start pose that training did not draw
 and a random stream of its own: the result does not depend on how many processes share the work. It takes half a minute
 on two processors.
+
+    python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite unseen
+    python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite barn PATH
+
+A suite is driven instead: each of its worlds once, from its start to its goal. `unseen` has a thousand worlds that
+nothing else draws, `barn` those of the BARN challenge, from a copy of its repository. What is interrupted goes on where
+it was when the same command is given again.
 """
 
 from __future__ import annotations
@@ -24,6 +31,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, help="how many (default: 100)")
     parser.add_argument("--steps", type=int, help="control steps at most in an episode (default: 1500)")
     parser.add_argument("--seed", type=int, help="of the start poses")
+    parser.add_argument("--suite", nargs="+", metavar=("NAME", "PATH"), help="drive a suite: unseen, or barn PATH")
     parser.add_argument("--workers", type=int, help="processes (default: one for each processor)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here, not into the run folder")
     return parser.parse_args(arguments)
@@ -33,8 +41,10 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def main(arguments: list[str] | None = None) -> None:
     """Evaluate a policy, print a table, write JSON."""
     options = parse(arguments)
-    from tb2rl.commands.evaluate import run  # only now: it imports what takes seconds
-
+    if options.suite:  # only now: they import what takes seconds
+        from tb2rl.commands.suite import run
+    else:
+        from tb2rl.commands.evaluate import run
     run(options)
 
 

@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import spawn
+from multiprocessing import connection, spawn
 from typing import Any
 
 # Imported once, in the server that new processes are forked from.
@@ -52,6 +52,18 @@ def _data_without_main(name: str) -> dict[str, Any]:
 
 
 spawn.get_preparation_data = _data_without_main
+
+
+def end_with_parent() -> None:
+    """Let this process end when the one that started it does, however that ends: a pool's would wait for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def processors() -> int:

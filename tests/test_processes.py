@@ -4,10 +4,24 @@ from __future__ import annotations
 
 import multiprocessing
 import multiprocessing.spawn
+import signal
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
+import pytest
+
 from tb2rl.processes import main_hidden, process_context
+
+KILLED = """
+import os, signal
+from concurrent.futures import ProcessPoolExecutor
+from tb2rl.processes import end_with_parent, main_hidden, process_context
+with main_hidden():
+    pool = ProcessPoolExecutor(1, process_context(), initializer=end_with_parent)
+    print(pool.submit(os.getpid).result(), flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
 
 
 def test_only_on_linux_processes_come_from_a_fork(monkeypatch):
@@ -28,3 +42,10 @@ def test_the_users_script_is_hidden_from_new_processes_and_from_nobody_else(monk
         assert scripts() == []
         assert (main.__file__, other.submit(scripts).result()) == ("/home/ada/script.py", ["init_main_from_path"])
     assert scripts() == ["init_main_from_path"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_processes_of_a_pool_end_when_what_started_them_is_killed():
+    done = subprocess.run([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True, check=False, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    assert int(done.stdout) > 0, "all of the output is there: no process holds it open any longer"

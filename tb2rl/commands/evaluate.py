@@ -33,13 +33,19 @@ def run(options: argparse.Namespace) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` where options do not go together, or do not fit."""
+    check_places(options)
+    if min(options.episodes, options.steps) < 1 or not 0 <= options.seed <= LARGEST_SEED:
+        raise InputError(f"--episodes and --steps must be at least 1, and --seed from 0 to {LARGEST_SEED}")
+
+
+def check_places(options: argparse.Namespace) -> None:
+    """The same for what every evaluation takes: what drives, in how many processes, and where the result goes."""
     if (options.policy is None) == (options.agent is None):
         raise InputError("name either a policy (a run folder, a checkpoint, zoo:NAME) or an --agent")
     if options.policy and options.task:
         raise InputError("--task goes with --agent; a policy keeps the task that it was trained at")
-    workers = 1 if options.workers is None else options.workers
-    if min(options.episodes, options.steps, workers) < 1 or not 0 <= options.seed <= LARGEST_SEED:
-        raise InputError(f"--episodes, --steps and --workers must be at least 1, and --seed from 0 to {LARGEST_SEED}")
+    if options.workers is not None and options.workers < 1:
+        raise InputError("--workers must be at least 1")
     if options.json and not options.json.absolute().parent.is_dir():
         raise InputError(f"cannot write {options.json}: there is no folder {options.json.absolute().parent}")
 

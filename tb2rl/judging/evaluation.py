@@ -17,7 +17,7 @@ from tb2rl.judging.statistics import wilson_interval
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import EVALUATION, Run, versions
 from tb2rl.tasks import Task
-from tb2rl.values import Count, checked, type_with_checks
+from tb2rl.values import Count, NonNegative, checked, type_with_checks
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Episode:
     path: np.ndarray  # x, y [m] at the start and after each step, shape (length + 1, 2), float32
     actions: np.ndarray  # of each step: shape (length,), whole numbers, or (length, 2), float32
     world: Annotated[int, Ge(0)] = 0  # index among those of the scene
+    closest: NonNegative | None = None  # [m] from the hull to the nearest obstacle, at worst; None: not measured
 
 
 _SIMULATION = Literal["bullet", "kinematic"]

@@ -27,10 +27,11 @@ from tb2rl.judging.evaluation import Episode, Evaluation, smallest_type
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import Policy, roll_out
 from tb2rl.judging.spaces import check_observes
-from tb2rl.processes import main_hidden, process_context, processors
+from tb2rl.processes import end_with_parent, main_hidden, process_context, processors
+from tb2rl.robots.robot import RADIUS
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
-from tb2rl.simulation import judging_simulation
+from tb2rl.simulation import Start, judging_simulation
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Task
 
@@ -49,6 +50,7 @@ class Evaluator:
         steps: Control steps at most in an episode.
         seed: Of the start poses and of all noise.
         workers: Processes; None: one for each processor, 1: this one alone.
+        each_world: Instead of `episodes`, one in each of the scene's worlds in their order, from the world's start.
 
     Raises:
         InputError: If an environment of the scene cannot be opened, for example because of its robot's URDF file.
@@ -61,12 +63,16 @@ class Evaluator:
         steps: int = STEPS,
         seed: int = SEED,
         workers: int | None = None,
+        each_world: bool = False,
     ) -> None:
         self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judging_simulation()
-        draws = GeneratorDraws(np.random.default_rng(seed), episodes)
-        starts = scene.changed(start="random").task.begin(scene.setup, draws)
+        if each_world:
+            starts = Start(scene.setup.table)
+        else:
+            draws = GeneratorDraws(np.random.default_rng(seed), episodes)
+            starts = scene.changed(start="random").task.begin(scene.setup, draws)
         self.poses, self.worlds = starts.pose, starts.world.astype(int).tolist()
-        workers = min(workers or processors(), episodes)
+        workers = min(workers or processors(), len(self.poses))
         self._pool = None
         if workers > 1:
             # Says here, and not in a process that then breaks, what cannot be opened.
@@ -81,24 +87,25 @@ class Evaluator:
             policy: What drives.
             progress: Whether to draw a bar, where there is a terminal.
         """
-        episodes = self._drive_here(policy) if self._pool is None else self._drive_in(self._pool, policy)
-        shown = progress_bar(episodes, "evaluating", "episode", total=len(self.poses), shown=progress)
+        shown = progress_bar(self.drive(policy), "evaluating", "episode", total=len(self.poses), shown=progress)
         return Evaluation(list(shown), self.scene, self.seed, self.simulation)
 
-    def _drive_here(self, policy: Policy) -> Iterator[Episode]:
-        with closing(TurtleBot2Env(self.scene, simulation=self.simulation)) as env:
-            for i, (pose, world) in enumerate(zip(self.poses, self.worlds, strict=True)):
-                yield evaluate_episode(env, policy, pose, self.seed + i, world)
+    def drive(self, policy: Policy, first: int = 0) -> Iterator[Episode]:
+        """Drive the episodes from number `first` on; each comes as soon as it and all before it are over."""
+        numbers = range(first, len(self.poses))
+        return self._drive_here(policy, numbers) if self._pool is None else self._drive_in(self._pool, policy, numbers)
 
-    def _drive_in(self, pool: ProcessPoolExecutor, policy: Policy) -> Iterator[Episode]:
+    def _drive_here(self, policy: Policy, numbers: range) -> Iterator[Episode]:
+        with closing(TurtleBot2Env(self.scene, simulation=self.simulation)) as env:
+            for i in numbers:
+                yield evaluate_episode(env, policy, self.poses[i], self.seed + i, self.worlds[i])
+
+    def _drive_in(self, pool: ProcessPoolExecutor, policy: Policy, numbers: range) -> Iterator[Episode]:
         with TemporaryDirectory() as folder:  # a table can have millions of values: through no pipe, each time
             file = Path(folder, "policy")
             file.write_bytes(cloudpickle.dumps(policy))
             with main_hidden():  # processes start as they are needed
-                jobs = [
-                    pool.submit(_drive_one, file, pose, self.seed + i, world)
-                    for i, (pose, world) in enumerate(zip(self.poses, self.worlds, strict=True))
-                ]
+                jobs = [pool.submit(_drive_one, file, self.poses[i], self.seed + i, self.worlds[i]) for i in numbers]
             for job in jobs:
                 yield job.result()
 
@@ -119,6 +126,8 @@ def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed:
     moments = list(roll_out(env, policy, seed, pose, world))
     last = moments[-1]
     places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
+    radius = float(last.start.parameters[0, RADIUS])
+    clearance = min(env.scene.setup.worlds[world].clearance(*place) for place in places)
     return Episode(
         start=tuple(pose.tolist()),
         ended=last.info["ended"],
@@ -131,6 +140,7 @@ def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed:
         path=np.array(places, dtype=np.float32),
         actions=np.array([moment.action for moment in moments], dtype=smallest_type(env.action_space)),
         world=world,
+        closest=max(clearance - radius, 0.0) if np.isfinite(clearance) else None,  # inf: there is no obstacle
     )
 
 
@@ -198,6 +208,7 @@ _env: TurtleBot2Env  # of a worker process
 
 def _open_env(scene: bytes, simulation: str) -> None:
     global _env
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that asked decides
     th.set_num_threads(1)
     _env = TurtleBot2Env(pickle.loads(scene), simulation=simulation)

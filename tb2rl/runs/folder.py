@@ -7,6 +7,7 @@
         final/policy        the last
         evaluations.jsonl   a line for each evaluation while training
         evaluation.json     the standard evaluation; episodes.safetensors: where each of its episodes went
+        suite-unseen.json   what it did in a suite of worlds
         tensorboard/        event files
 
 Files are written beside and renamed, so a folder is valid at every instant.
@@ -37,6 +38,7 @@ from tb2rl.runs.normalisation import statistics_of
 
 EVALUATIONS = "evaluations.jsonl"
 EVALUATION, PATHS = "evaluation.json", f"episodes{SUFFIX}"  # files of the standard evaluation
+_SUITE = "suite-{}.json"
 _PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
 
 
@@ -130,8 +132,8 @@ class Run:
             path.parent.mkdir(exist_ok=True)
             write_checkpoint(path, content)
             if path == self.policy_file:
-                for file in (EVALUATION, PATHS):
-                    (self.folder / file).unlink(missing_ok=True)
+                for file in (self.folder / EVALUATION, self.folder / PATHS, *self.folder.glob(_SUITE.format("*"))):
+                    file.unlink(missing_ok=True)
         return path
 
     def save_training(self, algorithm: BaseAlgorithm, state: Mapping[str, Any]) -> Path:
@@ -189,6 +191,10 @@ class Run:
             write_checkpoint(self.folder / PATHS, arrays)
         with _writing(self.folder / EVALUATION):
             write_text(self.folder / EVALUATION, json.dumps(tree, indent=1) + "\n")
+
+    def suite_file(self, name: str) -> Path:
+        """Where the result of a suite with this name belongs."""
+        return self.folder / _SUITE.format(name)
 
     @property
     def has_evaluation(self) -> bool:

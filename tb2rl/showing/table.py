@@ -1,15 +1,22 @@
-"""The figures of an evaluation as a table in the terminal."""
+"""The figures of an evaluation, or of a suite, as a table in the terminal."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from tb2rl.judging.evaluation import Evaluation
+from tb2rl.judging.suites import SuiteEvaluation
 
 _MEANS = (("distance", "m"), ("return", ""), ("length", "steps"))  # figures and their units
+_SUITE_COLUMNS = ("", "success", "95 %", "SPL", "time", "m/s", "gap", "failed")
+_SUITE_CAPTION = (
+    "time: to the goal, times that of the shortest way at top speed; gap: the least from hull to obstacle [m]; "
+    "both: means of the successes"
+)
 
 
 def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
@@ -26,11 +33,61 @@ def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
         table.add_row(name, f"{summary[f'mean_{name}']:.1f}", f"± {summary[f'std_{name}']:.1f} {unit}".rstrip())
     table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
     table.add_row("visited", f"{summary['median_squares']:g}", "squares of 1 m (median)")
-    table.add_row("endings", "", ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items()))
+    table.add_row("endings", "", _endings(summary))
     Console().print(table)
-    if evaluation.simulation != "bullet":
-        print("driven in the fast twin, since PyBullet is not installed: these are not PyBullet's figures")
+    _say_if_twin(evaluation.simulation)
     return summary
+
+
+def print_suite(evaluation: SuiteEvaluation, title: str) -> dict[str, Any]:
+    """Print the figures of a suite, a row for each family and one for all, and return those of all."""
+    every = evaluation.figures()
+    table = Table(title=escape(title), title_justify="left", caption=escape(_SUITE_CAPTION), caption_justify="left")
+    table.add_column("worlds")
+    for column in _SUITE_COLUMNS:
+        table.add_column(column, justify="right")
+    if len(evaluation.families) > 1:
+        for family in evaluation.families:
+            table.add_row(family, *_suite_row(evaluation.figures(family)))
+    table.add_row("all", *_suite_row(every))
+    Console().print(table)
+    print(f"in the tenth of the worlds with the longest ways: {_percent(every['longest_tenth_success_rate'])} success")
+    print(f"endings: {_endings(every)}")
+    if "barn_score" in every:
+        print(f"score {every['barn_score']:.3f} ({every['barn_formula']})")
+    _say_if_twin(evaluation.simulation)
+    return every
+
+
+def _suite_row(figures: dict[str, Any]) -> list[str]:
+    low, high = figures["success_interval"]
+    return [
+        str(figures["worlds"]),
+        _percent(figures["success_rate"]),
+        f"{100 * low:.1f}-{100 * high:.1f}",
+        f"{figures['spl']:.3f}",
+        _number(figures["time_ratio"]),
+        f"{figures['mean_speed']:.2f}",
+        _number(figures["mean_closest"]),
+        _percent(figures["failed_rate"]),
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _percent(rate: float) -> str:
+    return f"{100 * rate:.1f} %"
+
+
+def _endings(summary: dict[str, Any]) -> str:
+    return ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items())
+
+
+def _say_if_twin(simulation: str) -> None:
+    if simulation != "bullet":
+        print("driven in the fast twin, since PyBullet is not installed: these are not PyBullet's figures")
 
 
 def _rate(summary: dict[str, Any], name: str) -> tuple[str, str]:

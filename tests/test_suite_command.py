@@ -1,0 +1,218 @@
+"""The command `evaluate --suite`: where the result is kept, and how an interrupted suite goes on."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from importlib import import_module
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+from tb2rl import load, train
+from tb2rl.runs.folder import Run
+from tb2rl.worlds.suites import Suite
+from tb2rl.worlds.world import World
+
+work = import_module("tb2rl.commands.suite")
+command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
+WORLD = ["--set", "task.world=loop"]
+RANDOM = ["--agent", "random", "--task", "navigate", *WORLD, "--workers", "1"]
+
+
+def world(y: float) -> World:
+    start, goal, bounds = (-2.0, y, 0.0), (0.0, y, 0.0), (-4.0, -4.0, 4.0, 4.0)
+    return World.from_shapes(f"at {y:g}", [(0.0, 3.5, 6.0, 0.2, 0.0)], start=start, goal=goal, bounds=bounds)
+
+
+def small(name: str, last: float) -> Suite:
+    """Three worlds, the last of which can be another."""
+    return Suite(name, tuple(map(world, (-1.0, 0.0, last))), ("a", "b", "a"), (2.0, 2.0, 2.0), 1.0)
+
+
+@pytest.fixture
+def suite(monkeypatch) -> list[str]:
+    """Arguments that ask for `unseen`, which is three small worlds here."""
+    monkeypatch.setattr(work, "find_suite", lambda name, path: small(name, 1.0))
+    return ["--suite", "unseen"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A run folder with a policy that knows next to nothing about navigation."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    settings = {"task.world": "loop", "task.named_actions": True, "task.observe": ["goal"]}
+    train(
+        "qlearn", "navigate", settings=settings, total_timesteps=50, n_envs=1, eval_freq=0, save_freq=0, folder=folder
+    )
+    return folder
+
+
+@pytest.fixture
+def driven(monkeypatch) -> list[int]:
+    """The worlds that were driven, as they come."""
+    drives_of, driven = work.drives_of, []
+
+    def noted(*arguments):
+        for drive in drives_of(*arguments):
+            driven.append(drive.world)
+            yield drive
+
+    monkeypatch.setattr(work, "drives_of", noted)
+    return driven
+
+
+@pytest.fixture
+def interrupt(driven, monkeypatch):
+    """A function that runs the command until so many worlds are driven, and presses Ctrl-C then."""
+    drives_of = work.drives_of
+
+    def run(arguments: list[str], worlds: int) -> None:
+        def interrupted(*those):
+            yield from islice(drives_of(*those), worlds)
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patched:
+            patched.setattr(work, "drives_of", interrupted)
+            assert ended(arguments) == 130
+
+    return run
+
+
+def ended(arguments: list[str]) -> object:
+    """The status that the command ends with."""
+    with pytest.raises(SystemExit) as stopped:
+        command.main(arguments)
+    return stopped.value.code
+
+
+# ---- where the result goes
+
+
+def test_the_result_of_a_policy_at_its_own_task_lands_in_its_run_folder(run, suite, capsys):
+    command.main([str(run), *suite, "--workers", "1"])
+    written = json.loads((run / "suite-unseen.json").read_text())
+    assert written["figures"]["all"]["worlds"] == 3
+    assert written["figures"].keys() == {"all", "a", "b"}
+    assert written["policy"] == str(run)
+    assert len(written["policy_digest"]) == 64
+    assert not (run / "suite-unseen.json.journal").exists()
+    (run / "suite-unseen.json").unlink()
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "guide goal, turtlebot2, PyBullet: suite unseen" in shown
+    assert f"{100 * written['figures']['all']['success_rate']:.1f} %" in shown
+    assert "│ a │ 2 │" in shown
+
+
+def test_at_another_task_it_does_not(run, suite, capsys):
+    command.main([str(run), *suite, "--workers", "1", "--set", "task.noise=0.1"])
+    assert list(run.glob("suite*")) == []
+    assert "not kept: only a run folder" in capsys.readouterr().out
+
+
+def test_json_goes_to_the_file_that_is_named(suite, tmp_path, capsys):
+    command.main([*RANDOM, *suite, "--json", str(tmp_path / "it.json")])
+    written = json.loads((tmp_path / "it.json").read_text())
+    assert (written["policy"], written["policy_digest"]) == ("agent random", None)
+    assert [each["world"] for each in written["each"]] == [0, 1, 2]
+    assert [file.name for file in tmp_path.iterdir()] == ["it.json"]
+    assert capsys.readouterr().out.startswith("agent random, guide goal, turtlebot2, PyBullet: suite unseen")
+
+
+def test_a_policy_that_is_better_takes_the_result_of_the_one_before_away(run, suite):
+    command.main([str(run), *suite, "--workers", "1"])
+    opened = Run.open(run)
+    place = opened.policy_file.relative_to(run).with_suffix("")
+    assert opened.suite_file("unseen").is_file()
+    opened.save(load(run), str(place))
+    assert not opened.suite_file("unseen").exists()
+
+
+# ---- an interrupted suite
+
+
+def test_an_interrupted_suite_goes_on_where_it_was_and_ends_the_same(suite, interrupt, driven, tmp_path, capsys):
+    arguments = [*RANDOM, *suite, "--json"]
+    command.main([*arguments, str(tmp_path / "whole.json")])
+    interrupt([*arguments, str(tmp_path / "parts.json")], 2)
+    assert not (tmp_path / "parts.json").exists()
+    with (tmp_path / "parts.json.journal").open("a") as stream:
+        stream.write('{"world": 2, "end')  # killed while it wrote
+    interrupt([*arguments, str(tmp_path / "parts.json")], 0)
+    assert driven == [0, 1, 2, 0, 1]
+    command.main([*arguments, str(tmp_path / "parts.json")])
+    assert driven == [0, 1, 2, 0, 1, 2]
+    assert (tmp_path / "parts.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
+    assert "going on where it was: 2 of 3 worlds" in capsys.readouterr().out
+    assert not (tmp_path / "parts.json.journal").exists()
+
+
+def test_what_was_kept_of_another_policy_task_or_suite_does_not_count(
+    suite, interrupt, driven, run, tmp_path, monkeypatch
+):
+    folder, file = tmp_path / "run", ["--json", str(tmp_path / "it.json")]
+    shutil.copytree(run, folder)
+    here = [str(folder), *suite, *file, "--workers", "1"]
+
+    def begun(arguments: list[str]) -> list[int]:
+        """The worlds that an interruption before the third finds driven."""
+        driven.clear()
+        interrupt(arguments, 2)
+        return driven.copy()
+
+    assert begun([*RANDOM, *suite, *file]) == [0, 1]
+    assert begun(here) == [0, 1], "another policy"
+    assert begun([*here, "--set", "task.noise=0.1"]) == [0, 1], "another task"
+    assert begun(here) == [0, 1]
+    place = str(Run.open(folder).policy_file.relative_to(folder).with_suffix(""))
+    Run.open(folder).save(load(folder), place, more=1)
+    assert begun(here) == [0, 1], "a policy of the same name"
+    monkeypatch.setattr(work, "find_suite", lambda name, path: small("unseen", 1.1))
+    assert begun(here) == [0, 1], "another suite of the same name"
+    assert begun(here) == [2], "the same"
+
+
+def refused(capsys, arguments: list[str]) -> str:
+    status, message = ended(arguments), capsys.readouterr().err
+    assert (status, message.count("\n")) == (2, 1), message
+    return message
+
+
+@pytest.mark.parametrize("line", ['{"world": 5}', '{"world": 0, "time": "long"}', "7"])
+def test_a_journal_that_is_none_is_refused(line, suite, interrupt, tmp_path, capsys):
+    arguments = [*RANDOM, *suite, "--json", str(tmp_path / "it.json")]
+    interrupt(arguments, 0)
+    with (tmp_path / "it.json.journal").open("a") as stream:
+        stream.write(line + "\n")
+    assert "it.json.journal" in refused(capsys, arguments)
+
+
+# ---- what does not fit
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--suite", "unsen"], "did you mean 'unseen'"),
+        (["--suite", "barn"], "barn PATH"),
+        (["--suite", "barn", "missing.npz"], "missing.npz"),
+        (["--suite", "barn", "text.npz"], "text.npz is not an .npz file"),
+        (["--suite", "barn", "."], "no folder path_files"),
+        (["--suite", "unseen", "one", "two"], "name the policy before it"),
+        (["--suite", "unseen", "--episodes", "3"], "--episodes does not go with --suite"),
+        (["--suite", "unseen", "--steps", "3"], "--steps does not go with --suite"),
+        (["--suite", "unseen", "--seed", "3"], "--seed does not go with --suite"),
+        (["--suite", "unseen", "--workers", "0"], "--workers must be at least 1"),
+        (["--suite", "unseen", "--json", "missing/it.json"], "missing/it.json"),
+    ],
+)
+def test_the_command_says_what_is_wrong(options, named, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.npz").write_text("no archive")
+    assert named in refused(capsys, [*RANDOM, *options])
+    assert [file.name for file in tmp_path.iterdir()] == ["text.npz"]
+
+
+def test_a_task_without_goals_is_refused(suite, capsys):
+    assert "such as navigate" in refused(capsys, ["--agent", "random", *suite])

@@ -1,0 +1,219 @@
+"""Suites: the same worlds for ever, that nothing else draws, with ways that are worth driving; and those of BARN."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import shutil
+import zipfile
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import shapely
+
+from tb2rl.errors import InputError
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.worlds.generators import FAMILIES, GENERATORS, Generated, Purpose, generate, generator_of
+from tb2rl.worlds.suites import LEAST_WAY, RADIUS, Suite, barn, find_suite, unseen
+from tb2rl.worlds.world import World
+
+DIGEST = "edf133da02086c2c9c181ef4e1c84501f5f628353e42b8378965b010b006f725"
+
+
+# ---- unseen
+
+
+@pytest.fixture(scope="module")
+def suite() -> Suite:
+    """The worlds of `unseen`."""
+    return unseen()
+
+
+def test_the_suite_is_frozen(suite):
+    """Whoever changes a generator gives the suite another name: no result of before could be compared."""
+    assert suite.digest == DIGEST
+
+
+def test_every_family_has_two_hundred_worlds(suite):
+    assert {family: suite.families.count(family) for family in suite.families} == {
+        maker.__name__: 200 for maker in FAMILIES
+    }
+    for world, family in zip(suite.worlds, suite.families, strict=True):
+        assert world.name.startswith(family)
+        x0, y0, x1, y1 = world.bounds
+        assert (x1 - x0, y1 - y0) == pytest.approx((8.2, 8.2))
+
+
+def test_every_way_is_worth_driving_and_can_be_driven(suite):
+    assert ROBOT.radius == RADIUS
+    assert min(suite.ways) >= LEAST_WAY == 4.0
+    assert max(suite.ways) < ROBOT.max_speed * suite.time_limit / 2, "half the top speed is enough for each"
+    for world, way in zip(suite.worlds, suite.ways, strict=True):
+        straight = math.dist(world.start[:2], world.goal[:2])
+        assert straight <= 1.02 * way
+        assert world.clearance(*world.start[:2]) >= 0.25 - 1e-6
+        assert world.clearance(*world.goal[:2]) >= 0.3 - 1e-6
+    for world in suite.worlds[:5]:  # one of each family, by exact geometry
+        free = world.free_space(RADIUS - 0.01)
+        assert free.covers(shapely.Point(world.start[:2]))
+        assert free.covers(shapely.Point(world.goal[:2]))
+
+
+def test_starts_look_anywhere_and_difficulties_differ(suite):
+    yaws = np.array([world.start[2] for world in suite.worlds])
+    assert np.histogram(yaws, 4, (-math.pi, math.pi))[0].min() > 200
+    posts = [len(world.posts) for world, family in zip(suite.worlds, suite.families, strict=True) if family == "cells"]
+    assert max(posts) > 3 * min(posts)
+
+
+def test_nothing_else_draws_its_worlds(suite):
+    purposes = get_args(Purpose)
+    assert len({generator_of(purpose, 0, 7).random() for purpose in purposes}) == len(purposes) == 4
+    own = {world.boxes.tobytes() + world.posts.tobytes() for world in suite.worlds if "clutter" in world.name}
+    settings = Generated("mixed", worlds=100)
+    for purpose in ("training", "validation", "test"):
+        others = generate(settings, GENERATORS["mixed"], purpose)
+        assert own.isdisjoint(world.boxes.tobytes() + world.posts.tobytes() for world in others)
+    again = generate(settings, GENERATORS["mixed"], "suite")
+    assert len(own & {world.boxes.tobytes() + world.posts.tobytes() for world in again}) == 20
+
+
+# ---- the digest
+
+
+def tiny(**changed) -> Suite:
+    box, post = (1.0, 2.0, 0.5, 0.5, 0.3), (-1.0, 0.5, 0.1)
+    bounds = (-3.0, -3.0, 3.0, 3.0)
+    world = World.from_shapes("tiny", [box], [post], start=(0.0, 0.0, 0.0), goal=(2.0, 0.0, 0.0), bounds=bounds)
+    return Suite("tiny", (replace(world, **changed),), ("one",), (2.0,), 10.0)
+
+
+def test_a_digest_sees_a_hundredth_of_a_millimetre_and_no_rounding():
+    world = tiny().worlds[0]
+    for changed in (
+        {"boxes": world.boxes + 1e-5},
+        {"posts": world.posts + 1e-5},
+        {"start": (1e-5, 0.0, 0.0)},
+        {"goal": (2.0, 1e-5, 0.0)},
+    ):
+        assert tiny(**changed).digest != tiny().digest
+    assert tiny(posts=world.posts + 1e-9, start=(-1e-9, 0.0, 0.0)).digest == tiny().digest
+    assert replace(tiny(), references=(2.0,)).digest != replace(tiny(), references=(2.1,)).digest != tiny().digest
+    assert len(tiny().digest) == len(hashlib.sha256().hexdigest())
+
+
+# ---- BARN
+
+
+def yard(*more: tuple[float, float]) -> np.ndarray:
+    """Posts of a yard as in BARN, closed on three sides, shape (n, 3), float32."""
+    sides = [(x, 0.075 + 0.15 * k) for x in (-4.425, -0.075) for k in range(64)]
+    places = np.array([*sides, *((-4.425 + 0.15 * k, 0.075) for k in range(30)), *more])
+    return np.column_stack([places, np.full(len(places), 0.075)]).astype(np.float32)
+
+
+STRAIGHT = np.column_stack([np.full(30, 14), np.arange(30)])  # x = -2.325 all along, y from 5.175 to 9.525
+ARRAYS = {"posts_4": yard((-2.25, 6.0)), "path_4": STRAIGHT, "posts_12": yard(), "path_12": STRAIGHT[::2]}
+
+
+def saved(folder: Path, **arrays) -> Path:
+    np.savez(folder / "worlds.npz", **arrays)
+    return folder / "worlds.npz"
+
+
+def test_worlds_of_barn_have_its_rules_and_its_reference_paths(tmp_path):
+    suite = barn(saved(tmp_path, **ARRAYS, about=np.zeros(1)))
+    assert [world.name for world in suite.worlds] == ["barn 4", "barn 12"]
+    assert (suite.name, suite.goal_radius, suite.time_limit) == ("barn", 1.0, 100.0)
+    for world in suite.worlds:
+        assert (world.start, world.goal[:2]) == ((-2.25, 3.0, 1.57), (-2.25, 13.0))
+        assert shapely.box(*world.bounds).covers(shapely.Point(*world.goal[:2]).buffer(1.5))
+        assert shapely.box(*world.bounds).covers(shapely.Point(*world.start[:2]).buffer(1.5))
+    way = [(-2.25, 3.0), (-2.325, 5.175), (-2.325, 9.525), (-2.25, 13.0)]
+    assert suite.references[0] == pytest.approx(sum(math.dist(*pair) for pair in pairwise(way)))
+    assert suite.ways[1] == pytest.approx(10.0, abs=0.15)
+    assert suite.ways[0] > suite.ways[1], "round a post"
+
+
+def sdf(posts: np.ndarray) -> str:
+    models = "".join(
+        f"<model name='post_{k}'><pose frame=''>{x} {y} 0.5 0 0 0</pose><link name='l'><collision name='c'><geometry>"
+        f"<cylinder><radius>{radius}</radius><length>1</length></cylinder></geometry></collision></link></model>"
+        for k, (x, y, radius) in enumerate(posts.tolist())
+    )
+    return f"<sdf version='1.6'><world name='default'>{models}</world></sdf>"
+
+
+@pytest.mark.parametrize("place", ["", "jackal_helper/worlds/BARN"])
+@pytest.mark.parametrize("worlds", ["", "world_files"])
+def test_a_copy_of_the_repository_has_the_same_worlds(place, worlds, tmp_path):
+    folder = tmp_path / "copy" / place
+    for name in ("path_files", worlds):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for number in (4, 12):
+        np.save(folder / "path_files" / f"path_{number}.npy", ARRAYS[f"path_{number}"])
+        (folder / worlds / f"world_{number}.world").write_text(sdf(ARRAYS[f"posts_{number}"]))
+    copy, archive = barn(tmp_path / "copy"), barn(saved(tmp_path, **ARRAYS))
+    assert [world.name for world in copy.worlds] == ["barn 4", "barn 12"]
+    assert copy.references == archive.references
+    assert copy.ways == pytest.approx(archive.ways, abs=1e-3)
+    (folder / "path_files" / "path_4.npy").unlink()
+    with pytest.raises(InputError, match=r"cannot read .*path_4.npy"):
+        barn(tmp_path / "copy")
+    shutil.rmtree(folder / "path_files")
+    with pytest.raises(InputError, match="no folder path_files"):
+        barn(tmp_path / "copy")
+
+
+BAD = {
+    "no posts": ({"path_1": STRAIGHT}, "no worlds of BARN"),
+    "no path": ({"posts_1": yard()}, "no path_1"),
+    "posts of two columns": ({"posts_1": yard()[:, :2], "path_1": STRAIGHT}, "rows of 3 numbers"),
+    "no rows": ({"posts_1": yard()[:0], "path_1": STRAIGHT}, "rows of 3 numbers"),
+    "a path of one dimension": ({"posts_1": yard(), "path_1": STRAIGHT[:, 0]}, "rows of 2 numbers"),
+    "words": ({"posts_1": yard(), "path_1": STRAIGHT.astype(str)}, "rows of 2 numbers"),
+    "NaN": ({"posts_1": yard((np.nan, 6.0)), "path_1": STRAIGHT}, "posts_1 has a number that is NaN"),
+    "infinity": ({"posts_1": yard(), "path_1": STRAIGHT + np.inf}, "path_1 has a number that is NaN"),
+    "objects": ({"posts_1": np.array([{}]), "path_1": STRAIGHT}, "not an .npz file of worlds: Object arrays"),
+    "a radius below 0": ({"posts_1": -yard(), "path_1": STRAIGHT}, "radius above 0"),
+    "a post at the goal": ({"posts_1": yard((-2.25, 13.0)), "path_1": STRAIGHT}, "goal .* inside an obstacle"),
+    "a closed yard": (
+        {"posts_1": yard(*((-4.425 + 0.15 * k, 9.0) for k in range(30))), "path_1": STRAIGHT},
+        "barn 1 has no way",
+    ),
+}
+
+
+@pytest.mark.parametrize(("arrays", "said"), BAD.values(), ids=list(BAD))
+def test_files_that_are_none_are_refused_in_a_line(arrays, said, tmp_path):
+    with pytest.raises(InputError, match=said) as refused:
+        barn(saved(tmp_path, **arrays))
+    assert "\n" not in str(refused.value)
+
+
+def test_what_is_no_archive_is_refused(tmp_path):
+    np.save(tmp_path / "one.npy", STRAIGHT)
+    (tmp_path / "text.npz").write_text("no archive")
+    whole = saved(tmp_path, **ARRAYS).read_bytes()
+    (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
+    with zipfile.ZipFile(tmp_path / "other.npz", "w") as archive:
+        archive.writestr("posts_1.npy", b"no array")
+        archive.writestr("path_1.npy", io.BytesIO(b"\x93NUMPY\x01\x00").getvalue())
+    for name in ("one.npy", "text.npz", "half.npz", "other.npz", "missing.npz", 300 * "x"):
+        with pytest.raises(InputError, match=r"not an \.npz file|no worlds of BARN|rows of 3 numbers"):
+            barn(tmp_path / name)
+
+
+def test_suites_are_found_by_their_names(tmp_path):
+    assert find_suite("unseen") is unseen()
+    assert len(find_suite("barn", saved(tmp_path, **ARRAYS)).worlds) == 2
+    with pytest.raises(InputError, match="did you mean 'unseen'"):
+        find_suite("unsen")
+    for name, path in (("barn", None), ("unseen", tmp_path)):
+        with pytest.raises(InputError, match="barn PATH"):
+            find_suite(name, path)
