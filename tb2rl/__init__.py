@@ -37,11 +37,13 @@ GYM_IDS = {
     "MyTurtleBot2Maze-v0": {"task": "my-maze"},
     "TurtleBot2Wall-v0": {"task": "wall"},
     "TurtleBot2Drive-v0": {"task": "drive"},
+    "TurtleBot2Navigate-v0": {"task": "navigate"},
     # With raw observations, for programs that can name an environment and pass it no arguments.
     "TurtleBot2MazeRaw-v0": {"task": "maze", "observation": "raw"},
     "MyTurtleBot2MazeRaw-v0": {"task": "my-maze", "observation": "raw"},
     "TurtleBot2WallRaw-v0": {"task": "wall", "observation": "raw"},
     "TurtleBot2DriveRaw-v0": {"task": "drive", "observation": "raw"},
+    "TurtleBot2NavigateRaw-v0": {"task": "navigate", "observation": "raw"},
 }
 for _id, _arguments in GYM_IDS.items():
     gymnasium.register(

@@ -3,6 +3,7 @@
     python -m tb2rl.play runs/maze/dqn/NAME
     python -m tb2rl.play zoo:maze-loop-ppo --video drive.mp4 --camera chase
     python -m tb2rl.play --agent wallfollower --set task.world=circuit
+    python -m tb2rl.play --agent pursuit --task navigate --goal 3,2 --set task.world=my_map.yaml
     python -m tb2rl.play --teleop --task wall
 
 The window, PyBullet's, shows the drive as fast as it would happen. Without a display there is a film instead.
@@ -21,6 +22,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = ArgumentParser(prog="python -m tb2rl.play", description=(__doc__ or "").splitlines()[0])
     add_policy_arguments(parser)
+    parser.add_argument("--goal", metavar="X,Y", help="where to get, from the world's start [m]; for task navigate")
     parser.add_argument("--teleop", action="store_true", help="instead: drive it yourself, by the terminal's keys")
     parser.add_argument("--episodes", type=int, default=1)
     parser.add_argument("--steps", type=int, help="control steps at most in an episode (300, a minute)")

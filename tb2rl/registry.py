@@ -51,6 +51,7 @@ class Agent:
 TASKS = {
     "drive": "tb2rl.tasks.drive:Drive",
     "maze": "tb2rl.tasks.wander:Wander",
+    "navigate": "tb2rl.tasks.navigate:Navigate",
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }

@@ -35,7 +35,7 @@ SHORTER = {  # what is put behind a command, so that it is over in a moment
 }
 RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
 NOT_TRIED = ("make", "pip", "python3.11", ".", "tensorboard", "git", "cd")  # they would install something, or never end
-ONLY_READ = {"--teleop", "--seeds", "tb2rl.report", "tb2rl.zoo"}  # they take long, or want a terminal
+ONLY_READ = {"--teleop", "--seeds", "--suite", "tb2rl.report", "tb2rl.zoo"}  # they take long, or want a terminal
 SAVED = re.compile(r"(?:Save (?:this|it) as|and this as) `([\w.]+)`")
 
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import Any
 
 from tb2rl.commands.policy import chosen_policy
 from tb2rl.envs.scene import Scene
@@ -34,6 +35,8 @@ def run(options: argparse.Namespace) -> None:
         drive_by_keyboard(config.scene, options.seed, options.camera)
         return
     policy, config = chosen_policy(options)
+    if options.goal is not None:
+        config = config.with_task(_to_goal(config, options))
     if options.video or not has_display():
         _film(policy, config, options)
     else:
@@ -53,6 +56,18 @@ def check(options: argparse.Namespace) -> None:
     check_numbers(options.episodes, options.steps, options.seed, options.speed)
     if options.video:
         check_film(options.video, options.camera)
+
+
+def _to_goal(config: Config, options: argparse.Namespace) -> dict[str, Any]:
+    """The settings of a drive from the world's start, unless something else is set, to the goal that `--goal` says."""
+    if not hasattr(config.task, "goal"):
+        raise InputError(f"--goal goes with a task that has one, such as navigate; task {config.task_name} has none")
+    try:
+        x, y = map(float, options.goal.split(","))
+    except ValueError:
+        raise InputError(f"--goal takes two numbers, X,Y, such as 3,2, got {options.goal!r}") from None
+    chosen = [pair.partition("=")[0].strip() for pair in options.set]
+    return {"goal": [x, y], **({} if "task.start" in chosen else {"start": "fixed"})}
 
 
 def _film(policy: Policy, config: Config, options: argparse.Namespace) -> None:

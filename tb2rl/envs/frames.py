@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 from tb2rl.envs.encodings import Encoding, Numbers, Observations, put_rows, row
+from tb2rl.envs.exploring import Explorer
 from tb2rl.envs.latency import Delay
 from tb2rl.errors import InputError
 from tb2rl.simulation import Reading
@@ -28,15 +30,26 @@ class Observer:
         space: Of one robot's stacked observation, see `stacked_space`.
         frames: How many observations are stacked.
         latency: The most control steps until a robot observes a reading.
+        explorer: Draws the maps that planners go by; None: they know the worlds.
     """
 
-    def __init__(self, encoding: Encoding, space: spaces.Space, frames: int, latency: int = 0) -> None:
+    def __init__(
+        self,
+        encoding: Encoding,
+        space: spaces.Space,
+        frames: int,
+        latency: int = 0,
+        explorer: Explorer | None = None,
+    ) -> None:
         self._encode, self._space, self._frames = encoding, space, frames
-        self._delay = Delay(latency)
+        self._delay, self._explorer = Delay(latency), explorer
         self._stack: Observations = None  # the latest; with one frame it is not kept
 
     def begin(self, reading: Reading) -> Observations:
         """What the robots observe where the episodes of all of them begin."""
+        if self._explorer:
+            self._explorer.begin(reading)
+            reading = replace(reading, explored=self._explorer)
         latest = self._encode(reading)
         self._delay.begin(latest)
         first = self._repeated(latest)
@@ -46,6 +59,9 @@ class Observer:
 
     def go_on(self, reading: Reading) -> Observations:
         """What the robots observe a step later."""
+        if self._explorer:
+            self._explorer.go_on(reading)
+            reading = replace(reading, explored=self._explorer)
         latest = self._delay.pass_on(self._encode(reading), reading.start.reading_latency)
         if self._frames == 1:
             return latest
@@ -60,6 +76,9 @@ class Observer:
             reading: Of these alone, n rows.
             observations: From `go_on`.
         """
+        if self._explorer:
+            self._explorer.begin_some(robots, reading)
+            reading = replace(reading, explored=self._explorer.of(robots))
         latest = self._encode(reading)
         self._delay.begin_some(robots, latest)
         first = self._repeated(latest)
@@ -69,7 +88,8 @@ class Observer:
 
     def state(self) -> dict[str, Any]:
         """The frames so far, None with one frame, and what is still on its way; in arrays of their own."""
-        return {"stack": deepcopy(self._stack), "delayed": self._delay.state()}
+        explored = {"explored": self._explorer.state()} if self._explorer else {}
+        return {"stack": deepcopy(self._stack), "delayed": self._delay.state(), **explored}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a `state`.
@@ -84,6 +104,8 @@ class Observer:
         for observations in delayed:
             _check(observations, self._encode.space)
         self._delay.restore(delayed)
+        if self._explorer:
+            self._explorer.restore(state["explored"])
 
     def _repeated(self, observations: Observations) -> Observations:
         if self._frames == 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,8 @@ def rehearse(task: Task, setup: Setup) -> tuple[Actions, tuple[Sensor, ...]]:
     hint = ", or @property is missing above it" if callable(actions) else ""
     _demand(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
     with np.errstate(all="ignore"):  # some tasks divide by a speed, and these robots stand
-        each = range(len(setup.worlds)) if task.goal_task else [0]  # one of them may have no goal
+        lacking = [number for number, world in enumerate(setup.worlds) if task.goal_task and world.goal is None]
+        each = dict.fromkeys([0, *lacking])
         for part in (*map(setup.within, each), setup):
             draws = GeneratorDraws(np.random.default_rng(0), _ROBOTS)
             start = task.begin(part, draws)
@@ -43,8 +45,15 @@ def rehearse(task: Task, setup: Setup) -> tuple[Actions, tuple[Sensor, ...]]:
     return actions, sensors
 
 
+@dataclass(frozen=True)
 class _NothingInSight:
-    """Images of robots that see nothing at all."""
+    """What robots see that see nothing at all.
+
+    Attributes:
+        setup: The worlds that they are in.
+    """
+
+    setup: Setup
 
     def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         sizes = len(reading.pose), height, width
@@ -75,7 +84,7 @@ def _at_rest(start: Start, setup: Setup) -> Reading:
     for array in (table, poses, twists, ranges, bumped, still, nearest, *movers):
         array.flags.writeable = False
     truth = poses, twists
-    reading = Reading(*truth, *truth, ranges, bumped, twists, still, Start(table), _NothingInSight(), *movers)
+    reading = Reading(*truth, *truth, ranges, bumped, twists, still, Start(table), _NothingInSight(setup), *movers)
     vars(reading)["nearest"] = nearest  # its compiled function would be compiled again for arrays of this kind
     return reading
 

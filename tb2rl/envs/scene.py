@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
+from tb2rl.envs.exploring import Explorer
 from tb2rl.envs.frames import Observer, stacked_space
 from tb2rl.envs.latency import Delay
 from tb2rl.envs.rehearsal import rehearse
@@ -91,7 +92,8 @@ class Scene:
     def observer(self) -> Observer:
         """What turns the readings of some robots into what they observe, from their episodes' first one on."""
         latency = self.task.imperfections.reading_latency[1]
-        return Observer(self.encoding, self.observation_space, self.task.frames, latency)
+        explorer = Explorer(self.setup) if self.task.explores else None
+        return Observer(self.encoding, self.observation_space, self.task.frames, latency, explorer)
 
     def commander(self) -> Delay:
         """What hands commands to the robots, as late as they are to obey them."""
@@ -117,6 +119,14 @@ class Scene:
         if not are_generated(self.task.world):
             return self
         return _assemble(self.task, self.observation, self.robot, find_worlds(self.task.world, purpose))
+
+    def in_worlds(self, worlds: tuple[World, ...], **settings: Any) -> Scene:
+        """The scene in these worlds, whatever `task.world` says, and with other settings of its task.
+
+        Raises:
+            InputError: If they do not fit.
+        """
+        return _assemble(replace(self.task, **settings), self.observation, self.robot, worlds)
 
 
 def with_robots_settings(settings: Mapping[str, Any], task: Task | None = None) -> dict[str, Any]:
@@ -159,6 +169,7 @@ def make_scene(task: Task, observation: str) -> Scene:
 
 
 def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, ...]) -> Scene:
+    worlds = task.places(worlds, robot)
     beams = task.beams or BEAMS[observation]
     if task.beam_indices is not None and max(task.beam_indices) >= beams:
         named = max(task.beam_indices)

@@ -49,3 +49,16 @@ class GoalBearing(Sensor):
         east, north = (reading.goal - reading.odometry[:, :2]).T
         bearing = np.arctan2(north, east) - reading.odometry[:, 2]
         return (np.remainder(bearing + math.pi, math.tau) - math.pi)[:, None]
+
+
+class GoalDirection(Sensor):
+    """Cosine and sine of the direction in which the goal is: two numbers that make no jump behind the robot."""
+
+    name, shape = "goal direction", (2,)
+    low, high = -1.0, 1.0
+    edges = (-0.7, 0.0, 0.7)
+
+    def read(self, reading: Reading) -> np.ndarray:
+        east, north = (reading.goal - reading.odometry[:, :2]).T
+        bearing = np.arctan2(north, east) - reading.odometry[:, 2]
+        return np.column_stack([np.cos(bearing), np.sin(bearing)])

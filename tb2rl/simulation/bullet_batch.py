@@ -170,15 +170,15 @@ class BulletBatch:
 
 @dataclass(frozen=True)
 class _Eyes:
-    """The cameras of some robots of a batch.
-
-    Attributes:
-        batch: The batch.
-        robots: Their indices, in rising order, shape (n,).
-    """
+    """What some robots of a batch see."""
 
     batch: BulletBatch
-    robots: np.ndarray
+    robots: np.ndarray  # their indices, in rising order, shape (n,)
+
+    @property
+    def setup(self) -> Setup:
+        """The robot, its laser and the worlds."""
+        return self.batch.setup
 
     def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """See `Reading.look`."""

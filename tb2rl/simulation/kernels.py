@@ -1,7 +1,7 @@
 """The compiled motion of the fast twin.
 
 Arrays of all robots: poses (robots, 3) x [m], y [m], yaw [rad]; rims (robots, 2), speeds of the left and the right
-wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 31), the columns of
+wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 32), the columns of
 `tb2rl.simulation.setup`, among them each robot's parameters and its flaws; boxes, posts, parts and lists, the
 `Index` of all worlds.
 """

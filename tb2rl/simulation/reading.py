@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
 from tb2rl.errors import InputError
+from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
 from tb2rl.worlds.geometry import shortest
+from tb2rl.worlds.ways import Ways
 
 _ARRAYS = ("pose", "twist", "odometry", "odometry_twist", "ranges", "bumped", "command", "acceleration")
 
 
+class Explored(Protocol):
+    """Maps of what the robots of a reading have seen."""
+
+    def ahead(self, reading: Reading, reach: float) -> np.ndarray:
+        """See `Reading.ahead`."""
+
+
 class Eye(Protocol):
-    """What a simulation hands over with a reading, so that images are made only when they are asked for."""
+    """What a simulation hands over with a reading, so that what takes time is found only when it is asked for."""
+
+    @property
+    def setup(self) -> Setup:
+        """The robot, its laser and the worlds."""
 
     def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
         """What the robots of a reading see, see `Reading.look`."""
@@ -40,12 +53,13 @@ class Reading:
             latency: what it obeyed last.
         acceleration: Mean forward acceleration since the last reading [m/s^2], shape (robots,); 0 at a start.
         start: How the episode of each robot began: its world, its goal, its bounds.
-        eye: What makes images, see `look`; None for a reading that comes from no simulation.
+        eye: What makes images, see `look`, and knows ways; None for a reading that comes from no simulation.
         movers: Outlines of what moves beside each robot: x, y [m], cos and sin of the heading, half length and half
             width [m] of a box, or radius and 0, shape (robots, movers, 6); 0 and 0 in rows that are of none. None:
             nothing moves in these worlds, and no rows.
         moving: Whether what a robot touched, or if it touched nothing what is nearest along its laser's beams, is one
             of them, shape (robots,), bool; None: nothing moves.
+        explored: What the robots have seen so far, where their planner goes by that; None: it knows the world.
     """
 
     pose: np.ndarray
@@ -60,11 +74,39 @@ class Reading:
     eye: Eye | None = None
     movers: np.ndarray | None = None
     moving: np.ndarray | None = None
+    explored: Explored | None = field(default=None, kw_only=True)
 
     @cached_property
     def nearest(self) -> np.ndarray:
         """The shortest range of each robot [m], shape (robots,)."""
         return shortest(self.ranges)
+
+    @cached_property
+    def to_go(self) -> np.ndarray:
+        """How long the way is from each robot to its goal [m], a way near walls longer; shape (robots,).
+
+        The robot does not know it: it is for a task to pay by. For goals of `tb2rl.worlds.ways`.
+        """
+        return self._ways.to_go(*self._goals, self.pose)
+
+    def ahead(self, reach: float) -> np.ndarray:
+        """The point on each robot's way that is `reach` [m] ahead, or the goal, x, y [m], shape (robots, 2).
+
+        As a planner says it that knows where the robot is, and the map: the world's, or what the robot has explored.
+        """
+        if self.explored is not None:
+            return self.explored.ahead(self, reach)
+        return self._ways.ahead(*self._goals, self.pose, reach)
+
+    @property
+    def _ways(self) -> Ways:
+        if self.eye is None:
+            raise InputError("this reading comes from no simulation, so it knows no ways")
+        return self.eye.setup.ways
+
+    @property
+    def _goals(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.start.world.astype(int), self.start.way.astype(int)
 
     @property
     def goal(self) -> np.ndarray:

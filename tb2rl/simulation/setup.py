@@ -12,13 +12,15 @@ from tb2rl.simulation.streams import Draws
 from tb2rl.worlds import World
 from tb2rl.worlds.movers import Movers
 from tb2rl.worlds.places import Places
+from tb2rl.worlds.ways import GOALS, OWN, Ways
 
 PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9 mm deep; 100 Hz costs a third more
 
 # The columns of a table of starts, which the compiled kernels read: one row for each robot.
 POSE, WORLD, GOAL, BOUNDS, PARAMETERS, FLAWS = slice(0, 3), 3, slice(4, 6), slice(6, 10), slice(10, 16), slice(16, 30)
 CROWD = 30  # number in [0, 1) that decides all that movers do in the episode; see `tb2rl.simulation.movers`
-COLUMNS = CROWD + 1
+WAY = 31  # number of the goal among those of its world that ways are known to, see `tb2rl.worlds.ways`
+COLUMNS = WAY + 1
 # The flaws, which `tb2rl.simulation.variation` draws:
 WHEEL = 16  # true radius of the wheels / the radius that the robot counts with
 BELIEVED_SEPARATION = 17  # wheel separation that the robot counts with / the true one
@@ -55,7 +57,7 @@ class Setup:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """The start that each world proposes, a row of columns as above for each, shape (worlds, 31)."""
+        """The start that each world proposes, a row of columns as above for each, shape (worlds, 32)."""
         table = np.empty((len(self.worlds), COLUMNS))
         for number, world in enumerate(self.worlds):
             table[number, POSE] = world.start
@@ -63,7 +65,7 @@ class Setup:
             table[number, GOAL] = world.goal[:2] if world.goal else np.nan
             table[number, BOUNDS] = world.bounds
         table[:, PARAMETERS] = self.robot.parameters
-        table[:, FLAWS], table[:, CROWD] = 0.0, 0.0
+        table[:, FLAWS], table[:, CROWD], table[:, WAY] = 0.0, 0.0, OWN
         table[:, WHEELS], table[:, [MASS, FRICTION]] = 1.0, 1.0
         table[:, NOISE] = -1.0
         return table
@@ -83,6 +85,11 @@ class Setup:
         return bool(self.movers) or any(world.movers for world in self.worlds)
 
     @cached_property
+    def ways(self) -> Ways:
+        """The ways to goals in these worlds."""
+        return Ways(self.worlds, self.robot.radius)
+
+    @cached_property
     def _places(self) -> Places:
         return Places(self.worlds, self.robot.radius)
 
@@ -90,7 +97,7 @@ class Setup:
         """The setup whose episodes begin in the world with this index alone."""
         setup = replace(self, only=world)
         vars(setup).update(
-            {name: getattr(self, name) for name in ("table", "_places", "anything_moves")}
+            {name: getattr(self, name) for name in ("table", "ways", "_places", "anything_moves")}
         )  # which are the same
         return setup
 
@@ -104,6 +111,8 @@ class Setup:
             raise ValueError("a robot's parameters are far from what it is")
         if not ((table[:, CROWD] >= 0.0) & (table[:, CROWD] < 1.0)).all():
             raise ValueError("what decides about movers must be a number in [0, 1)")
+        if not np.isin(table[:, WAY], range(GOALS + 1)).all():
+            raise ValueError("a robot has a goal that is not there")
 
     def draw_worlds(self, draws: Draws) -> int | np.ndarray:
         """The world that each robot begins in: a number of its own decides where there are several.

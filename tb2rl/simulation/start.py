@@ -13,6 +13,7 @@ from tb2rl.simulation.setup import (
     PARAMETERS,
     POSE,
     READING_LATENCY,
+    WAY,
     WORLD,
     Setup,
 )
@@ -25,7 +26,7 @@ class Start:
     A task makes one by `proposed` and then overwrites what is to be different: `start.goal[:] = (1.0, 2.0)`.
 
     Attributes:
-        table: A row of columns for each robot, see `tb2rl.simulation.setup`; shape (robots, 31).
+        table: A row of columns for each robot, see `tb2rl.simulation.setup`; shape (robots, 32).
     """
 
     table: np.ndarray
@@ -57,6 +58,14 @@ class Start:
     def goal(self) -> np.ndarray:
         """Where to get: x, y [m], shape (robots, 2); NaN for a robot without a goal."""
         return self.table[:, GOAL]
+
+    @property
+    def way(self) -> np.ndarray:
+        """Number of the goal among those of its world that ways are known to, shape (robots,), as floats.
+
+        What names such a goal says so here as well; others have no ways, see `tb2rl.worlds.ways`.
+        """
+        return self.table[:, WAY]
 
     @property
     def bounds(self) -> np.ndarray:

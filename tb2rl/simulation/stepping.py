@@ -181,9 +181,9 @@ def sense_some(
 
 @njit(cache=True)
 def begin_some(robots, table, starts, poses, rims, streams, twists, commands, accelerations, bumped):
-    """The robots with the indices `robots` (n,) stand where the rows of `table` (n, 31) say, and read once more.
+    """The robots with the indices `robots` (n,) stand where the rows of `table` (n, 32) say, and read once more.
 
-    `table` goes into their rows of `starts` (robots, 31); the other arrays are as in `step_block`.
+    `table` goes into their rows of `starts` (robots, 32); the other arrays are as in `step_block`.
     """
     for row, i in enumerate(robots):
         starts[i], poses[i] = table[row], table[row, POSE]

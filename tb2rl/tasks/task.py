@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
+from tb2rl.robots import Robot
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Draws, Reading, Setup, Start
@@ -19,6 +20,7 @@ from tb2rl.simulation.variation import Variation, find_variation
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
 from tb2rl.values import Count, Edges, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
+from tb2rl.worlds import World
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,11 @@ class Task(ABC):
         return find_variation(self.variation)
 
     @property
+    def explores(self) -> bool:
+        """Whether robots draw maps of what they see, see `Reading.explored`."""
+        return False
+
+    @property
     @abstractmethod
     def actions(self) -> Actions:
         """What the robot can be told to do."""
@@ -74,6 +81,15 @@ class Task(ABC):
     def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
         """What a learner observes, in this order."""
         return (LaserRanges(setup.laser, self.edges),)
+
+    def places(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
+        """The worlds as the task sets them: with other goals, say.
+
+        Args:
+            worlds: As their files or their generator make them.
+            robot: What is to drive there.
+        """
+        return worlds
 
     def begin(self, setup: Setup, draws: Draws) -> Start:
         """How the episodes of some robots begin: at the world's start pose, or anywhere in its free space.

@@ -1,0 +1,132 @@
+"""Planning on what was seen: each robot draws a map of what its laser sees, and plans its way on it.
+
+The map is an occupancy grid (Moravec & Elfes 1985, "High resolution maps from wide angle sonar") that counts hits. What
+was not seen counts as free, as ROS's navigation can be told (`allow_unknown`): so the plan changes as the robot sees
+more. The robot knows where it is, as from a good localisation, and how large the floor is; of what stands on it, it
+knows nothing beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from tb2rl.compiled import njit
+from tb2rl.simulation import Reading, Setup
+from tb2rl.simulation.setup import BOUNDS
+from tb2rl.worlds.floor import SIDE
+from tb2rl.worlds.ways import KEEP_OFF, march_from, points_ahead
+
+_EVERY = 5  # control steps between two plans
+_HIT, _SURE = 4, 20  # what a beam that ends in a square adds, where one that passes takes 1; at most, both ways
+
+
+class Explorer:
+    """Maps of what some robots have seen, and their ways to the goal on them.
+
+    Args:
+        setup: The robot, its laser and the worlds, of which only the size is used.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        bounds = setup.table[:, BOUNDS]
+        self._size = tuple(np.ceil((bounds[:, [3, 2]] - bounds[:, [1, 0]]).max(axis=0) / SIDE).astype(int) + 1)
+        self._radius, self._angles, self._most = setup.robot.radius, setup.laser.angles, setup.laser.max_range
+        self._rows: dict[str, np.ndarray] = {}
+
+    def begin(self, reading: Reading) -> None:
+        """Forget all; the episodes of all robots begin."""
+        robots = len(reading.pose)
+        self._rows = {
+            "hits": np.empty((robots, *self._size), np.int8),
+            "way": np.empty((robots, *self._size), np.float32),
+            "age": np.empty(robots, dtype=np.int64),
+        }
+        self.begin_some(np.arange(robots), reading)
+
+    def begin_some(self, robots: np.ndarray, reading: Reading) -> None:
+        """Forget what some robots, by their indices (n,), have seen; `reading`, of these alone, is their first."""
+        self._rows["hits"][robots], self._rows["age"][robots] = 0, _EVERY
+        some = self.of(robots)
+        some.go_on(reading)
+        for name, values in some._rows.items():
+            self._rows[name][robots] = values
+
+    def go_on(self, reading: Reading) -> None:
+        """Note what all robots see now; plan anew where it is time to."""
+        grids, rows = self._grids(reading), self._rows
+        _note(reading.pose, reading.ranges, self._angles, self._most, grids, rows["hits"])
+        rows["age"] += 1
+        for i in np.flatnonzero(rows["age"] > _EVERY):
+            rows["way"][i] = march_from(_clearances(rows["hits"][i]), self._radius, reading.goal[i], grids[i])
+            rows["age"][i] = 0
+
+    def of(self, robots: np.ndarray) -> Explorer:
+        """What some robots, by their indices (n,), have explored."""
+        some = copy(self)
+        some._rows = {name: values[robots] for name, values in self._rows.items()}
+        return some
+
+    def ahead(self, reading: Reading, reach: float) -> np.ndarray:
+        """See `Reading.ahead`."""
+        points, ways = np.empty((len(reading.pose), 2)), self._rows["way"]
+        begins = np.arange(len(ways)) * math.prod(self._size)
+        points_ahead(begins, self._grids(reading), ways.ravel(), reading.pose, reading.goal, reach, points)
+        return points
+
+    def state(self) -> dict[str, Any]:
+        """The maps, in arrays of their own."""
+        return {name: values.copy() for name, values in self._rows.items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a `state`."""
+        self._rows = {name: np.array(values) for name, values in state.items()}
+
+    def _grids(self, reading: Reading) -> np.ndarray:
+        """Rows, columns, x and y of the first square's middle [m] of each robot's map, shape (robots, 4)."""
+        corners = reading.start.bounds[:, :2]
+        return np.column_stack([np.tile(np.array(self._size, dtype=float), (len(corners), 1)), corners])
+
+
+@njit(cache=True)
+def _note(poses, ranges, angles, most, grids, hits):
+    """Count in `hits` (robots, rows, columns) up where beams (robots, beams) end, and down where they pass.
+
+    Args:
+        most: How far the laser sees [m]: so far a beam passes that hits nothing.
+    """
+    rows, columns = hits.shape[1], hits.shape[2]
+    for i in range(poses.shape[0]):
+        x, y = (poses[i, 0] - grids[i, 2]) / SIDE, (poses[i, 1] - grids[i, 3]) / SIDE
+        for beam in range(ranges.shape[1]):
+            heading, way = poses[i, 2] + angles[beam], min(ranges[i, beam], most) / SIDE
+            dx, dy = math.cos(heading), math.sin(heading)
+            last_row, last_column = round(y + way * dy), round(x + way * dx)
+            for step in range(int(2 * way)):
+                row, column = round(y + 0.5 * step * dy), round(x + 0.5 * step * dx)
+                if not (0 <= row < rows and 0 <= column < columns):
+                    break
+                if (row != last_row or column != last_column) and hits[i, row, column] > -_SURE:
+                    hits[i, row, column] -= 1
+            seen = 0 <= last_row < rows and 0 <= last_column < columns and ranges[i, beam] <= most
+            if seen and hits[i, last_row, last_column] < _SURE:
+                hits[i, last_row, last_column] = min(hits[i, last_row, last_column] + _HIT, _SURE)
+
+
+@njit(cache=True)
+def _clearances(hits):
+    """How far the squares of a map (rows, columns) are from the middles of those with something on them [m]."""
+    rows, columns = hits.shape
+    reach, clearance = int(KEEP_OFF / SIDE), np.full((rows, columns), KEEP_OFF)
+    for row in range(rows):
+        for column in range(columns):
+            if hits[row, column] <= 0:
+                continue
+            for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
+                    clearance[r, c] = min(clearance[r, c], SIDE * math.hypot(r - row, c - column))
+    return clearance

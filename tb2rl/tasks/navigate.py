@@ -1,0 +1,123 @@
+"""TurtleBot2Navigate: get to a goal in a world that was never seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from tb2rl.errors import InputError
+from tb2rl.robots import Robot
+from tb2rl.robots.robot import RADIUS
+from tb2rl.sensors import Sensor
+from tb2rl.sensors.goal import GoalDirection, GoalDistance
+from tb2rl.sensors.motion import ForwardSpeed, LastAction, TurnRate
+from tb2rl.sensors.waypoint import Waypoint
+from tb2rl.simulation import Draws, Reading, Setup, Start
+from tb2rl.tasks.actions import Actions, Commands, Velocities
+from tb2rl.tasks.outcome import Outcome, crash_endings
+from tb2rl.tasks.task import Task
+from tb2rl.values import Count, NonNegative, Point, Positive, Worlds
+from tb2rl.worlds import World
+from tb2rl.worlds.ways import GOALS, OWN, shortest_way
+
+
+@dataclass(frozen=True)
+class Navigate(Task):
+    """Get to within `goal_radius` of the goal without a touch, in a world of many.
+
+    With `start: random` an episode begins anywhere and leads to one of a few random goals of its world, or to `goal`;
+    with `fixed` it leads from the world's start to the world's goal. The robot observes its laser, its speeds, what it
+    was last told, and what guides it:
+
+    - `goal`: where the goal is, by the wheels' odometry. It knows no map.
+    - `plan`: a point `reach` ahead on the shortest way, as from a planner that knows where the robot is, and the map:
+      with `planner: known` the world's, with `seen` what the laser has seen so far.
+
+    A step pays the metres by which the way to the goal became shorter, round all obstacles. That is why the straight
+    line into a dead end pays nothing.
+    """
+
+    goal_task: ClassVar[bool] = True
+
+    world: Worlds = "mixed"
+    goal: Point | None = None  # [m] x and y, in place of the world's goal and of random ones
+    guide: Literal["goal", "plan"] = "goal"
+    planner: Literal["known", "seen"] = "known"
+    reach: Positive = 1.5  # [m] from the robot to the point of the plan, along the way
+    start_clearance: Positive = 0.25  # [m]
+    control_period: Positive = 0.1  # [s]
+    episode_steps: Count = 600
+    beams: Count | None = 60
+    fastest: Positive = 0.65  # [m/s] the slowest is to stand
+    turn_rate: Positive = 2.0  # [rad/s] to both sides
+    named_actions: bool = False  # five commands in place of any speeds, for learners that choose
+    goal_radius: Positive = 0.3  # [m]
+    goal_reward: float = 10.0  # replaces the step's, as does a crash's
+    crash_reward: float = -10.0
+    closer_reward: float = 2.5  # for a metre of way
+    step_reward: float = -0.02
+    turn_reward: float = -0.02  # at the largest turn rate
+    margin: NonNegative = 0.1  # [m] between robot and wall, below which a step is fined
+    margin_reward: float = -0.1  # the fine at a touch; farther away it falls to 0 evenly
+
+    @cached_property
+    def actions(self) -> Actions:
+        if not self.named_actions:
+            return Velocities(forward=(0.0, self.fastest), turn=(-self.turn_rate, self.turn_rate))
+        half, some = 0.5 * self.fastest, 0.5 * self.turn_rate
+        return Commands(
+            forward=(self.fastest, 0.0),
+            left=(half, some),
+            right=(half, -some),
+            spin_left=(0.0, some),
+            spin_right=(0.0, -some),
+        )
+
+    @property
+    def explores(self) -> bool:
+        return self.guide == "plan" and self.planner == "seen"
+
+    def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
+        guide = (Waypoint(self.reach),) if self.guide == "plan" else (GoalDistance(), GoalDirection())
+        moves = ForwardSpeed(setup.robot), TurnRate(setup.robot), LastAction(setup.robot)
+        return (*super().sensors(setup), *guide, *moves)
+
+    def places(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
+        if self.goal is None:
+            return worlds
+        placed = tuple(world.with_places(None, (*self.goal, 0.0)) for world in worlds)
+        for world in placed:
+            if shortest_way(world, robot.radius) == math.inf:
+                x, y = self.goal
+                where = f"from the start to the goal ({x:g}, {y:g})"
+                raise InputError(f"world {world.name}: {robot.name} finds no way {where}")
+        return placed
+
+    def begin(self, setup: Setup, draws: Draws) -> Start:
+        start = super().begin(setup, draws)
+        if self.start == "fixed" or self.goal is not None:
+            start.way[:] = OWN
+            return start
+        world, choices = start.world.astype(int), 1 + (draws.uniform(2) * GOALS).astype(int)
+        ways = [setup.ways.to_go(world, choice, start.pose) for choice in choices.T]
+        start.way[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
+        start.goal[:] = setup.ways.goals(world, start.way.astype(int))
+        return start
+
+    def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
+        missing = np.hypot(*(after.goal - after.pose[:, :2]).T)
+        reached, crashed = (missing <= self.goal_radius) & ~after.bumped, after.bumped
+        # No wall is as thick as a step is long, but where the way leads may jump from one side of a post to the other.
+        at_most = 1.5 * self.fastest * self.control_period
+        closer = np.clip(before.to_go - after.to_go, -at_most, at_most)
+        gap = after.nearest - after.start.parameters[:, RADIUS]
+        fines = self.turn_reward * np.abs(after.twist[:, 1]) / self.turn_rate
+        if self.margin:
+            fines = fines + self.margin_reward * np.clip(1.0 - gap / self.margin, 0.0, 1.0)
+        moving = self.closer_reward * closer + self.step_reward + fines
+        reward = np.select([crashed, reached], [self.crash_reward, self.goal_reward], moving)
+        return Outcome(reward, failed=crash_endings(crashed, after), succeeded={"goal": reached})

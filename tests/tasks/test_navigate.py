@@ -1,0 +1,127 @@
+"""TurtleBot2Navigate: where it leads, what it pays, and what it shows the robot."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tb2rl.envs.make import make_env, make_task
+from tb2rl.envs.scene import make_scene
+from tb2rl.errors import InputError
+from tb2rl.simulation import Start
+from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.tasks import Commands, Velocities
+from tb2rl.tasks.navigate import Navigate
+
+FIVE = {"generator": "mixed", "worlds": 5, "difficulty": 0.5}
+
+
+def begun(robots=200, **settings):
+    """A scene, the starts of some episodes in it, and the twin that is there."""
+    scene = make_scene(make_task("navigate", {"world": FIVE, **settings}), "raw")
+    start = scene.task.begin(scene.setup, GeneratorDraws(np.random.default_rng(0), robots))
+    return scene, start, KinematicSimulation(scene.setup, robots)
+
+
+def stand(scene, simulation, start, *places):
+    """The readings of the same robots at other places of their episodes: shape (robots, 2) each, heading east."""
+    readings = []
+    for place in places:
+        there = Start(start.table.copy())
+        there.pose[:, :2], there.pose[:, 2] = place, 0.0
+        readings.append(simulation.reset(there, np.random.default_rng(0)))
+    return readings
+
+
+def test_an_episode_leads_from_anywhere_to_a_goal_that_can_be_reached():
+    _, start, simulation = begun()
+    reading = simulation.reset(start, np.random.default_rng(0))
+    assert (reading.to_go < 60).all(), "there is a way"
+    assert np.mean(reading.to_go) > 3.0
+    assert len(np.unique(start.world)) == 5
+    assert len(np.unique(start.goal, axis=0)) > 10
+
+
+def test_with_a_fixed_start_it_leads_from_the_worlds_start_to_the_worlds_goal():
+    scene, start, _ = begun(start="fixed")
+    for row, world in zip(start.table, start.world.astype(int), strict=True):
+        assert tuple(row[:3]) == scene.setup.worlds[world].start
+        assert tuple(row[4:6]) == scene.setup.worlds[world].goal[:2]
+
+
+def test_a_goal_of_the_users_own_is_where_every_episode_leads():
+    _, start, _ = begun(world="maze", goal=(3.0, 2.0))
+    assert (start.goal == (3.0, 2.0)).all()
+    assert len(np.unique(start.pose, axis=0)) == 200
+
+
+def test_a_goal_without_a_way_is_refused():
+    with pytest.raises(InputError, match=r"the goal \(30, 0\) is outside its bounds"):
+        make_task_scene("loop", (30.0, 0.0))
+    with pytest.raises(InputError, match=r"turtlebot2 finds no way from the start to the goal \(4.88, 4.88\)"):
+        make_task_scene("loop", (4.88, 4.88))
+
+
+def make_task_scene(world, goal):
+    return make_scene(make_task("navigate", {"world": world, "goal": goal}), "raw")
+
+
+def test_a_step_pays_the_way_that_became_shorter_and_not_the_straight_line():
+    scene, start, simulation = begun(world="maze", step_reward=0.0, margin_reward=0.0)
+    here = start.pose[:, :2]
+    near = scene.setup.ways.ahead(start.world.astype(int), start.way.astype(int), here, 0.05)
+    before, after = stand(scene, simulation, start, here, near)
+    forth = scene.task.judge(before, np.zeros((200, 2)), after)
+    back = scene.task.judge(after, np.zeros((200, 2)), before)
+    far = before.to_go > 0.6
+    assert (forth.reward[far] > 0.05).all()
+    np.testing.assert_allclose(forth.reward[far], -back.reward[far])
+    closer = np.hypot(*(before.goal - after.pose[:, :2]).T) < np.hypot(*(before.goal - before.pose[:, :2]).T)
+    assert not closer[far].all(), "some ways begin away from the goal"
+
+
+def test_it_succeeds_within_the_radius_and_fails_at_a_touch():
+    scene, start, simulation = begun(robots=3, world="loop", goal=(4.0, 4.0))
+    (reading,) = stand(scene, simulation, start, [(4.0, 3.72), (4.0, 3.68), (4.0, 3.9)])
+    reading = type(reading)(**{**vars(reading), "bumped": np.array([False, False, True])})
+    outcome = scene.task.judge(reading, np.zeros((3, 2)), reading)
+    assert outcome.succeeded["goal"].tolist() == [True, False, False]
+    assert outcome.failed["crash"].tolist() == [False, False, True]
+    assert outcome.reward[[0, 2]].tolist() == [scene.task.goal_reward, scene.task.crash_reward]
+
+
+@pytest.mark.parametrize(
+    ("guide", "names"),
+    [
+        ("goal", {"laser", "goal distance", "goal direction", "forward speed", "turn rate", "last action"}),
+        ("plan", {"laser", "waypoint", "forward speed", "turn rate", "last action"}),
+    ],
+)
+def test_it_shows_what_guides_it(guide, names):
+    scene, _, _ = begun(guide=guide)
+    assert set(scene.observation_space.names) == names
+
+
+def test_actions_are_speeds_or_five_commands():
+    assert isinstance(Navigate().actions, Velocities)
+    commands = Navigate(named_actions=True).actions
+    assert isinstance(commands, Commands)
+    assert commands.names == ("forward", "left", "right", "spin_left", "spin_right")
+    assert math.isclose(commands.fastest, Navigate().fastest)
+
+
+@pytest.mark.parametrize("guide", ["goal", "plan"])
+@pytest.mark.parametrize("simulation", ["kinematic", "bullet"])
+def test_following_the_way_reaches_the_goal_in_both_simulations(guide, simulation):
+    env = make_env("navigate", "raw", simulation=simulation, world="maze", start="fixed", guide=guide)
+    env.reset(seed=0)
+    info = {"ended": ""}
+    while not info["ended"]:
+        reading = env.reading
+        east, north = (reading.ahead(0.6) - reading.pose[:, :2])[0]
+        off = math.remainder(math.atan2(north, east) - reading.pose[0, 2], math.tau)
+        action = np.array([1.0 - min(2.0, 3.0 * abs(off)), np.clip(1.5 * off, -1.0, 1.0)])
+        info = env.step(action)[-1]
+    env.close()
+    assert info["ended"] == "goal"
