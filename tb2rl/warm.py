@@ -21,6 +21,8 @@ def main(arguments: list[str] | None = None) -> None:
     ArgumentParser(prog="python -m tb2rl.warm", description=(__doc__ or "").splitlines()[0]).parse_args(arguments)
     from tb2rl.envs.make import make_env  # only now: it imports what takes seconds
     from tb2rl.learning.training import train
+    from tb2rl.runs.algorithm import make_baseline
+    from tb2rl.runs.layers import resolve
     from tb2rl.showing.film import film
     from tb2rl.worlds import World
 
@@ -40,6 +42,11 @@ def main(arguments: list[str] | None = None) -> None:
     env = make_env("maze", "raw", simulation="kinematic", observe=sensors, movers={"people": 1})
     env.reset()
     env.step(0)
+    for agent in ("pursuit", "dwa", "vfh"):
+        config = resolve(agent, "navigate", settings={**worlds, "task.guide": "plan", "task.planner": "seen"})
+        env = make_env(config.task, "raw", simulation="kinematic")
+        make_baseline(config).predict(env.reset()[0])
+        env.step(env.action_space.low)
     posts = [(x / 10, 1.0, 0.01) for x in range(200)]  # enough to need a grid
     World.from_shapes("posts", posts=posts, start=(0.0, 0.0, 0.0)).clearance(0.0, 0.0)
     print("compiled; what comes next starts without")

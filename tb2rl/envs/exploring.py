@@ -59,7 +59,7 @@ class Explorer:
     def go_on(self, reading: Reading) -> None:
         """Note what all robots see now; plan anew where it is time to."""
         grids, rows = self._grids(reading), self._rows
-        _note(reading.pose, reading.ranges, self._angles, self._most, grids, rows["hits"])
+        _note(np.array(reading.pose), np.array(reading.ranges), self._angles, self._most, grids, rows["hits"])
         rows["age"] += 1
         for i in np.flatnonzero(rows["age"] > _EVERY):
             rows["way"][i] = march_from(_clearances(rows["hits"][i]), self._radius, reading.goal[i], grids[i])
@@ -75,7 +75,8 @@ class Explorer:
         """See `Reading.ahead`."""
         points, ways = np.empty((len(reading.pose), 2)), self._rows["way"]
         begins = np.arange(len(ways)) * math.prod(self._size)
-        points_ahead(begins, self._grids(reading), ways.ravel(), reading.pose, reading.goal, reach, points)
+        place, goal = np.array(reading.pose), np.array(reading.goal)  # compiled once, for arrays of one kind
+        points_ahead(begins, self._grids(reading), ways.ravel(), place, goal, reach, points)
         return points
 
     def state(self) -> dict[str, Any]:

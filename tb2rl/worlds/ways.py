@@ -51,14 +51,14 @@ class Ways:
 
     def to_go(self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
         """How long the ways are from places x, y [m], shape (robots, 2) or more columns, to goals [m], (robots,)."""
-        lengths = np.empty(len(places))
+        lengths, places = np.empty(len(places)), np.array(places)  # compiled once, for arrays of one kind
         fields = self._fields(worlds, numbers)
         _lengths(self._begins[fields], self._grids[worlds], self._room, places, lengths)
         return lengths
 
     def ahead(self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray, reach: float) -> np.ndarray:
         """The points on the ways that are `reach` [m] ahead, or the goals if these are nearer, shape (robots, 2)."""
-        fields, points = self._fields(worlds, numbers), np.empty((len(places), 2))
+        fields, points, places = self._fields(worlds, numbers), np.empty((len(places), 2)), np.array(places)
         points_ahead(self._begins[fields], self._grids[worlds], self._room, places, self._goals[fields], reach, points)
         return points
 
