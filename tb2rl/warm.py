@@ -45,8 +45,8 @@ def main(arguments: list[str] | None = None) -> None:
     for agent in ("pursuit", "dwa", "vfh"):
         config = resolve(agent, "navigate", settings={**worlds, "task.guide": "plan", "task.planner": "seen"})
         env = make_env(config.task, "raw", simulation="kinematic")
-        make_baseline(config).predict(env.reset()[0])
-        env.step(env.action_space.low)
+        action, _ = make_baseline(config).predict(env.reset()[0])
+        env.step(action)
     posts = [(x / 10, 1.0, 0.01) for x in range(200)]  # enough to need a grid
     World.from_shapes("posts", posts=posts, start=(0.0, 0.0, 0.0)).clearance(0.0, 0.0)
     print("compiled; what comes next starts without")
