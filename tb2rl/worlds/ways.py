@@ -151,38 +151,58 @@ def _march(dear, row, column):
     Args:
         dear: How many times as long as it is a way over each square counts, 0: there is none, shape (rows, columns).
         row, column: Where the goal is.
-
-    Squares without a way are as far as the next square with one, and `_BEYOND` times the way there.
     """
     rows, columns = dear.shape
     far = np.full((rows, columns), np.inf)
     far[row, column] = 0.0
-    for passable in (True, False):
-        settled = np.isfinite(far)
-        keys, cells, size = np.empty(8 * rows * columns), np.empty(8 * rows * columns, dtype=np.int64), 0
-        for i in range(rows):
-            for j in range(columns):
-                if settled[i, j]:
-                    size = _push(keys, cells, size, far[i, j], i * columns + j)
-        while size:
-            i, j, key = cells[0] // columns, cells[0] % columns, keys[0]
-            size = _pop(keys, cells, size)
-            if key > far[i, j]:
-                continue  # a shorter way was found since
-            for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-                r, c = i + down, j + right
-                if not (0 <= r < rows and 0 <= c < columns) or settled[r, c] or (passable and dear[r, c] == 0.0):
-                    continue
-                step = SIDE * (dear[r, c] if passable else _BEYOND)
-                across = min(far[r, c - 1] if c > 0 else np.inf, far[r, c + 1] if c + 1 < columns else np.inf)
-                along = min(far[r - 1, c] if r > 0 else np.inf, far[r + 1, c] if r + 1 < rows else np.inf)
-                way = min(across, along) + step
-                if abs(across - along) < step:
-                    way = 0.5 * (across + along + math.sqrt(2.0 * step * step - (across - along) ** 2))
-                if way < far[r, c]:
-                    far[r, c] = way
-                    size = _push(keys, cells, size, way, r * columns + c)
+    keys, cells, size = np.empty(8 * rows * columns), np.empty(8 * rows * columns, dtype=np.int64), 0
+    size = _push(keys, cells, size, 0.0, row * columns + column)
+    while size:
+        i, j, key = cells[0] // columns, cells[0] % columns, keys[0]
+        size = _pop(keys, cells, size)
+        if key > far[i, j]:
+            continue  # a shorter way was found since
+        for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            r, c = i + down, j + right
+            if not (0 <= r < rows and 0 <= c < columns) or dear[r, c] == 0.0:
+                continue
+            step = SIDE * dear[r, c]
+            across = min(far[r, c - 1] if c > 0 else np.inf, far[r, c + 1] if c + 1 < columns else np.inf)
+            along = min(far[r - 1, c] if r > 0 else np.inf, far[r + 1, c] if r + 1 < rows else np.inf)
+            way = min(across, along) + step
+            if abs(across - along) < step:
+                way = 0.5 * (across + along + math.sqrt(2.0 * step * step - (across - along) ** 2))
+            if way < far[r, c]:
+                far[r, c] = way
+                size = _push(keys, cells, size, way, r * columns + c)
+    _go_on_beyond(far, cells)
     return far.astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _go_on_beyond(far, queue):
+    """Let squares without a way be as far as the nearest one with a way, and `_BEYOND` times the way there.
+
+    The nearest, and not the one that leads on best: else what is on the other side of a thin wall would count here.
+
+    Args:
+        far: Of each square [m], inf: without a way, shape (rows, columns).
+        queue: Room for their numbers.
+    """
+    rows, columns = far.shape
+    first, last = 0, 0
+    for i in range(rows):
+        for j in range(columns):
+            if np.isfinite(far[i, j]):
+                queue[last], last = i * columns + j, last + 1
+    while first < last:
+        i, j = queue[first] // columns, queue[first] % columns
+        first += 1
+        for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            r, c = i + down, j + right
+            if 0 <= r < rows and 0 <= c < columns and not np.isfinite(far[r, c]):
+                far[r, c] = far[i, j] + _BEYOND * SIDE
+                queue[last], last = r * columns + c, last + 1
 
 
 @njit(cache=True, nogil=True)

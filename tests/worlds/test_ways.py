@@ -57,6 +57,15 @@ def test_the_point_ahead_leads_to_the_goal_and_no_farther(world):
     assert way < length + 0.1
 
 
+def test_a_way_from_beside_a_thin_wall_does_not_lead_through_it():
+    """The goal is behind the wall, so that what is behind it is nearer by far."""
+    places = [(3.9 - ROBOT.radius - gap, y) for gap in (0.0, 0.01, 0.03, 0.06) for y in np.arange(1.0, 4.5, 0.1)]
+    ways, worlds, goals, there = to_own_goal(WALL, *places)
+    for _ in range(60):
+        there = ways.ahead(worlds, goals, there, 0.05)
+        assert min(WALL.clearance(x, y) for x, y in there) > 0.1
+
+
 def test_every_robot_has_its_own_world_goal_and_place():
     ways, worlds = Ways(MIXED, ROBOT.radius), np.repeat(np.arange(10), GOALS)
     numbers, places = np.tile(np.arange(1, GOALS + 1), 10), np.array([MIXED[i].start[:2] for i in worlds])
