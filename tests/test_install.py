@@ -128,7 +128,7 @@ def test_the_installed_command_runs_and_gymnasium_knows_the_ids(installed, tmp_p
     command = str(Path(installed).with_name("tb2rl"))
     assert run([command, "--version"], tmp_path)[0].split()[0] == "tb2rl"
     assert run([command, "evaluate", "--help"], tmp_path)[0].startswith("usage: python -m tb2rl.evaluate")
-    assert run([installed, "-I", "-c", IDS], tmp_path) == ["8 (7,)"]
+    assert run([installed, "-I", "-c", IDS], tmp_path) == ["10 (7,)"]
 
 
 @pytest.mark.slow
@@ -180,6 +180,6 @@ def drive_as(guest, python: str, simulation: str = "kinematic") -> tuple[str, in
 
 @pytest.mark.slow
 def test_a_checkout_works_without_an_install():
-    assert use(IDS, CHECKOUT) == ["8 (7,)"]
+    assert use(IDS, CHECKOUT) == ["10 (7,)"]
     where, *_ = use(USE, CHECKOUT)
     assert Path(where).parent == CHECKOUT / "tb2rl"
