@@ -6,14 +6,17 @@ The planner knows the map and where the robot is on it, as a localised robot doe
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Le
 
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading
 from tb2rl.values import Edges, Positive
 
 REACH = 1.5  # [m]
+Reach = Annotated[Positive, Le(100)]  # a way is followed step by step
 
 
 class Waypoint(Sensor):
@@ -26,7 +29,7 @@ class Waypoint(Sensor):
 
     name, unit, shape = "waypoint", "m", (2,)
 
-    def __init__(self, reach: Positive = REACH, edges: Edges = (-0.5, -0.15, 0.15, 0.5)) -> None:
+    def __init__(self, reach: Reach = REACH, edges: Edges = (-0.5, -0.15, 0.15, 0.5)) -> None:
         self.low, self.high, self.reach, self.edges = -reach, reach, reach, edges
 
     def read(self, reading: Reading) -> np.ndarray:
@@ -46,7 +49,7 @@ class WaypointBearing(Sensor):
     name, unit = "waypoint bearing", "rad"
     low, high = -math.pi, math.pi
 
-    def __init__(self, reach: Positive = REACH, edges: Edges = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)) -> None:
+    def __init__(self, reach: Reach = REACH, edges: Edges = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)) -> None:
         self.edges, self._waypoint = edges, Waypoint(reach)
 
     def read(self, reading: Reading) -> np.ndarray:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from annotated_types import Le
 
 from tb2rl.errors import InputError
 from tb2rl.robots import Robot
@@ -47,7 +48,7 @@ class Navigate(Task):
     goal: Point | None = None  # [m] x and y, in place of the world's goal and of random ones
     guide: Literal["goal", "plan"] = "goal"
     planner: Literal["known", "seen"] = "known"
-    reach: Positive = 1.5  # [m] from the robot to the point of the plan, along the way
+    reach: Annotated[Positive, Le(100)] = 1.5  # [m] from the robot to the point of the plan, along the way
     start_clearance: Positive = 0.25  # [m]
     control_period: Positive = 0.1  # [s]
     episode_steps: Count = 600
@@ -117,7 +118,7 @@ class Navigate(Task):
         gap = after.nearest - after.start.parameters[:, RADIUS]
         fines = self.turn_reward * np.abs(after.twist[:, 1]) / self.turn_rate
         if self.margin:
-            fines = fines + self.margin_reward * np.clip(1.0 - gap / self.margin, 0.0, 1.0)
+            fines = fines + self.margin_reward * np.clip(self.margin - gap, 0.0, self.margin) / self.margin
         moving = self.closer_reward * closer + self.step_reward + fines
         reward = np.select([crashed, reached], [self.crash_reward, self.goal_reward], moving)
         return Outcome(reward, failed=crash_endings(crashed, after), succeeded={"goal": reached})

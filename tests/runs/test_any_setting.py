@@ -157,7 +157,7 @@ def _all_keys() -> list[Key]:
     keys = [Key(agent, "maze", key) for agent in AGENTS for key in [*agent_keys(agent), *train]]
     for task in TASKS:
         names = ["name", "observation", *(field.name for field in dataclasses.fields(find_task(task)))]
-        agents = ("ppo",) if task == "drive" else ("qlearn", "dqn")  # which learn no continuous actions
+        agents = ("ppo",) if task in ("drive", "navigate") else ("qlearn", "dqn")  # which learn no continuous actions
         keys += [Key(agent, task, f"task.{name}") for agent in agents for name in names]
     return keys
 
