@@ -20,7 +20,7 @@ from tb2rl.sensors.waypoint import Waypoint
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.actions import Actions, Commands, Velocities
 from tb2rl.tasks.outcome import Outcome, crash_endings
-from tb2rl.tasks.task import Task
+from tb2rl.tasks.task import Beams, Clearance, Period, Task
 from tb2rl.values import Count, NonNegative, Point, Positive, Worlds
 from tb2rl.worlds import World
 from tb2rl.worlds.ways import GOALS, OWN, shortest_way
@@ -49,10 +49,10 @@ class Navigate(Task):
     guide: Literal["goal", "plan"] = "goal"
     planner: Literal["known", "seen"] = "known"
     reach: Annotated[Positive, Le(100)] = 1.5  # [m] from the robot to the point of the plan, along the way
-    start_clearance: Positive = 0.25  # [m]
-    control_period: Positive = 0.1  # [s]
+    start_clearance: Clearance = 0.25  # [m]
+    control_period: Period = 0.1  # [s]
     episode_steps: Count = 600
-    beams: Count | None = 60
+    beams: Beams | None = 60
     fastest: Positive = 0.65  # [m/s] the slowest is to stand
     turn_rate: Positive = 2.0  # [rad/s] to both sides
     named_actions: bool = False  # five commands in place of any speeds, for learners that choose

@@ -22,6 +22,10 @@ from tb2rl.tasks.outcome import Outcome
 from tb2rl.values import Count, Edges, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
 from tb2rl.worlds import World
 
+Beams = Annotated[int, Ge(1), Le(100_000)]
+Clearance = Annotated[Positive, Le(100)]  # [m]
+Period = Annotated[float, Gt(0), Le(60)]  # [s]
+
 
 @dataclass(frozen=True)
 class Task(ABC):
@@ -37,10 +41,10 @@ class Task(ABC):
     robot: Name = "turtlebot2"  # a built-in name, or "module:ROBOT"
     world: Worlds = "loop"  # or several, or a generator with its settings: see tb2rl/worlds/README.md
     start: Literal["fixed", "random"] = "random"
-    start_clearance: Annotated[Positive, Le(100)] = 0.6  # [m] to walls and the bounds, of a random start
-    control_period: Annotated[float, Gt(0), Le(60)] = 0.2  # [s] an action lasts
+    start_clearance: Clearance = 0.6  # [m] to walls and the bounds, of a random start
+    control_period: Period = 0.2  # [s] an action lasts
     episode_steps: Count = 1500  # control steps until the time limit truncates
-    beams: Annotated[int, Ge(1), Le(100_000)] | None = None  # of the laser, ends included; None: the observation's
+    beams: Beams | None = None  # of the laser, ends included; None: the observation's
     field_of_view: Annotated[float, Gt(0), Le(math.tau)] | None = None  # [rad] of the beams; None: the laser's whole
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # to read; None: all
     noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
