@@ -112,7 +112,7 @@ class Navigate(Task):
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
         missing = np.hypot(*(after.goal - after.pose[:, :2]).T)
         reached, crashed = (missing <= self.goal_radius) & ~after.bumped, after.bumped
-        # Close to a wall the way's length is rounded from squares that no robot can be at, and may jump by more than a step.
+        # Close to a wall the way is rounded from squares that no robot can be at, and may jump by more than a step.
         at_most = 1.5 * self.fastest * self.control_period
         closer = np.clip(before.to_go - after.to_go, -at_most, at_most)
         gap = after.nearest - after.start.parameters[:, RADIUS]
