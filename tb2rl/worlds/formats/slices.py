@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -92,19 +93,10 @@ class Slice:
         if shapely.get_num_coordinates(simple) > _MOST_CORNERS:
             raise InputError(f"its outline has more than {_MOST_CORNERS} corners")
         for part in shapely.get_parts(simple):
-            if part.area <= 0:
-                continue
-            rectangle = shapely.oriented_envelope(part)
-            if part.area >= rectangle.area * (1 - 1e-6):
-                self.boxes.append(_box_along(rectangle.exterior.coords[:3]))
-                continue
-            begins, ends = _edges(part)
-            depths = _depths(part, begins, ends)
-            self.boxes += _walls(begins, ends, depths)
-            walls = shapely.union_all(_strips(begins, ends, depths))
-            for rest in shapely.get_parts(part.difference(walls)):
-                if rest.area > 0 and shapely.maximum_inscribed_circle(rest, tolerance=0.01).length > _HOLE:
-                    self.boxes += _fill(rest)
+            if part.area > 0:
+                x, y = part.exterior.coords[0]
+                moved = shapely.transform(part, lambda points, corner=(x, y): np.round(points - corner, 9))
+                self.boxes += [(x + box[0], y + box[1], *box[2:]) for box in _boxes(moved.wkb)]
 
     def add_sheets(self, lines: Iterable[Sequence[Sequence[float]]]) -> None:
         """Add lines of points as thin walls to the left of them: what is known of a body that is not closed."""
@@ -155,6 +147,23 @@ def _depths(part: shapely.Polygon, begins: np.ndarray, ends: np.ndarray) -> np.n
         fits = shapely.covers(room, _strips(begins, ends, middle))
         low, high = np.where(fits, middle, low), np.where(fits, high, middle)
     return low
+
+
+@lru_cache(maxsize=1000)  # many worlds have the same thing many times
+def _boxes(polygon: bytes) -> list[BoxShape]:
+    """What stands for a polygon, which is given as WKB."""
+    part = shapely.from_wkb(polygon)
+    rectangle = shapely.oriented_envelope(part)
+    if part.area >= rectangle.area * (1 - 1e-6):
+        return [_box_along(rectangle.exterior.coords[:3])]
+    begins, ends = _edges(part)
+    depths = _depths(part, begins, ends)
+    boxes = list(_walls(begins, ends, depths))
+    walls = shapely.union_all(_strips(begins, ends, depths))
+    for rest in shapely.get_parts(part.difference(walls)):
+        if rest.area > 0 and shapely.maximum_inscribed_circle(rest, tolerance=0.01).length > _HOLE:
+            boxes += _fill(rest)
+    return boxes
 
 
 def _strips(begins: np.ndarray, ends: np.ndarray, depths: np.ndarray) -> np.ndarray:
