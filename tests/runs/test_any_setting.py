@@ -175,6 +175,8 @@ def check(attempt_settings):
     def try_it(key: Key, value: Any, in_file: bool) -> None:
         if in_file and value == 10**5000:
             return  # Python writes no such number; what it makes of one that is written: see the preset files below
+        if in_file and value == "\ud800":
+            return  # half a character, which libyaml refuses before there is a key
         shown = f"an integer of {value.bit_length()} bits" if isinstance(value, int) else repr(value)[:100]
         assert not (wrong := attempt_settings(key.case(value, in_file))), f"{key}={shown}: {wrong}"
 
