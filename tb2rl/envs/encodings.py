@@ -169,6 +169,13 @@ def put_rows(observations: Observations, robots: np.ndarray, some: Observations)
         observations[robots] = some
 
 
+def stacked(each: Sequence[Observations]) -> Observations:
+    """The observations of several robots together, of one robot each."""
+    if isinstance(each[0], dict):
+        return {name: np.stack([one[name] for one in each]) for name in each[0]}
+    return np.stack(each)
+
+
 def has_images(space: spaces.Space) -> bool:
     """Whether there are images among the observations."""
     parts = space.values() if isinstance(space, spaces.Dict) else [space]

@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import pickle
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import cloudpickle
 import numpy as np
 import torch as th
 from gymnasium import spaces
+from stable_baselines3.common.policies import BasePolicy
 
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import Scene, make_scene
@@ -25,7 +27,7 @@ from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluation import Episode, Evaluation, smallest_type
 from tb2rl.judging.progress import progress as progress_bar
-from tb2rl.judging.rollout import Policy, roll_out
+from tb2rl.judging.rollout import Moment, Policy, roll_out, roll_out_together
 from tb2rl.judging.spaces import check_observes
 from tb2rl.processes import end_with_parent, main_hidden, process_context, processors
 from tb2rl.robots.robot import RADIUS
@@ -36,6 +38,7 @@ from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Task
 
 EPISODES, STEPS = 100, 1500
+TOGETHER = 5  # episodes in lockstep in a process, so that a network is asked once for all of them
 SEED = 20_180_000  # of the standard start poses; trainings with small seeds never draw them
 TRAINING_SEED = 20_190_000  # of the evaluations while training
 PASSED = 0.95  # success rate from which a training counts as one that has learned
@@ -78,7 +81,7 @@ class Evaluator:
             # Says here, and not in a process that then breaks, what cannot be opened.
             TurtleBot2Env(self.scene, simulation=self.simulation).close()
             arguments = (cloudpickle.dumps(self.scene), self.simulation)
-            self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_open_env, initargs=arguments)
+            self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_make_ready, initargs=arguments)
 
     def run(self, policy: Policy, progress: bool = False) -> Evaluation:
         """Drive all episodes.
@@ -91,23 +94,32 @@ class Evaluator:
         return Evaluation(list(shown), self.scene, self.seed, self.simulation)
 
     def drive(self, policy: Policy, first: int = 0) -> Iterator[Episode]:
-        """Drive the episodes from number `first` on; each comes as soon as it and all before it are over."""
-        numbers = range(first, len(self.poses))
-        return self._drive_here(policy, numbers) if self._pool is None else self._drive_in(self._pool, policy, numbers)
+        """Drive the episodes from number `first` on; each comes when it and all before it are over."""
+        # The groups are the same whoever drives them, and so is what a policy draws and how its sums are rounded.
+        together = TOGETHER if isinstance(policy, BasePolicy) else 1
+        begun = first - first % together
+        groups = [self._group(i, together) for i in range(begun, len(self.poses), together)]
+        driven = self._drive_here(policy, groups) if self._pool is None else self._drive_in(self._pool, policy, groups)
+        return islice(driven, first - begun, None)
 
-    def _drive_here(self, policy: Policy, numbers: range) -> Iterator[Episode]:
-        with closing(TurtleBot2Env(self.scene, simulation=self.simulation)) as env:
-            for i in numbers:
-                yield evaluate_episode(env, policy, self.poses[i], self.seed + i, self.worlds[i])
+    def _group(self, first: int, together: int) -> _Group:
+        some = slice(first, first + together)
+        poses = self.poses[some]
+        return _Group([self.seed + first + i for i in range(len(poses))], poses, self.worlds[some])
 
-    def _drive_in(self, pool: ProcessPoolExecutor, policy: Policy, numbers: range) -> Iterator[Episode]:
+    def _drive_here(self, policy: Policy, groups: Sequence[_Group]) -> Iterator[Episode]:
+        with closing(_Envs(self.scene, self.simulation)) as envs:
+            for group in groups:
+                yield from envs.drive(policy, group)
+
+    def _drive_in(self, pool: ProcessPoolExecutor, policy: Policy, groups: Sequence[_Group]) -> Iterator[Episode]:
         with TemporaryDirectory() as folder:  # a table can have millions of values: through no pipe, each time
             file = Path(folder, "policy")
             file.write_bytes(cloudpickle.dumps(policy))
             with main_hidden():  # processes start as they are needed
-                jobs = [pool.submit(_drive_one, file, self.poses[i], self.seed + i, self.worlds[i]) for i in numbers]
+                jobs = [pool.submit(_drive_some, file, group) for group in groups]
             for job in jobs:
-                yield job.result()
+                yield from job.result()
 
     def close(self) -> None:
         """End the processes."""
@@ -121,13 +133,48 @@ class Evaluator:
         self.close()
 
 
+class _Group(NamedTuple):
+    """Episodes that are driven together: the seed, the start pose and the world of each."""
+
+    seeds: list[int]
+    poses: np.ndarray
+    worlds: list[int]
+
+
+class _Envs:
+    """Environments that stand ready, one for each episode of a group; they open when they are needed first."""
+
+    def __init__(self, scene: Scene, simulation: str) -> None:
+        self._scene, self._simulation = scene, simulation
+        self._open: list[TurtleBot2Env] = []
+
+    def drive(self, policy: Policy, group: _Group) -> list[Episode]:
+        """Drive a group of episodes."""
+        while len(self._open) < len(group.poses):
+            self._open.append(TurtleBot2Env(self._scene, simulation=self._simulation))
+        envs = self._open[: len(group.poses)]
+        if len(envs) == 1:
+            return [evaluate_episode(envs[0], policy, group.poses[0], group.seeds[0], group.worlds[0])]
+        each = roll_out_together(envs, policy, *group)
+        return [_episode(self._scene, *one) for one in zip(each, group.poses, group.worlds, strict=True)]
+
+    def close(self) -> None:
+        """Free what the simulations hold."""
+        for env in self._open:
+            env.close()
+
+
 def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int, world: int = 0) -> Episode:
     """One episode of the greedy policy from a pose x [m], y [m], yaw [rad], shape (3,); see `roll_out`."""
-    moments = list(roll_out(env, policy, seed, pose, world))
+    return _episode(env.scene, list(roll_out(env, policy, seed, pose, world)), pose, world)
+
+
+def _episode(scene: Scene, moments: Sequence[Moment], pose: np.ndarray, world: int) -> Episode:
+    """What the moments of an episode in a world, from a start pose, came to."""
     last = moments[-1]
     places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
     radius = float(last.start.parameters[0, RADIUS])
-    clearance = min(env.scene.setup.worlds[world].clearance(*place) for place in places)
+    clearance = min(scene.setup.worlds[world].clearance(*place) for place in places)
     return Episode(
         start=tuple(pose.tolist()),
         ended=last.info["ended"],
@@ -138,7 +185,7 @@ def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed:
         distance=last.info["distance"],
         episode_return=last.total,
         path=np.array(places, dtype=np.float32),
-        actions=np.array([moment.action for moment in moments], dtype=smallest_type(env.action_space)),
+        actions=np.array([moment.action for moment in moments], dtype=smallest_type(scene.action_space)),
         world=world,
         closest=max(clearance - radius, 0.0) if np.isfinite(clearance) else None,  # inf: there is no obstacle
     )
@@ -203,16 +250,16 @@ def _scene(
     return make_scene(make_task(task, settings), observation)
 
 
-_env: TurtleBot2Env  # of a worker process
+_envs: _Envs  # of a worker process
 
 
-def _open_env(scene: bytes, simulation: str) -> None:
-    global _env
+def _make_ready(scene: bytes, simulation: str) -> None:
+    global _envs
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that asked decides
     th.set_num_threads(1)
-    _env = TurtleBot2Env(pickle.loads(scene), simulation=simulation)
+    _envs = _Envs(pickle.loads(scene), simulation)
 
 
-def _drive_one(policy: Path, pose: np.ndarray, seed: int, world: int) -> Episode:
-    return evaluate_episode(_env, pickle.loads(policy.read_bytes()), pose, seed, world)
+def _drive_some(policy: Path, group: _Group) -> list[Episode]:
+    return _envs.drive(pickle.loads(policy.read_bytes()), group)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import torch as th
 
+from tb2rl.envs.encodings import stacked
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.simulation import Start
 
@@ -54,22 +56,70 @@ def roll_out(
     Raises:
         InputError: If the pose is inside a wall, or the policy gives an action that does not exist.
     """
-    with th.random.fork_rng(devices=[]):  # a policy that draws, draws the same whatever happened before
-        th.manual_seed(seed)
-        options = {"world": world} if pose is None else {"world": world, "pose": tuple(pose)}
-        observation, info = env.reset(seed=seed, options=options)
-        step, total, over = 0, 0.0, False
+    with _drawing_from(seed):
+        episode = _Episode(env, seed, pose, world)
         remembered: dict[str, Any] = {}  # by a recurrent policy; others do not know the argument
-        while not over:
-            before, movers_before, step = info["pose"], _movers(env), step + 1
-            action, memory = policy.predict(observation, deterministic=True, **remembered)
+        while not episode.over:
+            action, memory = policy.predict(episode.observation, deterministic=True, **remembered)
             remembered = {} if memory is None else {"state": memory}
-            observation, reward, terminated, truncated, info = env.step(action)
-            total += float(reward)
-            over = terminated or truncated
-            start = env.reading.start  # type: ignore[union-attr]
-            moving = movers_before, _movers(env)
-            yield Moment(step, before, info["pose"], np.asarray(action), float(reward), total, info, start, *moving)
+            yield episode.step(action)
+
+
+def roll_out_together(
+    envs: Sequence[TurtleBot2Env], policy: Policy, seeds: Sequence[int], poses: np.ndarray, worlds: Sequence[int]
+) -> list[list[Moment]]:
+    """One episode in each of several environments, as by `roll_out`, but the policy is asked for all of them at once.
+
+    For a network that is hardly more work than for one.
+
+    Args:
+        envs: Where it drives, one for each episode.
+        policy: What drives; it predicts for several robots at once, as those of Stable-Baselines3 do.
+        seeds: Of the noise of each episode; the first also of a policy that draws.
+        poses: Where each starts, shape (episodes, 3).
+        worlds: Index of the world that each is in.
+    """
+    with _drawing_from(seeds[0]):
+        episodes = [_Episode(*each) for each in zip(envs, seeds, poses, worlds, strict=True)]
+        moments: list[list[Moment]] = [[] for _ in episodes]
+        remembered: dict[str, Any] = {}
+        while not all(episode.over for episode in episodes):
+            observations = stacked([episode.observation for episode in episodes])
+            actions, memory = policy.predict(observations, deterministic=True, **remembered)
+            remembered = {} if memory is None else {"state": memory}
+            for episode, action, driven in zip(episodes, actions, moments, strict=True):
+                if not episode.over:
+                    driven.append(episode.step(action))
+    return moments
+
+
+class _Episode:
+    """An episode under way."""
+
+    def __init__(self, env: TurtleBot2Env, seed: int, pose: np.ndarray | None, world: int | None) -> None:
+        options = {"world": world} if pose is None else {"world": world, "pose": tuple(pose)}
+        self._env = env
+        self.observation, self._info = env.reset(seed=seed, options=options)
+        self._steps, self._total, self.over = 0, 0.0, False
+
+    def step(self, action: Any) -> Moment:
+        """The next moment of it."""
+        before, movers_before = self._info["pose"], _movers(self._env)
+        self.observation, reward, terminated, truncated, info = self._env.step(action)
+        self._info, self._steps, self._total = info, self._steps + 1, self._total + float(reward)
+        self.over = terminated or truncated
+        start = self._env.reading.start  # type: ignore[union-attr]
+        moving = movers_before, _movers(self._env)
+        done = np.asarray(action), float(reward), self._total
+        return Moment(self._steps, before, info["pose"], *done, info, start, *moving)
+
+
+@contextmanager
+def _drawing_from(seed: int) -> Iterator[None]:
+    """A policy that draws, draws the same whatever happened before."""
+    with th.random.fork_rng(devices=[]):
+        th.manual_seed(seed)
+        yield
 
 
 def _movers(env: TurtleBot2Env) -> np.ndarray | None:

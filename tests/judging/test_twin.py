@@ -1,4 +1,4 @@
-"""Evaluations in the twin: all episodes at once are the episodes that each robot would have driven alone."""
+"""Episodes that are driven together, all of them in the twin, are those that each robot would have driven alone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import torch as th
 
 from tb2rl import load
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.judging.evaluator import evaluate_episode
+from tb2rl.judging.evaluation import Evaluation
+from tb2rl.judging.evaluator import TOGETHER, Evaluator, evaluate_episode
 from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.config import Config
@@ -26,6 +27,20 @@ def learner(config: Config, **weights):
     for parameter in policy.parameters() if not hasattr(policy, "q") else ():
         th.nn.init.normal_(parameter, std=0.3)  # small: what rounding changes is not to grow
     return policy
+
+
+def check_against_robots_alone(evaluation: Evaluation, policy) -> None:
+    env = TurtleBot2Env(evaluation.scene, simulation=evaluation.simulation)
+    for i, together in enumerate(evaluation.episodes):
+        alone = evaluate_episode(env, policy, np.array(together.start), evaluation.seed + i, together.world)
+        assert together.actions.dtype == alone.actions.dtype
+        np.testing.assert_allclose(together.actions, alone.actions, atol=1e-3)  # float32, summed in another order
+        assert together.path.shape == alone.path.shape == (alone.length + 1, 2)
+        np.testing.assert_allclose(together.path, alone.path, atol=1e-3)
+        for figure in ("ended", "failed", "success", "touched", "length", "world"):
+            assert getattr(together, figure) == getattr(alone, figure), figure
+        assert together.distance == pytest.approx(alone.distance, abs=1e-3)
+        assert together.episode_return == pytest.approx(alone.episode_return, rel=1e-4)
 
 
 POLICIES = {
@@ -56,20 +71,23 @@ def test_every_episode_is_the_one_that_a_robot_drives_alone(name, request):
         evaluation = evaluator.run(policy)
     assert (evaluation.simulation, evaluation.seed, evaluation.steps) == ("kinematic", 3, 40)
     assert len({episode.start for episode in evaluation.episodes}) == 12
-    env = TurtleBot2Env(evaluation.scene, simulation="kinematic")
-    for together in evaluation.episodes:
-        alone = evaluate_episode(env, policy, np.array(together.start), 0, together.world)
-        assert together.actions.dtype == alone.actions.dtype
-        np.testing.assert_allclose(together.actions, alone.actions, atol=1e-3)  # float32, summed in another order
-        assert together.path.shape == alone.path.shape == (alone.length + 1, 2)
-        np.testing.assert_allclose(together.path, alone.path, atol=1e-3)
-        for figure in ("ended", "failed", "success", "touched", "length", "world"):
-            assert getattr(together, figure) == getattr(alone, figure), figure
-        assert together.distance == pytest.approx(alone.distance, abs=1e-3)
-        assert together.episode_return == pytest.approx(alone.episode_return, rel=1e-4)
+    check_against_robots_alone(evaluation, policy)
     endings = {episode.ended for episode in evaluation.episodes}
     if name == "table":
         assert endings == {"crash", "time limit"}, "some robots begin anew before the others are done"
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in POLICIES])
+def test_an_episode_of_a_group_is_the_one_that_a_robot_drives_alone(name, request):
+    agent, task, settings = POLICIES[name]
+    task = request.getfixturevalue(task) if task in ("cruise", "pictured") else task
+    config = resolve(agent, task, settings=settings)
+    policy = learner(config)
+    with Evaluator(config.scene, episodes=TOGETHER + 1, steps=15, workers=1) as evaluator:  # rounding grows in physics
+        evaluation = evaluator.run(policy)
+        rest = list(evaluator.drive(policy, first=TOGETHER - 1))
+    check_against_robots_alone(evaluation, policy)
+    assert [each.actions.tolist() for each in rest] == [each.actions.tolist() for each in evaluation.episodes[-2:]]
 
 
 def test_the_same_evaluation_twice_gives_the_same_result(outcomes):
