@@ -24,7 +24,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
 from tb2rl.judging.evaluation import Episode, Evaluation
 from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, MOVER, PATH, START, WALL
 from tb2rl.showing.curves import Curve, Family
-from tb2rl.tasks.outcome import MOVER_CRASH
+from tb2rl.tasks.outcome import MOVER_CRASH, STOOD
 from tb2rl.worlds import World
 from tb2rl.worlds.world import box_shapes
 
@@ -78,7 +78,7 @@ def _draw_family(axes: Axes, family: Family, number: int) -> None:
 def draw_ways(evaluation: Evaluation) -> Markup:
     """The paths of episodes in their worlds, a dot at each start and a cross at the end of each that failed.
 
-    The cross has another colour where the robot crashed with something that moves; paths of such things are faint.
+    The cross has another colour where the robot touched something that moves; paths of such things are faint.
 
     Each world has a picture of its own; where there are many, see `shown_worlds`.
     """
@@ -90,9 +90,10 @@ def draw_ways(evaluation: Evaluation) -> Markup:
         _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
         for group in scene.setup.movers_in(world):
             axes.plot(*np.reshape(group.route, (-1, 2)).T, color=MOVER, linewidth=1.2, alpha=0.3)
-        run_into = [episode.path[-1] for episode in episodes if episode.ended == MOVER_CRASH]
+        met = (MOVER_CRASH, STOOD)
+        run_into = [episode.path[-1] for episode in episodes if episode.ended in met]
         _mark(axes, run_into, s=22, color=MOVER, marker="x", linewidths=1.2, zorder=4, gid=f"run-into{own}")
-        failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended != MOVER_CRASH]
+        failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended not in met]
         _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
         goal = scene.goal_in(world)
         if goal is not None:

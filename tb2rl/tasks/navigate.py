@@ -25,6 +25,8 @@ from tb2rl.values import Count, NonNegative, Point, Positive, Worlds
 from tb2rl.worlds import World
 from tb2rl.worlds.ways import GOALS, OWN, shortest_way
 
+_STILL = 0.02  # [m/s] a robot that is slower, and told to be, stands; it may turn, for it is round
+
 
 @dataclass(frozen=True)
 class Navigate(Task):
@@ -37,6 +39,8 @@ class Navigate(Task):
     - `goal`: where the goal is, by the wheels' odometry. It knows no map.
     - `plan`: a point `reach` ahead on the shortest way, as from a planner that knows where the robot is, and the map:
       with `planner: known` the world's, with `seen` what the laser has seen so far.
+
+    Something that moves and touches a robot that stands ends the episode too, but under a name of its own.
 
     A step pays the metres by which the way to the goal became shorter, round all obstacles. That is why the straight
     line into a dead end pays nothing.
@@ -121,4 +125,5 @@ class Navigate(Task):
             fines = fines + self.margin_reward * np.clip(self.margin - gap, 0.0, self.margin) / self.margin
         moving = self.closer_reward * closer + self.step_reward + fines
         reward = np.select([crashed, reached], [self.crash_reward, self.goal_reward], moving)
-        return Outcome(reward, failed=crash_endings(crashed, after), succeeded={"goal": reached})
+        stood = (before.twist[:, 0] < _STILL) & (after.command[:, 0] < _STILL)
+        return Outcome(reward, failed=crash_endings(crashed, after, stood), succeeded={"goal": reached})

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.tasks import crash_endings
 from tb2rl.tasks.drive import Drive
-from tb2rl.tasks.outcome import CRASH, MOVER_CRASH
+from tb2rl.tasks.navigate import Navigate
+from tb2rl.tasks.outcome import CRASH, MOVER_CRASH, STOOD
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
@@ -48,6 +51,33 @@ def test_a_task_of_ones_own_tells_crashes_apart_with_one_call(reading):
     failed = crash_endings(reading.bumped, reading)
     assert failed[CRASH].tolist() == [False] * 4
     assert failed[MOVER_CRASH].tolist() == [False, False, False, True]
+
+
+def test_what_touches_a_robot_that_stands_is_told_apart_by_navigate(reading, driven_to_goal):
+    endings = {}
+    for name, (before, told) in {"stood": (0.0, 0.0), "drove": (0.0, 0.3), "braked": (0.3, 0.0)}.items():
+        first, last = driven_to_goal(reading, before, told)
+        endings[name] = Navigate().judge(first, np.zeros((4, 2), np.float32), last).ending(3, timed_out=False)
+    assert {name: ending.name for name, ending in endings.items()} == {
+        "stood": STOOD,
+        "drove": MOVER_CRASH,
+        "braked": MOVER_CRASH,
+    }
+    assert all(ending.failed and not ending.success for ending in endings.values())
+
+
+@pytest.fixture
+def driven_to_goal():
+    """A function that gives a reading before and after a step: at so many metres per second, and told to be so fast."""
+
+    def of(reading, speed, told):
+        first = replace(reading, twist=np.tile((speed, 0.5), (4, 1)))
+        last = replace(reading, command=np.tile((told, 0.5), (4, 1)))
+        for each in (first, last):
+            vars(each)["to_go"] = np.full(4, 3.0)  # found before: these readings come from no simulation
+        return first, last
+
+    return of
 
 
 @pytest.mark.parametrize(("kind", "earned"), [(Wander, 5.0), (Drive, 0.0)])
