@@ -73,6 +73,9 @@ class _Reader:
         if not worlds and root.find("model") is None:
             raise InputError("it holds neither a <world> nor a <model>")
         top = worlds[0] if worlds else root
+        self._name_plugins(top)
+        for link in top.findall("link"):
+            self.losses.add("a <link> stands in a <model>, and not alone", name_of(link))
         state = State(top.find("state"))
         self._read_scope(Scope(top, STILL, self.losses.add), self.path, state)
         for model in state.inserted:
@@ -114,9 +117,9 @@ class _Reader:
         if state.pose is None:
             own = own @ self._from_placed(model)
         scope = Scope(model, own, self.losses.add)
-        for plugin in model.findall("plugin"):
-            self.losses.add("plugins are not run, so what they move stands still", _plugin(plugin, model))
+        self._name_plugins(model)
         for link in model.findall("link"):
+            self._name_plugins(link)
             at = state.link(link)
             at = scope.place(link) if at is None else at
             for collision in link.findall("collision"):
@@ -146,8 +149,7 @@ class _Reader:
             return
         if sdf in self._including or sdf == self.path.absolute():
             raise InputError(f"{sdf.name} includes itself, by way of {uri}")
-        for plugin in include.findall("plugin"):
-            self.losses.add("plugins are not run, so what they move stands still", _plugin(plugin, include))
+        self._name_plugins(include)
         self._including.append(sdf)
         for model in self._models_in(sdf):
             said = {tag: text_of(include.find(tag)) for tag in ("name", "placement_frame")}
@@ -166,15 +168,16 @@ class _Reader:
             elif child.tag != "light":
                 self.losses.add("not understood", f"{name_of(child)} in {sdf.name}")
 
+    def _name_plugins(self, owner: Element) -> None:
+        name = owner.get("name") or text_of(owner.find("name")) or text_of(owner.find("uri"))
+        for plugin in owner.findall("plugin"):
+            label = f"{plugin.get('name') or plugin.get('filename')} of {name}"
+            self.losses.add("plugins are not run, so what they move stands still", label)
+
     def _count(self) -> None:
         self._seen += 1
         if self._seen > _MOST:
             raise InputError(f"it has more than {_MOST} models and shapes, includes counted each time")
-
-
-def _plugin(plugin: Element, owner: Element) -> str:
-    name = owner.get("name") or text_of(owner.find("name")) or text_of(owner.find("uri"))
-    return f"{plugin.get('name') or plugin.get('filename')} of {name}"
 
 
 def _with(model: Element, attributes: dict[str, str]) -> Element:

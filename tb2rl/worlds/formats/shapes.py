@@ -49,8 +49,10 @@ class Shapes:
         Raises:
             InputError: If its numbers are not those of a shape.
         """
-        geometry = collision.find("geometry")
-        for shape in () if geometry is None else _shapes_in(geometry):
+        geometries = collision.findall("geometry")
+        if len(geometries) > 1:
+            self._losses.add("only the first <geometry> of a <collision> is read", label)
+        for shape in _shapes_in(geometries[0]) if geometries else ():
             add = getattr(self, f"_add_{shape.tag}", None)
             try:
                 side = "met" if add is None else add(shape, pose, np.array(scale), file, label)

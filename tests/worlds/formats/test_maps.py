@@ -172,6 +172,14 @@ def test_a_map_written_and_read_again_is_the_same(read, tmp_path):
     assert (tmp_path / "third.yaml").read_text() == path.read_text().replace("again", "third")
 
 
+def test_the_bounds_of_a_world_can_be_numpys(tmp_path):
+    world = World.from_shapes(
+        "mine", [], [(1.0, 1.0, 0.2)], start=(0, 0, 0), bounds=tuple(np.array([-2.0, -2.0, 2.0, 2.0]))
+    )
+    path, _ = write_map(world, tmp_path / "mine.yaml")
+    assert read_world(path).bounds == (-2.0, -2.0, 2.0, 2.0)
+
+
 @pytest.mark.parametrize("name", world_names())
 def test_a_world_written_as_a_map_has_its_walls_within_half_a_cell(name, tmp_path):
     world, side = find_world(name), 0.05

@@ -207,6 +207,11 @@ def test_poses_can_be_relative_to_frames_in_degrees_and_quaternions(read, sdf):
         ("<population name='crowd'/>", "crowd (<population>)"),
         ("<road name='street'/>", "street (<road>)"),
         ("<model name='m'><plugin name='mover' filename='libmover.so'/></model>", "mover of m"),
+        ("<model name='m'><link name='l'><plugin name='mover' filename='libmover.so'/></link></model>", "mover of l"),
+        ("<plugin name='mover' filename='libmover.so'/>", "mover of default"),
+        ("<link name='alone'/>", "alone"),
+        ("<model name='m'><link name='l'><collision name='c'><geometry><empty/></geometry><geometry/></collision>"
+         "</link></model>", "only the first <geometry> of a <collision> is read: m/c"),
         ("<model name='m'><link name='l'><collision name='c'><geometry><heightmap/></geometry></collision></link>"
          "</model>", "<heightmap> shapes are not understood: m/c"),
         ("<model name='m'><pose relative_to='lost'>1 0 0 0 0 0</pose></model>", "lost (of m)"),
