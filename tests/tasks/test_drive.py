@@ -37,6 +37,15 @@ def test_a_circle_on_one_spot_pays_little_and_turning_fast_costs(make_reading):
     assert spinning < 0 < circle
 
 
+def test_a_wide_circle_can_cost_more_than_a_sharp_turn_now_and_then(make_reading):
+    after = make_reading(twist=[(0.65, 0.0), (0.65, 0.2), (0.65, 1.0)])
+    for cost, better in ((0.0, False), (0.3, True)):
+        straight, circle, sharp = reward(after, turn_cost=cost)
+        assert straight == pytest.approx(0.13)
+        assert ((4 * straight + sharp) / 5 > circle) == better, "both turn by 0.2 rad in 0.2 s on average"
+    assert sharp == pytest.approx(0.13 * (math.cos(1.0) - 0.3 / 1.3))
+
+
 def test_a_crash_is_what_it_is_at_the_other_task(make_reading):
     after = make_reading([0.49, 0.51, 3.0], bumped=[False, False, True], twist=[(0.5, 0.0)] * 3)
     mine, theirs = (task.judge(after, np.zeros(3), after) for task in (Drive(), Wander()))
