@@ -1,4 +1,4 @@
-"""What the tests of several rooms need: setups of named worlds, readings made by hand, a user who may not write."""
+"""What the tests of several rooms need: setups of named worlds, readings by hand, a suite, a user who may not write."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Reading, Setup, Start
 from tb2rl.worlds import World
+from tb2rl.worlds.suites import Suite
 
 FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.0, 9.0))
 
@@ -66,6 +67,16 @@ def _reading(
     )
 
 
+def _small_suite(name: str = "unseen", last: float = 1.0) -> Suite:
+    """Three worlds of two families, the last of which can be another; nobody reaches a goal within the time."""
+    bounds, walls = (-4.0, -4.0, 4.0, 4.0), [(0.0, 3.5, 6.0, 0.2, 0.0)]
+    worlds = tuple(
+        World.from_shapes(f"at {y:g}", walls, start=(-2.0, y, 0.0), goal=(0.0, y, 0.0), bounds=bounds)
+        for y in (-1.0, 0.0, last)
+    )
+    return Suite(name, worlds, ("a", "b", "a"), (2.0, 2.0, 2.0), 1.0)
+
+
 @pytest.fixture
 def make_setup():
     """The function `_setup`."""
@@ -76,6 +87,12 @@ def make_setup():
 def make_reading():
     """The function `_reading`."""
     return _reading
+
+
+@pytest.fixture
+def small_suite():
+    """The function `_small_suite`."""
+    return _small_suite
 
 
 @pytest.fixture

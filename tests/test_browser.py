@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -236,6 +237,23 @@ def test_it_prints_without_its_controls_and_within_the_sheet(open_page):
         assert browser.execute_script(OVERLAPS, BLOCKS) == []
     finally:
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_films_of_a_suite_are_shown_and_fit_the_window(browser, small_suite, tmp_path, monkeypatch):
+    for module in ("tb2rl.commands.suite", "tb2rl.judging.suites"):
+        monkeypatch.setattr(f"{module}.find_suite", lambda name, path: small_suite(name))
+    result, file = str(tmp_path / "it.json"), tmp_path / "it.html"
+    what = ["--agent", "random", "--task", "navigate", "--set", "task.world=loop", "--suite", "unseen"]
+    import_module("tb2rl.evaluate").main([*what, "--json", result])
+    report.main([result, "--out", str(file)])
+    for width in WIDTHS:
+        resize(browser, width)
+        browser.get_log("browser")
+        browser.get(file.as_uri())
+        assert browser.get_log("browser") == []
+        assert browser.execute_script("return document.documentElement.scrollWidth") == width
+        assert browser.execute_script(PICTURES) == [640] * 3
+        assert browser.execute_script(OVERLAPS, f"{BLOCKS}, figure > img") == []
 
 
 # ---- TensorBoard

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import sys
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 
 from tb2rl import report, train
 from tb2rl.commands import report as work
+from tb2rl.judging import suites
 from tb2rl.runs.folder import EVALUATION
 from tb2rl.showing import subjects
 
@@ -61,6 +63,50 @@ def test_a_zoo_entry_has_a_page_too(tmp_path, monkeypatch):
     ] == []
 
 
+# ---- results of suites
+
+
+@pytest.fixture
+def navigator(small_suite, monkeypatch, tmp_path) -> Path:
+    """A run folder that keeps the result of `unseen`, which is three small worlds here."""
+    folder = tmp_path / "navigator"
+    settings = {"task.world": "loop", "task.named_actions": True, "task.observe": ["goal"]}
+    train("qlearn", "navigate", settings=settings, total_timesteps=8, n_envs=1, eval_freq=0, save_freq=0, folder=folder)
+    for module in (import_module("tb2rl.commands.suite"), suites):
+        monkeypatch.setattr(module, "find_suite", lambda name, path: small_suite(name))
+    import_module("tb2rl.evaluate").main([str(folder), "--suite", "unseen", "--workers", "1"])
+    return folder
+
+
+def test_the_page_of_a_run_has_what_it_did_in_suites(navigator, capsys):
+    report.main([str(navigator)])
+    assert ": 1 run, 1 suite, " in capsys.readouterr().out
+    page = (navigator / "report.html").read_text(encoding="utf-8")
+    assert [name for name in ("runs", "evaluation", "suite-1") if f'id="{name}"' not in page] == []
+    assert page.count("data:image/gif") == 3
+
+
+def test_a_result_has_a_page_of_its_own_wherever_it_is(navigator, tmp_path, monkeypatch, capsys):
+    """Also where the policy that it names is no longer there, but beside it."""
+    moved = navigator.rename(tmp_path / "moved")
+    monkeypatch.chdir(tmp_path)
+    report.main(["moved/suite-unseen.json", str(moved / "suite-unseen.json")])
+    assert "report.html: 1 suite, " in capsys.readouterr().out
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'id="runs"' not in page
+    assert page.count("data:image/gif") == 3
+
+
+@pytest.mark.parametrize("content", ["", "{}", '{"failure_free_rate": 1.0}', "[1, 2"])
+def test_a_result_that_is_broken_is_refused_before_any_work(content, run, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(work, "read_subject", None)
+    broken = shutil.copytree(run, tmp_path / "run") / "suite-unseen.json"
+    broken.write_text(content)
+    for reference in (broken, broken.parent):
+        assert_refused([reference], ["suite-unseen.json is not the result of a suite"], capsys)
+    assert not (broken.parent / "report.html").exists()
+
+
 # ---- what is refused
 
 
@@ -78,7 +124,7 @@ def assert_refused(arguments: list[object], named: list[str], capsys) -> None:
     [
         ("missing", ["no run folder missing"]),
         (".", ["neither a run folder nor a folder of them"]),
-        ("file", ["no run folder file"]),
+        ("file", ["file is not the result of a suite"]),
         ("zoo:missing", ["unknown zoo policy", "maze-loop-qlearn"]),
     ],
 )

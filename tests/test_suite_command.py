@@ -12,8 +12,6 @@ import pytest
 
 from tb2rl import load, train
 from tb2rl.runs.folder import Run
-from tb2rl.worlds.suites import Suite
-from tb2rl.worlds.world import World
 
 work = import_module("tb2rl.commands.suite")
 command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
@@ -21,20 +19,10 @@ WORLD = ["--set", "task.world=loop"]
 RANDOM = ["--agent", "random", "--task", "navigate", *WORLD, "--workers", "1"]
 
 
-def world(y: float) -> World:
-    start, goal, bounds = (-2.0, y, 0.0), (0.0, y, 0.0), (-4.0, -4.0, 4.0, 4.0)
-    return World.from_shapes(f"at {y:g}", [(0.0, 3.5, 6.0, 0.2, 0.0)], start=start, goal=goal, bounds=bounds)
-
-
-def small(name: str, last: float) -> Suite:
-    """Three worlds, the last of which can be another."""
-    return Suite(name, tuple(map(world, (-1.0, 0.0, last))), ("a", "b", "a"), (2.0, 2.0, 2.0), 1.0)
-
-
 @pytest.fixture
-def suite(monkeypatch) -> list[str]:
+def suite(small_suite, monkeypatch) -> list[str]:
     """Arguments that ask for `unseen`, which is three small worlds here."""
-    monkeypatch.setattr(work, "find_suite", lambda name, path: small(name, 1.0))
+    monkeypatch.setattr(work, "find_suite", lambda name, path: small_suite(name))
     return ["--suite", "unseen"]
 
 
@@ -149,7 +137,7 @@ def test_an_interrupted_suite_goes_on_where_it_was_and_ends_the_same(suite, inte
 
 
 def test_what_was_kept_of_another_policy_task_or_suite_does_not_count(
-    suite, interrupt, driven, run, tmp_path, monkeypatch
+    suite, small_suite, interrupt, driven, run, tmp_path, monkeypatch
 ):
     folder, file = tmp_path / "run", ["--json", str(tmp_path / "it.json")]
     shutil.copytree(run, folder)
@@ -168,7 +156,7 @@ def test_what_was_kept_of_another_policy_task_or_suite_does_not_count(
     place = str(Run.open(folder).policy_file.relative_to(folder).with_suffix(""))
     Run.open(folder).save(load(folder), place, more=1)
     assert begun(here) == [0, 1], "a policy of the same name"
-    monkeypatch.setattr(work, "find_suite", lambda name, path: small("unseen", 1.1))
+    monkeypatch.setattr(work, "find_suite", lambda name, path: small_suite(last=1.1))
     assert begun(here) == [0, 1], "another suite of the same name"
     assert begun(here) == [2], "the same"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -15,16 +14,15 @@ from tb2rl.errors import InputError
 from tb2rl.files import write_text
 from tb2rl.judging.progress import progress
 from tb2rl.judging.spaces import check_observes
-from tb2rl.judging.suites import Drive, SuiteEvaluation, drives_of, suite_evaluator, suite_scene
+from tb2rl.judging.suite_result import Drive, SuiteResult
+from tb2rl.judging.suites import SuiteEvaluation, drives_of, suite_evaluator, suite_scene
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run, versions
 from tb2rl.runs.journal import Journal
-from tb2rl.runs.loading import checkpoint_file
+from tb2rl.runs.loading import policy_digest
 from tb2rl.showing.table import print_suite
 from tb2rl.values import build
 from tb2rl.worlds.suites import Suite, find_suite
-
-_SIMULATIONS = {"bullet": "PyBullet", "kinematic": "fast twin"}
 
 
 def run(options: argparse.Namespace) -> None:
@@ -44,11 +42,11 @@ def run(options: argparse.Namespace) -> None:
         for drive in progress(rest, "evaluating", "world", total=len(suite.worlds) - len(drives)):
             journal.note(asdict(drive))
             drives.append(drive)
-        evaluation = SuiteEvaluation(suite, scene, drives, evaluator.simulation)
+        result = SuiteEvaluation(suite, scene, drives, evaluator.simulation).result(config, **about)
     if file is not None:
-        _write(file, evaluation.tree(config, about))
+        _write(file, result)
     journal.remove()
-    print_suite(evaluation, title(about["policy"], evaluation))
+    print_suite(result)
 
 
 def check(options: argparse.Namespace) -> None:
@@ -61,21 +59,11 @@ def check(options: argparse.Namespace) -> None:
             raise InputError(f"--{name} does not go with --suite: a suite says itself what is driven, and how long")
 
 
-def title(policy: str, evaluation: SuiteEvaluation) -> str:
-    """What drove where: policy, guide, robot, simulation."""
-    task, simulation = evaluation.scene.task, _SIMULATIONS[evaluation.simulation]
-    guide, planner = getattr(task, "guide", None), getattr(task, "planner", None)
-    planned = f" (planner {planner})" if guide == "plan" and planner else ""
-    guided = [f"guide {guide}{planned}"] if guide else []
-    return f"{', '.join([policy, *guided, evaluation.scene.robot.name, simulation])}: suite {evaluation.suite.name}"
-
-
 def _about(options: argparse.Namespace) -> dict[str, Any]:
     """The policy's name, and a digest of its file; an agent that does not learn has none."""
     if options.agent is not None:
         return {"policy": f"agent {options.agent}", "policy_digest": None}
-    content = checkpoint_file(options.policy).read_bytes()
-    return {"policy": str(options.policy), "policy_digest": hashlib.sha256(content).hexdigest()}
+    return {"policy": str(options.policy), "policy_digest": policy_digest(options.policy)}
 
 
 def _result_file(options: argparse.Namespace, suite: Suite) -> Path | None:
@@ -110,8 +98,8 @@ def _say_how_it_goes_on(journal: Journal, done: int, worlds: int) -> None:
         print(f"going on where it was: {done} of {worlds} worlds are in {journal.path}")
 
 
-def _write(file: Path, tree: dict[str, Any]) -> None:
+def _write(file: Path, result: SuiteResult) -> None:
     try:
-        write_text(file, json.dumps(tree, indent=1, allow_nan=False) + "\n")
+        write_text(file, json.dumps(asdict(result), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise InputError(f"cannot write {file}: {error.strerror}") from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge
@@ -16,6 +16,7 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.judging.statistics import wilson_interval
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import EVALUATION, Run, versions
+from tb2rl.simulation import Judge
 from tb2rl.tasks import Task
 from tb2rl.values import Count, NonNegative, checked, type_with_checks
 
@@ -38,7 +39,6 @@ class Episode:
     closest: NonNegative | None = None  # [m] from the hull to the nearest obstacle, at worst; None: not measured
 
 
-_SIMULATION = Literal["bullet", "kinematic"]
 _ARRAYS = ("path", "actions")
 _FIGURES = tuple(field.name for field in fields(Episode) if field.name not in _ARRAYS)
 
@@ -155,7 +155,7 @@ def kept_evaluation(run: Run) -> Evaluation:
     try:
         episodes = _episodes_from(tree["each"], arrays)
         steps, seed = checked(Count, tree["steps"], "steps"), checked(int, tree["seed"], "seed")
-        simulation = checked(_SIMULATION, tree.get("simulation", "bullet"), "simulation")  # older files do not say it
+        simulation = checked(Judge, tree.get("simulation", "bullet"), "simulation")  # older files do not say it
         task = config_from(tree["config"]).task
     except (LookupError, TypeError, ValueError) as error:  # an InputError is a ValueError
         raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation: {error!s}")) from None

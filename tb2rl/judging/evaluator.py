@@ -95,12 +95,18 @@ class Evaluator:
 
     def drive(self, policy: Policy, first: int = 0) -> Iterator[Episode]:
         """Drive the episodes from number `first` on; each comes when it and all before it are over."""
-        # The groups are the same whoever drives them, and so is what a policy draws and how its sums are rounded.
-        together = TOGETHER if isinstance(policy, BasePolicy) else 1
+        together = _together(policy)
         begun = first - first % together
         groups = [self._group(i, together) for i in range(begun, len(self.poses), together)]
         driven = self._drive_here(policy, groups) if self._pool is None else self._drive_in(self._pool, policy, groups)
         return islice(driven, first - begun, None)
+
+    def moments(self, policy: Policy, number: int) -> list[Moment]:
+        """Drive one episode, here, and say all that happened in it; it is the same one that `drive` drives."""
+        together = _together(policy)
+        place = number % together
+        with closing(_Envs(self.scene, self.simulation)) as envs:
+            return envs.moments(policy, self._group(number - place, together))[place]
 
     def _group(self, first: int, together: int) -> _Group:
         some = slice(first, first + together)
@@ -150,13 +156,17 @@ class _Envs:
 
     def drive(self, policy: Policy, group: _Group) -> list[Episode]:
         """Drive a group of episodes."""
+        each = zip(self.moments(policy, group), group.poses, group.worlds, strict=True)
+        return [episode_of(self._scene, *one) for one in each]
+
+    def moments(self, policy: Policy, group: _Group) -> list[list[Moment]]:
+        """The same, and all that happened in each."""
         while len(self._open) < len(group.poses):
             self._open.append(TurtleBot2Env(self._scene, simulation=self._simulation))
         envs = self._open[: len(group.poses)]
         if len(envs) == 1:
-            return [evaluate_episode(envs[0], policy, group.poses[0], group.seeds[0], group.worlds[0])]
-        each = roll_out_together(envs, policy, *group)
-        return [_episode(self._scene, *one) for one in zip(each, group.poses, group.worlds, strict=True)]
+            return [list(roll_out(envs[0], policy, group.seeds[0], group.poses[0], group.worlds[0]))]
+        return roll_out_together(envs, policy, *group)
 
     def close(self) -> None:
         """Free what the simulations hold."""
@@ -164,13 +174,16 @@ class _Envs:
             env.close()
 
 
-def evaluate_episode(env: TurtleBot2Env, policy: Policy, pose: np.ndarray, seed: int, world: int = 0) -> Episode:
-    """One episode of the greedy policy from a pose x [m], y [m], yaw [rad], shape (3,); see `roll_out`."""
-    return _episode(env.scene, list(roll_out(env, policy, seed, pose, world)), pose, world)
+def _together(policy: Policy) -> int:
+    """How many episodes are driven in lockstep.
+
+    The groups are the same whoever drives them, and so is what a policy draws and how its sums are rounded.
+    """
+    return TOGETHER if isinstance(policy, BasePolicy) else 1
 
 
-def _episode(scene: Scene, moments: Sequence[Moment], pose: np.ndarray, world: int) -> Episode:
-    """What the moments of an episode in a world, from a start pose, came to."""
+def episode_of(scene: Scene, moments: Sequence[Moment], pose: np.ndarray, world: int = 0) -> Episode:
+    """What the moments of an episode in a world, from a pose x [m], y [m], yaw [rad], shape (3,), came to."""
     last = moments[-1]
     places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
     radius = float(last.start.parameters[0, RADIUS])

@@ -5,58 +5,32 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
-from typing import Annotated, Any
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge
 
 from tb2rl.envs.scene import Scene
-from tb2rl.errors import InputError
-from tb2rl.judging.evaluation import Episode
+from tb2rl.errors import InputError, one_line
 from tb2rl.judging.evaluator import SEED, Evaluator
+from tb2rl.judging.rollout import Policy
+from tb2rl.judging.spaces import check_observes
 from tb2rl.judging.statistics import wilson_interval
-from tb2rl.runs.config import Config
+from tb2rl.judging.suite_result import ALL, Drive, Figures, NamedDrive, SuiteResult
+from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.arguments import LIBRARY_ERRORS
+from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import versions
+from tb2rl.runs.loading import load, policy_digest
+from tb2rl.simulation import Judge
 from tb2rl.tasks import TIME_LIMIT
-from tb2rl.values import NonNegative
-from tb2rl.worlds.suites import Suite
+from tb2rl.worlds.suites import Suite, find_suite
 
 BARN_SCORE = "BARN 2024: 2 OT to 8 OT"  # the version of the formula; before February 2024 it was 4 OT to 8 OT
 _OPTIMAL_SPEED = 2.0  # [m/s] of OT
 _LEAST, _MOST = 2.0, 8.0  # times OT: what is faster or slower counts as if it took so long
 _SHORTEST = 1e-3  # [m] of a way, if a start is at its goal already
-_MOTION = 0.1  # [m] from the start: here the clock of BARN begins
-
-
-@dataclass(frozen=True)
-class Drive:
-    """What a policy did in one world of a suite; times are whole control steps."""
-
-    world: Annotated[int, Ge(0)]  # its index in the suite
-    ended: str  # "goal", "time limit", ...
-    success: bool
-    failed: bool
-    time: NonNegative  # [s]
-    moving_time: NonNegative  # [s] from where it was 0.1 m from its start on; 0: it never was
-    distance: NonNegative  # [m]
-    closest: NonNegative | None  # [m] from the hull to the nearest obstacle, at worst; None: there is no obstacle
-
-    @classmethod
-    def of(cls, episode: Episode, control_period: float) -> Drive:
-        """What an episode was, with control steps of `control_period` [s]."""
-        gone = np.hypot(*(episode.path - episode.path[0]).T) >= _MOTION
-        moving = episode.length - int(gone.argmax()) if gone.any() else 0
-        return cls(
-            world=episode.world,
-            ended=episode.ended,
-            success=episode.success,
-            failed=episode.failed,
-            time=episode.length * control_period,
-            moving_time=moving * control_period,
-            distance=episode.distance,
-            closest=episode.closest,
-        )
 
 
 @dataclass(frozen=True)
@@ -67,35 +41,21 @@ class SuiteEvaluation:
         suite: Its worlds.
         scene: The task in these worlds, see `suite_scene`.
         drives: One for each world, in their order.
-        simulation: "bullet" or "kinematic".
+        simulation: Where it drove.
     """
 
     suite: Suite
     scene: Scene
     drives: Sequence[Drive]
-    simulation: str
+    simulation: Judge
 
     @property
     def families(self) -> list[str]:
         """What kinds of worlds there are, in the order in which they come first."""
         return list(dict.fromkeys(self.suite.families))
 
-    def figures(self, family: str | None = None) -> dict[str, Any]:
-        """The figures of one family, or of all worlds.
-
-        - `success_rate`, with its 95 % interval; `failed_rate`: crashes; `time_limit_rate`: out of time.
-        - `spl`: success weighted by path length (Anderson et al. 2018, "On evaluation of embodied navigation agents").
-          The shortest way ends where the goal is reached: at its radius, which is a tenth of the way in BARN.
-        - `time_ratio`: the time to the goal, times what this way takes at the robot's top speed; mean of the successes.
-        - `mean_speed`: all metres through all seconds [m/s].
-        - `mean_closest`: how near the hull came to an obstacle at worst [m]; mean of the successes.
-        - `longest_tenth_success_rate`: in the worst tenth of the worlds: those with the longest shortest ways, for the
-          longer the way, the more there is to fail at. Which they are does not depend on the policy, so that policies
-          can be compared.
-        - `barn_score`, by the formula `BARN_SCORE`, where there are reference paths.
-
-        A mean of successes is None where there is none.
-        """
+    def figures(self, family: str | None = None) -> Figures:
+        """The figures of one family, or of all worlds."""
         worlds = [i for i, each in enumerate(self.suite.families) if family in (None, each)]
         drives, ways = [self.drives[i] for i in worlds], np.array(self.suite.ways)[worlds]
         reached = [drive.success for drive in drives]
@@ -103,36 +63,46 @@ class SuiteEvaluation:
         longest = np.argsort(-ways, kind="stable")[: math.ceil(len(worlds) / 10)]
         needed = np.maximum(ways - getattr(self.scene.task, "goal_radius", 0.0), _SHORTEST)
         ratios = np.array(times) * self.scene.robot.max_speed / needed
-        figures = {
-            "worlds": len(worlds),
-            "success_rate": float(np.mean(reached)),
-            "success_interval": wilson_interval(sum(reached), len(worlds)),
-            "failed_rate": float(np.mean([drive.failed for drive in drives])),
-            "time_limit_rate": float(np.mean([drive.ended == TIME_LIMIT for drive in drives])),
-            "spl": float(np.mean(reached * needed / np.maximum(distances, needed))),
-            "time_ratio": _mean(ratios[reached].tolist()),
-            "mean_speed": sum(distances) / sum(times),
-            "mean_closest": _mean([d.closest for d in drives if d.success and d.closest is not None]),
-            "longest_tenth_success_rate": float(np.mean([reached[i] for i in longest])),
-            "endings": dict(sorted(Counter(drive.ended for drive in drives).items())),
-        }
-        if self.suite.references is not None:
-            scored = [barn_score(self.drives[i], self.suite.references[i]) for i in worlds]
-            figures |= {"barn_score": float(np.mean(scored)), "barn_formula": BARN_SCORE}
-        return figures
+        figures = Figures(
+            worlds=len(worlds),
+            success_rate=float(np.mean(reached)),
+            success_interval=wilson_interval(sum(reached), len(worlds)),
+            failed_rate=float(np.mean([drive.failed for drive in drives])),
+            time_limit_rate=float(np.mean([drive.ended == TIME_LIMIT for drive in drives])),
+            spl=float(np.mean(reached * needed / np.maximum(distances, needed))),
+            time_ratio=_mean(ratios[reached].tolist()),
+            mean_speed=sum(distances) / sum(times),
+            mean_closest=_mean([d.closest for d in drives if d.success and d.closest is not None]),
+            longest_tenth_success_rate=float(np.mean([reached[i] for i in longest])),
+            endings=dict(sorted(Counter(drive.ended for drive in drives).items())),
+        )
+        if self.suite.references is None:
+            return figures
+        scored = [barn_score(self.drives[i], self.suite.references[i]) for i in worlds]
+        return replace(figures, barn_score=float(np.mean(scored)), barn_formula=BARN_SCORE)
 
-    def tree(self, config: Config, about: dict[str, Any]) -> dict[str, Any]:
-        """All of it as plain values, for a JSON file.
+    def result(self, config: Config, policy: str, policy_digest: str | None) -> SuiteResult:
+        """All of it as plain values, as a file keeps it.
 
         Args:
-            config: What the policy was trained to do.
-            about: What else the file is to say.
+            config: What the policy was to do.
+            policy: Its name, or that of its file.
+            policy_digest: Of its file; None: of an agent that does not learn.
         """
-        names = [world.name for world in self.suite.worlds]
-        each = [{**asdict(drive), "name": name} for drive, name in zip(self.drives, names, strict=True)]
-        figures = {"all": self.figures(), **{family: self.figures(family) for family in self.families}}
-        said = {"suite": self.suite.name, "suite_digest": self.suite.digest, "simulation": self.simulation}
-        return {**said, **about, "figures": figures, "config": config.to_dict(), "versions": versions(), "each": each}
+        suite = self.suite
+        named = zip(self.drives, suite.worlds, suite.families, strict=True)
+        return SuiteResult(
+            suite=suite.name,
+            suite_digest=suite.digest,
+            suite_path=None if suite.path is None else str(suite.path.absolute()),
+            simulation=self.simulation,
+            policy=policy,
+            policy_digest=policy_digest,
+            figures={ALL: self.figures(), **{family: self.figures(family) for family in self.families}},
+            config=config.to_dict(),
+            versions=versions(),
+            each=tuple(NamedDrive(**asdict(drive), name=world.name, family=family) for drive, world, family in named),
+        )
 
 
 def barn_score(drive: Drive, reference: float) -> float:
@@ -178,6 +148,46 @@ def drives_of(evaluator: Evaluator, policy: Any, first: int = 0) -> Iterator[Dri
     """Drive through the worlds from number `first` on, in their order."""
     for episode in evaluator.drive(getattr(policy, "policy", policy), first):
         yield Drive.of(episode, evaluator.scene.task.control_period)
+
+
+def evaluator_of(result: SuiteResult, folder: Path) -> tuple[Evaluator, Policy]:
+    """What drives a result again, in this process, see `Evaluator.moments`; and what drove it.
+
+    Args:
+        result: It.
+        folder: Where its file is: perhaps the run folder of the policy.
+
+    Raises:
+        InputError: If the policy or the worlds are not there any more, or are others.
+    """
+    policy, config = _policy_of(result, folder)
+    suite = find_suite(result.suite, None if result.suite_path is None else Path(result.suite_path))
+    if (suite.digest, len(suite.worlds)) != (result.suite_digest, len(result.each)):
+        raise InputError(f"the worlds of suite {suite.name} are not those that it drove in")
+    scene = suite_scene(config.scene, suite)
+    check_observes(policy, scene)
+    return suite_evaluator(scene, workers=1), getattr(policy, "policy", policy)
+
+
+def _policy_of(result: SuiteResult, folder: Path) -> tuple[Policy, Config]:
+    """The policy that drove, and what it was to do."""
+    try:
+        config = config_from(result.config)
+    except (*LIBRARY_ERRORS, ImportError) as error:  # an InputError is a ValueError
+        raise InputError(one_line(f"what it was to do is not known here: {error}")) from None
+    if result.policy_digest is None:
+        return make_baseline(config), config
+    for reference in (result.policy, folder):
+        if _is_digest(result.policy_digest, reference):
+            return load(reference), config
+    raise InputError(f"the policy {result.policy} that drove it is not there, or it is another one by now")
+
+
+def _is_digest(digest: str, reference: str | Path) -> bool:
+    try:
+        return policy_digest(reference) == digest
+    except (InputError, OSError):
+        return False
 
 
 def _mean(values: Sequence[float]) -> float | None:

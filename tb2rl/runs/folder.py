@@ -132,7 +132,7 @@ class Run:
             path.parent.mkdir(exist_ok=True)
             write_checkpoint(path, content)
             if path == self.policy_file:
-                for file in (self.folder / EVALUATION, self.folder / PATHS, *self.folder.glob(_SUITE.format("*"))):
+                for file in (self.folder / EVALUATION, self.folder / PATHS, *suite_files(self.folder)):
                     file.unlink(missing_ok=True)
         return path
 
@@ -214,6 +214,11 @@ class Run:
             return dict(json.loads(read_text(file))), read_checkpoint(self.folder / PATHS)
         except (TypeError, ValueError, RecursionError) as error:
             raise InputError(one_line(f"{file} is not an evaluation: {error}")) from None
+
+
+def suite_files(folder: Path) -> list[Path]:
+    """The results of suites that a run folder keeps."""
+    return sorted(folder.glob(_SUITE.format("*")))
 
 
 @contextmanager

@@ -6,6 +6,7 @@ imports the modules that the config names.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,15 @@ def checkpoint_file(reference: str | Path) -> Path:
     if not path.is_file():
         raise InputError(f"there is no run folder or checkpoint {name}")
     return path
+
+
+def policy_digest(reference: str | Path) -> str:
+    """SHA-256 of the file that a reference to a policy means, see `load`.
+
+    Raises:
+        InputError: If there is no such file.
+    """
+    return hashlib.sha256(checkpoint_file(reference).read_bytes()).hexdigest()
 
 
 def content_config(content: Mapping[str, Any], file: Path) -> Config:

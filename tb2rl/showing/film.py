@@ -20,9 +20,9 @@ from tb2rl.judging.rollout import LARGEST_SEED, Moment, Policy, roll_out
 from tb2rl.judging.spaces import check_observes
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
-from tb2rl.showing.cameras import CAMERAS, Camera
+from tb2rl.showing.cameras import CAMERAS
 from tb2rl.showing.caption import with_caption
-from tb2rl.showing.shots import Shot, shots
+from tb2rl.showing.shots import shots
 from tb2rl.showing.writers import WRITERS
 from tb2rl.simulation import judging_simulation
 
@@ -102,28 +102,32 @@ def film(
     check_numbers(episodes, steps, seed, speed)
     policy, env = open_env(policy, config, settings or {}, steps)
     bar = progress_bar(None, "filming", "step", total=episodes * steps, shown=progress)
-    with closing(env), closing(CAMERAS[camera](env.scene)) as eye, bar:
-        rate = min(WRITERS[path.suffix.lower()][1], eye.rate)
-        shown = (
-            shot
-            for moments in drives(env, policy, episodes, seed, listener)
-            for shot in shots(_counted(moments, bar.update), env.scene.task.control_period, rate, speed)
-        )
-        _write(path, shown, eye, env.scene, rate)
+    with closing(env), bar:
+        driven = (_counted(moments, bar.update) for moments in drives(env, policy, episodes, seed, listener))
+        write_film(path, driven, env.scene, camera, speed)
     return path
 
 
-def _write(path: Path, shown: Iterable[Shot], camera: Camera, scene: Scene, rate: int) -> None:
-    """Write a film of these instants, so many a second."""
-    write, _ = WRITERS[path.suffix.lower()]
-    frames: Iterator[np.ndarray] = (with_caption(camera.picture(shot), shot, scene) for shot in shown)
-    try:
-        with replacing(path) as temporary:
-            write(temporary, frames, rate)
-    except BrokenPipeError:  # not of the film: whoever reads what is printed went away
-        raise
-    except (OSError, av.error.FFmpegError) as error:
-        raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
+def write_film(
+    path: Path, driven: Iterable[Iterable[Moment]], scene: Scene, camera: str = "above", speed: float = 1.0
+) -> None:
+    """Write the film of episodes that are driven one after the other; arguments as in `film`.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    write, fastest = WRITERS[path.suffix.lower()]
+    with closing(CAMERAS[camera](scene)) as eye:
+        rate = min(fastest, eye.rate)
+        shown = (shot for moments in driven for shot in shots(moments, scene.task.control_period, rate, speed))
+        frames: Iterator[np.ndarray] = (with_caption(eye.picture(shot), shot, scene) for shot in shown)
+        try:
+            with replacing(path) as temporary:
+                write(temporary, frames, rate)
+        except BrokenPipeError:  # not of the film: whoever reads what is printed went away
+            raise
+        except (OSError, av.error.FFmpegError) as error:
+            raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
 
 
 def _counted(moments: Iterable[Moment], count: Callable[[], Any]) -> Iterator[Moment]:

@@ -1,4 +1,4 @@
-"""The report: one HTML page that stands alone, made from groups of runs and the template beside this module."""
+"""The report: one HTML page that stands alone, made from runs, results of suites and the templates here."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from tb2rl.showing.curves import Family
 from tb2rl.showing.groups import Group, differences
 from tb2rl.showing.palettes import ACTIONS, colours
 from tb2rl.showing.subjects import Subject
+from tb2rl.showing.suites import SuiteSection
 
 _CURVES = (  # tag, title, label of the axis, whether it is a rate
     ("rollout/ep_rew_mean", "Return while training", "return of an episode", False),
@@ -63,24 +64,26 @@ class Row:
         return len(shown_worlds(evaluation)), len({episode.world for episode in evaluation.episodes})
 
 
-def page(groups: Sequence[Group], progress: bool = False) -> str:
+def page(groups: Sequence[Group], suites: Sequence[SuiteSection] = (), progress: bool = False) -> str:
     """The report as HTML.
 
     Args:
-        groups: What it shows.
+        groups: The runs that it shows.
+        suites: The results of suites that it shows.
         progress: Whether to draw a bar, where there is a terminal.
     """
     pairs = [(group, subject) for group in groups for subject in group.subjects]
     rows = [Row.drawn(*pair) for pair in progress_bar(pairs, "drawing", "run", shown=progress)]
     subjects = [subject for _, subject in pairs]
     return _template().render(
-        title=title(groups),
+        title=title(groups) if groups else "; ".join(suite.result.title for suite in suites),
         groups=groups,
+        suites=suites,
         rows=rows,
         subjects=subjects,
         charts=charts(groups),
         differences=differences(groups),
-        action_colours=colours(max(len(subject.action_names) for subject in subjects), ACTIONS),
+        action_colours=colours(max((len(subject.action_names) for subject in subjects), default=0), ACTIONS),
         colours={"start": START, "failed": FAILED, "goal": GOAL, "wall": WALL, "floor": FLOOR},
         headings=HEADINGS,
         standard_episodes=EPISODES,

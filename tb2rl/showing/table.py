@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
@@ -9,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from tb2rl.judging.evaluation import Evaluation
-from tb2rl.judging.suites import SuiteEvaluation
+from tb2rl.judging.suite_result import ALL, Figures, SuiteResult
 
 _MEANS = (("distance", "m"), ("return", ""), ("length", "steps"))  # figures and their units
 _SUITE_COLUMNS = ("", "success", "95 %", "SPL", "time", "m/s", "gap", "failed")
@@ -33,43 +34,41 @@ def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
         table.add_row(name, f"{summary[f'mean_{name}']:.1f}", f"± {summary[f'std_{name}']:.1f} {unit}".rstrip())
     table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
     table.add_row("visited", f"{summary['median_squares']:g}", "squares of 1 m (median)")
-    table.add_row("endings", "", _endings(summary))
+    table.add_row("endings", "", _endings(summary["endings"]))
     Console().print(table)
     _say_if_twin(evaluation.simulation)
     return summary
 
 
-def print_suite(evaluation: SuiteEvaluation, title: str) -> dict[str, Any]:
-    """Print the figures of a suite, a row for each family and one for all, and return those of all."""
-    every = evaluation.figures()
-    table = Table(title=escape(title), title_justify="left", caption=escape(_SUITE_CAPTION), caption_justify="left")
+def print_suite(result: SuiteResult) -> None:
+    """Print the figures of a suite, a row for each family and one for all."""
+    every = result.figures[ALL]
+    title, caption = escape(result.title), escape(_SUITE_CAPTION)
+    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
     table.add_column("worlds")
     for column in _SUITE_COLUMNS:
         table.add_column(column, justify="right")
-    if len(evaluation.families) > 1:
-        for family in evaluation.families:
-            table.add_row(family, *_suite_row(evaluation.figures(family)))
-    table.add_row("all", *_suite_row(every))
+    for name, figures in result.rows.items():
+        table.add_row(name, *_suite_row(figures))
     Console().print(table)
-    print(f"in the tenth of the worlds with the longest ways: {_percent(every['longest_tenth_success_rate'])} success")
-    print(f"endings: {_endings(every)}")
-    if "barn_score" in every:
-        print(f"score {every['barn_score']:.3f} ({every['barn_formula']})")
-    _say_if_twin(evaluation.simulation)
-    return every
+    print(f"in the tenth of the worlds with the longest ways: {_percent(every.longest_tenth_success_rate)} success")
+    print(f"endings: {_endings(every.endings)}")
+    if every.barn_score is not None:
+        print(f"score {every.barn_score:.3f} ({every.barn_formula})")
+    _say_if_twin(result.simulation)
 
 
-def _suite_row(figures: dict[str, Any]) -> list[str]:
-    low, high = figures["success_interval"]
+def _suite_row(figures: Figures) -> list[str]:
+    low, high = figures.success_interval
     return [
-        str(figures["worlds"]),
-        _percent(figures["success_rate"]),
+        str(figures.worlds),
+        _percent(figures.success_rate),
         f"{100 * low:.1f}-{100 * high:.1f}",
-        f"{figures['spl']:.3f}",
-        _number(figures["time_ratio"]),
-        f"{figures['mean_speed']:.2f}",
-        _number(figures["mean_closest"]),
-        _percent(figures["failed_rate"]),
+        f"{figures.spl:.3f}",
+        _number(figures.time_ratio),
+        f"{figures.mean_speed:.2f}",
+        _number(figures.mean_closest),
+        _percent(figures.failed_rate),
     ]
 
 
@@ -81,8 +80,8 @@ def _percent(rate: float) -> str:
     return f"{100 * rate:.1f} %"
 
 
-def _endings(summary: dict[str, Any]) -> str:
-    return ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items())
+def _endings(endings: Mapping[str, int]) -> str:
+    return ", ".join(f"{ended} {count}" for ended, count in endings.items())
 
 
 def _say_if_twin(simulation: str) -> None:

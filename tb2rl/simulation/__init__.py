@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from tb2rl.simulation.streams import Draws
 __all__ = [
     "SIMULATIONS",
     "Draws",
+    "Judge",
     "Reading",
     "Setup",
     "Simulation",
@@ -34,6 +35,7 @@ __all__ = [
 ]
 
 SIMULATIONS = ("bullet", "kinematic")
+Judge = Literal["bullet", "kinematic"]  # where a policy was judged, see `judging_simulation`
 
 
 class Simulation(Protocol):
@@ -84,7 +86,7 @@ class SimulationOfMany(Simulation, Protocol):
 
 
 @cache
-def judging_simulation() -> str:
+def judging_simulation() -> Judge:
     """The simulation that evaluations and films drive in: PyBullet's, or the twin where PyBullet cannot be imported."""
     try:
         import_module("tb2rl.simulation.physics")

@@ -44,6 +44,7 @@ class Suite:
         time_limit: Of an episode [s].
         goal_radius: How near to the goal is there [m]; None: the task says it.
         references: Length of the way that the score of BARN goes by, in each [m]; None: there is no such score.
+        path: Where the worlds were read from; None: they are made.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Suite:
     time_limit: float
     goal_radius: float | None = None
     references: tuple[float, ...] | None = None
+    path: Path | None = None
 
     @cached_property
     def digest(self) -> str:
@@ -110,7 +112,7 @@ def barn(path: Path) -> Suite:
         if not math.isfinite(way):
             raise InputError(f"{path}: world {world.name} has no way from its start to its goal")
     references = tuple(each.reference for each in found)
-    return Suite("barn", worlds, ("barn",) * len(worlds), ways, _BARN_TIME, _BARN_RADIUS, references)
+    return Suite("barn", worlds, ("barn",) * len(worlds), ways, _BARN_TIME, _BARN_RADIUS, references, path)
 
 
 def _placed(world: World, number: int) -> tuple[World, float]:

@@ -16,7 +16,8 @@ from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
 from tb2rl.judging.evaluation import Evaluation, kept_evaluation
-from tb2rl.judging.evaluator import evaluate, evaluate_episode
+from tb2rl.judging.evaluator import episode_of, evaluate
+from tb2rl.judging.rollout import roll_out
 from tb2rl.judging.statistics import wilson_interval
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.folder import EVALUATION, PATHS, Run
@@ -70,7 +71,8 @@ def test_what_failed_is_told_by_the_episode_and_not_by_the_name_of_its_ending(ma
 def test_out_of_bounds_counts_as_failed(ahead):
     scene = resolve("random", "wall", settings={"task.bounds": [-1.0, -3.0, 1.0, 3.0]}).scene
     with closing(TurtleBot2Env(scene)) as env:
-        outside = evaluate_episode(env, ahead, np.array([0.0, 2.0, 0.0]), seed=0)
+        pose = np.array([0.0, 2.0, 0.0])
+        outside = episode_of(scene, list(roll_out(env, ahead, 0, pose)), pose)
     assert (outside.ended, outside.failed, outside.success, outside.touched) == ("out of bounds", True, False, False)
     assert outside.path[-1, 0] > 1.0 > outside.path[-2, 0]
     assert 5.0 * (outside.length - 1) <= outside.episode_return + 200.0 <= 10.0 * (outside.length - 1)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tb2rl.envs.scene import make_scene
 from tb2rl.errors import InputError
+from tb2rl.judging import suites
 from tb2rl.judging.statistics import wilson_interval
-from tb2rl.judging.suites import Drive, SuiteEvaluation, barn_score, drives_of, suite_evaluator, suite_scene
+from tb2rl.judging.suite_result import Drive
+from tb2rl.judging.suites import SuiteEvaluation, barn_score, drives_of, evaluator_of, suite_evaluator, suite_scene
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.layers import resolve
 from tb2rl.tasks.navigate import Navigate
@@ -90,54 +92,88 @@ def evaluation(suite, task) -> SuiteEvaluation:
 def test_the_figures_of_three_drives(evaluation):
     speed = evaluation.scene.robot.max_speed
     figures = evaluation.figures()
-    assert figures["worlds"] == 3
-    assert figures["success_rate"] == pytest.approx(2 / 3)
-    assert figures["success_interval"] == wilson_interval(2, 3)
-    assert (figures["failed_rate"], figures["time_limit_rate"]) == (pytest.approx(1 / 3), 0.0)
+    assert figures.worlds == 3
+    assert figures.success_rate == pytest.approx(2 / 3)
+    assert figures.success_interval == wilson_interval(2, 3)
+    assert (figures.failed_rate, figures.time_limit_rate) == (pytest.approx(1 / 3), 0.0)
     # The goal is reached at half a metre from it. A drive that is shorter than the way counts as the way.
-    assert figures["spl"] == pytest.approx((1.5 / 2.5 + 0.0 + 1.0) / 3)
-    assert figures["time_ratio"] == pytest.approx((8.0 * speed / 1.5 + 12.0 * speed / 3.5) / 2)
-    assert figures["mean_speed"] == pytest.approx(6.0 / 21.0)
-    assert figures["mean_closest"] == pytest.approx(0.3)
-    assert figures["longest_tenth_success_rate"] == 1.0, "the third world has the longest way"
-    assert figures["endings"] == {"bump": 1, "goal": 2}
-    assert "barn_score" not in figures
+    assert figures.spl == pytest.approx((1.5 / 2.5 + 0.0 + 1.0) / 3)
+    assert figures.time_ratio == pytest.approx((8.0 * speed / 1.5 + 12.0 * speed / 3.5) / 2)
+    assert figures.mean_speed == pytest.approx(6.0 / 21.0)
+    assert figures.mean_closest == pytest.approx(0.3)
+    assert figures.longest_tenth_success_rate == 1.0, "the third world has the longest way"
+    assert figures.endings == {"bump": 1, "goal": 2}
+    assert figures.barn_score is None
 
 
 def test_the_worst_tenth_is_that_with_the_longest_ways(suite, evaluation):
     failed = [*evaluation.drives[:2], drive(2, "time limit")]
     figures = replace(evaluation, drives=failed).figures()
-    assert (figures["longest_tenth_success_rate"], figures["time_limit_rate"]) == (0.0, pytest.approx(1 / 3))
+    assert (figures.longest_tenth_success_rate, figures.time_limit_rate) == (0.0, pytest.approx(1 / 3))
     longer = replace(suite, worlds=suite.worlds * 7, families=suite.families * 7, ways=tuple(range(1, 22)))
     drives = [drive(number, "goal" if number != 19 else "bump") for number in range(21)]
     many = replace(evaluation, suite=longer, drives=drives).figures()
-    assert many["longest_tenth_success_rate"] == pytest.approx(2 / 3), "three of 21, rounded up"
+    assert many.longest_tenth_success_rate == pytest.approx(2 / 3), "three of 21, rounded up"
 
 
 def test_each_family_has_figures_of_its_own(evaluation):
     assert evaluation.families == ["a", "b"]
-    assert [evaluation.figures(family)["worlds"] for family in "ab"] == [2, 1]
-    assert [evaluation.figures(family)["success_rate"] for family in "ab"] == [1.0, 0.0]
-    assert evaluation.figures("b")["time_ratio"] is None
-    assert evaluation.figures("b")["mean_closest"] is None
+    assert [evaluation.figures(family).worlds for family in "ab"] == [2, 1]
+    assert [evaluation.figures(family).success_rate for family in "ab"] == [1.0, 0.0]
+    assert evaluation.figures("b").time_ratio is None
+    assert evaluation.figures("b").mean_closest is None
 
 
 def test_a_score_stands_where_there_are_reference_paths(suite, evaluation):
     barn = replace(suite, references=(10.0, 10.0, 20.0))  # OT 5, 5 and 10 s
     figures = replace(evaluation, suite=barn).figures()
-    assert figures["barn_score"] == pytest.approx((5.0 / 10.0 + 0.0 + 10.0 / 20.0) / 3)
-    assert "2024" in figures["barn_formula"]
+    assert figures.barn_score == pytest.approx((5.0 / 10.0 + 0.0 + 10.0 / 20.0) / 3)
+    assert "2024" in figures.barn_formula
 
 
-def test_the_tree_is_json_and_holds_every_world(evaluation):
+def test_the_result_says_what_drove_where(evaluation):
+    config = resolve("dwa", "navigate", settings={"task.world": "loop", "task.guide": "plan"})
+    result = evaluation.result(config, "agent dwa", None)
+    assert result.title == "agent dwa, guide plan (planner known), turtlebot2, PyBullet: suite tiny"
+    assert (result.suite_digest, result.suite_path) == (evaluation.suite.digest, None)
+    assert list(result.figures) == ["all", "a", "b"]
+    assert list(result.rows) == ["a", "b", "all"]
+    assert [(drive.name, drive.family) for drive in result.each] == [("at -1", "a"), ("at 0", "b"), ("at 1", "a")]
+    assert [drive.name for drive in result.missed] == ["at 0"]
+    alone = replace(evaluation.suite, families=("barn",) * 3, path=Path("barn.npz"))
+    barn = replace(evaluation, suite=alone).result(config, "agent dwa", None)
+    assert (list(barn.rows), list(barn.figures)) == (["all"], ["all", "barn"])
+    assert barn.suite_path == str(Path.cwd() / "barn.npz")
+
+
+# ---- again
+
+
+def test_a_result_is_driven_again_step_by_step(suite, monkeypatch, tmp_path):
+    """Of a policy that draws, which depends on the episodes that are driven together."""
+    tiny = replace(suite, worlds=suite.worlds * 2, families=suite.families * 2, ways=suite.ways * 2)
+    monkeypatch.setattr(suites, "find_suite", lambda name, path: tiny)
+    config = resolve("random", "navigate", settings={"task.world": "loop", "task.noise": 0.01})
+    scene = suite_scene(config.scene, tiny)
+    with suite_evaluator(scene, workers=1) as evaluator:
+        episodes = list(evaluator.drive(make_baseline(config)))
+    drives = [Drive.of(episode, 0.1) for episode in episodes]
+    result = SuiteEvaluation(tiny, scene, drives, "bullet").result(config, "agent random", None)
+    evaluator, policy = evaluator_of(result, tmp_path)
+    for number in (4, 1, 5):
+        path = [moment.pose[:2] for moment in evaluator.moments(policy, number)]
+        np.testing.assert_array_equal(np.array(path, dtype=np.float32), episodes[number].path[1:])
+
+
+def test_a_result_of_other_worlds_is_not_driven_again(evaluation, monkeypatch, tmp_path):
     config = resolve("random", "navigate", settings={"task.world": "loop"})
-    tree = evaluation.tree(config, {"policy": "mine"})
-    back = json.loads(json.dumps(tree, allow_nan=False))
-    assert (back["suite"], back["policy"], back["simulation"]) == ("tiny", "mine", "bullet")
-    assert back["suite_digest"] == evaluation.suite.digest
-    assert back["figures"].keys() == {"all", "a", "b"}
-    assert [each["name"] for each in back["each"]] == ["at -1", "at 0", "at 1"]
-    assert [Drive(**{key: each[key] for key in asdict(drive())}) for each in back["each"]] == evaluation.drives
+    result = evaluation.result(config, "agent random", None)
+    with pytest.raises(InputError, match="unknown suite 'tiny'"):
+        evaluator_of(result, tmp_path)
+    other = replace(evaluation.suite, worlds=(*evaluation.suite.worlds[:2], world(2.0)))
+    monkeypatch.setattr(suites, "find_suite", lambda name, path: other)
+    with pytest.raises(InputError, match="the worlds of suite tiny are not those that it drove in"):
+        evaluator_of(result, tmp_path)
 
 
 # ---- into its worlds

@@ -11,7 +11,8 @@ import torch as th
 from tb2rl import load
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.judging.evaluation import Evaluation
-from tb2rl.judging.evaluator import TOGETHER, Evaluator, evaluate_episode
+from tb2rl.judging.evaluator import TOGETHER, Evaluator, episode_of
+from tb2rl.judging.rollout import roll_out
 from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.config import Config
@@ -32,7 +33,9 @@ def learner(config: Config, **weights):
 def check_against_robots_alone(evaluation: Evaluation, policy) -> None:
     env = TurtleBot2Env(evaluation.scene, simulation=evaluation.simulation)
     for i, together in enumerate(evaluation.episodes):
-        alone = evaluate_episode(env, policy, np.array(together.start), evaluation.seed + i, together.world)
+        pose = np.array(together.start)
+        moments = list(roll_out(env, policy, evaluation.seed + i, pose, together.world))
+        alone = episode_of(evaluation.scene, moments, pose, together.world)
         assert together.actions.dtype == alone.actions.dtype
         np.testing.assert_allclose(together.actions, alone.actions, atol=1e-3)  # float32, summed in another order
         assert together.path.shape == alone.path.shape == (alone.length + 1, 2)

@@ -1,0 +1,58 @@
+"""The file of a suite's result: it comes back as it was, and one that is another is refused by name."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import pytest
+
+from tb2rl.errors import InputError
+from tb2rl.judging.suite_result import Figures, NamedDrive, SuiteResult, kept_result
+
+FIGURES = Figures(1, 0.0, (0.0, 0.8), 1.0, 0.0, 0.0, None, 0.2, None, 0.0, {"bump": 1})
+DRIVE = NamedDrive(0, "bump", False, True, 5.0, 4.5, 1.0, 0.0, name="rooms 0", family="rooms")
+CONFIG = {"agent": {"name": "dwa"}, "task": {"name": "navigate", "robot": "turtlebot2"}, "train": {}}
+RESULT = SuiteResult(
+    "unseen", "abc", None, "kinematic", "agent dwa", None, {"all": FIGURES}, CONFIG, {"numpy": "2"}, (DRIVE,)
+)
+
+
+def test_a_result_comes_back_as_it_was(tmp_path):
+    file = tmp_path / "it.json"
+    file.write_text(json.dumps(asdict(RESULT), allow_nan=False))
+    assert kept_result(file) == RESULT
+    assert RESULT.title == "agent dwa, turtlebot2, fast twin: suite unseen"
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"each": []}, "result.each"),
+        ({"each": [asdict(DRIVE) | {"world": 1}]}, "one world after the other"),
+        ({"each": [asdict(DRIVE) | {"time": "long"}]}, "result.each.0.time"),
+        ({"figures": {"rooms": asdict(FIGURES)}}, "the figures of all worlds"),
+        ({"figures": {"all": asdict(FIGURES) | {"spl": 7}}}, "result.figures.all.spl"),
+        ({"figures": {"all": asdict(FIGURES) | {"mean_speed": float("nan")}}}, "result.figures.all.mean_speed"),
+        ({"figures": {"all": asdict(FIGURES) | {"mean_speed": 10**400}}}, "result.figures.all.mean_speed"),
+        ({"simulation": "gazebo"}, "result.simulation"),
+        ({"config": {"task": 3}}, "result.config.task"),
+        ({"episodes": 100}, "unknown key of result 'episodes'"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(changes, named, tmp_path):
+    check_refused(json.dumps(asdict(RESULT) | changes), named, tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "no JSON", "[]", "7", "[" * 100_000, '{"suite": "unseen"}'])
+def test_what_is_no_result_is_refused(text, tmp_path):
+    check_refused(text, "", tmp_path)
+
+
+def check_refused(text: str, named: str, tmp_path) -> None:
+    file = tmp_path / "it.json"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"it\.json is not the result of a suite: .*") as refused:
+        kept_result(file)
+    assert named in str(refused.value)
+    assert "\n" not in str(refused.value)
