@@ -40,13 +40,21 @@ def draw_caption(width: int, values: Mapping[str, str], loud: str | None = None)
     Returns:
         Shape (48, width, 3), uint8.
     """
+    column, parts = width / max(1, len(values)), []
+    for number, (name, value) in enumerate(values.items()):
+        left, right = round(number * column), round((number + 1) * column)
+        colour = FAILED if name == loud else BODY
+        parts.append(_entry(name, value, right - left, (number + 0.5) * column - left, column, colour))
+    return np.hstack(parts) if parts else np.full((HEIGHT, width, 3), ImageColor.getrgb(STRIP), dtype=np.uint8)
+
+
+@lru_cache(maxsize=256)  # most values are those of the picture before
+def _entry(name: str, value: str, width: int, middle: float, room: float, colour: str) -> np.ndarray:
+    """A value under its name, in the middle of a strip; `room` is the width that they may have [px]."""
     image = Image.new("RGB", (width, HEIGHT), STRIP)
     draw = ImageDraw.Draw(image)
-    column = width / max(1, len(values))
-    for number, (name, value) in enumerate(values.items()):
-        middle = (number + 0.5) * column
-        draw.text((middle, 13), name, LABEL, _font(name, _LABEL_SIZE, column), anchor="mm")
-        draw.text((middle, 33), value, FAILED if name == loud else BODY, _font(value, _VALUE_SIZE, column), anchor="mm")
+    draw.text((middle, 13), name, LABEL, _font(name, _LABEL_SIZE, room), anchor="mm")
+    draw.text((middle, 33), value, colour, _font(value, _VALUE_SIZE, room), anchor="mm")
     return np.asarray(image)
 
 

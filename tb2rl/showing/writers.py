@@ -26,9 +26,11 @@ def write_mp4(path: Path, frames: Iterator[np.ndarray], rate: int) -> None:
         rate: Pictures a second.
     """
     with av.open(str(path.absolute()), "w", format="mp4", options={"movflags": "faststart"}) as container:
-        stream = container.add_stream("libx264", rate=rate, options={"preset": "veryfast", "crf": "22"})
+        # Drawings move little, so a short search for where they went does: 8 % larger, a sixth less work.
+        options = {"preset": "veryfast", "crf": "22", "x264-params": "subme=1:me=dia"}
+        stream = container.add_stream("libx264", rate=rate, options=options)
         stream.pix_fmt = "yuv420p"
-        stream.thread_count, stream.thread_type = 2, "FRAME"  # encodes while the next picture is drawn
+        stream.thread_count = 1  # a second one costs a quarter more work, and gains little beside the drawing
         for number, frame in enumerate(frames):
             if number == 0:
                 stream.height, stream.width, _ = frame.shape
