@@ -58,6 +58,7 @@ class _Reader:
     said: Import
     losses: Losses
     _files: dict[Path, Element] = field(default_factory=dict)
+    _found: dict[tuple[str, Path], Path | None] = field(default_factory=dict)
     _including: list[Path] = field(default_factory=list)
     _seen: int = 0
 
@@ -141,9 +142,8 @@ class _Reader:
         if is_remote(uri):
             self.losses.add("nothing is downloaded, so these are not read", uri)
             return
-        place = self._models.find(uri, file.parent) if uri else None
-        sdf = None if place is None else model_file(place)
-        if sdf is None or not sdf.is_file():
+        sdf = self._find(uri, file.parent)
+        if sdf is None:
             missing = "models that are in none of the folders (set GAZEBO_MODEL_PATH to theirs)"
             self.losses.add(missing, uri or name_of(include))
             return
@@ -159,6 +159,14 @@ class _Reader:
                 self._read_model(model, around, sdf, state.of(model), pose)
         self._including.pop()
 
+    def _find(self, uri: str, folder: Path) -> Path | None:
+        """The file of the model that a URI in a file of a folder names; None: it is not there."""
+        if (uri, folder) not in self._found:
+            place = self._models.find(uri, folder) if uri else None
+            sdf = None if place is None else model_file(place)
+            self._found[uri, folder] = sdf if sdf is not None and sdf.is_file() else None
+        return self._found[uri, folder]
+
     def _models_in(self, sdf: Path) -> Iterator[Element]:
         if sdf not in self._files:
             self._files[sdf] = read_xml(sdf)
@@ -169,8 +177,8 @@ class _Reader:
                 self.losses.add("not understood", f"{name_of(child)} in {sdf.name}")
 
     def _name_plugins(self, owner: Element) -> None:
-        name = owner.get("name") or text_of(owner.find("name")) or text_of(owner.find("uri"))
         for plugin in owner.findall("plugin"):
+            name = owner.get("name") or text_of(owner.find("name")) or text_of(owner.find("uri"))
             label = f"{plugin.get('name') or plugin.get('filename')} of {name}"
             self.losses.add("plugins are not run, so what they move stands still", label)
 
