@@ -132,7 +132,9 @@ class BulletSimulation:
         self._wheel = float(start.table[0, WHEEL])
         self._turn = self._wheel * float(start.table[0, BELIEVED_SEPARATION])
         self._body.weigh(*start.table[0, [MASS, FRICTION]].tolist())
-        self._torque = self.setup.robot.wheel_torque * float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
+        strength = float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
+        # In each part of a step PyBullet lets a motor push for as long as in the whole step.
+        self._torque = self.setup.robot.wheel_torque * strength / self.setup.substeps
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
         return Reading.of_one(self.drive(commands, duration), self._start, self)
@@ -267,7 +269,8 @@ class BulletSimulation:
         if duration != self._duration:
             self._duration = duration
             self._steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))
-            pybullet.setPhysicsEngineParameter(fixedTimeStep=duration / self._steps, physicsClientId=self._client)
+            parts = {"numSubSteps": self.setup.substeps} if self.setup.substeps > 1 else {}
+            pybullet.setPhysicsEngineParameter(duration / self._steps, **parts, physicsClientId=self._client)
 
     def ray_ranges(self, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """PyBullet's own ranges [m] from `pose` (3,) along `angles` (beams,), to hold the exact laser against."""

@@ -22,13 +22,11 @@ from tb2rl.simulation.setup import (
     MOUNT,
     NOISE,
     PARAMETERS,
-    PHYSICS_RATE,
     WHEEL,
 )
 from tb2rl.simulation.streams import normal, uniform
 from tb2rl.worlds.geometry import cast_one, clearance_one, limit_ranges
 
-PHYSICS_STEP = 1.0 / PHYSICS_RATE  # [s] PyBullet moves with the speed at a step's end, along the heading at its start
 CONTACT = 1.0e-4  # [m] a gap below this is contact
 # The columns of a robot's parameters in a table of starts.
 RADIUS, WHEEL_SEPARATION = PARAMETERS.start + robot.RADIUS, PARAMETERS.start + robot.WHEEL_SEPARATION
@@ -98,13 +96,14 @@ def rim_speed(start, change, together, clock, acceleration, coupling):
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways):
+def move(poses, rims, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways):
     """The control step of robot `i`: both rims speed up, then one, then none.
 
     Args:
         poses, rims: Of all robots; its rows are changed in place.
         commands: Of all robots.
         duration: Of the step [s].
+        physics_step: Of PyBullet [s], which moves with the speed at such a step's end, along the heading at its start.
         starts: Of all robots.
         i: Which one it is.
         boxes, posts, parts, lists: Of all worlds.
@@ -134,7 +133,7 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
     longest = max(abs(left), abs(right), abs(v) + abs(reach)) * duration
     free = clearance_one(x, y, boxes, posts, parts, lists, world) > radius + longest
     bumped, way, turned = False, 0.0, 0.0
-    clock, end = 0.5 * PHYSICS_STEP, duration + 0.5 * PHYSICS_STEP
+    clock, end = 0.5 * physics_step, duration + 0.5 * physics_step
     last_left = rim_speed(left, change_left, together, clock, acceleration, coupling)
     last_right = rim_speed(right, change_right, together, clock, acceleration, coupling)
     for phase in range(3):
@@ -146,7 +145,7 @@ def move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists,
         mean_left, mean_right = 0.5 * (last_left + next_left), 0.5 * (last_right + next_right)
         length = 0.5 * (mean_left + mean_right) * (until - clock)
         rate = (mean_right - mean_left) / separation
-        lag = 0.5 * rate * PHYSICS_STEP
+        lag = 0.5 * rate * physics_step
         if free:
             x, y, yaw = along_arc(x, y, yaw - lag, length, rate * (until - clock))
         else:

@@ -17,7 +17,7 @@ from tb2rl.simulation.depth import depth_images
 from tb2rl.simulation.movers import movers_of
 from tb2rl.simulation.odometry import believed, count_on, is_exact
 from tb2rl.simulation.reading import Reading
-from tb2rl.simulation.setup import BELIEVED_SEPARATION, WHEEL, Setup
+from tb2rl.simulation.setup import BELIEVED_SEPARATION, PHYSICS_RATE, WHEEL, Setup
 from tb2rl.simulation.start import Start
 from tb2rl.simulation.stepping import begin_some, sense_some, step_block, step_block_among
 from tb2rl.simulation.threads import share_out
@@ -47,6 +47,7 @@ class KinematicSimulation:
         laser, worlds = setup.laser, setup.worlds
         self._index = join([world.index for world in worlds])
         self._beams = np.stack([np.cos(laser.angles), np.sin(laser.angles)])
+        self._physics_step = 1.0 / (PHYSICS_RATE * setup.substeps)  # [s]
         self._limits = np.array([laser.noise, laser.min_range, laser.max_range])
         self._start = Start.proposed(setup, robots)
         self._poses, self._rims = self._start.pose.copy(), np.zeros((robots, 2))
@@ -106,8 +107,8 @@ class KinematicSimulation:
         For `step` and the benchmark. The movers are not the caller's: they are where they were, and go on from there.
         """
         data: tuple[Any, ...] = (
-            poses, rims, commands, duration, self._start.table, *self._index, self._beams, self._limits, self._streams,
-            twists, ways, moved, accelerations, bumped, nearest, ranges,
+            poses, rims, commands, duration, self._physics_step, self._start.table, *self._index, self._beams,
+            self._limits, self._streams, twists, ways, moved, accelerations, bumped, nearest, ranges,
         )  # fmt: skip
         cost, work = ROBOT + BEAM * ranges.shape[1], step_block
         if self._movers is not None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tb2rl.robots import Robot
+from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.simulation.setup import PHYSICS_RATE, Setup
 from tb2rl.simulation.start import Start
@@ -29,10 +30,11 @@ def measure_motors(robot: Robot) -> tuple[float, float]:
 def _rim_accelerations(robot: Robot, v: float, w: float) -> tuple[float, float]:
     """Of the left and the right wheel's rim [m/s^2] while the motors push towards v [m/s] and w [rad/s]."""
     floor = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-10.0, -10.0, 10.0, 10.0))
-    unlimited = replace(robot, max_speed=100.0, max_turn_rate=1000.0)
-    setup = Setup(unlimited, replace(robot.laser, beams=1, indices=None), (floor,))
+    setup = Setup(robot, replace(robot.laser, beams=1, indices=None), (floor,))
     simulation = BulletSimulation(setup)
-    simulation.reset(Start.proposed(setup, 1), np.random.default_rng(0))
+    start = Start.proposed(setup, 1)
+    start.parameters[:, [MAX_SPEED, MAX_TURN_RATE]] = 100.0, 1000.0
+    simulation.reset(start, np.random.default_rng(0))
     twists = [simulation.step(np.array([[v, w]]), 1.0 / PHYSICS_RATE).twist[0] for _ in range(1 + _STEPS)]
     simulation.close()
     forward, turn = (twists[-1] - twists[0]) * PHYSICS_RATE / _STEPS

@@ -21,7 +21,8 @@ from tb2rl.worlds.geometry import shortest_of
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
 def move_among(
-    poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways, movers, walks, routes
+    poses, rims, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways, movers, walks,
+    routes,
 ):  # fmt: skip
     """The control step of robot `i` and of its movers, which go first in each physics step.
 
@@ -34,7 +35,9 @@ def move_among(
     x, y = poses[i, 0], poses[i, 1]
     if out_of_reach(x, y, speed, duration, radius, movers, i):
         walk_alone(i, steps, part, movers, walks, routes, starts, boxes, posts, parts, lists, world, x, y)
-        return move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways), False
+        return move(
+            poses, rims, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways
+        ), False
     at_wall, at_mover, way, turned = False, False, 0.0, 0.0
     for step in range(steps):
         x, y, yaw, v = poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * (rims[i, 0] + rims[i, 1])
@@ -44,7 +47,7 @@ def move_among(
             think(i, span, movers, walks, starts, boxes, posts, parts, lists, world, x, y, vx, vy)
         hit = walk(i, part, movers, routes, boxes, posts, parts, lists, world, x, y, radius)
         at_mover = hit or at_mover
-        hit = move(poses, rims, commands, part, starts, i, boxes, posts, parts, lists, world, ways)
+        hit = move(poses, rims, commands, part, physics_step, starts, i, boxes, posts, parts, lists, world, ways)
         at_wall = hit or at_wall
         share = 1.0
         for k in range(movers.shape[1]):
@@ -98,19 +101,22 @@ def walk_alone(i, steps, part, movers, walks, routes, starts, boxes, posts, part
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
 def step_robots(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, cos_beams, sin_beams, limits,
-    streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, movers, walks, routes, moving,
+    first, last, poses, rims, commands, duration, physics_step, starts, boxes, posts, parts, lists, cos_beams,
+    sin_beams, limits, streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, movers,
+    walks, routes, moving,
 ):  # fmt: skip
     """`step_block`, with room to calculate in: arrays that a loop's own function made are counted in every turn."""
     for i in range(first, last):
         world = int(starts[i, WORLD])
         x, y, earlier = poses[i, 0], poses[i, 1], 0.5 * (rims[i, 0] + rims[i, 1])
         if movers is None:
-            bumped[i] = move(poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways)
+            bumped[i] = move(
+                poses, rims, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways
+            )
         else:
             at_wall, at_mover = move_among(
-                poses, rims, commands, duration, starts, i, boxes, posts, parts, lists, world, ways, movers, walks,
-                routes,
+                poses, rims, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways,
+                movers, walks, routes,
             )  # fmt: skip
             bumped[i] = at_wall or at_mover
         moved[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
@@ -129,8 +135,8 @@ def step_robots(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
-    twists, ways, moved, accelerations, bumped, nearest, ranges,
+    first, last, poses, rims, commands, duration, physics_step, starts, boxes, posts, parts, lists, beams, limits,
+    streams, twists, ways, moved, accelerations, bumped, nearest, ranges,
 ):  # fmt: skip
     """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
 
@@ -141,15 +147,16 @@ def step_block(
     """
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     step_robots(
-        first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
-        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, None, None, None, None,
+        first, last, poses, rims, commands, duration, physics_step, starts, boxes, posts, parts, lists, beams[0],
+        beams[1], limits, streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, None,
+        None, None, None,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def step_block_among(
-    first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams, limits, streams,
-    twists, ways, moved, accelerations, bumped, nearest, ranges, movers, walks, routes, moving,
+    first, last, poses, rims, commands, duration, physics_step, starts, boxes, posts, parts, lists, beams, limits,
+    streams, twists, ways, moved, accelerations, bumped, nearest, ranges, movers, walks, routes, moving,
 ):  # fmt: skip
     """`step_block` among things that move; `moving` (robots,) is a result, too.
 
@@ -157,9 +164,9 @@ def step_block_among(
     """
     over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
     step_robots(
-        first, last, poses, rims, commands, duration, starts, boxes, posts, parts, lists, beams[0], beams[1], limits,
-        streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, movers, walks, routes,
-        moving,
+        first, last, poses, rims, commands, duration, physics_step, starts, boxes, posts, parts, lists, beams[0],
+        beams[1], limits, streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, movers,
+        walks, routes, moving,
     )  # fmt: skip
 
 

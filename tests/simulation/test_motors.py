@@ -42,6 +42,13 @@ def test_the_numbers_are_measured_and_not_believed():
     assert measure_motors(wrong) == pytest.approx(measure_motors(ROBOT), abs=1e-6)
 
 
+@pytest.mark.parametrize(("max_speed", "parts"), [(0.22, 1), (0.7, 1), (0.71, 2), (1.4, 2), (2.0, 4), (5.0, 8)])
+def test_a_fast_robot_has_its_physics_in_finer_steps_and_its_motors_push_as_before(max_speed, parts, make_setup):
+    robot = replace(ROBOT, max_speed=max_speed)
+    assert make_setup(robot=robot).substeps == parts
+    assert measure_motors(robot) == pytest.approx(measure_motors(ROBOT), abs=0.03)
+
+
 def test_half_the_torque_accelerates_half_as_much():
     acceleration, _ = measure_motors(replace(ROBOT, wheel_torque=ROBOT.wheel_torque / 2))
     assert acceleration == pytest.approx(ROBOT.wheel_acceleration / 2, rel=0.05)
