@@ -64,9 +64,10 @@ def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
         InputError: For an unknown name or setting, or a value that does not fit.
     """
     if not isinstance(what, Task):
-        return build(find_task(what), with_robots_settings(settings), "task")
+        kind = find_task(what)
+        return build(kind, with_robots_settings(settings, kind), "task")
     now = {field.name: getattr(what, field.name) for field in fields(what)}
-    return build(type(what), {**now, **with_robots_settings(settings, what)}, "task")
+    return build(type(what), {**now, **with_robots_settings(settings, type(what), what)}, "task")
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> TurtleBot2Env:

@@ -27,6 +27,8 @@ from tb2rl.worlds import World
 from tb2rl.worlds.generators import Purpose
 from tb2rl.worlds.movers import check_number, find_movers
 
+_ROOM = 0.05  # [m] around a robot where it begins, if it is larger than a task counts on
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -129,11 +131,12 @@ class Scene:
         return _assemble(replace(self.task, **settings), self.observation, self.robot, worlds)
 
 
-def with_robots_settings(settings: Mapping[str, Any], task: Task | None = None) -> dict[str, Any]:
+def with_robots_settings(settings: Mapping[str, Any], kind: type[Task], task: Task | None = None) -> dict[str, Any]:
     """Settings of a task, and beneath them those that suit the robot that they name.
 
     Args:
         settings: What is to change.
+        kind: The class of the task.
         task: What is changed: what suited its robot, and is as that wanted it, becomes as usual again.
 
     Raises:
@@ -142,15 +145,23 @@ def with_robots_settings(settings: Mapping[str, Any], task: Task | None = None) 
     name = settings.get("robot")
     if not isinstance(name, str):  # it stays as it was, or whoever reads the settings refuses it
         return dict(settings)
-    suiting, known = find_robot(name).task_settings, [each.name for each in fields(Task)]
+    suiting, known = _suiting(find_robot(name), kind), [each.name for each in fields(Task)]
     for key in suiting:
         if key not in known:
             raise unknown(f"key of robot {name}.task_settings", key, known)
     if task is None:
         return {**suiting, **settings}
-    suited, usual = find_robot(task.robot).task_settings, {each.name: each.default for each in fields(task)}
+    suited, usual = _suiting(find_robot(task.robot), kind), {each.name: each.default for each in fields(kind)}
     left = {key: usual[key] for key, value in suited.items() if getattr(task, key) == value}
     return {**left, **suiting, **settings}
+
+
+def _suiting(robot: Robot, kind: type[Task]) -> Mapping[str, Any]:
+    """What a robot brings to a kind of task, and room to begin if it is too large for the usual `start_clearance`."""
+    (usual,) = (each.default for each in fields(kind) if each.name == "start_clearance")
+    if not isinstance(usual, float) or usual >= robot.radius:
+        return robot.task_settings
+    return {"start_clearance": robot.radius + _ROOM, **robot.task_settings}
 
 
 def make_scene(task: Task, observation: str) -> Scene:

@@ -94,7 +94,7 @@ class Config:
         if not settings:
             return self
         tree = self.to_dict()
-        tree["task"].update(with_robots_settings(settings, self.task))
+        tree["task"].update(with_robots_settings(settings, type(self.task), self.task))
         return config_from(tree)
 
 

@@ -47,7 +47,7 @@ def resolve(
     task = reference_to(task) if isinstance(task, type) else task
     agent = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
     task = task or _first("name", single, chosen, "task") or DEFAULT_TASK
-    find_agent(agent), find_task(task)  # say that a name is unknown before anything else
+    _, kind = find_agent(agent), find_task(task)  # say that a name is unknown before anything else
     simulation = _first("simulation", single, chosen, "train")
     built_in = [
         _built_in("tasks", task),
@@ -56,7 +56,7 @@ def resolve(
         _built_in("tasks", f"{task}-{agent}"),
     ]
     robot = _first("robot", single, chosen, "task")
-    suiting = {"task": with_robots_settings({"robot": robot})} if robot else {}
+    suiting = {"task": with_robots_settings({"robot": robot}, kind)} if robot else {}
     tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
     for layer in (*built_in, suiting, chosen, single):
         _merge(tree, layer)

@@ -67,6 +67,15 @@ def test_what_suited_a_robot_leaves_with_it_unless_it_was_set_otherwise():
     )
 
 
+def test_a_robot_larger_than_a_task_counts_on_begins_farther_from_walls():
+    task = make_task("navigate", {"robot": "jackal"})
+    assert task.start_clearance == pytest.approx(0.31)
+    assert make_task(task, {"robot": "turtlebot2"}) == make_task("navigate", {})
+    assert make_task("navigate", {"robot": "jackal", "start_clearance": 0.4}).start_clearance == 0.4
+    assert make_task("maze", {"robot": "jackal"}).start_clearance == Wander().start_clearance
+    assert resolve("dwa", "navigate", settings={"task.robot": "jackal"}).task == task
+
+
 def test_what_a_robot_brings_must_be_a_setting_of_every_task(monkeypatch):
     monkeypatch.setattr("tb2rl.robots.turtlebot3.ROBOT", replace(BURGER, task_settings={"control_perod": 0.4}))
     with pytest.raises(InputError, match=r"key of robot turtlebot3\.task_settings 'control_perod'; did you mean"):

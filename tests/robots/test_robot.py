@@ -12,6 +12,7 @@ from tb2rl.files import read_yaml, top_folder
 from tb2rl.registry import find_robot, robot_names
 from tb2rl.robots import Laser
 from tb2rl.robots import robot as columns
+from tb2rl.robots.jackal import ROBOT as JACKAL
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 
@@ -57,7 +58,7 @@ def test_every_robots_urdf_has_the_radius_of_its_base_and_of_its_wheels(name):
         assert numbers(f"link[@name='{wheel}']/collision/geometry/sphere", "radius", robot) == [robot.wheel_radius]
 
 
-@pytest.mark.parametrize(("name", "kilograms"), [("turtlebot2", 6.3), ("turtlebot3", 1.0)])
+@pytest.mark.parametrize(("name", "kilograms"), [("turtlebot2", 6.3), ("turtlebot3", 1.0), ("jackal", 17.0)])
 def test_a_whole_robot_weighs_what_it_should(name, kilograms):
     masses = ElementTree.parse(find_robot(name).urdf).getroot().iter("mass")
     assert sum(float(mass.get("value")) for mass in masses) == pytest.approx(kilograms, rel=0.015)
@@ -89,6 +90,20 @@ def test_its_laser_has_a_beam_for_each_degree_all_around():
 def test_its_camera_sees_62_degrees_from_left_to_right_in_a_picture_of_4_to_3():
     across = 2 * math.atan(math.tan(BURGER.camera.field_of_view / 2) * 4 / 3)
     assert math.degrees(across) == pytest.approx(62.2)
+
+
+# ---- the proxy of the Jackal
+
+
+def test_a_jackal_is_a_disc_as_long_as_the_real_one_that_no_wheel_sticks_out_of():
+    assert (JACKAL.max_speed, JACKAL.radius, JACKAL.wheel_radius) == (2.0, 0.26, 0.098)
+    assert pytest.approx(0.508 / 2, abs=0.01) == JACKAL.radius
+    assert JACKAL.wheel_separation / 2 + JACKAL.wheel_radius < JACKAL.radius
+
+
+def test_its_laser_has_720_beams_over_270_degrees_to_30_m():
+    assert (JACKAL.laser.beams, JACKAL.laser.min_range, JACKAL.laser.max_range) == (720, 0.1, 30.0)
+    assert np.degrees(JACKAL.laser.angles[[0, -1]]) == pytest.approx([-135, 135])
 
 
 # ---- what cannot be a robot's
