@@ -59,6 +59,8 @@ class Guided(BasePolicy):
         InputError: If the laser, the target or the speeds are not observed, or the actions are not v and w.
     """
 
+    asks = "fastest", "turn_rate", "radius", "field_of_view"  # what is not set, whoever makes it by its name tells it
+
     def __init__(
         self,
         observation_space: spaces.Space,

@@ -68,6 +68,8 @@ class DWA(Guided):
         progress: Weight.
     """
 
+    asks = *Guided.asks, "period"
+
     def __init__(
         self,
         observation_space: spaces.Space,

@@ -48,6 +48,8 @@ class Pursuit(Guided):
         gain: Turn rate to a target behind, for each radian [1/s].
     """
 
+    asks = *Guided.asks, "period"
+
     def __init__(
         self,
         observation_space: spaces.Space,

@@ -18,6 +18,7 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
+from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
 from tb2rl.registry import find_agent, import_object
 from tb2rl.runs.arguments import LIBRARY_ERRORS, agent_for, algorithm_arguments
@@ -140,8 +141,16 @@ def make_baseline(config: Config) -> BasePolicy:
     if agent.algorithm is not None:
         name = config.agent_name
         raise InputError(f"agent {name} learns; train it with `python -m tb2rl.train --agent {name}`")
-    scene = config.scene
-    return import_object(agent.policy)(scene.observation_space, scene.action_space, **config.agent_arguments)
+    scene, policy = config.scene, import_object(agent.policy)
+    told = {name: value for name, value in _facts(scene).items() if name in getattr(policy, "asks", ())}
+    return policy(scene.observation_space, scene.action_space, **{**told, **config.agent_arguments})
+
+
+def _facts(scene: Scene) -> dict[str, float]:
+    """What a policy that does not learn may ask for (`Guided.asks`), of the robot, its laser and the task."""
+    names = {"fastest": "fastest", "turn_rate": "turn_rate", "period": "control_period"}
+    task = {name: getattr(scene.task, field) for name, field in names.items() if hasattr(scene.task, field)}
+    return {"radius": scene.robot.radius, "field_of_view": scene.laser.field_of_view, **task}
 
 
 class Spaces(gym.Env):

@@ -90,11 +90,20 @@ def test_it_refuses_what_it_cannot_drive_by(policy, task, settings, named, playg
 
 
 @pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
-@pytest.mark.parametrize("robot", ["turtlebot2", "turtlebot3"])
+@pytest.mark.parametrize("robot", ["turtlebot2", "turtlebot3", "jackal"])
 def test_it_drives_by_its_name_within_what_the_robot_can_do(name, robot):
     settings = {"task.robot": robot, "task.world": "wall", "agent.gap": 0.03}
     config = resolve(name, "navigate", settings=settings)
     policy = make_baseline(config)
-    assert policy.fastest == pytest.approx(config.scene.robot.max_speed)
+    assert policy.fastest == pytest.approx(min(config.task.fastest, config.scene.robot.max_speed))
     summary = evaluate(policy, config, episodes=2, steps=30, workers=1).summary()
     assert summary["failure_free_rate"] == 1.0
+
+
+@pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
+def test_it_is_told_what_its_robot_and_task_are_unless_that_is_set(name):
+    settings = {"task.robot": "jackal", "task.world": "wall", "task.fastest": 2.0, "task.turn_rate": 1.0}
+    policy = make_baseline(resolve(name, "navigate", settings=settings))
+    radius = policy._limits.radius if name == "dwa" else policy.radius
+    assert (policy.fastest, policy.turn_rate, radius) == (2.0, 1.0, 0.26)
+    assert make_baseline(resolve(name, "navigate", settings={**settings, "agent.fastest": 0.9})).fastest == 0.9
