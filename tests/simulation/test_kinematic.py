@@ -60,8 +60,9 @@ def test_the_rims_speed_up_as_the_robots_numbers_say(told, pushes, together, cou
     "name", [name if name in ("loop", "wall") else pytest.param(name, marks=pytest.mark.slow) for name in world_names()]
 )
 def test_random_commands_end_where_they_do_in_pybullet(name, robot, make_setup, make_bullet, start_at):
-    """200 sequences of 5 s in each world, a new command over the whole range of the robot at each control step."""
-    setup, rng, count = make_setup(name, robot=robot, beams=2), np.random.default_rng(1), 200
+    """Up to 200 sequences of 5 s in each world, a new command over the robot's whole range at each control step."""
+    setup, rng = make_setup(name, robot=robot, beams=2), np.random.default_rng(1)
+    count = 200 if robot.max_speed < 1.0 else 800  # a fast one has met a wall by then in most of them
     (world,) = setup.worlds
     poses = world.random_poses(rng, count, 0.6)
     commands = rng.uniform((-robot.max_speed, -2.0), (robot.max_speed, 2.0), (25, count, 2))
@@ -69,15 +70,15 @@ def test_random_commands_end_where_they_do_in_pybullet(name, robot, make_setup, 
     clear = np.ones(count, dtype=bool)
     for reading in readings[1:]:
         clear &= [world.clearance(x, y) > robot.radius + 0.05 for x, y, _ in reading.pose]
-    physics, ends = make_bullet(setup), []
-    for i in np.flatnonzero(clear):
+    physics, ends, clear = make_bullet(setup), [], np.flatnonzero(clear)[:200]
+    for i in clear:
         physics.reset(start_at(setup, poses[i : i + 1]), rng)
         for told in commands[:, i : i + 1]:
             end = physics.step(told, PERIOD)
         ends.append(end.pose[0])
     missed = np.array(ends) - readings[-1].pose[clear]
     distance, turn = np.hypot(*missed.T[:2]), np.abs(np.remainder(missed[:, 2] + math.pi, math.tau) - math.pi)
-    assert len(ends) > 50  # a fast robot has met a wall by then in many of them
+    assert len(ends) > 150
     assert np.median(distance) < 0.01
     assert np.percentile(distance, 99) < 0.05
     assert math.degrees(np.median(turn)) < 1.0
