@@ -37,7 +37,11 @@ _sources: dict[str, float] = {}  # files that have compiled so far, and when eac
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit(cache=True, ...)` that also works where nothing can be written: then without a cache."""
+    """`numba.njit(cache=True, ...)` that also works where nothing can be written: then without a cache.
+
+    A function without `error_model`, `fastmath` or `forceinline` gets that of the one whose call compiles it first, and
+    keeps it in the cache: where speed matters, name them, or it depends on what happened to run first.
+    """
 
     def decorated(function: Callable[..., Any]) -> Any:
         file = function.__code__.co_filename

@@ -15,8 +15,10 @@ from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.worlds.grid import PARALLEL, clearance_in_grid, first_hit
 from tb2rl.worlds.index import BOXES, BOXES_END, COLUMNS, POSTS, POSTS_END, index_of
 
+_FAST = {"nsz", "nnan", "arcp", "contract", "reassoc"}  # for loops over beams
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
 def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, robot):
     """Write the distance to the nearest obstacle along each beam of one robot into its row of `ranges` (inf: nothing).
 
@@ -39,7 +41,7 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world,
         ranges[robot, i] = first_hit(x, y, dx, dy, boxes, posts, parts, lists, world)
 
 
-@njit(cache=True, **UNCOUNTED, fastmath={"nsz", "nnan", "arcp", "contract", "reassoc"}, error_model="numpy")
+@njit(cache=True, **UNCOUNTED, fastmath=_FAST, error_model="numpy", forceinline=True)
 def _cast_at_all(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, robot):
     """Hold each obstacle of a world against all beams; for the arguments see `cast_one`."""
     first_box, last_box = int(parts[world, BOXES]), int(parts[world, BOXES_END])

@@ -136,7 +136,7 @@ def _list_obstacles(boxes, posts, reaches, grid, most):
     return lists
 
 
-@njit(cache=True, forceinline=True)
+@njit(cache=True, error_model="numpy", forceinline=True)
 def cell_of(begin, side, at, count):
     """The column or the row, of `count` that begin at `begin`, in which a coordinate [m] is, or the nearest one."""
     return int(min(max((at - begin) / side, 0.0), count - 1.0))
