@@ -7,19 +7,17 @@ import shlex
 import shutil
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 
-from tb2rl.errors import InputError
-from tb2rl.files import write_text
+from tb2rl.files import read_text, write_text
 from tb2rl.judging.evaluation import Evaluation, kept_evaluation
 from tb2rl.judging.evaluator import evaluate
 from tb2rl.learning.training import default_folder
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.showing.pictures import draw_paths
 from tb2rl.train import main as train
-from tb2rl.zoo.entry import CLOSED_MAZES, ELSEWHERE, Entry
+from tb2rl.zoo.entry import ELSEWHERE, WORLDS, Entry
 
 _DRAWN = 30  # episodes in a picture, and all that failed
 _PICTURE = "paths.png"
@@ -36,8 +34,9 @@ def build(entry: Entry, again: bool) -> None:
         train([*shlex.split(entry.recipe), "--name", folder.name])
         _draw(kept_evaluation(Run.open(folder)), folder / _PICTURE)
         _take_over(folder, entry.folder)
-    if not entry.is_built:
-        write_text(entry.folder / ELSEWHERE, json.dumps(_drive_elsewhere(entry), indent=1) + "\n")
+    for world in Entry(entry.name, entry.recipe, entry.folder).not_driven:  # read anew, for it may be another now
+        print(f"{entry.name} in {world}", flush=True)
+        _drive_in(world, entry.folder)
 
 
 def _draw(evaluation: Evaluation, file: Path) -> None:
@@ -64,20 +63,10 @@ def _take_over(folder: Path, place: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _drive_elsewhere(entry: Entry) -> dict[str, dict[str, Any]]:
-    """The figures of the standard evaluation in each closed maze that it never saw, and can drive in."""
-    figures = {}
-    for name in CLOSED_MAZES:
-        if name != entry.world and _fits(entry, name):
-            print(f"{entry.name} in {name}", flush=True)
-            figures[name] = evaluate(entry.folder, settings={"world": name}, progress=True).summary()
-    return figures
-
-
-def _fits(entry: Entry, world: str) -> bool:
-    """Whether the task can be set in a world: one that has a goal, if the task needs it."""
-    try:
-        entry.config.with_task({"world": world})
-    except InputError:
-        return False
-    return True
+def _drive_in(world: str, folder: Path) -> None:
+    """Add the figures of the standard evaluation in a world to those that an entry's folder has."""
+    file = folder / ELSEWHERE
+    figures = json.loads(read_text(file)) if file.is_file() else {}
+    figures[world] = evaluate(folder, settings={"world": world}, progress=True).summary()
+    in_order = {name: figures[name] for name in WORLDS if name in figures}
+    write_text(file, json.dumps(in_order, indent=1) + "\n")

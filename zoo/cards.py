@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jinja2
 
-from tb2rl.zoo.entry import CLOSED_MAZES, Entry
+from tb2rl.zoo.entry import WORLDS, Entry
 
 _STARTS_NAMED = 5  # failed episodes on a card
 
@@ -20,7 +20,7 @@ def card(entry: Entry) -> str:
 
 def table(built: Sequence[Entry]) -> str:
     """The text of the zoo's README: the results of all policies, and how they do in each other's worlds."""
-    return _template("table.md.jinja").render(entries=built, worlds=CLOSED_MAZES)
+    return _template("table.md.jinja").render(entries=built, worlds=WORLDS)
 
 
 def overview(built: Sequence[Entry]) -> str:

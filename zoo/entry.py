@@ -11,16 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.commands.train import requested
+from tb2rl.envs.worlds import are_generated
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import read_text, read_yaml, top_folder
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.train import parse as parse_training
 
-CLOSED_MAZES = ("loop", "circuit", "round", "maze")  # around `wall` is open floor: a robot that drives away is safe
+MAZES = ("loop", "circuit", "round", "maze")  # the closed ones: in `wall` a robot that drives away is safe
+WORLDS = (*MAZES, "mixed")
 ELSEWHERE = "elsewhere.json"  # in an entry's folder, beside files of its run folder
 PROMISED, PROMISED_TABULAR = 0.99, 0.95  # share of good episodes
-GOOD_SPEED = 0.75  # of the fastest command: no driver is faster
+GOOD_SPEED, GOOD_SPEED_ANYWHERE = 0.75, 0.6  # of the fastest command, which no driver exceeds; between posts all turn more
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,9 @@ class Entry:
 
     @cached_property
     def elsewhere(self) -> dict[str, dict[str, Any]]:
-        """The same figures in each world that it never saw."""
-        return _read(self.folder / ELSEWHERE)[0]
+        """The same figures in each world that it never saw; without those in which it has not been driven yet."""
+        file = self.folder / ELSEWHERE
+        return _read(file)[0] if file.is_file() else {}
 
     @cached_property
     def notes(self) -> list[dict[str, Any]]:
@@ -58,8 +61,22 @@ class Entry:
 
     @property
     def is_built(self) -> bool:
-        """Whether all its files are there."""
-        return (self.folder / ELSEWHERE).is_file()
+        """Whether it was trained, and driven in all worlds that it never saw."""
+        return (self.folder / EVALUATION).is_file() and not self.not_driven
+
+    @property
+    def not_driven(self) -> list[str]:
+        """The worlds that it never saw, can drive in, and has no figures of."""
+        others = [world for world in WORLDS if world != self.world and world not in self.elsewhere]
+        return [world for world in others if self._fits(world)]
+
+    def _fits(self, world: str) -> bool:
+        """Whether the task can be set in a world: one that has a goal, if the task needs it."""
+        try:
+            self.config.with_task({"world": world})
+        except InputError:
+            return False
+        return True
 
     @property
     def is_as_requested(self) -> bool:
@@ -99,7 +116,9 @@ class Entry:
     @property
     def promised_speed(self) -> float:
         """The share of the fastest command's speed that the zoo promises; 0 where the way to the goal decides."""
-        return 0.0 if self.good == "success" else GOOD_SPEED
+        if self.good == "success":
+            return 0.0
+        return GOOD_SPEED_ANYWHERE if are_generated(self.config.task.world) else GOOD_SPEED
 
     @property
     def speed_share(self) -> float:
