@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Len
@@ -15,6 +15,8 @@ from tb2rl.files import read_text
 from tb2rl.judging.evaluation import Episode
 from tb2rl.simulation import Judge
 from tb2rl.values import Count, CountOrZero, Fraction, NonNegative, build
+
+T = TypeVar("T", bound="SuiteSummary")
 
 ALL = "all"  # what the figures of all families are called
 JUDGES: dict[Judge, str] = {"bullet": "PyBullet", "kinematic": "fast twin"}
@@ -83,48 +85,71 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class SuiteResult:
-    """What a policy did in a suite, as plain values.
+class SuiteSummary:
+    """What a policy did in a suite, without each of its worlds, as plain values; nothing of it names a place on a disk.
 
     Attributes:
         suite: Name of the suite.
         suite_digest: Of its worlds, see `Suite`.
-        suite_path: Where its worlds were read from; None: they are made.
         simulation: Where it drove.
         policy: Its name, or that of its file.
         policy_digest: Of its file; None: of an agent that does not learn.
         figures: Those of `ALL` worlds, and of each family.
         config: What it was to do.
         versions: Of what this depends on.
-        each: What it did in each world, in their order.
     """
 
     suite: str
     suite_digest: str
-    suite_path: str | None
     simulation: Judge
     policy: str
     policy_digest: str | None
     figures: dict[str, Figures]
     config: dict[str, dict[str, Any]]
     versions: dict[str, str]
-    each: Annotated[tuple[NamedDrive, ...], Len(1)]
+
+    @property
+    def guide(self) -> str:
+        """What guides it: "goal", "plan (planner known)"; "": its task knows no guide."""
+        task = self.config.get("task", {})
+        guide, planner = task.get("guide"), task.get("planner")
+        planned = f" (planner {planner})" if guide == "plan" and planner else ""
+        return f"{guide}{planned}" if guide else ""
 
     @property
     def title(self) -> str:
         """What drove where: policy, guide, robot, simulation."""
-        task = self.config.get("task", {})
-        guide, planner = task.get("guide"), task.get("planner")
-        planned = f" (planner {planner})" if guide == "plan" and planner else ""
-        guided = [f"guide {guide}{planned}"] if guide else []
-        driven = [self.policy, *guided, str(task.get("robot")), JUDGES[self.simulation]]
+        guided = [f"guide {self.guide}"] if self.guide else []
+        driven = [self.policy, *guided, str(self.config.get("task", {}).get("robot")), JUDGES[self.simulation]]
         return f"{', '.join(driven)}: suite {self.suite}"
 
     @property
     def rows(self) -> dict[str, Figures]:
         """The figures as a table has them: those of each family, if there are several, and then those of `ALL`."""
-        families = {name: figures for name, figures in self.figures.items() if name != ALL}
-        return {**(families if len(families) > 1 else {}), ALL: self.figures[ALL]}
+        return {**(self.families if len(self.families) > 1 else {}), ALL: self.figures[ALL]}
+
+    @property
+    def families(self) -> dict[str, Figures]:
+        """The figures of each family."""
+        return {name: figures for name, figures in self.figures.items() if name != ALL}
+
+
+@dataclass(frozen=True)
+class SuiteResult(SuiteSummary):
+    """What a policy did in a suite: the summary, and each world.
+
+    Attributes:
+        suite_path: Where its worlds were read from; None: they are made.
+        each: What it did in each world, in their order.
+    """
+
+    suite_path: str | None
+    each: Annotated[tuple[NamedDrive, ...], Len(1)]
+
+    @property
+    def summary(self) -> SuiteSummary:
+        """The result without its worlds."""
+        return SuiteSummary(**{field.name: getattr(self, field.name) for field in fields(SuiteSummary)})
 
     @property
     def missed(self) -> list[NamedDrive]:
@@ -138,10 +163,25 @@ def kept_result(file: Path) -> SuiteResult:
     Raises:
         InputError: If it does not hold one, or cannot be read.
     """
+    return _kept(SuiteResult, file, "the result")
+
+
+def kept_summary(file: Path) -> SuiteSummary:
+    """The summary that a file holds.
+
+    Raises:
+        InputError: If it does not hold one, or cannot be read.
+    """
+    return _kept(SuiteSummary, file, "the summary")
+
+
+def _kept(kind: type[T], file: Path, what: str) -> T:
     try:
-        result = build(SuiteResult, json.loads(read_text(file)), "result")
-        if ALL not in result.figures or [drive.world for drive in result.each] != list(range(len(result.each))):
-            raise ValueError("it does not have the figures of all worlds, and one world after the other")
+        kept = build(kind, json.loads(read_text(file)), "result")
+        if ALL not in kept.figures:
+            raise ValueError("it does not have the figures of all worlds")
+        if isinstance(kept, SuiteResult) and [drive.world for drive in kept.each] != list(range(len(kept.each))):
+            raise ValueError("it does not have one world after the other")
     except (ValueError, RecursionError) as error:  # an InputError is a ValueError
-        raise InputError(one_line(f"{file} is not the result of a suite: {error}")) from None
-    return result
+        raise InputError(one_line(f"{file} is not {what} of a suite: {error}")) from None
+    return kept

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 
 from tb2rl.errors import InputError
-from tb2rl.judging.suite_result import Figures, NamedDrive, SuiteResult, kept_result
+from tb2rl.judging.suite_result import Figures, NamedDrive, SuiteResult, SuiteSummary, kept_result, kept_summary
 
 FIGURES = Figures(1, 0.0, (0.0, 0.8), 1.0, 0.0, 0.0, None, 0.2, None, 0.0, {"bump": 1})
 DRIVE = NamedDrive(0, "bump", False, True, 5.0, 4.5, 1.0, 0.0, name="rooms 0", family="rooms")
 CONFIG = {"agent": {"name": "dwa"}, "task": {"name": "navigate", "robot": "turtlebot2"}, "train": {}}
-RESULT = SuiteResult(
-    "unseen", "abc", None, "kinematic", "agent dwa", None, {"all": FIGURES}, CONFIG, {"numpy": "2"}, (DRIVE,)
-)
+SUMMARY = SuiteSummary("unseen", "abc", "kinematic", "agent dwa", None, {"all": FIGURES}, CONFIG, {"numpy": "2"})
+RESULT = SuiteResult(**vars(SUMMARY), suite_path="/somewhere/of/mine", each=(DRIVE,))
 
 
 def test_a_result_comes_back_as_it_was(tmp_path):
@@ -23,6 +22,29 @@ def test_a_result_comes_back_as_it_was(tmp_path):
     file.write_text(json.dumps(asdict(RESULT), allow_nan=False))
     assert kept_result(file) == RESULT
     assert RESULT.title == "agent dwa, turtlebot2, fast twin: suite unseen"
+
+
+def test_a_summary_is_small_names_no_place_and_comes_back_as_it_was(tmp_path):
+    assert RESULT.summary == SUMMARY
+    file = tmp_path / "it.json"
+    file.write_text(json.dumps(asdict(RESULT.summary), allow_nan=False))
+    assert "somewhere" not in file.read_text()
+    assert kept_summary(file) == SUMMARY
+    file.write_text(json.dumps(asdict(RESULT)))
+    with pytest.raises(InputError, match=r"it\.json is not the summary of a suite: .*'suite_path'"):
+        kept_summary(file)
+
+
+@pytest.mark.parametrize(
+    ("task", "guide"),
+    [
+        ({}, ""),
+        ({"guide": "goal", "planner": "known"}, "goal"),
+        ({"guide": "plan", "planner": "seen"}, "plan (planner seen)"),
+    ],
+)
+def test_a_summary_says_what_guided(task, guide):
+    assert replace(SUMMARY, config={**CONFIG, "task": task}).guide == guide
 
 
 @pytest.mark.parametrize(
