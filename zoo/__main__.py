@@ -2,17 +2,20 @@
 
     python -m tb2rl.zoo build                          # what is not there yet as its recipe says, all cards, the table
     python -m tb2rl.zoo build maze-loop-dqn --again    # from scratch
+    python -m tb2rl.zoo build --barn PATH              # drives BARN's worlds from there, too
     python -m tb2rl.zoo check [NAME ...]
 
 `recipes.yaml` holds the recipes: for each policy the arguments of `python -m tb2rl.train`. It is trained in `runs`, as
 any other; what the zoo takes of the run folder gets a card (README.md), a picture of its paths, and what it does in
-worlds that it never saw (elsewhere.json). `check` evaluates policies in their own worlds again, to see whether the
-cards and the table of all hold.
+worlds that it never saw (elsewhere.json). One that navigates is driven through suites instead, as are the agents in
+`suites.yaml`, which do not learn; their results are in `suites`. `check` evaluates policies in their own worlds again,
+to see whether the cards and the table of all hold.
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from tb2rl.errors import ArgumentParser, command
 
@@ -21,8 +24,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = ArgumentParser(prog="python -m tb2rl.zoo", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("what", choices=("build", "check"))
-    parser.add_argument("names", nargs="*", metavar="NAME", help="policies (default: all)")
-    parser.add_argument("--again", action="store_true", help="build: train from scratch what is there, too")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="policies, or agents of suites.yaml (default: all)")
+    parser.add_argument("--again", action="store_true", help="build: train and drive anew what is there, too")
+    parser.add_argument("--barn", type=Path, metavar="PATH", help="build: drive BARN's worlds from here, too")
     parser.add_argument("--episodes", type=int, help="check: of the standard evaluation, the first (default: all)")
     return parser.parse_args(arguments)
 

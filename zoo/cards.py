@@ -8,32 +8,42 @@ from pathlib import Path
 
 import jinja2
 
-from tb2rl.zoo.entry import WORLDS, Entry
+from tb2rl.zoo import results
+from tb2rl.zoo.entry import WORLDS, Entry, drivers_of, others
 
 _STARTS_NAMED = 5  # failed episodes on a card
 
 
 def card(entry: Entry) -> str:
     """The text of a policy's card."""
-    return _template("card.md.jinja").render(entry=entry, shortfalls=_shortfalls(entry), failures=_failures(entry))
+    driven = entry.driver.summaries if entry.navigates else []
+    lines = {"shortfalls": _shortfalls(entry), "failures": [*_failures(entry), *results.failures(driven)]}
+    return _template("card.md.jinja").render(entry=entry, summaries=driven, results=results, **lines)
 
 
 def table(built: Sequence[Entry]) -> str:
-    """The text of the zoo's README: the results of all policies, and how they do in each other's worlds."""
-    return _template("table.md.jinja").render(entries=built, worlds=WORLDS)
+    """The text of the zoo's README: the results of all policies, in each other's worlds and in suites, too."""
+    suites = results.by_suite([*drivers_of(built), *others()])
+    return _template("table.md.jinja").render(entries=built, worlds=WORLDS, suites=suites, results=results)
 
 
 def overview(built: Sequence[Entry]) -> str:
     """The table of the project's README: a row for each task and world, a column for each agent."""
     agents = list(dict.fromkeys(entry.config.agent_name for entry in built))
     lines = ["| task, world | " + " | ".join(f"`{agent}`" for agent in agents) + " |", "|---" * (len(agents) + 1) + "|"]
-    for place, there in groupby(built, key=lambda entry: (entry.config.task_name, entry.place)):
+    for place, there in groupby(built, key=_place):
         cells = {
             entry.config.agent_name: f"{percent(entry.good_rate)}, {entry.figures['mean_speed']:.2f} m/s"
             for entry in there
         }
         lines.append("| " + " | ".join([f"`{', '.join(place)}`", *(cells.get(agent, "") for agent in agents)]) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _place(entry: Entry) -> tuple[str, ...]:
+    """The task, the world, and the guide if there is one."""
+    guided = (f"guide {entry.guide}",) if entry.guide else ()
+    return (entry.config.task_name, entry.place, *guided)
 
 
 def percent(share: float) -> str:

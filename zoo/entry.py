@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,13 +16,16 @@ from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import read_text, read_yaml, top_folder
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
+from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import parse as parse_training
+from tb2rl.zoo.drivers import Driver
 
 MAZES = ("loop", "circuit", "round", "maze")  # the closed ones: in `wall` a robot that drives away is safe
 WORLDS = (*MAZES, "mixed")
+UNSEEN = "unseen"  # the suite of worlds that nothing is trained in
 ELSEWHERE = "elsewhere.json"  # in an entry's folder, beside files of its run folder
-PROMISED, PROMISED_TABULAR = 0.99, 0.95  # share of good episodes
-GOOD_SPEED, GOOD_SPEED_ANYWHERE = 0.75, 0.6  # of the fastest command, which no driver exceeds; between posts all turn more
+PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_PLAN = 0.99, 0.95, 0.96  # share of good episodes
+GOOD_SPEED, GOOD_SPEED_ANYWHERE = 0.75, 0.6  # of the fastest command; between posts all turn more
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,21 @@ class Entry:
         file = self.folder / ELSEWHERE
         return _read(file)[0] if file.is_file() else {}
 
+    @property
+    def navigates(self) -> bool:
+        """Whether it drives to any goal: then suites judge it, in place of the worlds that it never saw."""
+        return isinstance(self.config.task, Navigate)
+
+    @property
+    def guide(self) -> str:
+        """What guides it, "goal" or "plan"; "": its task knows no guide."""
+        return getattr(self.config.task, "guide", "")
+
+    @cached_property
+    def driver(self) -> Driver:
+        """What drives through suites, if it navigates."""
+        return Driver(self.name, f"zoo:{self.name}", suites_folder())
+
     @cached_property
     def notes(self) -> list[dict[str, Any]]:
         """The evaluations while training."""
@@ -61,12 +79,16 @@ class Entry:
 
     @property
     def is_built(self) -> bool:
-        """Whether it was trained, and driven in all worlds that it never saw."""
-        return (self.folder / EVALUATION).is_file() and not self.not_driven
+        """Whether it was trained, and driven in all worlds that it never saw, or through the suite of such."""
+        if not (self.folder / EVALUATION).is_file() or self.not_driven:
+            return False
+        return not self.navigates or self.driver.summary(UNSEEN) is not None
 
     @property
     def not_driven(self) -> list[str]:
-        """The worlds that it never saw, can drive in, and has no figures of."""
+        """The worlds that it never saw, can drive in, and has no figures of; none if it `navigates`."""
+        if self.navigates:
+            return []
         others = [world for world in WORLDS if world != self.world and world not in self.elsewhere]
         return [world for world in others if self._fits(world)]
 
@@ -111,7 +133,9 @@ class Entry:
     @property
     def promised(self) -> float:
         """The share of good episodes that the zoo promises."""
-        return PROMISED_TABULAR if self.config.observation == "discrete" else PROMISED
+        if self.config.observation == "discrete":
+            return PROMISED_TABULAR
+        return PROMISED_WITHOUT_PLAN if self.guide == "goal" else PROMISED
 
     @property
     def promised_speed(self) -> float:
@@ -150,14 +174,39 @@ def zoo_folder() -> Path:
     return top_folder("zoo")
 
 
-def entries(names: Sequence[str] = ()) -> list[Entry]:
-    """The policies of these names; without names all.
+def suites_folder() -> Path:
+    """Where the summaries of suites are."""
+    return zoo_folder() / "suites"
+
+
+def entries() -> list[Entry]:
+    """All policies."""
+    recipes = read_yaml(zoo_folder() / "recipes.yaml")
+    return [Entry(name, recipe, zoo_folder() / name) for name, recipe in recipes.items()]
+
+
+def others() -> list[Driver]:
+    """What is driven through suites beside the policies."""
+    file = zoo_folder() / "suites.yaml"
+    listed = read_yaml(file) if file.is_file() else {}
+    return [Driver(name, arguments, suites_folder()) for name, arguments in listed.items()]
+
+
+def drivers_of(built: Iterable[Entry]) -> list[Driver]:
+    """Those of some policies that navigate, as what drives through suites."""
+    return [entry.driver for entry in built if entry.navigates]
+
+
+def named(names: Sequence[str]) -> tuple[list[Entry], list[Driver]]:
+    """The policies and the others of these names; without names all.
 
     Raises:
-        InputError: For a name that has no recipe.
+        InputError: For a name that neither has.
     """
-    recipes = read_yaml(zoo_folder() / "recipes.yaml")
+    policies, rest = entries(), others()
+    known = [each.name for each in (*policies, *rest)]
     for name in names:
-        if name not in recipes:
-            raise unknown("zoo policy", name, recipes)
-    return [Entry(name, recipes[name], zoo_folder() / name) for name in names or recipes]
+        if name not in known:
+            raise unknown("zoo policy", name, known)
+    wanted = names or known
+    return [entry for entry in policies if entry.name in wanted], [other for other in rest if other.name in wanted]

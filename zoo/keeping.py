@@ -4,50 +4,68 @@ from __future__ import annotations
 
 import argparse
 import os
+from pathlib import Path
 
 from tb2rl.errors import InputError
 from tb2rl.files import read_text, write_text
 from tb2rl.judging.evaluator import EPISODES
 from tb2rl.judging.progress import progress, say
 from tb2rl.simulation import check_bullet
+from tb2rl.worlds.suites import find_suite
 from tb2rl.zoo.building import build
 from tb2rl.zoo.cards import card, table
 from tb2rl.zoo.checking import check
-from tb2rl.zoo.entry import Entry, entries, zoo_folder
+from tb2rl.zoo.drivers import astray
+from tb2rl.zoo.entry import UNSEEN, drivers_of, entries, named, suites_folder, zoo_folder
 
 
 def run(options: argparse.Namespace) -> None:
     """Build the zoo or check it; status 1 if a card does not hold."""
     check_bullet("the zoo, whose cards are of PyBullet,")
-    chosen = entries(options.names)
     if options.what == "build":
-        _build(chosen, options.again)
-    elif not _check(chosen, EPISODES if options.episodes is None else options.episodes, whole=not options.names):
+        _build(options.names, options.again, options.barn)
+    elif not _check(options.names, EPISODES if options.episodes is None else options.episodes):
         raise SystemExit(1)
 
 
-def _build(chosen: list[Entry], again: bool) -> None:
-    """Build some entries, then write the cards and the table of all that are there."""
+def _build(names: list[str], again: bool, barn: Path | None) -> None:
+    """Build some entries and drive through suites, then write the cards and the table of all that is there."""
+    chosen, _ = named(names)
     if not os.access(zoo_folder(), os.W_OK):
         raise InputError(f"the zoo's folder {zoo_folder()} is not writable")
+    if barn is not None:
+        find_suite("barn", barn)  # says now, and not after all trainings, that it cannot be read
     for number, entry in enumerate(chosen, start=1):
         print(f"{entry.name} ({number} of {len(chosen)})", flush=True)
         build(entry, again)
+    _drive(names, again, barn)
     there = [entry for entry in entries() if entry.is_built]
     for entry in there:
         write_text(entry.folder / "README.md", card(entry))
     write_text(zoo_folder() / "README.md", table(there))
 
 
-def _check(chosen: list[Entry], episodes: int, whole: bool) -> bool:
-    """Check some entries, and the table if these are all; whether everything holds."""
+def _drive(names: list[str], again: bool, barn: Path | None) -> None:
+    """Drive through suites: the entries that navigate, as they are now, and the others."""
+    chosen, rest = named(names)
+    for driver in [*drivers_of(chosen), *rest]:
+        for suite, path in ((UNSEEN, None), *([("barn", barn)] if barn else [])):
+            driver.drive(find_suite(suite, path), again)
+
+
+def _check(names: list[str], episodes: int) -> bool:
+    """Check some entries and summaries of suites, and the table if these are all; whether everything holds."""
+    chosen, rest = named(names)
     if not 1 <= episodes <= EPISODES:
         raise InputError(f"--episodes must be from 1 to {EPISODES}, got {episodes}")
     wrong = [line for entry in progress(chosen, "checking", "policy") for line in check(entry, episodes)]
-    if whole and read_text(zoo_folder() / "README.md") != table(chosen):
+    drivers = [*drivers_of(chosen), *rest]
+    kept = [file for driver in drivers for file in driver.files] if names else list(suites_folder().glob("*"))
+    wrong += astray(kept, drivers)
+    if not names and read_text(zoo_folder() / "README.md") != table(chosen):
         wrong.append("the table in README.md is not what the files say")
     for line in wrong:
         say(line)
     if not wrong:
-        print(f"{len(chosen)} cards hold")
+        print(f"{len(chosen)} cards hold" + (f", and {len(kept)} results of suites" if kept else ""))
     return not wrong

@@ -1,0 +1,80 @@
+"""Results of suites in Markdown: a table for each suite, one for a policy's card, and what it fails at."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+
+from tb2rl.judging.suite_result import ALL, Figures, SuiteSummary
+from tb2rl.worlds.suites import SUITES
+from tb2rl.zoo.drivers import Driver
+
+_FIGURES = ("longest tenth", "SPL", "time", "m/s", "closest [m]")
+Driven = list[tuple[Driver, SuiteSummary]]
+
+
+def by_suite(drivers: Iterable[Driver]) -> list[Driven]:
+    """The results in each suite, in the order of the suites; other worlds of the same name are another suite."""
+    found = defaultdict(list)
+    for driver in drivers:
+        for kept in driver.summaries:
+            found[SUITES.index(kept.suite), kept.suite_digest].append((driver, kept))
+    return [found[suite] for suite in sorted(found)]
+
+
+def compared(driven: Driven) -> str:
+    """The table of a suite: a row for each driver, with a column for each family if there are several."""
+    first = driven[0][1]
+    families = [family for family in first.rows if family != ALL]
+    scores = ["score"] if first.figures[ALL].barn_formula else []
+    rows = [["driver", "guide", "success", "95 % interval", *families, *_FIGURES, *scores]]
+    for driver, kept in driven:
+        every = kept.figures[ALL]
+        each = [percent(kept.figures[family].success_rate) for family in families]
+        score = [f"{every.barn_score:.3f}"] if scores else []
+        rows.append([_linked(driver), kept.guide, *_success(every), *each, *_figures(every), *score])
+    return _table(rows)
+
+
+def by_family(driven: Iterable[SuiteSummary]) -> str:
+    """The table of a driver: in each suite a row for each family, and one for all."""
+    rows = [["suite", "family", "worlds", "success", "95 % interval", *_FIGURES]]
+    for kept in driven:
+        for family, figures in kept.rows.items():
+            rows.append([kept.suite, family, str(figures.worlds), *_success(figures), *_figures(figures)])
+    return _table(rows)
+
+
+def failures(driven: Iterable[SuiteSummary]) -> Iterator[str]:
+    """What a driver fails at, a line for each family."""
+    for kept in driven:
+        for family, figures in kept.families.items():
+            endings = ", ".join(f"{ended} {count}" for ended, count in figures.endings.items())
+            failing = percent(1 - figures.success_rate)
+            yield f"In suite `{kept.suite}`, `{family}`: {failing} of {figures.worlds} worlds ({endings})."
+
+
+def percent(share: float) -> str:
+    """0.994 as 99.4 %."""
+    return f"{100 * share:.1f} %"
+
+
+def _success(figures: Figures) -> list[str]:
+    low, high = figures.success_interval
+    return [percent(figures.success_rate), f"{100 * low:.1f} to {100 * high:.1f} %"]
+
+
+def _figures(figures: Figures) -> list[str]:
+    numbers = figures.time_ratio, figures.mean_speed, figures.mean_closest
+    tenth, spl = percent(figures.longest_tenth_success_rate), f"{figures.spl:.3f}"
+    return [tenth, spl, *("-" if number is None else f"{number:.2f}" for number in numbers)]
+
+
+def _linked(driver: Driver) -> str:
+    """Its name; that of a policy of the zoo with its card."""
+    return f"[{driver.name}]({driver.name}/README.md)" if driver.is_policy_of_zoo else driver.name
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    head, *body = ("| " + " | ".join(row) + " |" for row in rows)
+    return "\n".join([head, "|---" * len(rows[0]) + "|", *body])
