@@ -64,7 +64,7 @@ class Navigate(Task):
     goal_reward: float = 10.0  # replaces the step's, as does a crash's
     crash_reward: float = -10.0
     closer_reward: float = 2.5  # for a metre of way
-    step_reward: float = -0.02
+    step_reward: float = -0.05
     turn_reward: float = -0.02  # at the largest turn rate
     margin: NonNegative = 0.1  # [m] between robot and wall, below which a step is fined
     margin_reward: float = -0.1  # the fine at a touch; farther away it falls to 0 evenly
