@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tb2rl.commands import suite as suite_command
 from tb2rl.registry import find_world
 from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
@@ -93,6 +94,20 @@ def make_reading():
 def small_suite():
     """The function `_small_suite`."""
     return _small_suite
+
+
+@pytest.fixture
+def driven(monkeypatch) -> list[int]:
+    """The worlds of suites that were driven, as they come."""
+    drives_of, driven = suite_command.drives_of, []
+
+    def noted(*arguments):
+        for drive in drives_of(*arguments):
+            driven.append(drive.world)
+            yield drive
+
+    monkeypatch.setattr(suite_command, "drives_of", noted)
+    return driven
 
 
 @pytest.fixture

@@ -38,20 +38,6 @@ def run(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def driven(monkeypatch) -> list[int]:
-    """The worlds that were driven, as they come."""
-    drives_of, driven = work.drives_of, []
-
-    def noted(*arguments):
-        for drive in drives_of(*arguments):
-            driven.append(drive.world)
-            yield drive
-
-    monkeypatch.setattr(work, "drives_of", noted)
-    return driven
-
-
-@pytest.fixture
 def interrupt(driven, monkeypatch):
     """A function that runs the command until so many worlds are driven, and presses Ctrl-C then."""
     drives_of = work.drives_of

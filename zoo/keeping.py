@@ -48,9 +48,11 @@ def _build(names: list[str], again: bool, barn: Path | None) -> None:
 def _drive(names: list[str], again: bool, barn: Path | None) -> None:
     """Drive through suites: the entries that navigate, as they are now, and the others."""
     chosen, rest = named(names)
-    for driver in [*drivers_of(chosen), *rest]:
-        for suite, path in ((UNSEEN, None), *([("barn", barn)] if barn else [])):
-            driver.drive(find_suite(suite, path), again)
+    drivers = [*drivers_of(chosen), *rest]
+    places = [(UNSEEN, None), *([("barn", barn)] if barn else [])] if drivers else []  # made once, for it takes seconds
+    for suite in [find_suite(*place) for place in places]:
+        for driver in drivers:
+            driver.drive(suite, again)
 
 
 def _check(names: list[str], episodes: int) -> bool:

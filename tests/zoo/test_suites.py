@@ -55,20 +55,6 @@ def set_suite(monkeypatch, make, **changes) -> None:
         monkeypatch.setattr(module, "find_suite", lambda name, path: make(name, **changes))
 
 
-@pytest.fixture
-def driven(monkeypatch) -> list[int]:
-    """The worlds that were driven, as they come."""
-    drives_of, driven = command.drives_of, []
-
-    def noted(*arguments):
-        for drive in drives_of(*arguments):
-            driven.append(drive.world)
-            yield drive
-
-    monkeypatch.setattr(command, "drives_of", noted)
-    return driven
-
-
 def section(zoo: Path) -> list[str]:
     """The lines of the table of suites."""
     _, _, text = (zoo / "README.md").read_text().partition("## Suites\n")
