@@ -125,6 +125,10 @@ class QTable(BasePolicy):
         columns = np.asarray(observations).reshape(-1, len(self.shape)).T
         return np.ravel_multi_index(tuple(columns), self.shape)
 
+    def best_actions(self) -> np.ndarray:
+        """The greedy action of each row of the table, shape (states,): all that driving takes, for `tb2rl.export`."""
+        return self.q.detach().numpy().argmax(axis=1)
+
     def predict(
         self,
         observation: Any,

@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
         for movers in (None, {"people": 1, "boxes": 1}):
             film(policy, Path(folder, "film.gif"), settings={"movers": movers}, steps=2)
-    sensors = ["laser", "camera", "free_paths"]
+    sensors = ["laser", "camera", "free_paths", "visited"]
     env = make_env("maze", "raw", simulation="kinematic", observe=sensors, movers={"people": 1})
     env.reset()
     env.step(0)

@@ -9,13 +9,11 @@ knows nothing beforehand.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from copy import copy
-from typing import Any
 
 import numpy as np
 
 from tb2rl.compiled import njit
+from tb2rl.envs.memory import Memory
 from tb2rl.simulation import Reading, Setup
 from tb2rl.simulation.setup import BOUNDS
 from tb2rl.worlds.floor import SIDE
@@ -25,51 +23,36 @@ _EVERY = 5  # control steps between two plans
 _HIT, _SURE = 4, 20  # what a beam that ends in a square adds, where one that passes takes 1; at most, both ways
 
 
-class Explorer:
+class Explorer(Memory):
     """Maps of what some robots have seen, and their ways to the goal on them.
 
     Args:
         setup: The robot, its laser and the worlds, of which only the size is used.
     """
 
+    field = "explored"
+
     def __init__(self, setup: Setup) -> None:
+        super().__init__()
         bounds = setup.table[:, BOUNDS]
         self._size = tuple(np.ceil((bounds[:, [3, 2]] - bounds[:, [1, 0]]).max(axis=0) / SIDE).astype(int) + 1)
         self._radius, self._angles, self._most = setup.robot.radius, setup.laser.angles, setup.laser.max_range
-        self._rows: dict[str, np.ndarray] = {}
 
-    def begin(self, reading: Reading) -> None:
-        """Forget all; the episodes of all robots begin."""
-        robots = len(reading.pose)
-        self._rows = {
-            "hits": np.empty((robots, *self._size), np.int8),
+    def blank(self, robots: int) -> dict[str, np.ndarray]:
+        return {
+            "hits": np.zeros((robots, *self._size), np.int8),
             "way": np.empty((robots, *self._size), np.float32),
-            "age": np.empty(robots, dtype=np.int64),
+            "age": np.full(robots, _EVERY),
         }
-        self.begin_some(np.arange(robots), reading)
-
-    def begin_some(self, robots: np.ndarray, reading: Reading) -> None:
-        """Forget what some robots, by their indices (n,), have seen; `reading`, of these alone, is their first."""
-        self._rows["hits"][robots], self._rows["age"][robots] = 0, _EVERY
-        some = self.of(robots)
-        some.go_on(reading)
-        for name, values in some._rows.items():
-            self._rows[name][robots] = values
 
     def go_on(self, reading: Reading) -> None:
         """Note what all robots see now; plan anew where it is time to."""
-        grids, rows = self._grids(reading), self._rows
+        grids, rows, reach = self._grids(reading), self._rows, self._radius + KEEP_OFF
         _note(np.array(reading.pose), np.array(reading.ranges), self._angles, self._most, grids, rows["hits"])
         rows["age"] += 1
         for i in np.flatnonzero(rows["age"] > _EVERY):
-            rows["way"][i] = march_from(_clearances(rows["hits"][i]), self._radius, reading.goal[i], grids[i])
+            rows["way"][i] = march_from(_clearances(rows["hits"][i], reach), self._radius, reading.goal[i], grids[i])
             rows["age"][i] = 0
-
-    def of(self, robots: np.ndarray) -> Explorer:
-        """What some robots, by their indices (n,), have explored."""
-        some = copy(self)
-        some._rows = {name: values[robots] for name, values in self._rows.items()}
-        return some
 
     def ahead(self, reading: Reading, reach: float) -> np.ndarray:
         """See `Reading.ahead`."""
@@ -79,18 +62,11 @@ class Explorer:
         points_ahead(begins, self._grids(reading), ways.ravel(), place, goal, reach, points)
         return points
 
-    def state(self) -> dict[str, Any]:
-        """The maps, in arrays of their own."""
-        return {name: values.copy() for name, values in self._rows.items()}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state`."""
-        self._rows = {name: np.array(values) for name, values in state.items()}
-
     def _grids(self, reading: Reading) -> np.ndarray:
-        """Rows, columns, x and y of the first square's middle [m] of each robot's map, shape (robots, 4)."""
+        """Rows, columns, x and y of the first square's middle, side of a square [m] of each robot's map."""
         corners = reading.start.bounds[:, :2]
-        return np.column_stack([np.tile(np.array(self._size, dtype=float), (len(corners), 1)), corners])
+        ones = np.ones((len(corners), 1))
+        return np.column_stack([self._size * ones, corners, SIDE * ones])
 
 
 @njit(cache=True)
@@ -119,10 +95,10 @@ def _note(poses, ranges, angles, most, grids, hits):
 
 
 @njit(cache=True)
-def _clearances(hits):
-    """How far the squares of a map (rows, columns) are from the middles of those with something on them [m]."""
+def _clearances(hits, most):
+    """How far the squares of a map (rows, columns) are from the middles of those with something on them, up to [m]."""
     rows, columns = hits.shape
-    reach, clearance = int(KEEP_OFF / SIDE), np.full((rows, columns), KEEP_OFF)
+    reach, clearance = int(most / SIDE), np.full((rows, columns), most)
     for row in range(rows):
         for column in range(columns):
             if hits[row, column] <= 0:

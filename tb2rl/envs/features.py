@@ -9,7 +9,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from tb2rl.errors import InputError
 
-_NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
+NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
 
 
 class Nearness(BaseFeaturesExtractor):
@@ -44,5 +44,5 @@ class Nearness(BaseFeaturesExtractor):
         self.register_buffer("_largest", th.as_tensor(observation_space.high))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        nearness = self.spread * (1.0 / (self.offset + observations.clamp(min=_NEAREST)) - self.middle)
+        nearness = self.spread * (1.0 / (self.offset + observations.clamp(min=NEAREST)) - self.middle)
         return th.where(self._is_distance, nearness, observations / self._largest)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.envs.encodings import Encoding, Numbers, Observations, put_rows, row
-from tb2rl.envs.exploring import Explorer
 from tb2rl.envs.latency import Delay
+from tb2rl.envs.memory import Memory
 from tb2rl.errors import InputError
 from tb2rl.simulation import Reading
 
@@ -30,7 +30,7 @@ class Observer:
         space: Of one robot's stacked observation, see `stacked_space`.
         frames: How many observations are stacked.
         latency: The most control steps until a robot observes a reading.
-        explorer: Draws the maps that planners go by; None: they know the worlds.
+        memories: What the robots remember.
     """
 
     def __init__(
@@ -39,18 +39,17 @@ class Observer:
         space: spaces.Space,
         frames: int,
         latency: int = 0,
-        explorer: Explorer | None = None,
+        memories: Sequence[Memory] = (),
     ) -> None:
         self._encode, self._space, self._frames = encoding, space, frames
-        self._delay, self._explorer = Delay(latency), explorer
+        self._delay, self._memories = Delay(latency), memories
         self._stack: Observations = None  # the latest; with one frame it is not kept
 
     def begin(self, reading: Reading) -> Observations:
         """What the robots observe where the episodes of all of them begin."""
-        if self._explorer:
-            self._explorer.begin(reading)
-            reading = replace(reading, explored=self._explorer)
-        latest = self._encode(reading)
+        for memory in self._memories:
+            memory.begin(reading)
+        latest = self._encode(self._remembering(reading, self._memories))
         self._delay.begin(latest)
         first = self._repeated(latest)
         if self._frames > 1:
@@ -59,10 +58,10 @@ class Observer:
 
     def go_on(self, reading: Reading) -> Observations:
         """What the robots observe a step later."""
-        if self._explorer:
-            self._explorer.go_on(reading)
-            reading = replace(reading, explored=self._explorer)
-        latest = self._delay.pass_on(self._encode(reading), reading.start.reading_latency)
+        for memory in self._memories:
+            memory.go_on(reading)
+        latest = self._encode(self._remembering(reading, self._memories))
+        latest = self._delay.pass_on(latest, reading.start.reading_latency)
         if self._frames == 1:
             return latest
         self._stack = _each(lambda new, old: np.concatenate([old[:, new.shape[1] :], new], axis=1), latest, self._stack)
@@ -76,10 +75,9 @@ class Observer:
             reading: Of these alone, n rows.
             observations: From `go_on`.
         """
-        if self._explorer:
-            self._explorer.begin_some(robots, reading)
-            reading = replace(reading, explored=self._explorer.of(robots))
-        latest = self._encode(reading)
+        for memory in self._memories:
+            memory.begin_some(robots, reading)
+        latest = self._encode(self._remembering(reading, [memory.of(robots) for memory in self._memories]))
         self._delay.begin_some(robots, latest)
         first = self._repeated(latest)
         put_rows(observations, robots, first)
@@ -88,8 +86,8 @@ class Observer:
 
     def state(self) -> dict[str, Any]:
         """The frames so far, None with one frame, and what is still on its way; in arrays of their own."""
-        explored = {"explored": self._explorer.state()} if self._explorer else {}
-        return {"stack": deepcopy(self._stack), "delayed": self._delay.state(), **explored}
+        remembered = {memory.field: memory.state() for memory in self._memories}
+        return {"stack": deepcopy(self._stack), "delayed": self._delay.state(), **remembered}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a `state`.
@@ -104,8 +102,13 @@ class Observer:
         for observations in delayed:
             _check(observations, self._encode.space)
         self._delay.restore(delayed)
-        if self._explorer:
-            self._explorer.restore(state["explored"])
+        for memory in self._memories:
+            memory.restore(state[memory.field])
+
+    @staticmethod
+    def _remembering(reading: Reading, memories: Sequence[Memory]) -> Reading:
+        fields: dict[str, Any] = {memory.field: memory for memory in memories}
+        return replace(reading, **fields) if fields else reading
 
     def _repeated(self, observations: Observations) -> Observations:
         if self._frames == 1:

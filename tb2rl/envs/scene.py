@@ -14,7 +14,9 @@ from tb2rl.envs.encodings import BEAMS, Encoding, encode
 from tb2rl.envs.exploring import Explorer
 from tb2rl.envs.frames import Observer, stacked_space
 from tb2rl.envs.latency import Delay
+from tb2rl.envs.memory import Memory
 from tb2rl.envs.rehearsal import rehearse
+from tb2rl.envs.trail import Trail
 from tb2rl.envs.worlds import are_generated, find_worlds, place_of
 from tb2rl.errors import InputError, unknown
 from tb2rl.registry import find_robot
@@ -94,8 +96,14 @@ class Scene:
     def observer(self) -> Observer:
         """What turns the readings of some robots into what they observe, from their episodes' first one on."""
         latency = self.task.imperfections.reading_latency[1]
-        explorer = Explorer(self.setup) if self.task.explores else None
-        return Observer(self.encoding, self.observation_space, self.task.frames, latency, explorer)
+        return Observer(self.encoding, self.observation_space, self.task.frames, latency, self.memories(self.setup))
+
+    def memories(self, setup: Setup) -> list[Memory]:
+        """What robots remember of an episode in these worlds."""
+        memories: list[Memory] = [Explorer(setup)] if self.task.explores else []
+        if any(sensor.remembers for sensor in self.sensors):
+            memories.append(Trail(self.task.control_period))
+        return memories
 
     def commander(self) -> Delay:
         """What hands commands to the robots, as late as they are to obey them."""

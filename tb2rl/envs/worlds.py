@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,18 @@ def absolute_worlds(setting: Any) -> Any:
         return setting if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
     is_file = is_path(setting) and os.path.isfile(setting)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
     return str(Path(setting).resolve()) if is_file or _is_folder(setting) else setting
+
+
+def files_named(setting: Any) -> Iterator[str]:
+    """The files and folders of this machine that a setting names."""
+    if isinstance(setting, Mapping):
+        yield from [*files_named(str(setting["file"])), *_said(setting).model_path] if "file" in setting else []
+    elif not isinstance(setting, str):
+        yield from (file for entry in setting for file in files_named(entry))
+    elif (code := MADE_BY_CODE.fullmatch(setting)) is not None:
+        yield from filter(None, [code[2]])
+    elif is_path(setting) or _is_folder(setting):
+        yield setting
 
 
 def are_generated(setting: Any) -> bool:

@@ -118,11 +118,11 @@ class LastAction(Sensor):
     low, high = -1.0, 1.0
 
     def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1)) -> None:
-        self._fastest, self.edges = np.array([robot.max_speed, robot.max_turn_rate]), edges
+        self.fastest, self.edges = np.array([robot.max_speed, robot.max_turn_rate]), edges
 
     @classmethod
     def given(cls, setup: Setup) -> Mapping[str, Any]:
         return {"robot": setup.robot}
 
     def read(self, reading: Reading) -> np.ndarray:
-        return reading.command / self._fastest
+        return reading.command / self.fastest

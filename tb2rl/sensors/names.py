@@ -9,6 +9,7 @@ from tb2rl.sensors.laser import LaserRanges
 from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
 from tb2rl.sensors.paths import FreePaths
 from tb2rl.sensors.sensor import Sensor
+from tb2rl.sensors.visited import Visited
 from tb2rl.sensors.waypoint import Waypoint, WaypointBearing
 
 SENSORS: dict[str, tuple[type[Sensor], ...]] = {
@@ -21,6 +22,7 @@ SENSORS: dict[str, tuple[type[Sensor], ...]] = {
     "laser": (LaserRanges,),
     "last_action": (LastAction,),
     "twist": (ForwardSpeed, TurnRate),
+    "visited": (Visited,),
     "waypoint": (Waypoint,),
     "waypoint_bearing": (WaypointBearing,),
 }

@@ -32,6 +32,10 @@ class FreePaths(Sensor):
         gap: By how much the circle is wider than the robot on every side [m].
         edges: Borders of the classes [m]; no way counts as longer than twice the last.
 
+    Attributes:
+        radius: Of the circle [m].
+        directions: In the robot's frame [rad], shape (count,).
+
     Raises:
         InputError: If there are directions in which the laser does not look.
     """
@@ -51,8 +55,8 @@ class FreePaths(Sensor):
             degrees = np.degrees([spread, laser.field_of_view])
             raise InputError("free paths over {:.0f} degrees, and the laser sees {:.0f}".format(*degrees))
         self.edges, self.high, self.shape = edges, 2 * edges[-1], (count,)
-        self._radius = robot.radius + gap
-        between = laser.angles - np.linspace(-spread / 2, spread / 2, count)[:, None]
+        self.radius, self.directions = robot.radius + gap, np.linspace(-spread / 2, spread / 2, count)
+        between = laser.angles - self.directions[:, None]
         self._ahead, self._aside = np.cos(between), np.sin(between)
 
     @classmethod
@@ -61,7 +65,7 @@ class FreePaths(Sensor):
 
     def read(self, reading: Reading) -> np.ndarray:
         free = np.full((len(reading.ranges), *self.shape), self.high)
-        _shorten(free, reading.ranges, self._ahead, self._aside, self._radius)
+        _shorten(free, reading.ranges, self._ahead, self._aside, self.radius)
         return free
 
 

@@ -29,6 +29,7 @@ class Sensor(ABC):
         edges: Strictly increasing borders of the classes that tabular learners see; empty: it has none, and can only
             be observed raw.
         shape: Of what it reads for one robot: (n,) for n numbers, (channels, height, width) for an image of uint8.
+        remembers: Whether it reads `Reading.trail`.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Sensor(ABC):
     high: float
     edges: tuple[float, ...] = ()
     shape: tuple[int, ...] = (1,)
+    remembers: bool = False
 
     @classmethod
     def given(cls, setup: Setup) -> Mapping[str, Any]:

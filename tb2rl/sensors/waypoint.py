@@ -50,7 +50,7 @@ class WaypointBearing(Sensor):
     low, high = -math.pi, math.pi
 
     def __init__(self, reach: Reach = REACH, edges: Edges = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)) -> None:
-        self.edges, self._waypoint = edges, Waypoint(reach)
+        self.edges, self.reach, self._waypoint = edges, reach, Waypoint(reach)
 
     def read(self, reading: Reading) -> np.ndarray:
         ahead, left = self._waypoint.read(reading).T

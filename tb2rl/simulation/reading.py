@@ -25,6 +25,13 @@ class Explored(Protocol):
         """See `Reading.ahead`."""
 
 
+class Trailed(Protocol):
+    """Where the robots of a reading have been lately."""
+
+    def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
+        """How long each was within `radius` [m] of points, x and y, (robots, n, 2): [s], shape (robots, n)."""
+
+
 class Eye(Protocol):
     """What a simulation hands over with a reading, so that what takes time is found only when it is asked for."""
 
@@ -60,6 +67,7 @@ class Reading:
         moving: Whether what a robot touched, or if it touched nothing what is nearest along its laser's beams, is one
             of them, shape (robots,), bool; None: nothing moves.
         explored: What the robots have seen so far, where their planner goes by that; None: it knows the world.
+        trail: Where the robots have been lately, where a sensor asks for it; None: nowhere yet.
     """
 
     pose: np.ndarray
@@ -75,6 +83,7 @@ class Reading:
     movers: np.ndarray | None = None
     moving: np.ndarray | None = None
     explored: Explored | None = field(default=None, kw_only=True)
+    trail: Trailed | None = field(default=None, kw_only=True)
 
     @cached_property
     def nearest(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from tb2rl.robots.robot import RADIUS
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.goal import GoalDirection, GoalDistance
 from tb2rl.sensors.motion import ForwardSpeed, LastAction, TurnRate
+from tb2rl.sensors.visited import Visited
 from tb2rl.sensors.waypoint import Waypoint
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.actions import Actions, Commands, Velocities
@@ -36,7 +37,7 @@ class Navigate(Task):
     with `fixed` it leads from the world's start to the world's goal. The robot observes its laser, its speeds, what it
     was last told, and what guides it:
 
-    - `goal`: where the goal is, by the wheels' odometry. It knows no map.
+    - `goal`: where the goal is, by the wheels' odometry, and where the robot has been lately. It knows no map.
     - `plan`: a point `reach` ahead on the shortest way, as from a planner that knows where the robot is, and the map:
       with `planner: known` the world's, with `seen` what the laser has seen so far.
 
@@ -87,9 +88,10 @@ class Navigate(Task):
         return self.guide == "plan" and self.planner == "seen"
 
     def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
-        guide = (Waypoint(self.reach),) if self.guide == "plan" else (GoalDistance(), GoalDirection())
         moves = ForwardSpeed(setup.robot), TurnRate(setup.robot), LastAction(setup.robot)
-        return (*super().sensors(setup), *guide, *moves)
+        if self.guide == "plan":
+            return (*super().sensors(setup), Waypoint(self.reach), *moves)
+        return (*super().sensors(setup), GoalDistance(), GoalDirection(), Visited(), *moves)
 
     def places(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
         if self.goal is None:

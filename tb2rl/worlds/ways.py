@@ -1,8 +1,7 @@
 """The ways from anywhere in a world to a goal: how far it is by way, and where the way leads next.
 
-The floor is a grid of squares, see `tb2rl.worlds.floor`. How far each is from the goal is found by fast marching
-(Sethian 1996, "A fast marching level set method for monotonically advancing fronts"), which unlike steps from square to
-square knows every direction. A way near a wall counts as longer than it is, so that a way keeps off where it can.
+The floor is a grid of squares, see `tb2rl.worlds.floor`. How far each is from the goal is found by fast marching, see
+`tb2rl.worlds.marching`. A way near a wall counts as longer than it is, so that a way keeps off where it can.
 """
 
 from __future__ import annotations
@@ -13,16 +12,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from tb2rl.compiled import njit
-from tb2rl.worlds.floor import SIDE, Floor
+from tb2rl.worlds.floor import MOST_SQUARES, SIDE, Floor
+from tb2rl.worlds.marching import march
 from tb2rl.worlds.world import World
 
 GOALS = 4  # random ones in each world, beside its own
 OWN = 0  # number of a world's own goal; random ones have the numbers from 1
-KEEP_OFF = 0.5  # [m] from walls: a way nearer than that counts as longer
-_DEARER = 3.0  # times, at a touch; farther away less, by the square
-_BEYOND = 3.0  # times as long as it is, off all ways, where only rounding gets to
-_SHORT = 0.5 * SIDE  # [m] of a step along a way
-_NEAR = 2.5 * SIDE  # [m] from here on a way leads straight to the goal
+KEEP_OFF = 0.35  # [m] between robot and walls: a way that comes nearer counts as longer
+_TIGHT = 0.15  # [m] there it counts as about twice as long; beyond, by the square of the gap
+_DEAREST = 20.0  # times as long: worth any detour, and no more, or the slope leads nowhere
+_FINE = 0.05  # [m] of a square: those of 0.1 m cannot tell a gap in which the robot sticks from one of half a metre
+_SHORT = 0.5 * _FINE  # [m] of a step along a way: longer ones cut corners
+_NEAR = 0.25  # [m] from here on a way leads straight to the goal
 _GOAL_ROOM = 0.3  # [m] between a random goal and what stands around it, where there is so much
 
 
@@ -41,7 +42,7 @@ class Ways:
         self._worlds, self._radius = worlds, radius
         self._goals = np.full((len(worlds) * (GOALS + 1), 2), np.nan)
         self._begins = np.full(len(self._goals), -1)  # where a field begins among the values; -1: not there yet
-        self._grids = np.zeros((len(worlds), 4))  # rows, columns, x and y of the first square's middle [m]
+        self._grids = np.zeros((len(worlds), 5))  # rows, columns, x and y of the first square's middle, side [m]
         self._floors: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._used, self._room = 0, np.empty(0, dtype=np.float32)
 
@@ -81,21 +82,21 @@ class Ways:
             grown = np.empty(needed + needed // 2, dtype=np.float32)
             grown[: self._used] = self._room[: self._used]
             self._room = grown
-        rows, columns, left, bottom = self._grids[world]
-        row, column = _square(goal[1], bottom, rows), _square(goal[0], left, columns)
-        self._room[self._used : needed] = _march(dear, row, column).ravel()
+        self._room[self._used : needed] = _march_to(goal, dear, self._grids[world]).ravel()
         self._begins[field], self._used = self._used, needed
 
     def _floor(self, world: int) -> tuple[np.ndarray, np.ndarray]:
         """How many times as long as it is each square's way counts, 0: no way; and x, y of those to have a goal in."""
-        floor = Floor.of(self._worlds[world], KEEP_OFF)
+        x0, y0, x1, y1 = self._worlds[world].bounds
+        side = _FINE if (x1 - x0) * (y1 - y0) <= MOST_SQUARES * _FINE**2 else SIDE
+        floor = Floor.of(self._worlds[world], self._radius + KEEP_OFF, side)
         (left, bottom), clearance = floor.corner, floor.clearance
-        self._grids[world] = *clearance.shape, left, bottom
+        self._grids[world] = *clearance.shape, left, bottom, side
         dear = _dear(clearance, self._radius)
         reached = floor.steps_from(*self._worlds[world].start[:2], self._radius) >= 0
         roomy = reached & (clearance >= _GOAL_ROOM)
         row, column = np.nonzero(roomy if roomy.any() else reached)
-        return dear, np.column_stack([left + SIDE * column, bottom + SIDE * row])
+        return dear, np.column_stack([left + side * column, bottom + side * row])
 
     def _goal(self, world: int, number: int, squares: np.ndarray) -> tuple[float, float]:
         own = self._worlds[world].goal
@@ -109,19 +110,24 @@ def march_from(clearance: np.ndarray, radius: float, goal: np.ndarray, grid: np.
     """How far it is to a goal from all squares of a map, see `Ways`.
 
     Args:
-        clearance: Of each square, at most `KEEP_OFF` [m], shape (rows, columns).
+        clearance: Of each square, at most `KEEP_OFF` more than the radius [m], shape (rows, columns).
         radius: Of the robot [m].
         goal: x, y [m], shape (2,).
-        grid: Rows, columns, x and y of the first square's middle [m], shape (4,).
+        grid: Rows, columns, x and y of the first square's middle, side of a square [m], shape (5,).
     """
-    rows, columns, left, bottom = grid
-    x, y = goal.tolist()
-    return _march(_dear(clearance, radius), _square(y, bottom, rows), _square(x, left, columns))
+    return _march_to(goal.tolist(), _dear(clearance, radius), grid)
+
+
+def _march_to(goal: Sequence[float], dear: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    rows, columns, left, bottom, side = grid.tolist()
+    return march(dear, _square(goal[1], bottom, side, rows), _square(goal[0], left, side, columns), side)
 
 
 def _dear(clearance: np.ndarray, radius: float) -> np.ndarray:
     """How many times as long as it is the way over each square counts; 0: a robot with that radius [m] has none."""
-    return np.where(clearance >= radius, 1.0 + (_DEARER - 1.0) * (1.0 - clearance / KEEP_OFF) ** 2, 0.0)
+    gap = np.maximum(clearance - radius, 1e-3)
+    longer = 1.0 + (_TIGHT / gap) ** 2 - (_TIGHT / KEEP_OFF) ** 2
+    return np.where(clearance >= radius, np.minimum(longer, _DEAREST), 0.0)
 
 
 def shortest_way(world: World, radius: float) -> float:
@@ -132,112 +138,23 @@ def shortest_way(world: World, radius: float) -> float:
     assert world.goal is not None
     floor = Floor.of(world, radius + SIDE)
     (left, bottom), (rows, columns) = floor.corner, floor.clearance.shape
-    row, column = _square(world.goal[1], bottom, rows), _square(world.goal[0], left, columns)
+    row, column = _square(world.goal[1], bottom, SIDE, rows), _square(world.goal[0], left, SIDE, columns)
     if floor.steps_from(*world.start[:2], radius)[row, column] < 0:
         return math.inf
-    field = _march(np.where(floor.clearance >= radius, 1.0, 0.0), row, column)
-    return float(field[_square(world.start[1], bottom, rows), _square(world.start[0], left, columns)])
+    field = march(np.where(floor.clearance >= radius, 1.0, 0.0), row, column, SIDE)
+    return float(field[_square(world.start[1], bottom, SIDE, rows), _square(world.start[0], left, SIDE, columns)])
 
 
-def _square(at: float, first: float, count: float) -> int:
+def _square(at: float, first: float, side: float, count: float) -> int:
     """The row or column, of so many, in which a coordinate is, or the nearest one; NaN is in the first."""
-    return 0 if math.isnan(at) else int(min(max(round((at - first) / SIDE), 0), count - 1))
-
-
-@njit(cache=True, nogil=True)
-def _march(dear, row, column):
-    """How far it is to the square `row`, `column` [m] from all squares, shape (rows, columns), float32.
-
-    Args:
-        dear: How many times as long as it is a way over each square counts, 0: there is none, shape (rows, columns).
-        row, column: Where the goal is.
-    """
-    rows, columns = dear.shape
-    far = np.full((rows, columns), np.inf)
-    far[row, column] = 0.0
-    keys, cells, size = np.empty(8 * rows * columns), np.empty(8 * rows * columns, dtype=np.int64), 0
-    size = _push(keys, cells, size, 0.0, row * columns + column)
-    while size:
-        i, j, key = cells[0] // columns, cells[0] % columns, keys[0]
-        size = _pop(keys, cells, size)
-        if key > far[i, j]:
-            continue  # a shorter way was found since
-        for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            r, c = i + down, j + right
-            if not (0 <= r < rows and 0 <= c < columns) or dear[r, c] == 0.0:
-                continue
-            step = SIDE * dear[r, c]
-            across = min(far[r, c - 1] if c > 0 else np.inf, far[r, c + 1] if c + 1 < columns else np.inf)
-            along = min(far[r - 1, c] if r > 0 else np.inf, far[r + 1, c] if r + 1 < rows else np.inf)
-            way = min(across, along) + step
-            if abs(across - along) < step:
-                way = 0.5 * (across + along + math.sqrt(2.0 * step * step - (across - along) ** 2))
-            if way < far[r, c]:
-                far[r, c] = way
-                size = _push(keys, cells, size, way, r * columns + c)
-    _go_on_beyond(far, cells)
-    return far.astype(np.float32)
-
-
-@njit(cache=True, nogil=True)
-def _go_on_beyond(far, queue):
-    """Let squares without a way be as far as the nearest one with a way, and `_BEYOND` times the way there.
-
-    The nearest, and not the one that leads on best: else what is on the other side of a thin wall would count here.
-
-    Args:
-        far: Of each square [m], inf: without a way, shape (rows, columns).
-        queue: Room for their numbers.
-    """
-    rows, columns = far.shape
-    first, last = 0, 0
-    for i in range(rows):
-        for j in range(columns):
-            if np.isfinite(far[i, j]):
-                queue[last], last = i * columns + j, last + 1
-    while first < last:
-        i, j = queue[first] // columns, queue[first] % columns
-        first += 1
-        for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            r, c = i + down, j + right
-            if 0 <= r < rows and 0 <= c < columns and not np.isfinite(far[r, c]):
-                far[r, c] = far[i, j] + _BEYOND * SIDE
-                queue[last], last = r * columns + c, last + 1
-
-
-@njit(cache=True, nogil=True)
-def _push(keys, cells, size, key, cell):
-    """Put a cell on the heap of which `size` places are used; the new size."""
-    at = size
-    while at > 0 and keys[(at - 1) // 2] > key:
-        keys[at], cells[at] = keys[(at - 1) // 2], cells[(at - 1) // 2]
-        at = (at - 1) // 2
-    keys[at], cells[at] = key, cell
-    return size + 1
-
-
-@njit(cache=True, nogil=True)
-def _pop(keys, cells, size):
-    """Take the cell with the least key from the heap; the new size."""
-    size -= 1
-    key, cell, at = keys[size], cells[size], 0
-    while 2 * at + 1 < size:
-        below = 2 * at + 1
-        if below + 1 < size and keys[below + 1] < keys[below]:
-            below += 1
-        if keys[below] >= key:
-            break
-        keys[at], cells[at] = keys[below], cells[below]
-        at = below
-    keys[at], cells[at] = key, cell
-    return size
+    return 0 if math.isnan(at) else int(min(max(round((at - first) / side), 0), count - 1))
 
 
 @njit(cache=True)
 def _within_grid(grid, x, y):
     """The lower left of the four squares around a place, and how far between their middles it is, from 0 to 1."""
-    across = min(max((x - grid[2]) / SIDE, 0.0), grid[1] - 1.0)
-    along = min(max((y - grid[3]) / SIDE, 0.0), grid[0] - 1.0)
+    across = min(max((x - grid[2]) / grid[4], 0.0), grid[1] - 1.0)
+    along = min(max((y - grid[3]) / grid[4], 0.0), grid[0] - 1.0)
     column, row = min(int(across), max(int(grid[1]) - 2, 0)), min(int(along), max(int(grid[0]) - 2, 0))
     return row, column, along - row, across - column
 
@@ -262,8 +179,36 @@ def _lengths(begins, grids, values, places, lengths):
 
 
 @njit(cache=True)
+def _downhill(begin, grid, values, row, column, up, right):
+    """Where it gets nearer around a place: between the four squares' own directions linearly.
+
+    A square's own is towards its nearer neighbours, as marching found them: in a valley between dear squares it leads
+    along, where the slope between the squares leads from one side to the other and back.
+    """
+    rows, columns = int(grid[0]), int(grid[1])
+    down_x, down_y = 0.0, 0.0
+    for i in range(2):
+        for j in range(2):
+            share = (up if i else 1.0 - up) * (right if j else 1.0 - right)
+            r, c = min(row + i, rows - 1), min(column + j, columns - 1)
+            at = begin + r * columns + c
+            here = values[at]
+            west = values[at - 1] if c > 0 else np.inf
+            east = values[at + 1] if c + 1 < columns else np.inf
+            south = values[at - columns] if r > 0 else np.inf
+            north = values[at + columns] if r + 1 < rows else np.inf
+            x = max(here - min(west, east), 0.0)
+            y = max(here - min(south, north), 0.0)
+            length = math.sqrt(x * x + y * y)
+            if length > 0.0:
+                down_x += share * (x if east < west else -x) / length
+                down_y += share * (y if north < south else -y) / length
+    return down_x, down_y
+
+
+@njit(cache=True)
 def points_ahead(begins, grids, values, places, goals, reach, points):
-    """Write the points ahead (robots, 2), down the slope of how far it is; see `Ways.ahead`."""
+    """Write the points ahead (robots, 2), downhill in how far it is; see `Ways.ahead`."""
     for i in range(places.shape[0]):
         x, y, left = places[i, 0], places[i, 1], reach
         while left > 0.0:
@@ -274,8 +219,7 @@ def points_ahead(begins, grids, values, places, goals, reach, points):
                 x, y = x + share * east, y + share * north
                 break
             row, column, up, right = _within_grid(grids[i], x, y)
-            a, b, c, d = _corners(begins[i], grids[i], values, row, column)
-            down_x, down_y = (1 - up) * (a - b) + up * (c - d), (1 - right) * (a - c) + right * (b - d)
+            down_x, down_y = _downhill(begins[i], grids[i], values, row, column, up, right)
             slope = math.hypot(down_x, down_y)
             if not slope > 1e-6:
                 break  # a place without a way

@@ -75,7 +75,7 @@ class Playground:
         east, north = self.target - (x, y)
         far, bearing = np.hypot(east, north), np.arctan2(north, east) - yaw
         direction = np.array([np.cos(bearing), np.sin(bearing)])
-        guide = [far, *direction] if self.guide == "goal" else min(far, 1.5) * direction
+        guide = [far, *direction, *np.zeros(13)] if self.guide == "goal" else min(far, 1.5) * direction  # visited
         return np.array([*self._ranges(x, y, yaw), *guide, *speeds, 0.0, 0.0], dtype=np.float32)
 
     def command(self, kind, speeds=(0.0, 0.0), **arguments):

@@ -73,10 +73,10 @@ def test_starts_look_anywhere_and_difficulties_differ(suite):
 
 def test_nothing_else_draws_its_worlds(suite):
     purposes = get_args(Purpose)
-    assert len({generator_of(purpose, 0, 7).random() for purpose in purposes}) == len(purposes) == 4
+    assert len({generator_of(purpose, 0, 7).random() for purpose in purposes}) == len(purposes) == 5
     own = {world.boxes.tobytes() + world.posts.tobytes() for world in suite.worlds if "clutter" in world.name}
     settings = Generated("mixed", worlds=100)
-    for purpose in ("training", "validation", "test"):
+    for purpose in ("training", "validation", "test", "search"):
         others = generate(settings, GENERATORS["mixed"], purpose)
         assert own.isdisjoint(world.boxes.tobytes() + world.posts.tobytes() for world in others)
     again = generate(settings, GENERATORS["mixed"], "suite")

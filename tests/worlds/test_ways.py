@@ -98,3 +98,15 @@ def test_a_world_without_a_goal_has_none():
     ways, worlds, goals, _ = to_own_goal(lacking, (1.0, 1.0))
     assert np.isnan(ways.goals(worlds, goals)).all()
     assert np.isfinite(ways.goals(worlds, goals + 1)).all()
+
+
+def test_a_way_never_ends_before_its_goal():
+    """Between squares that are dear, the slope may lead to and fro across the way."""
+    worlds = generate(Generated("rooms", worlds=200), GENERATORS["rooms"], "training")
+    ways, random, each = Ways(worlds, ROBOT.radius), np.random.default_rng(0), np.repeat(np.arange(200), 100)
+    places = random.uniform(0.3, 7.7, (len(each), 2))
+    free = np.array([worlds[i].clearance(*place) > 0.2 for i, place in zip(each, places, strict=True)])
+    each, places, numbers = each[free], places[free], np.full(free.sum(), OWN)
+    before = ways.to_go(each, numbers, places)
+    after = ways.to_go(each, numbers, ways.ahead(each, numbers, places, 1.0))
+    assert (before - after > 0.9)[before > 1.5].all(), "a metre of way is a metre less, at least"

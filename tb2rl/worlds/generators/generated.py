@@ -1,7 +1,8 @@
 """Worlds from a generator's settings: the same ones in every process, whatever else was drawn before.
 
 A world's random numbers follow from what it is for, the generator's seed, and its number: so worlds to train in, to
-choose the best policy in and to judge it in never share any, and no suite shares them (`tb2rl.worlds.suites`).
+choose the best policy in and to judge it in never share any, nor do those that settings are searched in, and no suite
+shares them (`tb2rl.worlds.suites`).
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from tb2rl.values import ASCENDING, PAIR, Fraction
 from tb2rl.worlds.generators.enclosure import Size
 from tb2rl.worlds.world import World
 
-# Training; which of its policies is best; how good that one is; and what all policies are compared by.
-Purpose = Literal["training", "validation", "test", "suite"]
-_KEYS: dict[Purpose, int] = {"training": 0, "validation": 1, "test": 2, "suite": 3}
+# Training; which of its policies is best; how good that one is; what all policies are compared by; which settings are
+# best.
+Purpose = Literal["training", "validation", "test", "suite", "search"]
+_KEYS: dict[Purpose, int] = {"training": 0, "validation": 1, "test": 2, "suite": 3, "search": 4}
 Maker = Callable[[np.random.Generator, float, Size], World]
 
 

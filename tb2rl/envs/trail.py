@@ -1,0 +1,53 @@
+"""Where a robot has been: what gets it out of a dead end that its laser does not see as one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.envs.memory import Memory
+from tb2rl.simulation import Reading
+
+_KEPT = 64  # places: of the last minute
+
+
+class Trail(Memory):
+    """The places of some robots in the last minute, one a second, by their odometry.
+
+    Args:
+        period: Of the control [s].
+    """
+
+    field = "trail"
+
+    def __init__(self, period: float) -> None:
+        super().__init__()
+        self._every = max(1, round(1.0 / period))
+
+    def blank(self, robots: int) -> dict[str, np.ndarray]:
+        return {"places": np.full((robots, _KEPT, 2), np.inf), "steps": np.zeros(robots, dtype=np.int64)}
+
+    def go_on(self, reading: Reading) -> None:
+        steps = self._rows["steps"]
+        due = np.flatnonzero(steps % self._every == 0)
+        self._rows["places"][due, steps[due] // self._every % _KEPT] = reading.odometry[due, :2]
+        steps += 1
+
+    def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
+        """How long the robots were within `radius` [m] of points, x and y, (robots, n, 2): [s], shape (robots, n)."""
+        counts = np.empty(points.shape[:2])
+        _count(self._rows["places"], points, radius, counts)
+        return counts
+
+
+@njit(cache=True, **UNCOUNTED)
+def _count(places, points, radius, counts):
+    """Count the places (robots, kept, 2) near each point (robots, n, 2)."""
+    for robot in range(counts.shape[0]):
+        for point in range(counts.shape[1]):
+            x, y, count = points[robot, point, 0], points[robot, point, 1], 0
+            for k in range(places.shape[1]):
+                count += math.hypot(places[robot, k, 0] - x, places[robot, k, 1] - y) < radius
+            counts[robot, point] = count

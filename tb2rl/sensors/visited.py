@@ -1,0 +1,47 @@
+"""Where the robot has been lately: a memory for policies that have none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tb2rl.sensors.sensor import Sensor
+from tb2rl.simulation import Reading
+
+_MOST = 10.0  # [s]
+_APART = 0.5  # of the distance: so near to a place counts as there
+
+
+class Visited(Sensor):
+    """How long the robot has been at some places around it within the last minute [s], by its odometry.
+
+    The places lie on a circle, counter-clockwise from straight ahead, and one is where the robot is. So a policy
+    without a memory tells the way back from the way on: the idea of node counting (Koenig & Szymanski 1999,
+    "Value-update rules for real-time search").
+
+    Args:
+        count: Of places on the circle.
+        distance: Its radius [m].
+
+    Attributes:
+        around: The places in the robot's frame, x and y [m], shape (count + 1, 2).
+        near: How near to a place counts as there [m].
+    """
+
+    name, unit, low, high = "visited", "s", 0.0, _MOST
+    edges = (1.0, 3.0)
+    remembers = True
+
+    def __init__(self, count: int = 12, distance: float = 1.0) -> None:
+        angles = np.arange(count) * math.tau / count
+        circle = distance * np.column_stack([np.cos(angles), np.sin(angles)])
+        self.around, self.near, self.shape = np.vstack([circle, (0.0, 0.0)]), _APART * distance, (count + 1,)
+
+    def read(self, reading: Reading) -> np.ndarray:
+        if reading.trail is None:
+            return np.zeros((len(reading.odometry), *self.shape))
+        (x, y, yaw), (ahead, left) = reading.odometry.T[:, :, None], self.around.T
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        places = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
+        return reading.trail.seconds_near(places, self.near)
