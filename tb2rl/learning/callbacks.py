@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import FrameType
 from typing import Any
 
@@ -35,14 +35,21 @@ class Evaluate(BaseCallback):
         run: Gets the best policy, and a line for each evaluation.
         evaluator: Drives the episodes.
         settings: How often, what makes one the best, and when one is good enough.
+        evaluated: Is told of each one when it is noted; what it raises ends the training.
 
     Attributes:
         stopped: Whether it stopped the training.
     """
 
-    def __init__(self, run: Run, evaluator: Evaluator | TwinEvaluator, settings: TrainSettings) -> None:
+    def __init__(
+        self,
+        run: Run,
+        evaluator: Evaluator | TwinEvaluator,
+        settings: TrainSettings,
+        evaluated: Callable[[Evaluation], object] | None = None,
+    ) -> None:
         super().__init__()
-        self.run, self.evaluator, self.settings = run, evaluator, settings
+        self.run, self.evaluator, self.settings, self._evaluated = run, evaluator, settings, evaluated
         self.stopped = False
         self._reached = 0  # evaluations in a row
         self._next = settings.eval_freq
@@ -100,6 +107,8 @@ class Evaluate(BaseCallback):
         picture = draw_paths(evaluation.scene, *columns)
         self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)
+        if self._evaluated:
+            self._evaluated(evaluation)
         return evaluation
 
 

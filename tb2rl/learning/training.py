@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import Logger
 
 from tb2rl.envs.encodings import has_images
 from tb2rl.errors import InputError
+from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.evaluator import TRAINING_SEED, Evaluator
 from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning import state
@@ -33,6 +34,7 @@ from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import content_config, load
 from tb2rl.runs.parameters import load_parameters
 from tb2rl.tasks import Task
+from tb2rl.worlds.generators import Purpose
 
 _GO_ON = "raise --total-timesteps to go on"
 _MANY, _FEW = 1000, 20  # episodes of an evaluation: where all drive at once, and where a step takes time
@@ -100,9 +102,17 @@ def train_config(
     progress_bar: bool = False,
     verbose: int = 0,
     began: Callable[[Path], object] | None = None,
+    evaluated: Callable[[Evaluation], object] | None = None,
 ) -> Training:
-    """`train` for a resolved config; `began` is called with the run folder when nothing was refused."""
-    return _train(config, Path(folder), None, progress_bar, verbose, began)
+    """`train` for a resolved config.
+
+    Args:
+        config: What to train.
+        folder, progress_bar, verbose: As in `train`.
+        began: Is called with the run folder when nothing was refused.
+        evaluated: Is called with each evaluation on the way; what it raises ends the training.
+    """
+    return _train(config, Path(folder), None, progress_bar, verbose, began, evaluated)
 
 
 def resume(
@@ -150,6 +160,7 @@ def _train(
     progress_bar: bool,
     verbose: int,
     began: Callable[[Path], object] | None,
+    evaluated: Callable[[Evaluation], object] | None = None,
 ) -> Training:
     settings = config.train
     check_learns(config)
@@ -160,7 +171,7 @@ def _train(
         env = make_vec_env(config)
         resources.callback(env.close)
         algorithm = make_algorithm(config, env)
-        evaluator = _evaluator(config) if settings.eval_freq else None
+        evaluator = make_evaluator(config) if settings.eval_freq else None
         if evaluator:
             resources.callback(evaluator.close)
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
@@ -173,7 +184,7 @@ def _train(
             Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.fastest),
         ]
         if evaluator:
-            evaluation = Evaluate(run, evaluator, settings)
+            evaluation = Evaluate(run, evaluator, settings, evaluated)
             remembering.append(evaluation)
         if settings.episodes:
             remembering.append(StopAfterEpisodes(settings.episodes))
@@ -215,10 +226,19 @@ def stopped_early(config: Config, timesteps: int) -> str:
     )
 
 
-def _evaluator(config: Config) -> Evaluator | TwinEvaluator:
-    """What says which policy of a training is the best: in worlds that it is not trained in, if they are generated."""
-    settings, scene = config.train, config.scene.worlds_for("validation")
-    episodes, conditions = settings.eval_episodes, (settings.eval_steps, TRAINING_SEED)
+def make_evaluator(
+    config: Config, purpose: Purpose = "validation", seed: int = TRAINING_SEED
+) -> Evaluator | TwinEvaluator:
+    """What drives evaluations as a training's settings say.
+
+    Args:
+        config: Of the training.
+        purpose: What the worlds are for, if they are generated. In those for validation it says which policy of a
+            training is the best.
+        seed: Of the start poses and of all noise.
+    """
+    settings, scene = config.train, config.scene.worlds_for(purpose)
+    episodes, conditions = settings.eval_episodes, (settings.eval_steps, seed)
     if settings.eval_simulation == "kinematic":
         many = _FEW if has_images(scene.observation_space) else _MANY
         try:

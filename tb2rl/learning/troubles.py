@@ -11,12 +11,12 @@ from pathlib import Path
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, UnwritableError
 from tb2rl.runs.algorithm import refusal
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.folder import Run
 
-_DISK_TROUBLES = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
+DISK_TROUBLES = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 _LIBRARIES = {"stable_baselines3", "sb3_contrib", "torch", "numpy"}
 
 
@@ -30,9 +30,9 @@ def machine_troubles_named(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _DISK_TROUBLES:
+        if error.errno not in DISK_TROUBLES:
             raise
-        raise InputError(f"cannot write into {folder}: {error.strerror}; its last checkpoint stands") from None
+        raise UnwritableError(f"cannot write into {folder}: {error.strerror}; its last checkpoint stands") from None
     except MemoryError:
         raise InputError(
             "not enough memory: take fewer train.n_envs or task.beams, or a smaller agent.buffer_size, n_steps, "

@@ -138,7 +138,7 @@ def test_evaluations_drive_where_they_are_told_to(simulation, small, tmp_path):
 def test_evaluations_are_fewer_where_a_step_takes_time(settings, episodes):
     dotted = {f"task.{key}" if key == "observe" else f"train.{key}": value for key, value in settings.items()}
     config = resolve("stable_baselines3:PPO", settings=dotted | {"train.eval_steps": 2})
-    with training._evaluator(config) as evaluator:
+    with training.make_evaluator(config) as evaluator:
         algorithm = make_algorithm(config, Spaces.vectorised(config))
         assert len(evaluator.run(algorithm.policy).episodes) == episodes
 
