@@ -1,0 +1,107 @@
+"""What `export` does, see `tb2rl.export`: policies as ONNX files and as folders for robots."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from tb2rl.drivers.description import describe, needs_of
+from tb2rl.drivers.folder import write_folder
+from tb2rl.drivers.network import OBSERVATION, in_a_row, network_of, parts_of
+from tb2rl.drivers.portable.network import Network
+from tb2rl.envs.encodings import has_images, stacked
+from tb2rl.errors import InputError
+from tb2rl.files import replacing
+from tb2rl.registry import agent_names, find_agent
+from tb2rl.runs.loading import config_of, load
+
+_STATES, _IMAGES = 100, 4  # that a policy is tried with; onnx's own evaluator is slow
+_NEAR, _APART = 1e-4, 0.05  # actions as near as that are alike; a share of them may be unlike, by rounding
+
+
+def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
+    """Write a policy as an ONNX file, see `tb2rl.drivers.graph`.
+
+    Raises:
+        InputError: If there is no such policy, it cannot be exported, or onnx is not installed.
+        OSError: If the file cannot be written.
+    """
+    if not file.absolute().parent.is_dir() or file.is_dir():
+        raise InputError(f"cannot write {file}: it is a folder, or its folder does not exist")
+    try:
+        from onnx.reference import ReferenceEvaluator
+
+        from tb2rl.drivers.graph import graph_of
+    except ImportError:
+        raise InputError("an .onnx file needs onnx, which is not installed: pip install onnx") from None
+    policy = _loaded(reference, trust)
+    config, parts = config_of(policy), parts_of(policy.observation_space)
+    told = {"control_period": config.task.control_period, "beams": config.scene.laser.angles.tolist()}
+    about = {**describe(config, str(reference)), **told, "config": config.to_dict()}
+    model = graph_of(network_of(policy), parts, config.scene.actions, about)
+    graph: Any = ReferenceEvaluator(model)
+    memory = {given.name: given.type.tensor_type.shape.dim[2].dim_value for given in model.graph.input[len(parts) :]}
+
+    def act(observations: Mapping[str, np.ndarray]) -> np.ndarray:
+        robots = len(next(iter(observations.values())))
+        empty = {name: np.zeros((1, robots, units), np.float32) for name, units in memory.items()}
+        return graph.run(["action"], {**observations, **empty})[0]
+
+    _check_acts_the_same(act, policy)
+    with replacing(file) as temporary:
+        temporary.write_bytes(model.SerializeToString())
+
+
+def export_folder(reference: str | Path, folder: Path, trust: bool = False) -> None:
+    """Write a policy as a folder for a robot, see `tb2rl.drivers.folder`.
+
+    Raises:
+        InputError: If there is no such policy, or it cannot be exported.
+        OSError: If the folder cannot be written.
+    """
+    policy = _loaded(reference, trust)
+    config = config_of(policy)
+    needs, network = needs_of(policy, config), network_of(policy)
+    runner = Network([(layer.kind, layer.arrays) for layer in in_a_row(network)])
+    _check_acts_the_same(lambda observations: runner(observations[OBSERVATION]), policy)
+    write_folder(folder, network, describe(config, str(reference)), needs)
+
+
+def _loaded(reference: str | Path, trust: bool) -> BaseAlgorithm:
+    name = str(reference)
+    if name in agent_names() and not Path(name).exists():
+        hint = "export a run folder of it" if find_agent(name).algorithm else "it does not learn, so it has no policy"
+        raise InputError(f"{name} is the name of an agent: {hint}")
+    return load(reference, trust)
+
+
+def _check_acts_the_same(act: Callable[[Mapping[str, np.ndarray]], np.ndarray], policy: BaseAlgorithm) -> None:
+    """Hold what is exported against the policy: its class may be a user's own, which does more than its layers say.
+
+    Raises:
+        InputError: If it acts otherwise.
+    """
+    space = policy.observation_space
+    space.seed(0)
+    observations = stacked([space.sample() for _ in range(_IMAGES if has_images(space) else _STATES)])
+    expected, _ = policy.predict(observations, deterministic=True)
+    got = act(observations if isinstance(observations, dict) else {OBSERVATION: observations})
+    if np.mean(np.abs(got - expected) > _NEAR) > _APART:
+        kind = type(policy.policy).__name__
+        raise InputError(f"the layers of {kind} do not act as it does: it computes what cannot be exported")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Export a policy."""
+    target: Path = options.target
+    if target.suffix == ".onnx":
+        export_onnx(options.policy, target, options.trust)
+        print(f"wrote {target}")
+    else:
+        export_folder(options.policy, target, options.trust)
+        print(f"wrote {target}; its README.md says how it drives a robot")

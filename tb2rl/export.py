@@ -1,0 +1,38 @@
+"""A policy for a robot: an ONNX file, or a folder for numpy alone.
+
+    python -m tb2rl.export zoo:drive-loop-ppo policy.onnx
+    python -m tb2rl.export zoo:drive-loop-ppo robot
+
+The file, for which the extra `export` is installed, begins at the observation, as `predict` takes it; the folder begins
+at the robot's own scans, odometry, bumper and goal. Both act as the policy does, greedily: without exploration.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tb2rl.errors import ArgumentParser, command
+from tb2rl.policy_arguments import add_trust
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """The command line."""
+    parser = ArgumentParser(prog="python -m tb2rl.export", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("policy", help="run folder, checkpoint in it, zoo:NAME, or hf:USER/REPOSITORY")
+    add_trust(parser)
+    parser.add_argument("target", type=Path, help="a file that ends in .onnx, or the folder to make")
+    return parser.parse_args(arguments)
+
+
+@command
+def main(arguments: list[str] | None = None) -> None:
+    """Export a policy."""
+    options = parse(arguments)
+    from tb2rl.commands.export import run  # only now: it imports what takes seconds
+
+    run(options)
+
+
+if __name__ == "__main__":
+    main()
