@@ -18,6 +18,10 @@ class InputError(ValueError):
     """Foreign input that does not fit: the message is one line and names what is allowed."""
 
 
+class UnwritableError(InputError):
+    """The disk is full, or a folder cannot be written: nothing that other settings would mend."""
+
+
 class WorldWarning(UserWarning):
     """What a reader of a world left out or chose by itself; a command shows it as one line."""
 

@@ -15,12 +15,13 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Gt, Le
 
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
-from tb2rl.envs.worlds import absolute_worlds
+from tb2rl.envs.worlds import absolute_worlds, files_named
 from tb2rl.errors import InputError
 from tb2rl.registry import find_agent, find_task
 from tb2rl.runs.arguments import agent_for, check_arguments
 from tb2rl.runs.plain import check_plain, check_sections, plain
 from tb2rl.tasks import Task
+from tb2rl.trust import check_file
 from tb2rl.values import Count, CountOrZero, Fraction, build
 
 
@@ -115,6 +116,8 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     if agent.only and observation != agent.observation:
         raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
     task = build(find_task(task_name), sections["task"], "task")
+    for file in files_named(task.world):
+        check_file(file)
     task = dataclasses.replace(task, world=absolute_worlds(task.world))  # the run is loaded from other folders, too
     scene = make_scene(task, observation)  # says what of the task does not fit together
     arguments = check_arguments(agent_for(agent_name, scene.observation_space), sections["agent"])

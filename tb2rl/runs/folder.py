@@ -1,7 +1,7 @@
 """The run folder: everything about one training.
 
     runs/<task>/<agent>/<name>/
-        config.yaml         the resolved config, and the versions of what trained it
+        config.yaml         the resolved config, and the versions of what trained it; config.json, if it was shared
         checkpoints/        step-<timesteps>, the last few: policy, and all that `--resume` needs
         best/policy         the best in an evaluation while training
         final/policy        the last
@@ -20,7 +20,7 @@ import os
 import platform
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -30,12 +30,14 @@ import yaml
 from filelock import FileLock, Timeout
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.errors import InputError, UnwritableError, one_line
 from tb2rl.files import read_text, read_yaml, write_text
 from tb2rl.runs.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.normalisation import statistics_of
+from tb2rl.trust import distrusting, nothing_from
 
+CONFIG, SHARED = "config.yaml", "config.json"  # the second is that of a run folder which somebody shared
 EVALUATIONS = "evaluations.jsonl"
 EVALUATION, PATHS = "evaluation.json", f"episodes{SUFFIX}"  # files of the standard evaluation
 _SUITE = "suite-{}.json"
@@ -66,25 +68,28 @@ class Run:
                 folder.rmdir()  # it is empty; Windows replaces no folder
             staging.replace(folder)
         except OSError as error:
-            raise InputError(f"cannot write the run folder {folder}: {error.strerror}") from None
+            raise UnwritableError(f"cannot write the run folder {folder}: {error.strerror}") from None
         finally:
             shutil.rmtree(staging, ignore_errors=True)
         return cls(folder, config)
 
     @classmethod
-    def open(cls, folder: Path) -> Run:
+    def open(cls, folder: Path, trust: bool = False) -> Run:
         """The run of an existing folder.
+
+        Args:
+            folder: The folder.
+            trust: Whether to import whatever the config names, if somebody shared it.
 
         Raises:
             InputError: If it is not a run folder, or its config does not fit.
         """
-        if not (folder / "config.yaml").is_file():
-            raise InputError(f"{folder} is not a run folder: it has no config.yaml")
-        tree = read_yaml(folder / "config.yaml")
+        tree = read_config(folder)
         try:
-            return cls(folder, config_from({key: value for key, value in tree.items() if key != "versions"}))
-        except (AttributeError, InputError) as error:
-            raise InputError(f"{folder / 'config.yaml'} is not a run's config: {error}") from None
+            with imports_limited(folder, trust):
+                return cls(folder, config_from({key: value for key, value in tree.items() if key != "versions"}))
+        except InputError as error:
+            raise InputError(f"{config_file(folder)} is not a run's config: {error}") from None
 
     def write_config(self) -> None:
         """Write the config, and the versions of what trains it.
@@ -94,7 +99,7 @@ class Run:
         """
         text = yaml.safe_dump({**self.config.to_dict(), "versions": versions()}, sort_keys=False)
         with _writing(f"the run folder {self.folder}"):
-            write_text(self.folder / "config.yaml", text)
+            write_text(self.folder / CONFIG, text)
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -211,9 +216,54 @@ class Run:
             raise InputError(f"{self.folder} has no standard evaluation: run `python -m tb2rl.evaluate {self.folder}`")
         file = self.folder / EVALUATION
         try:
-            return dict(json.loads(read_text(file))), read_checkpoint(self.folder / PATHS)
-        except (TypeError, ValueError, RecursionError) as error:
+            return dict(_read_json(file)), read_checkpoint(self.folder / PATHS)
+        except (TypeError, ValueError) as error:
             raise InputError(one_line(f"{file} is not an evaluation: {error}")) from None
+
+
+def config_file(folder: Path) -> Path:
+    """The file with the config of a run, whether it is there or not."""
+    return folder / (SHARED if is_shared(folder) else CONFIG)
+
+
+def is_shared(folder: Path) -> bool:
+    """Whether a folder is a run that somebody shared, as on the hub."""
+    return (folder / SHARED).is_file()
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """The config of a run and the versions of what trained it, plain values that nobody has checked.
+
+    Raises:
+        InputError: If it is not a run folder.
+    """
+    file = config_file(folder)
+    if not file.is_file():
+        raise InputError(f"{folder} is not a run folder: it has no {CONFIG}")
+    tree = _read_json(file) if file.name == SHARED else read_yaml(file)
+    if not isinstance(tree, dict):
+        raise InputError(one_line(f"{file} is not a run's config: expected a mapping, got {tree!r}"))
+    return tree
+
+
+def _read_json(file: Path) -> Any:
+    try:
+        return json.loads(read_text(file))
+    except (ValueError, RecursionError) as error:  # an InputError is a ValueError
+        raise InputError(one_line(f"{file} is not JSON: {error}")) from None
+
+
+@contextmanager
+def imports_limited(folder: Path | None, trust: bool) -> Iterator[None]:
+    """Read the config of a run: nothing in its folder is imported, nor what a stranger names, see `tb2rl.trust`.
+
+    Args:
+        folder: Of the run; None: a config from elsewhere, which has no such limits.
+        trust: Whether to import what a stranger names.
+    """
+    limited = folder is not None and is_shared(folder) and not trust
+    with nothing_from(folder) if folder else nullcontext(), distrusting(str(folder)) if limited else nullcontext():
+        yield
 
 
 def suite_files(folder: Path) -> list[Path]:
@@ -226,7 +276,7 @@ def _writing(what: object) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"cannot write {what}: {error.strerror or error}") from None
+        raise UnwritableError(f"cannot write {what}: {error.strerror or error}") from None
 
 
 def versions() -> dict[str, str]:

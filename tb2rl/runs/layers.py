@@ -64,6 +64,26 @@ def resolve(
     return config_from(tree)
 
 
+def as_preset(
+    agent: str | None = None,
+    task: str | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The tree of one preset that stands for these arguments of `resolve`, which makes the same config of it.
+
+    Raises:
+        InputError: If the preset or a setting cannot be read; what they say is checked by `resolve`.
+    """
+    tree: dict[str, Any] = {"agent": {}, "task": {}, "train": {}}
+    chosen, single = _preset(preset) if preset else {}, _nest(settings or {})
+    for layer in (chosen, single):
+        _merge(tree, layer)
+    tree["agent"]["name"] = agent or _first("name", single, chosen, "agent") or DEFAULT_AGENT
+    tree["task"]["name"] = task or _first("name", single, chosen, "task") or DEFAULT_TASK
+    return tree
+
+
 def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
     """Settings as the command line has them: "agent.gamma=0.9" to {"agent.gamma": 0.9}, values read as YAML.
 

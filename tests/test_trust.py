@@ -1,0 +1,163 @@
+"""Configs name modules: nothing is imported from a run folder, and of a stranger's config only what everybody has."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from importlib import import_module
+
+import pytest
+
+from tb2rl.envs.worlds import files_named
+from tb2rl.errors import InputError
+from tb2rl.files import top_folder
+from tb2rl.learning.training import resume
+from tb2rl.registry import find_task, import_object
+from tb2rl.runs.loading import load
+from tb2rl.trust import distrusting, nothing_from
+
+TASK = """
+from pathlib import Path
+
+from tb2rl.tasks.wander import Wander
+
+Path(__file__).with_name("executed").touch()
+
+class Mine(Wander):
+    pass
+"""
+
+
+@pytest.fixture
+def own(monkeypatch):
+    """A function that has Python look for modules in a folder, and forgets afterwards what it found there."""
+    known = set(sys.modules)
+    yield lambda folder: monkeypatch.syspath_prepend(str(folder))
+    for name in set(sys.modules) - known:
+        if name.split(".")[0] in ("evil", "run", "mine"):
+            del sys.modules[name]
+
+
+def edited_run(folder, task: str):
+    """A copy of a policy of the zoo, whose config names another task, with a module that has such a task."""
+    run = shutil.copytree(top_folder("zoo") / "maze-loop-qlearn", folder / "run")
+    config = run / "config.yaml"
+    config.write_text(config.read_text().replace("  name: maze\n", f"  name: {task}\n"))
+    (run / "evil.py").write_text(TASK)
+    return run
+
+
+@pytest.mark.parametrize("inside", ["", "best"])
+def test_a_module_in_a_run_folder_is_not_imported_even_where_python_looks_there(inside, own, tmp_path):
+    run = edited_run(tmp_path, "evil:Mine")
+    own((run / "evil.py").rename(run / inside / "evil.py").parent)
+    for attempt in (load, resume):
+        with pytest.raises(InputError, match=r"'evil' lies in .*run, and nothing is imported from a run folder"):
+            attempt(run)
+    assert "evil" not in sys.modules
+    assert not list(run.rglob("executed"))
+
+
+def test_nor_by_a_name_that_leads_into_it_from_outside(own, tmp_path, monkeypatch):
+    run = edited_run(tmp_path, "run.evil:Mine")
+    own(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"'run\.evil' lies in"):
+        load("run")
+    assert not (run / "executed").exists()
+
+
+def test_nor_by_what_another_module_imports(own, tmp_path):
+    run = edited_run(tmp_path, "mine:Mine")
+    (tmp_path / "mine.py").write_text("from evil import Mine\n")
+    own(run)
+    own(tmp_path)
+    with pytest.raises(InputError, match="'evil' lies in"):
+        load(run)
+    assert not (run / "executed").exists()
+
+
+def test_a_module_beside_a_run_folder_is_imported_as_ever(own, tmp_path):
+    edited_run(tmp_path, "mine:Mine")
+    (tmp_path / "mine.py").write_text(TASK)
+    own(tmp_path)
+    with nothing_from(tmp_path / "run"):
+        assert find_task("mine:Mine").__name__ == "Mine"
+    assert (tmp_path / "executed").exists()
+
+
+KNOWN = [
+    "tb2rl.tasks.wander:Wander",
+    "tb2rl.agents.qlearn:QLearning",
+    "stable_baselines3:PPO",
+    "sb3_contrib:TQC",
+    "torch.nn:ReLU",
+]
+STRANGE = [
+    "os:system",
+    "builtins:eval",
+    "__main__:Mine",
+    "pickle:loads",
+    "evil:Mine",
+    "torches:X",
+    "tb2rl:X",
+    "tb2rl.evil:Mine",  # whatever lies in the folder around a checkout
+    "tb2rl.zoo.sharing:push",
+    "x" * 10_000 + ":X",
+    "",
+]
+
+
+@pytest.mark.parametrize("reference", KNOWN)
+def test_a_stranger_may_name_what_everybody_has(reference):
+    if reference.startswith("sb3_contrib"):
+        pytest.importorskip("sb3_contrib")
+    with distrusting("ada"):
+        assert import_object(reference).__name__ == reference.partition(":")[2]
+
+
+@pytest.mark.parametrize("reference", STRANGE, ids=lambda reference: reference[:20])
+def test_a_stranger_may_name_nothing_else_and_the_message_says_what(reference, own, tmp_path):
+    (tmp_path / "evil.py").write_text(TASK)
+    own(tmp_path)
+    with distrusting("ada"), pytest.raises(InputError) as refused:
+        import_object(reference)
+    message = str(refused.value)
+    assert message.startswith("ada names the module ")
+    assert reference.partition(":")[0][:50] in message
+    assert message.endswith("say so with trust=True, or --trust")
+    assert len(message) < 400
+    assert not (tmp_path / "executed").exists()
+
+
+def test_the_first_stranger_is_named_and_after_the_block_there_is_none(own, tmp_path):
+    (tmp_path / "evil.py").write_text(TASK)
+    own(tmp_path)
+    with distrusting("ada"), distrusting("bob"), pytest.raises(InputError, match=r"^ada names"):
+        import_object("evil:Mine")
+    assert import_object("evil:Mine") is import_module("evil").Mine
+
+
+def test_a_plugin_that_somebody_installed_is_theirs(write_package):
+    write_package("[tb2rl.tasks]\nmine = mine:Mine\n", mine=TASK)
+    with distrusting("ada"):
+        assert find_task("mine") is find_task("mine:Mine")
+
+
+@pytest.mark.parametrize(
+    ("setting", "named"),
+    [
+        ("loop", []),
+        ("mixed", []),
+        ({"generator": "clutter", "count": 3}, []),
+        (["loop", "circuit"], []),
+        ({"file": "loop", "start": [0, 0, 0]}, []),
+        ("mine:WORLD", []),
+        ("hall.yaml", ["hall.yaml"]),
+        ("mine:read:/etc/passwd", ["/etc/passwd"]),
+        (["loop", "../x"], ["../x"]),
+        ({"file": "a/b.sdf", "model_path": ["/models"]}, ["a/b.sdf", "/models"]),
+    ],
+)
+def test_which_files_of_this_machine_a_world_names(setting, named):
+    assert list(files_named(setting)) == named
