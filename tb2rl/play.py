@@ -4,9 +4,11 @@
     python -m tb2rl.play zoo:maze-loop-ppo --video drive.mp4 --camera chase
     python -m tb2rl.play --agent wallfollower --set task.world=circuit
     python -m tb2rl.play --agent pursuit --task navigate --goal 3,2 --set task.world=my_map.yaml
+    python -m tb2rl.play zoo:maze-loop-ppo --bag drive.bag
     python -m tb2rl.play --teleop --task wall
 
 The window, PyBullet's, shows the drive as fast as it would happen. Without a display there is a film instead.
+`--bag` records the drive for the tools of ROS, and for `tb2rl.report`: the same seed is the same drive as in a film.
 """
 
 from __future__ import annotations
@@ -28,6 +30,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, help="control steps at most in an episode (300, a minute)")
     parser.add_argument("--seed", type=int, default=0, help="of the first start pose")
     parser.add_argument("--video", type=Path, metavar="FILE", help="write a film, .mp4 or .gif, instead of a window")
+    parser.add_argument(
+        "--bag", type=Path, metavar="PATH", help="write a bag instead: a file .bag for ROS 1, else a folder for ROS 2"
+    )
     parser.add_argument("--camera", default="above", help="where it is seen from: above (default), chase")
     parser.add_argument("--speed", type=float, default=1.0, help="times as fast as it happens (1)")
     return parser.parse_args(arguments)

@@ -67,6 +67,16 @@ def test_an_episode_that_failed_is_told_by_its_ending(alone, capsys):
     assert capsys.readouterr().out.startswith("episode 1: out of bounds after ")
 
 
+@pytest.mark.parametrize(("name", "bags"), [("it.bag", ["it-1.bag", "it-2.bag"]), ("it", ["it-1", "it-2"])])
+def test_each_episode_is_a_bag_of_its_own(name, bags, alone, run, capsys):
+    pytest.importorskip("rosbags")
+    play.main([str(run), "--steps", "2", "--episodes", "2", "--bag", name])
+    *told, first, second = capsys.readouterr().out.splitlines()
+    assert [line.split(" after")[0] for line in told] == ["episode 1: time limit", "episode 2: time limit"]
+    assert [line.split(" (")[0] for line in (first, second)] == [f"wrote {bag}" for bag in bags]
+    assert sorted(file.name for file in alone.iterdir()) == bags
+
+
 @pytest.mark.parametrize(
     ("line", "named"),
     [
@@ -99,13 +109,20 @@ def test_an_episode_that_failed_is_told_by_its_ending(alone, capsys):
         ("--agent random --video it", [".mp4 or .gif", "'it'"]),
         ("--agent random --video missing/it.mp4", ["missing/it.mp4", "folder"]),
         ("--agent random --video folder.mp4", ["folder.mp4", "folder"]),
+        ("--agent random --bag it.mcap", [".bag", "folder", "it.mcap"]),
+        ("--agent random --bag missing/it", ["missing/it", "folder"]),
+        ("--agent random --bag folder.bag", ["folder.bag", "exists already"]),
+        ("--agent random --bag it.bag --episodes 0", ["episodes", "at least 1"]),
+        ("--agent random --bag it --video it.mp4", ["--video", "--bag", "--seed"]),
         ("--teleop --video it.mp4", ["--video", "--teleop"]),
+        ("--teleop --bag it", ["--bag", "--teleop"]),
         ("--teleop --task wal", ["did you mean 'wall'"]),
         ("--teleop", ["terminal"]),
     ],
 )
 def test_play_says_what_is_wrong(line, named, alone, run, capsys):
     (alone / "folder.mp4").mkdir()
+    (alone / "folder.bag").mkdir()
     before = sorted(alone.rglob("*"))
     with pytest.raises(SystemExit) as stopped:
         play.main(shlex.split(line.replace("RUN", str(run))))

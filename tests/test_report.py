@@ -107,6 +107,32 @@ def test_a_result_that_is_broken_is_refused_before_any_work(content, run, tmp_pa
     assert not (broken.parent / "report.html").exists()
 
 
+# ---- bags
+
+
+@pytest.fixture(scope="module")
+def bag(run, tmp_path_factory) -> Path:
+    """A drive of a few steps."""
+    pytest.importorskip("rosbags")
+    path = tmp_path_factory.mktemp("bags") / "drive.bag"
+    import_module("tb2rl.play").main([str(run), "--steps", "3", "--bag", str(path)])
+    return path
+
+
+def test_a_bag_has_a_page_of_its_own_in_the_world_that_is_named(bag, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hall.txt").write_text("#######\n#.S...#\n#######\n")
+    report.main([str(bag), "--world", "{file: hall.txt}", "--topics", "odom=/ground_truth"])
+    assert "report.html: 1 drive, " in capsys.readouterr().out
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert [part for part in ("<title>drive.bag</title>", "in hall", "odom: /ground_truth") if part not in page] == []
+
+
+def test_a_bag_can_stand_on_the_page_of_a_run(run, bag, tmp_path, capsys):
+    report.main([str(run), str(bag), "--out", str(tmp_path / "it.html")])
+    assert "it.html: 1 run, 1 drive, " in capsys.readouterr().out
+
+
 # ---- what is refused
 
 
@@ -126,6 +152,7 @@ def assert_refused(arguments: list[object], named: list[str], capsys) -> None:
         (".", ["neither a run folder nor a folder of them"]),
         ("file", ["file is not the result of a suite"]),
         ("zoo:missing", ["unknown zoo policy", "maze-loop-qlearn"]),
+        ("missing.bag", ["there is no bag missing.bag"]),
     ],
 )
 def test_what_is_not_a_run_is_refused(reference, named, tmp_path, monkeypatch, capsys):
@@ -133,6 +160,29 @@ def test_what_is_not_a_run_is_refused(reference, named, tmp_path, monkeypatch, c
     (tmp_path / "file").touch()
     assert_refused([reference], named, capsys)
     assert [file.name for file in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (["--world", "lop"], ["unknown world 'lop'", "did you mean 'loop'"]),
+        (["--world", "[loop, circuit]"], ["--world takes one world, got 2"]),
+        (["--world", "1"], ["--world", "must be a name"]),
+        (["--world", "[1"], ["--world is not YAML"]),
+        (["--topics", "odometry=/odom"], ["unknown kind of topic 'odometry'", "odom"]),
+        (["--topics", "/odom"], ["KIND=NAME", "/odom"]),
+        (["--topics", "scan=/odom"], ["no topic /odom of type sensor_msgs", "/kobuki/laser/scan"]),
+    ],
+)
+def test_what_does_not_fit_a_bag_is_refused(more, named, bag, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert_refused([bag, *more], named, capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_said_of_bags_wants_a_bag(run, capsys):
+    for more in (["--world", "loop"], ["--topics", "odom=/odom"]):
+        assert_refused([run, *more], ["--topics and --world are for bags"], capsys)
 
 
 @pytest.mark.parametrize("out", ["missing/it.html", "."])

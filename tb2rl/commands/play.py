@@ -16,10 +16,12 @@ from tb2rl.judging.progress import say
 from tb2rl.judging.rollout import Moment, Policy
 from tb2rl.runs.checkpoint import SUFFIX
 from tb2rl.runs.config import Config
+from tb2rl.runs.hub import HUB
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.showing.cameras import CAMERAS
 from tb2rl.showing.film import STEPS, check_film, check_numbers, drives, film, open_env
 from tb2rl.showing.keyboard import Teleop
+from tb2rl.showing.recording import record
 from tb2rl.showing.terminal import steer_in_terminal
 from tb2rl.showing.window import Window, has_display, watch
 from tb2rl.simulation import judging_simulation
@@ -37,7 +39,9 @@ def run(options: argparse.Namespace) -> None:
     policy, config = chosen_policy(options)
     if options.goal is not None:
         config = config.with_task(_to_goal(config, options))
-    if options.video or not has_display():
+    if options.bag:
+        _record(policy, config, options)
+    elif options.video or not has_display():
         _film(policy, config, options)
     else:
         _show(policy, config, options)
@@ -46,11 +50,15 @@ def run(options: argparse.Namespace) -> None:
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` where options do not go together, or do not fit."""
     if [options.policy is not None, options.agent is not None, options.teleop].count(True) != 1:
-        raise InputError("name either a policy (a run folder, a checkpoint, zoo:NAME), or an --agent, or --teleop")
+        raise InputError(
+            "name either a policy (a run folder, a checkpoint, zoo:NAME, hf:USER/REPOSITORY), an --agent, or --teleop"
+        )
     if options.policy and options.task:
         raise InputError("--task goes with --agent and --teleop; a policy keeps the task that it was trained at")
-    if options.teleop and options.video:
-        raise InputError("--video films a policy; --teleop shows what you drive in the terminal")
+    if options.teleop and (options.video or options.bag):
+        raise InputError("--video and --bag show a policy; --teleop shows what you drive in the terminal")
+    if options.video and options.bag:
+        raise InputError("take --video and --bag one after the other: with the same --seed it is the same drive")
     if options.camera not in CAMERAS:
         raise unknown("--camera", options.camera, CAMERAS)
     check_numbers(options.episodes, options.steps, options.seed, options.speed)
@@ -83,16 +91,40 @@ def _film(policy: Policy, config: Config, options: argparse.Namespace) -> None:
         listener=_teller(config.scene),
         progress=True,
     )
+    _tell_of_twin()
+    _tell_of_file(path, path.stat().st_size)
+
+
+def _record(policy: Policy, config: Config, options: argparse.Namespace) -> None:
+    bags = record(
+        policy,
+        options.bag,
+        config,
+        episodes=options.episodes,
+        steps=options.steps,
+        seed=options.seed,
+        listener=_teller(config.scene),
+        progress=True,
+    )
+    _tell_of_twin()
+    for bag in bags:
+        _tell_of_file(bag, sum(file.stat().st_size for file in [bag, *bag.glob("*")] if file.is_file()))
+
+
+def _tell_of_twin() -> None:
     if judging_simulation() != "bullet":
         print("driven in the fast twin, since PyBullet is not installed")
-    print(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+
+
+def _tell_of_file(path: Path, size: int) -> None:
+    print(f"wrote {path} ({size / 1e6:.1f} MB)")
 
 
 def _film_name(options: argparse.Namespace) -> str:
     """What a film is called after its policy."""
     if options.agent is not None:
         return options.agent.replace(":", ".")
-    return Path(options.policy.removeprefix("zoo:")).resolve().name.removesuffix(SUFFIX)
+    return Path(options.policy.removeprefix("zoo:").removeprefix(HUB)).resolve().name.removesuffix(SUFFIX)
 
 
 def _show(policy: Policy, config: Config, options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""What `report` does, see `tb2rl.report`: reads runs and results of suites, writes the page."""
+"""What `report` does, see `tb2rl.report`: reads runs, results of suites and bags, writes the page."""
 
 from __future__ import annotations
 
@@ -6,31 +6,54 @@ import argparse
 import os
 from pathlib import Path
 
+from tb2rl.bags.reading import is_bag, read_drive
+from tb2rl.bags.topics import parse_topics
+from tb2rl.envs.worlds import find_worlds
 from tb2rl.errors import InputError
-from tb2rl.files import write_text
+from tb2rl.files import parse_yaml, write_text
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.suite_result import kept_result
+from tb2rl.showing.drives import DriveSection, drive_section
 from tb2rl.showing.groups import grouped
 from tb2rl.showing.page import page
 from tb2rl.showing.subjects import names_of, read_subject, run_folders
 from tb2rl.showing.suites import result_files, suite_section
+from tb2rl.values import Worlds, checked
 
 
 def run(options: argparse.Namespace) -> None:
-    """Read the runs and the results of suites, write the page, say where it is."""
-    files = [reference for reference in options.runs if Path(reference).is_file()]
-    folders = run_folders([reference for reference in options.runs if reference not in files])
+    """Read the runs, the results of suites and the bags, write the page, say where it is."""
+    bags = [reference for reference in options.runs if is_bag(Path(reference))]
+    files = [reference for reference in options.runs if reference not in bags and Path(reference).is_file()]
+    folders = run_folders([reference for reference in options.runs if reference not in [*bags, *files]])
     out = _page_file(options)
+    drives = _drives(options, [Path(bag) for bag in dict.fromkeys(bags)])
     results = [(file, kept_result(file)) for file in result_files(map(Path, files), folders)]
     named = list(zip(folders, names_of(folders), strict=True))
-    subjects = [read_subject(folder, name, progress=True) for folder, name in progress_bar(named, "reading", "run")]
+    bar = progress_bar(named, "reading", "run")
+    subjects = [read_subject(folder, name, progress=True, trust=options.trust) for folder, name in bar]
     groups = grouped(subjects)
-    text = page(groups, [suite_section(file, result, progress=True) for file, result in results], progress=True)
+    suites = [suite_section(file, result, progress=True) for file, result in results]
+    text = page(groups, suites, drives, progress=True)
     try:
         write_text(out, text)
     except OSError as error:
         raise InputError(f"cannot write {out}: {error.strerror}") from None
-    print(f"{out}: {_counted(run=len(folders), suite=len(results))}, {len(text.encode()) / 1e6:.1f} MB")
+    print(
+        f"{out}: {_counted(run=len(folders), suite=len(results), drive=len(drives))}, {len(text.encode()) / 1e6:.1f} MB"
+    )
+
+
+def _drives(options: argparse.Namespace, bags: list[Path]) -> list[DriveSection]:
+    """What the page says of bags."""
+    topics = parse_topics(options.topics)
+    if (topics or options.world) and not bags:
+        raise InputError("--topics and --world are for bags, and none is named")
+    worlds = find_worlds(checked(Worlds, parse_yaml(options.world, "--world"), "--world")) if options.world else ()
+    if len(worlds) > 1:
+        raise InputError(f"--world takes one world, got {len(worlds)}")
+    world = worlds[0] if worlds else None
+    return [drive_section(read_drive(bag, topics), world) for bag in progress_bar(bags, "reading", "bag")]
 
 
 def _counted(**things: int) -> str:

@@ -33,7 +33,7 @@ _DOTS = 120  # [1/in] of what is drawn as pixels: thousands of path segments wou
 _FEW = 30  # points that are marked one by one
 _WORLDS, _COLUMNS = 12, 3  # that a picture shows of many, and how many of them stand beside each other
 _CELL, _CELLS = 0.1, 150  # [m] side of a cell of the heat map, and how many stand beside each other at most
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "tb2rl",  # the same chart gives the same file
     "font.size": 9.0,
@@ -47,7 +47,7 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def draw_curves(families: Sequence[Family], label: str, rate: bool) -> Markup:
     """Learning curves: of several seeds thin lines, their mean and its interval; `rate` for values from 0 to 1."""
     figure = Figure(figsize=(WIDTH, 0.62 * WIDTH), layout="constrained")
@@ -60,7 +60,7 @@ def draw_curves(families: Sequence[Family], label: str, rate: bool) -> Markup:
     if rate:
         axes.set_ylim(-0.03, 1.03)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
-    return _svg(figure)
+    return svg(figure)
 
 
 def _draw_family(axes: Axes, family: Family, number: int) -> None:
@@ -74,7 +74,7 @@ def _draw_family(axes: Axes, family: Family, number: int) -> None:
     axes.plot(mean.steps, mean.values, color=colour, linewidth=1.8, marker=marker, gid=f"mean-{number}")
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def draw_ways(evaluation: Evaluation) -> Markup:
     """The paths of episodes in their worlds, a dot at each start and a cross at the end of each that failed.
 
@@ -83,21 +83,21 @@ def draw_ways(evaluation: Evaluation) -> Markup:
     Each world has a picture of its own; where there are many, see `shown_worlds`.
     """
     scene, together = evaluation.scene, shown_worlds(evaluation)
-    figure, each = _world_figure([scene.setup.worlds[world] for world in together])
+    figure, each = world_figure([scene.setup.worlds[world] for world in together])
     for axes, (world, episodes) in zip(each, together.items(), strict=True):
         paths, own = [episode.path for episode in episodes], f"-{world}" * (len(together) > 1)
         axes.add_collection(LineCollection(paths, colors=PATH, linewidths=0.6, alpha=0.3, rasterized=True))
-        _mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
+        mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
         for group in scene.setup.movers_in(world):
             axes.plot(*np.reshape(group.route, (-1, 2)).T, color=MOVER, linewidth=1.2, alpha=0.3)
         met = (MOVER_CRASH, STOOD)
         run_into = [episode.path[-1] for episode in episodes if episode.ended in met]
-        _mark(axes, run_into, s=22, color=MOVER, marker="x", linewidths=1.2, zorder=4, gid=f"run-into{own}")
+        mark(axes, run_into, s=22, color=MOVER, marker="x", linewidths=1.2, zorder=4, gid=f"run-into{own}")
         failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended not in met]
-        _mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
+        mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
         goal = scene.goal_in(world)
         if goal is not None:
-            _mark(
+            mark(
                 axes,
                 [goal],
                 s=90,
@@ -108,7 +108,7 @@ def draw_ways(evaluation: Evaluation) -> Markup:
                 zorder=5,
                 gid=f"goal{own}",
             )
-    return _svg(figure)
+    return svg(figure)
 
 
 def shown_worlds(evaluation: Evaluation) -> dict[int, list[Episode]]:
@@ -120,10 +120,10 @@ def shown_worlds(evaluation: Evaluation) -> dict[int, list[Episode]]:
     return dict(ordered[:_WORLDS])
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def draw_time(evaluation: Evaluation) -> Markup:
     """How much of the time of all episodes was spent in each cell of the world."""
-    figure, (axes,) = _world_figure([evaluation.scene.world])
+    figure, (axes,) = world_figure([evaluation.scene.world])
     shares, (left, right, bottom, top) = time_shares(evaluation)
     largest = shares.max() or 1.0  # 0: the robots were out of the world's bounds at all times
     image = axes.imshow(
@@ -137,7 +137,7 @@ def draw_time(evaluation: Evaluation) -> Markup:
     figure.set_figheight(figure.get_figheight() + 0.5)
     bar = figure.colorbar(image, ax=axes, location="bottom", aspect=40, shrink=0.9, format=FuncFormatter(_as_percent))
     bar.outline.set_visible(False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def time_shares(evaluation: Evaluation) -> tuple[np.ndarray, tuple[float, float, float, float]]:
@@ -158,7 +158,7 @@ def _as_percent(share: float, _: int | None) -> str:
     return f"{100 * share:g} %"
 
 
-def _world_figure(worlds: Sequence[World]) -> tuple[Figure, list[Axes]]:
+def world_figure(worlds: Sequence[World]) -> tuple[Figure, list[Axes]]:
     """A figure with the walls of each of some worlds."""
     columns = min(len(worlds), _COLUMNS)
     rows = math.ceil(len(worlds) / columns)
@@ -185,13 +185,13 @@ def _draw_world(figure: Figure, place: tuple[int, int, int], world: World) -> Ax
     return axes
 
 
-def _mark(axes: Axes, points: Sequence[Any], **look: Any) -> None:
+def mark(axes: Axes, points: Sequence[Any] | np.ndarray, **look: Any) -> None:
     """A mark at each point (x, y) [m]."""
     x, y = np.reshape(points, (-1, 2)).T
     axes.scatter(x, y, **look)
 
 
-def _svg(figure: Figure) -> Markup:
+def svg(figure: Figure) -> Markup:
     """The figure as an element of a page: without the header of a file."""
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))

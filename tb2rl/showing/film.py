@@ -32,10 +32,10 @@ _SLOWEST, _FASTEST = 0.1, 100.0
 Listener = Callable[[int, Moment], None]  # is told the number of an episode, from 1, and its last step
 
 
-def open_env(
+def open_scene(
     policy: Policy | str | Path, config: Config | None, settings: Mapping[str, Any], steps: int
-) -> tuple[Policy, TurtleBot2Env]:
-    """A policy, loaded if it is a reference, and the environment that it plays in; arguments as in `film`.
+) -> tuple[Policy, Scene]:
+    """A policy, loaded if it is a reference, and what its environment is made of; arguments as in `film`.
 
     Raises:
         InputError: If there is no such policy, or it knows other observations or actions.
@@ -44,6 +44,14 @@ def open_env(
         policy = load(policy)
     scene = (config or config_of(policy)).with_task({**settings, "episode_steps": steps}).scene.worlds_for("test")
     check_observes(policy, scene)
+    return policy, scene
+
+
+def open_env(
+    policy: Policy | str | Path, config: Config | None, settings: Mapping[str, Any], steps: int
+) -> tuple[Policy, TurtleBot2Env]:
+    """The same with the environment, see `open_scene`."""
+    policy, scene = open_scene(policy, config, settings, steps)
     return policy, TurtleBot2Env(scene, simulation=judging_simulation())
 
 
@@ -155,7 +163,7 @@ def check_film(path: str | Path, camera: str) -> Path:
     return path
 
 
-def check_numbers(episodes: int, steps: int, seed: int, speed: float) -> None:
+def check_numbers(episodes: int, steps: int, seed: int, speed: float = 1.0) -> None:
     """Raise an `InputError` where a number is out of its range."""
     if min(episodes, steps) < 1 or not 0 <= seed <= LARGEST_SEED:
         raise InputError(f"episodes and steps must be at least 1, and the seed from 0 to {LARGEST_SEED}")

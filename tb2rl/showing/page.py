@@ -1,4 +1,4 @@
-"""The report: one HTML page that stands alone, made from runs, results of suites and the templates here."""
+"""The report: one HTML page that stands alone, made from runs, results of suites, drives and the templates here."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, START, WALL
 from tb2rl.showing.action_map import HEADINGS, ActionMap, action_map
 from tb2rl.showing.charts import draw_curves, draw_time, draw_ways, shown_worlds, with_own_ids
 from tb2rl.showing.curves import Family
+from tb2rl.showing.drives import LINES, DriveSection
 from tb2rl.showing.groups import Group, differences
 from tb2rl.showing.palettes import ACTIONS, colours
 from tb2rl.showing.subjects import Subject
@@ -64,27 +65,35 @@ class Row:
         return len(shown_worlds(evaluation)), len({episode.world for episode in evaluation.episodes})
 
 
-def page(groups: Sequence[Group], suites: Sequence[SuiteSection] = (), progress: bool = False) -> str:
+def page(
+    groups: Sequence[Group],
+    suites: Sequence[SuiteSection] = (),
+    drives: Sequence[DriveSection] = (),
+    progress: bool = False,
+) -> str:
     """The report as HTML.
 
     Args:
         groups: The runs that it shows.
         suites: The results of suites that it shows.
+        drives: The drives of bags that it shows.
         progress: Whether to draw a bar, where there is a terminal.
     """
     pairs = [(group, subject) for group in groups for subject in group.subjects]
     rows = [Row.drawn(*pair) for pair in progress_bar(pairs, "drawing", "run", shown=progress)]
     subjects = [subject for _, subject in pairs]
-    return _template().render(
-        title=title(groups) if groups else "; ".join(suite.result.title for suite in suites),
+    others = [*(suite.result.title for suite in suites), *(shown.drive.name for shown in drives)]
+    return template("page.html").render(
+        title=title(groups) if groups else "; ".join(others),
         groups=groups,
         suites=suites,
+        drives=drives,
         rows=rows,
         subjects=subjects,
         charts=charts(groups),
         differences=differences(groups),
         action_colours=colours(max((len(subject.action_names) for subject in subjects), default=0), ACTIONS),
-        colours={"start": START, "failed": FAILED, "goal": GOAL, "wall": WALL, "floor": FLOOR},
+        colours={"start": START, "failed": FAILED, "goal": GOAL, "wall": WALL, "floor": FLOOR, **LINES},
         headings=HEADINGS,
         standard_episodes=EPISODES,
     )
@@ -113,9 +122,10 @@ def title(groups: Sequence[Group]) -> str:
     return text if len(subjects) == 1 else f"{text}: {len(subjects)} runs"
 
 
-def _template() -> jinja2.Template:
+def template(name: str, *folders: Path) -> jinja2.Template:
+    """A template of this folder or of others, in which all values are escaped."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        loader=jinja2.FileSystemLoader([Path(__file__).parent, *folders]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -125,7 +135,7 @@ def _template() -> jinja2.Template:
     environment.filters.update(
         spaced=_spaced, percent=_percent, plain=_plain, own=lambda picture: with_own_ids(picture, next(numbers))
     )
-    return environment.get_template("page.html")
+    return environment.get_template(name)
 
 
 def _spaced(number: float) -> str:

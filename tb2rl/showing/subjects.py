@@ -14,11 +14,12 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
-from tb2rl.files import read_yaml, top_folder
+from tb2rl.files import top_folder
 from tb2rl.judging.evaluation import Evaluation, kept_evaluation
 from tb2rl.judging.evaluator import evaluate
 from tb2rl.runs.config import Config
-from tb2rl.runs.folder import Run
+from tb2rl.runs.folder import Run, config_file, read_config
+from tb2rl.runs.hub import HUB, name_of
 from tb2rl.runs.loading import checkpoint_file, config_of, load
 from tb2rl.showing.curves import Curve, read_curves
 
@@ -93,7 +94,7 @@ class Subject:
 
 
 def run_folders(references: Sequence[str]) -> list[Path]:
-    """The run folders that references mean, each once: a run's, those in a folder of runs, or a zoo entry's.
+    """The run folders that references mean, each once: a run's, those in a folder of runs, or one of zoo or hub.
 
     Raises:
         InputError: If a reference means no run.
@@ -102,12 +103,12 @@ def run_folders(references: Sequence[str]) -> list[Path]:
 
 
 def _folders(reference: str) -> list[Path]:
-    if reference.startswith("zoo:"):
+    if reference.startswith(("zoo:", HUB)):
         return [checkpoint_file(reference).parents[1]]
     folder = Path(reference)
     if not folder.is_dir():
         raise InputError(f"there is no run folder {one_line(reference)}")
-    if (folder / "config.yaml").is_file():
+    if config_file(folder).is_file():
         return [folder]
     inside = sorted(file.parent for file in folder.glob("*/config.yaml"))
     if not inside:
@@ -117,14 +118,11 @@ def _folders(reference: str) -> list[Path]:
 
 
 def names_of(folders: Sequence[Path]) -> list[str]:
-    """What the page calls runs: the names of zoo entries, of other folders what their paths do not have in common."""
+    """What the page calls runs: as zoo and hub do, and other folders what their paths do not have in common."""
     zoo = top_folder("zoo").resolve()
-    others = [folder for folder in folders if folder.parent != zoo]
-    shared = shared_path([str(folder.parent) for folder in others])
-    return [
-        f"zoo:{folder.name}" if folder.parent == zoo else str(folder.relative_to(shared) if shared else folder)
-        for folder in folders
-    ]
+    known = {folder: f"zoo:{folder.name}" if folder.parent == zoo else name_of(folder) for folder in folders}
+    shared = shared_path([str(folder.parent) for folder in folders if known[folder] is None])
+    return [known[folder] or str(folder.relative_to(shared) if shared else folder) for folder in folders]
 
 
 def shared_path(paths: Sequence[str]) -> str:
@@ -135,24 +133,25 @@ def shared_path(paths: Sequence[str]) -> str:
         return ""
 
 
-def read_subject(folder: Path, name: str, progress: bool = False) -> Subject:
+def read_subject(folder: Path, name: str, progress: bool = False, trust: bool = False) -> Subject:
     """Read a run folder; a run that has no standard evaluation with its paths is evaluated.
 
     Args:
         folder: Of the run.
         name: What the page is to call it.
         progress: Whether an evaluation draws a bar, where there is a terminal.
+        trust: Whether to import whatever a run that somebody shared names.
 
     Raises:
         InputError: If the folder does not hold what it should.
     """
-    run = Run.open(folder)
+    run = Run.open(folder, trust)
     curves = read_curves(folder)
     if not run.config.task.goal_task:  # without a goal, to succeed is not to fail
         curves.pop("success_rate", None)
-    policy = load(folder)
+    policy = load(folder, trust)
     if _untrained(config_of(policy)) != _untrained(run.config):
-        raise InputError(f"{folder}: config.yaml is not what its policy was trained with")
+        raise InputError(f"{folder}: {config_file(folder).name} is not what its policy was trained with")
     kept = run.has_evaluation
     evaluation = kept_evaluation(run) if kept else evaluate(policy, episodes=_EPISODES, progress=progress)
     return Subject(name, run.config, _versions(folder), policy, curves, evaluation, kept)
@@ -164,7 +163,7 @@ def _untrained(config: Config) -> dict[str, Any]:
 
 
 def _versions(folder: Path) -> dict[str, str]:
-    versions = read_yaml(folder / "config.yaml").get("versions", {})
+    versions = read_config(folder).get("versions", {})
     return {str(key): str(value) for key, value in versions.items()} if isinstance(versions, Mapping) else {}
 
 
