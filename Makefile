@@ -3,9 +3,11 @@ PYTHONS := python3.11 python3 python
 IS_3_11 := -c "import sys; sys.exit(sys.version_info[:2] != (3, 11))"
 PYTHON ?= $(firstword $(foreach name,$(PYTHONS),$(shell $(name) $(IS_3_11) 2>/dev/null && echo $(name))))
 VENV := .venv
+ROS2 := .venv-ros2
 BIN := $(VENV)/bin
+SITE := lib/python3.11/site-packages
 
-.PHONY: train test check slow clean
+.PHONY: train test check slow ros clean
 
 train: $(VENV)/installed  ## set up, train the default agent, evaluate it
 	$(BIN)/python -m tb2rl.train --agent qlearn
@@ -30,5 +32,13 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
+ros: $(ROS2)/installed  ## ROS 2 for its tests, in an environment of its own: its wheels start every Python twice
+
+$(ROS2)/installed: $(VENV)/installed
+	$(BIN)/python -m venv --without-pip $(ROS2)
+	echo "import site; site.addsitedir('$(abspath $(VENV))/$(SITE)')" > $(ROS2)/$(SITE)/ours.pth
+	$(ROS2)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[ros2]"
+	touch $@
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) $(ROS2) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

@@ -1,0 +1,223 @@
+"""A node of ROS that does what a test tells it, in lines of JSON, and answers in JSON; it imports nothing of ours.
+
+    probe.py 1|2
+
+It runs in a process of its own: rospy and rclpy change much of the Python that they are in.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import queue
+import sys
+import threading
+import time
+from importlib import import_module
+
+VERSION = int(sys.argv[1])
+RENAMED = {"secs": "sec", "nsecs": "nanosec"}  # fields of ROS 1 that have another name in ROS 2
+PATIENCE = 60.0  # [s] the machine may be busy
+
+
+def find(kind, part="msg"):
+    package, name = kind.split("/")
+    return getattr(import_module(f"{package}.{part}"), name)
+
+
+def plain(value):
+    """A message as dicts, lists and numbers; octets as base64."""
+    if isinstance(value, bytes) or getattr(value, "typecode", "") == "B":
+        return base64.b64encode(bytes(value)).decode()
+    if hasattr(value, "__slots__"):
+        return {RENAMED.get(name.lstrip("_"), name.lstrip("_")): plain(getattr(value, name)) for name in slots(value)}
+    if isinstance(value, str | int | float):
+        return value
+    return [plain(each) for each in value]
+
+
+def slots(message):
+    return [name for name in message.__slots__ if name != "_check_fields"]
+
+
+class Node1:
+    """rospy."""
+
+    def __init__(self):
+        import rospy
+
+        self.rospy = rospy
+        rospy.init_node("probe", anonymous=True, disable_signals=True)
+
+    def listen(self, topic, kind, heard):
+        self.rospy.Subscriber(topic, find(kind), heard, tcp_nodelay=True)
+
+    def publisher(self, topic, kind):
+        publisher = self.rospy.Publisher(topic, find(kind), queue_size=10)
+        return publisher.publish, publisher.get_num_connections
+
+    def call(self, service, kind):
+        self.rospy.wait_for_service(service, PATIENCE)
+        answer = self.rospy.ServiceProxy(service, find(kind, "srv"))()
+        return [getattr(answer, "success", True), getattr(answer, "message", "")]
+
+    def parameter(self, name):
+        return self.rospy.get_param(name, None)
+
+
+class Node2:
+    """rclpy."""
+
+    def __init__(self):
+        import rclpy
+
+        self.rclpy = rclpy
+        rclpy.init()
+        self.node = rclpy.create_node("probe")
+        executor = rclpy.executors.SingleThreadedExecutor()
+        executor.add_node(self.node)
+        threading.Thread(target=executor.spin, daemon=True).start()
+
+    def listen(self, topic, kind, heard):
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+        sensor = kind in ("sensor_msgs/LaserScan", "sensor_msgs/Image")
+        reliability = ReliabilityPolicy.BEST_EFFORT if sensor else ReliabilityPolicy.RELIABLE
+        self.node.create_subscription(find(kind), topic, heard, QoSProfile(depth=1000, reliability=reliability))
+
+    def publisher(self, topic, kind):
+        publisher = self.node.create_publisher(find(kind), topic, 10)
+        return publisher.publish, publisher.get_subscription_count
+
+    def call(self, service, kind):
+        kind = find(kind, "srv")
+        client = self.node.create_client(kind, service)
+        assert client.wait_for_service(PATIENCE), service
+        answered, future = threading.Event(), client.call_async(kind.Request())
+        future.add_done_callback(lambda _: answered.set())
+        assert answered.wait(PATIENCE), service
+        return [getattr(future.result(), "success", True), getattr(future.result(), "message", "")]
+
+    def parameter(self, name):
+        return None
+
+
+class Probe:
+    """What a test can ask for."""
+
+    def __init__(self):
+        self.node = Node1() if VERSION == 1 else Node2()
+        self.heard, self.publishers = {}, {}
+
+    def listen(self, topic, kind):
+        """Keep the messages of a topic from now on."""
+        self.heard[topic] = queue.Queue()
+        self.node.listen(topic, kind, self.heard[topic].put)
+
+    def take(self, topic, count=1, fresh=True):
+        """The next messages; fresh: leaving out those that have come before."""
+        while fresh and not self.heard[topic].empty():
+            self.heard[topic].get_nowait()
+        return [plain(self.heard[topic].get(timeout=PATIENCE)) for _ in range(count)]
+
+    def count(self, topic, seconds):
+        """How many messages come within some seconds of wall-clock time."""
+        self.heard[topic].queue.clear()
+        time.sleep(seconds)
+        return self.heard[topic].qsize()
+
+    def pass_time(self, seconds):
+        """Wait until so many simulated seconds have passed: how many wall-clock seconds that took."""
+        began, (now,) = time.monotonic(), self.take("/clock")
+        until = now["clock"]["sec"] + 1e-9 * now["clock"]["nanosec"] + seconds
+        while now["clock"]["sec"] + 1e-9 * now["clock"]["nanosec"] < until:
+            (now,) = self.take("/clock", fresh=False)
+        return time.monotonic() - began
+
+    def watch(self, velocity, odometry):
+        """Keep when the wheels were last told to move, and then to stand, and when the robot last moved.
+
+        `went on` is how many simulated seconds it then moved: the simulation may be slower than the wall clock.
+        """
+        self.last = last = {"told to move": 0.0, "told to stand": 0.0, "moved": 0.0, "went on": 0.0}
+        stamps = {"told": 0.0, "now": 0.0}
+
+        def hear(message):
+            if message.linear.x or message.angular.z:
+                last["told to move"], stamps["told"] = time.monotonic(), stamps["now"]
+            elif last["told to stand"] <= last["told to move"]:
+                last["told to stand"] = time.monotonic()
+
+        def see(message):
+            stamp, twist = plain(message.header.stamp), message.twist.twist
+            stamps["now"] = stamp["sec"] + 1e-9 * stamp["nanosec"]
+            if abs(twist.linear.x) > 0.02 or abs(twist.angular.z) > 0.05:
+                last["moved"], last["went on"] = time.monotonic(), stamps["now"] - stamps["told"]
+
+        self.node.listen(velocity, "geometry_msgs/Twist", hear)
+        self.node.listen(odometry, "nav_msgs/Odometry", see)
+
+    def watched(self, until=None, seconds=0.0):
+        """What `watch` keeps, so long after something of it was noticed anew, or after now."""
+        began, patience = time.monotonic(), time.monotonic() + PATIENCE
+        while until and self.last[until] < began:
+            assert time.monotonic() < patience, self.last
+            time.sleep(0.01)
+        time.sleep(seconds)
+        return self.last
+
+    def trigger(self, service):
+        """Call a service of std_srvs/Trigger: whether it did it, and what it said."""
+        return self.node.call(service, "std_srvs/Trigger")
+
+    def drive(self, topic, linear, angular):
+        """Publish a command, as soon as somebody listens."""
+        say = self.velocity(topic)
+        say(linear, angular)
+
+    def drive_until(self, topic, linear, angular, heard):
+        """Publish a command again and again, until there is a message on another topic: that."""
+        say, until = self.velocity(topic), time.monotonic() + PATIENCE
+        while self.heard[heard].empty():
+            assert time.monotonic() < until, f"nothing on {heard}"
+            say(linear, angular)
+            time.sleep(0.05)
+        return plain(self.heard[heard].get())
+
+    def answer(self, topic, scans, commands):
+        """Answer each scan by the next command: the ranges of these scans, and of the one after them."""
+        say = self.velocity(topic)
+        seen = []
+        for linear, angular in commands:
+            seen += self.take(scans, fresh=False)
+            say(linear, angular)
+        return [*seen, *self.take(scans, fresh=False)]
+
+    def velocity(self, topic):
+        if topic not in self.publishers:
+            self.publishers[topic] = self.node.publisher(topic, "geometry_msgs/Twist")
+        publish, listeners = self.publishers[topic]
+        until = time.monotonic() + PATIENCE
+        while not listeners():
+            assert time.monotonic() < until, f"nobody listens to {topic}"
+            time.sleep(0.01)
+
+        def say(linear, angular):
+            message = find("geometry_msgs/Twist")()
+            message.linear.x, message.angular.z = float(linear), float(angular)
+            publish(message)
+
+        return say
+
+    def call(self, service, kind="std_srvs/Empty"):
+        self.node.call(service, kind)
+
+    def parameter(self, name):
+        return self.node.parameter(name)
+
+
+probe = Probe()
+print(json.dumps("ready"), flush=True)
+for line in sys.stdin:
+    what, arguments = json.loads(line)
+    print(json.dumps(getattr(probe, what)(**arguments)), flush=True)
