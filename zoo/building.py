@@ -20,7 +20,7 @@ from tb2rl.train import main as train
 from tb2rl.zoo.entry import ELSEWHERE, WORLDS, Entry
 
 _DRAWN = 30  # episodes in a picture, and all that failed
-_PICTURE = "paths.png"
+PICTURE = "paths.png"
 
 
 def build(entry: Entry, again: bool) -> None:
@@ -32,14 +32,14 @@ def build(entry: Entry, again: bool) -> None:
     if again or not (entry.folder / "config.yaml").is_file() or not entry.is_as_requested:
         folder = default_folder(entry.requested).with_name(f"{entry.name}-{datetime.now():%Y%m%d-%H%M%S}")
         train([*shlex.split(entry.recipe), "--name", folder.name])
-        _draw(kept_evaluation(Run.open(folder)), folder / _PICTURE)
+        draw(kept_evaluation(Run.open(folder)), folder / PICTURE)
         _take_over(folder, entry.folder)
     for world in Entry(entry.name, entry.recipe, entry.folder).not_driven:  # read anew, for it may be another now
         print(f"{entry.name} in {world}", flush=True)
         _drive_in(world, entry.folder)
 
 
-def _draw(evaluation: Evaluation, file: Path) -> None:
+def draw(evaluation: Evaluation, file: Path) -> None:
     """Draw the paths of the first episodes and of all that failed."""
     shown = [episode for i, episode in enumerate(evaluation.episodes) if episode.failed or i < _DRAWN]
     columns = ([getattr(each, name) for each in shown] for name in ("path", "failed", "world"))
@@ -52,7 +52,7 @@ def _take_over(folder: Path, place: Path) -> None:
     staging, old = place.with_name(f".{place.name}.new"), place.with_name(f".{place.name}.old")
     shutil.rmtree(staging, ignore_errors=True)
     (staging / "best").mkdir(parents=True)
-    for name in ("config.yaml", EVALUATIONS, EVALUATION, _PICTURE):
+    for name in ("config.yaml", EVALUATIONS, EVALUATION, PICTURE):
         shutil.copy(folder / name, staging / name)
     policy = Run.open(folder).policy_file
     shutil.copy(policy, staging / "best" / policy.name)

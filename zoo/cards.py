@@ -18,13 +18,13 @@ def card(entry: Entry) -> str:
     """The text of a policy's card."""
     driven = entry.driver.summaries if entry.navigates else []
     lines = {"shortfalls": _shortfalls(entry), "failures": [*_failures(entry), *results.failures(driven)]}
-    return _template("card.md.jinja").render(entry=entry, summaries=driven, results=results, **lines)
+    return template("card.md.jinja").render(entry=entry, summaries=driven, results=results, **lines)
 
 
 def table(built: Sequence[Entry]) -> str:
     """The text of the zoo's README: the results of all policies, in each other's worlds and in suites, too."""
     suites = results.by_suite([*drivers_of(built), *others()])
-    return _template("table.md.jinja").render(entries=built, worlds=WORLDS, suites=suites, results=results)
+    return template("table.md.jinja").render(entries=built, worlds=WORLDS, suites=suites, results=results)
 
 
 def overview(built: Sequence[Entry]) -> str:
@@ -59,7 +59,7 @@ def _spaced(number: int) -> str:
     return f"{number:,}".replace(",", " ")
 
 
-def _template(name: str) -> jinja2.Template:
+def template(name: str) -> jinja2.Template:
     """A template that stands beside this module."""
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
     env = jinja2.Environment(loader=loader, trim_blocks=True, undefined=jinja2.StrictUndefined)

@@ -29,6 +29,7 @@ def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
     expected |= {f"drive-loop-{agent}" for agent in ("sac", "td3", "ppo")}
     expected |= {f"anywhere-{agent}" for agent in ("qlearn", "dqn", "ppo", "sac")}
+    expected |= {f"navigate-{guide}-ppo" for guide in ("plan", "goal")}
     assert {entry.name for entry in ENTRIES} == expected | {TURTLEBOT3}
 
 
@@ -39,7 +40,7 @@ def test_a_policy_drives_in_its_world(entry):
     assert entry.world in (env.scene.world.name, "mixed")
     observation, _ = env.reset(seed=2)
     info = {"ended": ""}
-    for _ in range(200):
+    for _ in range(600 if entry.navigates else 200):
         action, _ = policy.predict(observation, deterministic=True)
         observation, _, _, _, info = env.step(action)
         if info["ended"]:
@@ -99,7 +100,7 @@ def test_the_table_is_what_the_entries_say():
 
 def test_the_overview_has_a_row_for_every_place_and_a_cell_for_every_policy():
     lines = overview(ENTRIES).splitlines()
-    assert len(lines) == 2 + len(PLACES) + 4
+    assert len(lines) == 2 + len(PLACES) + 6
     assert any(line.startswith("| `maze, loop with turtlebot3` | ") for line in lines)
     assert "`qlearn`" in lines[0]
     assert lines[2].startswith("| `maze, loop` | ")

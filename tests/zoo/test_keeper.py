@@ -93,7 +93,7 @@ def test_a_build_trains_nothing_that_is_there_as_its_recipe_says(monkeypatch, ca
     monkeypatch.setattr(keeping, "write_text", lambda path, text: written.append((path, text)))
     keeper.main(["build", "maze-loop-dqn", "wall-wall-ppo"])
     assert capsys.readouterr().out.splitlines() == ["maze-loop-dqn (1 of 2)", "wall-wall-ppo (2 of 2)"]
-    assert len(written) == 27, "all cards and the table"
+    assert len(written) == 29, "all cards and the table"
     assert all(path.read_text(encoding="utf-8") == text for path, text in written), "and they stay what they were"
 
 
