@@ -12,11 +12,14 @@ from tb2rl.errors import ArgumentParser, command, unknown
 COMMANDS = {
     "train": "tb2rl.train",
     "evaluate": "tb2rl.evaluate",
+    "tune": "tb2rl.tune",
     "play": "tb2rl.play",
     "report": "tb2rl.report",
     "benchmark": "tb2rl.benchmark",
     "convert": "tb2rl.convert",
+    "export": "tb2rl.export",
     "worlds": "tb2rl.worlds.__main__",
+    "ros": "tb2rl.ros.__main__",
     "warm": "tb2rl.warm",
     "zoo": "tb2rl.zoo.__main__",
 }

@@ -18,9 +18,11 @@ from tb2rl.errors import ArgumentParser, command
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = ArgumentParser(prog="python -m tb2rl.convert", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("source", help="run folder, checkpoint in it, or zoo:NAME; with --trust a zip")
+    parser.add_argument("source", help="run folder, checkpoint in it, zoo:NAME, hf:USER/REPOSITORY; with --trust a zip")
     parser.add_argument("target", type=Path, help="the zip to write; with --trust the run folder to make")
-    parser.add_argument("--trust", action="store_true", help="read a zip, which runs the code in it")
+    parser.add_argument(
+        "--trust", action="store_true", help="read a zip, which runs the code in it; of the hub: see `play --help`"
+    )
     parser.add_argument("--agent", help="with --trust: the agent whose algorithm wrote the zip")
     parser.add_argument("--task", help="with --trust: what it was trained at (default: maze)")
     parser.add_argument("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="with --trust")

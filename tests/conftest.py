@@ -1,14 +1,22 @@
-"""What the tests of several rooms need: setups of named worlds, readings by hand, a suite, a user who may not write."""
+"""What tests of several rooms need: setups of worlds, readings by hand, a suite, a user who may not write, a hub."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
 import math
 import os
+import re
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -177,3 +185,119 @@ def guest(tmp_path):
     user = Guest(tmp_path / "scratch")
     yield user
     user.unlock()
+
+
+class FakeHub:
+    """The hub of Hugging Face on the loopback, as far as it takes and gives files; each upload is a commit.
+
+    Attributes:
+        repositories: Of each repository its commits, each the content of its files by path.
+        refuses: Status and error code that every request is answered with, if there is one.
+        authorisations: What requests said of who sends them.
+    """
+
+    def __init__(self) -> None:
+        self.repositories: dict[str, list[dict[str, bytes]]] = {}
+        self.refuses: tuple[int, str] | None = None
+        self.authorisations: list[str] = []
+        hub = self
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def answer(self) -> None:
+                body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+                hub.authorisations.append(self.headers.get("Authorization", ""))
+                status, content, headers = hub.answer(self.command, unquote(self.path.partition("?")[0]), body)
+                self.send_response(status)
+                for name, value in {**headers, "Content-Length": str(len(content))}.items():
+                    self.send_header(name, value)
+                self.end_headers()
+                if self.command != "HEAD":
+                    self.wfile.write(content)
+
+            do_GET = do_HEAD = do_POST = answer  # noqa: N815 (http.server's names)
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.address = f"http://127.0.0.1:{self.server.server_port}"
+        Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def put(self, repository: str, files: Mapping[str, bytes]) -> str:
+        """Make a commit that changes these files; its hash."""
+        commits = self.repositories.setdefault(repository, [])
+        commits.append({**(commits[-1] if commits else {}), **files})
+        return self.hash(repository, len(commits) - 1)
+
+    def hash(self, repository: str, number: int) -> str:
+        return hashlib.sha1(f"{repository} {number}".encode()).hexdigest()
+
+    def answer(self, method: str, path: str, body: bytes) -> tuple[int, bytes, dict[str, str]]:
+        if self.refuses:
+            return self.refuses[0], b"{}", {"X-Error-Code": self.refuses[1]}
+        if path == "/api/repos/create":
+            said = json.loads(body)
+            repository = f"{said['organization']}/{said['name']}" if said.get("organization") else said["name"]
+            self.repositories.setdefault(repository, [])
+            return self.json({"url": f"{self.address}/{repository}", "name": repository})
+        if path == "/api/validate-yaml":
+            return self.json({"errors": [], "warnings": []})
+        *_, user, name, verb, rest = re.fullmatch(
+            r"(/api/models)?/([^/]+)/([^/]+)(?:/(revision|tree|preupload|commit|resolve)/(.*))?", path
+        ).groups()
+        repository, (revision, _, file) = f"{user}/{name}", (rest or "main").partition("/")
+        if repository not in self.repositories:
+            return 404, b"{}", {"X-Error-Code": "RepoNotFound"}
+        if verb == "preupload":
+            return self.json({"files": [{"path": each["path"], "uploadMode": "regular", "shouldIgnore": False}
+                                        for each in json.loads(body)["files"]]})  # fmt: skip
+        if verb == "commit":
+            lines = [json.loads(line) for line in body.splitlines()]
+            files = {line["value"]["path"]: base64.b64decode(line["value"]["content"]) for line in lines[1:]}
+            commit = self.put(repository, files)
+            return self.json({"commitUrl": f"{self.address}/{repository}/commit/{commit}", "commitOid": commit})
+        commits = self.repositories[repository]
+        hashes = [self.hash(repository, number) for number in range(len(commits))]
+        if revision not in ("main", *hashes) or not commits:
+            return 404, b"{}", {"X-Error-Code": "RevisionNotFound"}
+        number = hashes.index(revision) if revision in hashes else len(commits) - 1
+        files = commits[number]
+        if verb == "tree":
+            listed = files.items()
+            return self.json([{"type": "file", "path": p, "size": len(c), "oid": self.etag(c)} for p, c in listed])
+        if verb == "resolve":
+            if file not in files:
+                return 404, b"{}", {"X-Error-Code": "EntryNotFound"}
+            return 200, files[file], {"X-Repo-Commit": hashes[number], "ETag": f'"{self.etag(files[file])}"'}
+        siblings = [{"rfilename": path, "size": len(content)} for path, content in files.items()]
+        return self.json({"id": repository, "sha": hashes[number], "siblings": siblings})
+
+    def etag(self, content: bytes) -> str:
+        return hashlib.sha1(content).hexdigest()
+
+    def json(self, tree: object) -> tuple[int, bytes, dict[str, str]]:
+        return 200, json.dumps(tree).encode(), {"Content-Type": "application/json"}
+
+
+@pytest.fixture
+def hub(tmp_path, monkeypatch):
+    """A `FakeHub` that the library and the processes of a test ask, with an empty cache."""
+    constants = pytest.importorskip("huggingface_hub.constants", reason="the extra `hub` is not installed")
+    fake, home = FakeHub(), tmp_path / "huggingface"
+    for name, value in {"HF_ENDPOINT": fake.address, "HF_HOME": str(home), "HF_HUB_DISABLE_XET": "1"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    paths = {"HF_HOME": home, "HF_HUB_CACHE": home / "hub", "HF_TOKEN_PATH": home / "token"}
+    address = {
+        "ENDPOINT": fake.address,
+        "HUGGINGFACE_CO_URL_TEMPLATE": f"{fake.address}/{{repo_id}}/resolve/{{revision}}/{{filename}}",
+    }
+    for name, value in {**address, **{name: str(path) for name, path in paths.items()}}.items():
+        monkeypatch.setattr(constants, name, value)  # read from the environment once
+    fake.cache = home
+    yield fake
+    import_module("huggingface_hub").close_session()
+    fake.server.shutdown()
+    fake.server.server_close()

@@ -256,6 +256,27 @@ def test_films_of_a_suite_are_shown_and_fit_the_window(browser, small_suite, tmp
         assert browser.execute_script(OVERLAPS, f"{BLOCKS}, figure > img") == []
 
 
+def test_a_drive_is_drawn_and_fits_the_window(browser, seeds, tmp_path):
+    pytest.importorskip("rosbags")
+    bag, file = str(tmp_path / "drive.bag"), tmp_path / "it.html"
+    import_module("tb2rl.play").main([str(seeds / "seed-0"), "--steps", "100", "--bag", bag])
+    report.main([bag, "--world", "loop", "--out", str(file)])
+    for width in WIDTHS:
+        resize(browser, width)
+        browser.get_log("browser")
+        browser.get(file.as_uri())
+        assert browser.get_log("browser") == []
+        assert browser.title == "drive.bag"
+        assert browser.execute_script("return document.documentElement.scrollWidth") == width
+        assert browser.execute_script(OVERLAPS, BLOCKS) == []
+        assert min(browser.execute_script(SIZES)) >= SMALLEST
+        figures = browser.find_elements(By.TAG_NAME, "figure")
+        assert len(figures) == 4
+        for figure in figures:
+            browser.execute_script("arguments[0].scrollIntoView()", figure)
+            assert coloured(figure.screenshot_as_png) > 300, figure.text
+
+
 # ---- TensorBoard
 
 

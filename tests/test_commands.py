@@ -18,7 +18,18 @@ from tb2rl.registry import agent_names, task_names
 from tb2rl.showing import film
 from tb2rl.showing.cameras import CAMERAS
 
-NAMES = ("train", "evaluate", "play", "report", "benchmark", "convert", "warm", "zoo.__main__")
+NAMES = (
+    "train",
+    "evaluate",
+    "play",
+    "report",
+    "benchmark",
+    "convert",
+    "warm",
+    "ros.__main__",
+    "zoo.__main__",
+    "export",
+)
 COMMANDS = {name.removesuffix(".__main__"): import_module(f"tb2rl.{name}") for name in NAMES}
 FILES = {
     "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",
@@ -178,6 +189,7 @@ def test_a_run_folder_below_a_file_is_refused(tmp_path, monkeypatch, capsys):
         ("report", ["zoo:NAME", "--out"]),
         ("benchmark", [*PARTS, "--json"]),
         ("convert", ["python -m tb2rl.convert"]),
+        ("export", [".onnx", "zoo:NAME"]),
         ("zoo", ["build", "check", "--again"]),
     ],
 )

@@ -114,7 +114,13 @@ def test_a_wheel_has_everything_that_the_checkout_has(installed, tmp_path):
     assert package.is_relative_to(Path(installed).parent.parent)
     assert names == use(USE, CHECKOUT)[1:]
     there = {str(file.relative_to(package)) for file in package.rglob("*")}
-    assert {"py.typed", "robots/turtlebot2.urdf", "showing/page.html", "configs/worlds/loop.yaml"} <= there
+    assert {
+        "py.typed",
+        "robots/turtlebot2.urdf",
+        "showing/page.html",
+        "drivers/folder.md",
+        "configs/worlds/loop.yaml",
+    } <= there
     modules = {str(file.relative_to(CHECKOUT / "tb2rl")) for file in (CHECKOUT / "tb2rl").rglob("*.py")}
     assert modules <= there
     zoo = {file.relative_to(CHECKOUT) for file in (CHECKOUT / "zoo").rglob("*")}
@@ -133,7 +139,7 @@ def test_the_installed_command_runs_and_gymnasium_knows_the_ids(installed, tmp_p
 
 @pytest.mark.slow
 def test_an_installed_report_finds_its_template(installed, tmp_path):
-    code = "from tb2rl.showing import page; page._template()"
+    code = "from tb2rl.showing import page; page.template('page.html')"
     assert run([installed, "-I", "-c", code], tmp_path) == []
 
 

@@ -19,6 +19,7 @@ DOORS = (
     "agents",
     "configs",
     "tb2rl/robots",
+    "tb2rl/ros",
     "tb2rl/sensors",
     "tb2rl/tasks",
     "tb2rl/worlds",
@@ -29,13 +30,16 @@ PAGES = ("README.md", "FROM_ROS.md", "CONTRIBUTING.md", *(f"{door}/README.md" fo
 SHORTER = {  # what is put behind a command, so that it is over in a moment
     "train": "--simulation kinematic --n-envs 32 --total-timesteps 256 --eval-freq 0 --no-evaluation --no-progress",
     "evaluate": "--episodes 1 --steps 3 --workers 1",
-    "play": "--steps 3 --video film.gif",
+    "play": "--steps 3",
     "convert": "",
+    "export": "",
     "worlds": "",
 }
 RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
-NOT_TRIED = ("make", "pip", "python3.11", ".", "tensorboard", "git", "cd")  # they would install something, or never end
-ONLY_READ = {"--teleop", "--seeds", "--suite", "tb2rl.report", "tb2rl.zoo"}  # they take long, or want a terminal
+# They would install something, or never end.
+NOT_TRIED = ("apt-get", "make", "pip", "python3.11", ".", "tensorboard", "git", "cd", "rosmaster", "rosservice", "ros2")
+# They take long, or want a terminal or ROS.
+ONLY_READ = {"--teleop", "--seeds", "--suite", "tb2rl.report", "tb2rl.ros", "tb2rl.tune", "tb2rl.zoo"}
 SAVED = re.compile(r"(?:Save (?:this|it) as|and this as) `([\w.]+)`")
 
 
@@ -77,6 +81,8 @@ def run(command: list[str], number: int) -> None:
         return
     name = module.removeprefix("tb2rl.")
     more = RESUMED if "--resume" in arguments else SHORTER[name]
+    if name == "play" and "--bag" not in arguments:
+        more += " --video film.gif"
     if name == "train" and not {"--name", "--resume"} & set(arguments):
         more += f" --name number-{number}"
     import_module(COMMANDS[name]).main([*arguments, *more.split()])

@@ -10,7 +10,9 @@ import pytest
 
 from tb2rl.__main__ import COMMANDS
 
-HEAVY = ("torch", "numba", "stable_baselines3", "pybullet", "tensorboard", "pydantic", "shapely", "matplotlib")
+HEAVY = (
+    "torch", "numba", "stable_baselines3", "pybullet", "tensorboard", "pydantic", "shapely", "matplotlib", "optuna",
+)  # fmt: skip
 SHOWN = f"print('heavy:', *[name for name in {HEAVY} if name in sys.modules])"
 IDS = "[id for id in gymnasium.registry if 'TurtleBot2' in id]"
 

@@ -15,12 +15,13 @@ from tb2rl.registry import find_agent, import_object
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.config import config_from
 from tb2rl.runs.folder import Run
+from tb2rl.runs.hub import HUB
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
 from tb2rl.runs.parameters import load_parameters
 
 
-def export_policy(reference: str | Path, file: Path) -> list[Path]:
+def export_policy(reference: str | Path, file: Path, trust: bool = False) -> list[Path]:
     """Write a policy as a zip that its algorithm's own `load` opens, for example `stable_baselines3.DQN.load`.
 
     Returns:
@@ -29,7 +30,7 @@ def export_policy(reference: str | Path, file: Path) -> list[Path]:
     Raises:
         InputError: If there is no such policy, or the file cannot be written.
     """
-    algorithm = load(reference)
+    algorithm = load(reference, trust)
     if not file.absolute().parent.is_dir() or file.is_dir():
         raise InputError(f"cannot write {file}: it is a folder, or its folder does not exist")
     if hasattr(algorithm, "replay_buffer_class"):
@@ -103,7 +104,8 @@ def _arrays(state: Mapping[str, th.Tensor]) -> dict[str, Any]:
 
 def run(options: argparse.Namespace) -> None:
     """Convert one way or the other."""
-    if options.trust:
+    on_hub = options.source.startswith(HUB)
+    if options.trust and not on_hub:
         if not options.agent:
             raise InputError("--trust needs --agent: the one whose algorithm wrote the zip")
         settings = parse_settings(options.set)
@@ -112,7 +114,7 @@ def run(options: argparse.Namespace) -> None:
         return
     if options.agent or options.task or options.set:
         raise InputError("--agent, --task and --set go with --trust")
-    if Path(options.source).suffix == ".zip":
+    if Path(options.source).suffix == ".zip" and not on_hub:
         raise InputError(f"to read {options.source} is to run the code in it; say so with --trust")
-    for file in export_policy(options.source, options.target):
+    for file in export_policy(options.source, options.target, options.trust):
         print(f"wrote {file}")

@@ -41,7 +41,9 @@ def check(options: argparse.Namespace) -> None:
 def check_places(options: argparse.Namespace) -> None:
     """The same for what every evaluation takes: what drives, in how many processes, and where the result goes."""
     if (options.policy is None) == (options.agent is None):
-        raise InputError("name either a policy (a run folder, a checkpoint, zoo:NAME) or an --agent")
+        raise InputError(
+            "name either a policy (a run folder, a checkpoint, zoo:NAME, hf:USER/REPOSITORY) or an --agent"
+        )
     if options.policy and options.task:
         raise InputError("--task goes with --agent; a policy keeps the task that it was trained at")
     if options.workers is not None and options.workers < 1:
@@ -60,6 +62,6 @@ def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.
         except OSError as error:
             raise InputError(f"cannot write {options.json}: {error.strerror}") from None
     elif options.policy and standard and Path(options.policy).is_dir():
-        Run.open(Path(options.policy)).write_evaluation(tree, arrays)
+        Run.open(Path(options.policy), options.trust).write_evaluation(tree, arrays)
     else:
         print("not written: only the standard evaluation of a run folder is kept there; --json FILE keeps any")

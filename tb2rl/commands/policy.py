@@ -24,7 +24,7 @@ def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
     if options.agent is not None:
         config = resolve(options.agent, options.task, settings=settings)
         return make_baseline(config), config
-    policy = load(options.policy)
+    policy = load(options.policy, options.trust)
     return policy, config_of(policy).with_task(_task_settings(settings))
 
 

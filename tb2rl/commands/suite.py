@@ -63,7 +63,7 @@ def _about(options: argparse.Namespace) -> dict[str, Any]:
     """The policy's name, and a digest of its file; an agent that does not learn has none."""
     if options.agent is not None:
         return {"policy": f"agent {options.agent}", "policy_digest": None}
-    return {"policy": str(options.policy), "policy_digest": policy_digest(options.policy)}
+    return {"policy": str(options.policy), "policy_digest": policy_digest(options.policy, options.trust)}
 
 
 def _result_file(options: argparse.Namespace, suite: Suite) -> Path | None:
@@ -71,7 +71,7 @@ def _result_file(options: argparse.Namespace, suite: Suite) -> Path | None:
     if options.json:
         return Path(options.json)
     if options.policy and Path(options.policy).is_dir() and not options.set:
-        return Run.open(Path(options.policy)).suite_file(suite.name)
+        return Run.open(Path(options.policy), options.trust).suite_file(suite.name)
     return None
 
 

@@ -22,6 +22,7 @@ from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import versions
+from tb2rl.runs.hub import HUB
 from tb2rl.runs.loading import load, policy_digest
 from tb2rl.simulation import Judge
 from tb2rl.tasks import TIME_LIMIT
@@ -184,6 +185,8 @@ def _policy_of(result: SuiteResult, folder: Path) -> tuple[Policy, Config]:
 
 
 def _is_digest(digest: str, reference: str | Path) -> bool:
+    if str(reference).startswith(HUB):  # nothing is downloaded because a file says so
+        return False
     try:
         return policy_digest(reference) == digest
     except (InputError, OSError):
