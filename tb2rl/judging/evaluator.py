@@ -54,6 +54,7 @@ class Evaluator:
         seed: Of the start poses and of all noise.
         workers: Processes; None: one for each processor, 1: this one alone.
         each_world: Instead of `episodes`, one in each of the scene's worlds in their order, from the world's start.
+        only: Of all these, drive only the first so many; None: all.
 
     Raises:
         InputError: If an environment of the scene cannot be opened, for example because of its robot's URDF file.
@@ -67,6 +68,7 @@ class Evaluator:
         seed: int = SEED,
         workers: int | None = None,
         each_world: bool = False,
+        only: int | None = None,
     ) -> None:
         self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judging_simulation()
         if each_world:
@@ -74,7 +76,7 @@ class Evaluator:
         else:
             draws = GeneratorDraws(np.random.default_rng(seed), episodes)
             starts = scene.changed(start="random").task.begin(scene.setup, draws)
-        self.poses, self.worlds = starts.pose, starts.world.astype(int).tolist()
+        self.poses, self.worlds = starts.pose[:only], starts.world[:only].astype(int).tolist()
         workers = min(workers or processors(), len(self.poses))
         self._pool = None
         if workers > 1:
@@ -226,7 +228,7 @@ def evaluate(
         task: What it is to do: a task's name, "module:Class", a `Task` or its class; in place of `config`.
         observation: How it observes that task, "discrete" or "raw"; None: as its observation space says.
         progress: Whether to draw a bar, where there is a terminal.
-        conditions: Arguments of `Evaluator`: episodes, steps, seed, workers.
+        conditions: Arguments of `Evaluator`: episodes, steps, seed, workers, only.
 
     Raises:
         InputError: If there is no such policy, a setting does not fit, or the policy knows other observations or

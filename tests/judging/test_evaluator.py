@@ -53,6 +53,12 @@ def test_the_same_evaluation_twice_gives_the_same_result(run, outcomes):
     assert outcomes(twice[0]) == outcomes(twice[1])
 
 
+def test_a_part_of_an_evaluation_is_its_first_episodes(outcomes):
+    config = resolve("pursuit", "navigate", settings={"task.world": "mixed", "task.guide": "plan"})
+    whole, part = (evaluate(make_baseline(config), config, episodes=5, steps=20, workers=1, only=n) for n in (None, 2))
+    assert outcomes(part) == outcomes(whole)[:2]
+
+
 def test_an_evaluator_serves_several_policies(outcomes):
     config = resolve("wallfollower")
     with Evaluator(config.scene, episodes=2, steps=10, workers=2) as evaluator:
