@@ -84,6 +84,7 @@ class Robot:
             other [m/s^2].
         laser: Its laser scanner.
         camera: Its camera.
+        gyro: Whether its odometry turns as a gyro says, and not as its wheels count, which drift ten times as far.
         task_settings: What suits it in any task, fields of `tb2rl.tasks.Task` by name: they come along where a setting
             names the robot, before what is set beside it.
     """
@@ -101,6 +102,7 @@ class Robot:
     wheel_coupling: Number
     laser: Laser
     camera: Camera
+    gyro: bool = True
     task_settings: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @cached_property

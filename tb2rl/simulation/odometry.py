@@ -1,5 +1,8 @@
 """What a robot believes of its way: it counts how its wheels turn, and takes them for what they should be.
 
+Which way it looks a gyro tells better: the driver of the Kobuki takes its heading from there, and x and y from the
+wheels (kobuki_node, `use_imu_heading`), and so do the drivers of the TurtleBot3 and the Jackal.
+
 Borenstein and Feng 1996, "Measurement and correction of systematic odometry errors in mobile robots".
 """
 
@@ -10,13 +13,14 @@ import math
 import numpy as np
 
 from tb2rl.robots.robot import WHEEL_SEPARATION
-from tb2rl.simulation.setup import BELIEVED_SEPARATION, LEFT_COUNT, RIGHT_COUNT, WHEEL, WHEELS
+from tb2rl.simulation.setup import BELIEVED_SEPARATION, GYRO, LEFT_COUNT, RIGHT_COUNT, WHEEL, WHEELS
 from tb2rl.simulation.start import Start
 
 
 def is_exact(start: Start) -> bool:
-    """Whether the wheels of all robots are what they should be, so that odometry is what they did."""
-    return bool((start.table[:, WHEELS] == 1.0).all())
+    """Whether wheels and gyros of all robots are what they should be, so that odometry is what they did."""
+    gyro = start.table[:, GYRO]
+    return bool((start.table[:, WHEELS] == 1.0).all() and ((gyro == 1.0) | (gyro == 0.0)).all())
 
 
 def believed(ways: np.ndarray, start: Start) -> np.ndarray:
@@ -30,7 +34,8 @@ def believed(ways: np.ndarray, start: Start) -> np.ndarray:
     half = 0.5 * separation * ways[:, 1]
     left = (ways[:, 0] - half) * table[:, LEFT_COUNT] / table[:, WHEEL]
     right = (ways[:, 0] + half) * table[:, RIGHT_COUNT] / table[:, WHEEL]
-    turn = (right - left) / (separation * table[:, BELIEVED_SEPARATION])
+    counted, gyro = (right - left) / (separation * table[:, BELIEVED_SEPARATION]), table[:, GYRO]
+    turn = np.where(gyro == 0.0, counted, gyro * ways[:, 1])
     return np.stack([0.5 * (left + right), turn], axis=1)
 
 

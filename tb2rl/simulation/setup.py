@@ -19,9 +19,9 @@ PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9
 _UNDIVIDED = 0.7  # [m/s] a robot that is faster has its steps divided, see `Setup.substeps`
 
 # The columns of a table of starts, which the compiled kernels read: one row for each robot.
-POSE, WORLD, GOAL, BOUNDS, PARAMETERS, FLAWS = slice(0, 3), 3, slice(4, 6), slice(6, 10), slice(10, 16), slice(16, 30)
-CROWD = 30  # number in [0, 1) that decides all that movers do in the episode; see `tb2rl.simulation.movers`
-WAY = 31  # number of the goal among those of its world that ways are known to, see `tb2rl.worlds.ways`
+POSE, WORLD, GOAL, BOUNDS, PARAMETERS, FLAWS = slice(0, 3), 3, slice(4, 6), slice(6, 10), slice(10, 16), slice(16, 31)
+CROWD = 31  # number in [0, 1) that decides all that movers do in the episode; see `tb2rl.simulation.movers`
+WAY = 32  # number of the goal among those of its world that ways are known to, see `tb2rl.worlds.ways`
 COLUMNS = WAY + 1
 # The flaws, which `tb2rl.simulation.variation` draws:
 WHEEL = 16  # true radius of the wheels / the radius that the robot counts with
@@ -34,9 +34,10 @@ DROPPED = 22  # share of the laser's beams that come back empty
 MOUNT = slice(23, 26)  # x [m], y [m], yaw [rad]: where the laser is, beside where it should be
 MASS, FRICTION = 26, 27  # of the robot and of its wheels on the floor / its own; in PyBullet alone
 COMMAND_LATENCY, READING_LATENCY = 28, 29  # [control steps]
+GYRO = 30  # turn that the gyro counts / the true one; 0: there is none, and odometry turns as its wheels count
 _LARGEST_VARIATION = 10.0  # of a robot's parameters, times its own
-_LEAST = np.array([0.5, 0.5, 0.5, 0.5, -1.0, -1.0, 0.0, -0.5, -0.5, -np.pi, 0.1, 0.01, 0.0, 0.0])
-_MOST = np.array([2.0, 2.0, 2.0, 2.0, np.inf, 1.0, 1.0, 0.5, 0.5, np.pi, 10.0, 10.0, 10.0, 10.0])
+_LEAST = np.array([0.5, 0.5, 0.5, 0.5, -1.0, -1.0, 0.0, -0.5, -0.5, -np.pi, 0.1, 0.01, 0.0, 0.0, 0.0])
+_MOST = np.array([2.0, 2.0, 2.0, 2.0, np.inf, 1.0, 1.0, 0.5, 0.5, np.pi, 10.0, 10.0, 10.0, 10.0, 2.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,7 @@ class Setup:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """The start that each world proposes, a row of columns as above for each, shape (worlds, 32)."""
+        """The start that each world proposes, a row of columns as above for each, shape (worlds, 33)."""
         table = np.empty((len(self.worlds), COLUMNS))
         for number, world in enumerate(self.worlds):
             table[number, POSE] = world.start
@@ -69,7 +70,7 @@ class Setup:
         table[:, PARAMETERS] = self.robot.parameters
         table[:, FLAWS], table[:, CROWD], table[:, WAY] = 0.0, 0.0, OWN
         table[:, WHEELS], table[:, [MASS, FRICTION]] = 1.0, 1.0
-        table[:, NOISE] = -1.0
+        table[:, NOISE], table[:, GYRO] = -1.0, float(self.robot.gyro)
         return table
 
     @cached_property

@@ -22,6 +22,7 @@ from tb2rl.simulation.setup import (
     COMMAND_LATENCY,
     DROPPED,
     FRICTION,
+    GYRO,
     LEFT_COUNT,
     MASS,
     MOUNT,
@@ -53,7 +54,7 @@ class Variation:
     """The ranges that an episode's robot is drawn from; without arguments it is always the same robot.
 
     Wheels that are not what they should be make the robot drive otherwise than it is told, and its odometry, which
-    does not know of it, say otherwise than it drove.
+    does not know of it, say otherwise than it drove; see `tb2rl.simulation.odometry`.
     """
 
     wheel_radius: Shares = (1.0, 1.0)  # times the robot's own
@@ -70,6 +71,7 @@ class Variation:
     mount_yaw: Angles = (0.0, 0.0)  # [rad] turned to the left
     latency: Latency = (0, 0)  # [control steps] until a command is obeyed
     reading_latency: Latency = (0, 0)  # [control steps] until a reading is observed
+    gyro: Shares = (1.0, 1.0)  # turn that it counts over the true one, of a robot that has one
 
     def vary(self, start: Start, draws: Draws) -> None:
         """Write what differs into the start of some robots' episodes: in place, and nothing is drawn for nothing.
@@ -98,6 +100,7 @@ class Variation:
             table[:, MOUNT.start + i] = _between(span, next(numbers))
         for column, (low, high) in ((COMMAND_LATENCY, self.latency), (READING_LATENCY, self.reading_latency)):
             table[:, column] = np.floor(low + (high + 1 - low) * next(numbers))
+        table[:, GYRO] *= _between(self.gyro, next(numbers))
 
 
 NONE = Variation()
@@ -118,6 +121,7 @@ PRESETS = {
         mount_y=(-0.005, 0.005),
         mount_yaw=(-0.02, 0.02),
         latency=(0, 1),
+        gyro=(0.998, 1.002),
     ),
     "strong": Variation(
         wheel_radius=(0.97, 1.03),
@@ -134,6 +138,7 @@ PRESETS = {
         mount_yaw=(-0.05, 0.05),
         latency=(0, 1),
         reading_latency=(0, 1),
+        gyro=(0.99, 1.01),
     ),
 }
 

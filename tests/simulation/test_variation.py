@@ -39,8 +39,9 @@ def begin(make_setup):
     """A function from a simulation's name and ranges to it, with an episode begun, and its first reading."""
     begun = []
 
-    def begin(simulation, world="loop", beams=1, **ranges):
+    def begin(simulation, world="loop", beams=1, has_gyro=False, **ranges):
         setup = make_setup(*([world] if world else []), beams=beams)
+        setup = replace(setup, robot=replace(setup.robot, gyro=has_gyro))
         made = simulate(simulation, setup)
         begun.append(made)
         return made, made.reset(varied(setup, **ranges), np.random.default_rng(0))
@@ -85,6 +86,22 @@ def test_encoders_that_count_otherwise_change_odometry_alone(simulation, begin, 
     np.testing.assert_array_equal(after.twist, true.twist)
     assert after.odometry[0, 2] == pytest.approx(0.02 * true.pose[0, 0] / ROBOT.wheel_separation, rel=0.01)
     assert after.odometry_twist[0, 1] == pytest.approx(0.02 * 0.4 / ROBOT.wheel_separation, rel=0.01)
+
+
+@BOTH
+def test_a_gyro_knows_how_far_the_robot_turns_whatever_the_wheels_count(simulation, begin):
+    wheels = {"wheel_radius": (1.1, 1.1), "wheel_separation": (0.9, 0.9), "odometry": (0.95, 1.05)}
+    made, _ = begin(simulation, None, has_gyro=True, **wheels, gyro=(1.02, 1.02))
+    after = made.step(np.array([[0.3, 1.0]]), 2.0)
+    assert after.odometry[0, 2] == pytest.approx(1.02 * after.pose[0, 2], rel=1e-3)
+    assert after.odometry_twist[0, 1] == pytest.approx(1.02 * after.twist[0, 1], rel=0.01)
+
+
+@BOTH
+def test_a_gyro_alone_that_counts_otherwise_makes_odometry_drift(simulation, begin):
+    made, _ = begin(simulation, None, has_gyro=True, gyro=(0.98, 0.98))
+    after = made.step(np.array([[0.3, 1.0]]), 2.0)
+    assert after.odometry[0, 2] == pytest.approx(0.98 * after.pose[0, 2], rel=0.002)
 
 
 @BOTH
