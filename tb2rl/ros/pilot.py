@@ -120,6 +120,7 @@ class Pilot:
         self._driver.see_scan(turn, self._scanned)
         if self._scans == 1:
             self._compare_clocks()
+            self._stops = _STOPS  # a simulation in lockstep waits for answers from the first scan on
         if self._armed and self._scans >= _JUDGED:
             self._try_to_start()
         # The clock comes on a topic of its own, maybe after the scan of the same simulated instant.
@@ -211,9 +212,9 @@ class Pilot:
     def _say(self, command: Command) -> None:
         if command.why == DRIVING:
             self._stops = _STOPS
-        elif self._stops > 0:
-            self._stops -= 1
-        if not self._dry_run and (command.why == DRIVING or self._stops > 0):
+        elif self._velocity.connected():  # what nobody hears does not count
+            self._stops = max(0, self._stops - 1)
+        if not self._dry_run and self._stops > 0:
             self._velocity.say(Velocity(command.v, command.w))
         self._command = command
         if _words(command.why) != self._told and not self._armed:  # then the preflight says why

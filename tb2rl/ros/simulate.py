@@ -21,6 +21,7 @@ from tb2rl.simulation import judging_simulation
 SCAN_RATES = (2.0, 40.0)  # [Hz] a base that is commanded more seldom stops in between
 _LATE = 0.1  # [s] of wall-clock time: what was lost beyond is not made up for
 _BREATH = 1e-4  # [s] so that the threads of ROS get to say something while time runs as fast as it can
+_AGAIN = 5.0  # [s] of wall-clock time until the scan is said again that nobody has answered yet, and maybe nobody heard
 _LOOK_UP = 0.2  # [s] of wall-clock time between looks whether anybody is there
 
 
@@ -68,7 +69,7 @@ class Server:
     def __init__(self, simulator: Simulator, graph: Graph, topics: Topics, rate: float, lockstep: float | None) -> None:
         self._simulator, self._graph, self._rate, self._lockstep = simulator, graph, rate, lockstep
         self._turn = threading.Condition()  # whose it is: ours, or that of a thread of ROS
-        self._paused = self._answered = self._disturbed = False
+        self._paused = self._answered = self._disturbed = self._commanded = False
         self._until_scan, self._unanswered, self._due = 0, 0, 0.0
         self._clock, self._tf = graph.publisher("/clock", Clock), graph.publisher("/tf", Transforms)
         self._scan, self._odometry = graph.publisher(topics.scan, Scan), graph.publisher(topics.odometry, Odometry)
@@ -122,13 +123,17 @@ class Server:
 
     def _is_answered(self, seconds: float) -> bool:
         """Wait for an answer to the scan; False: the scan must be said again."""
-        until = time.monotonic() + seconds
+        said = time.monotonic()
+        until = said + seconds
         while not (self._answered or self._disturbed):
-            left = until - time.monotonic()
-            if left <= 0.0:
+            now = time.monotonic()
+            if now >= until:
                 self._unanswered += 1
                 return True
-            self._turn.wait(min(left, _LOOK_UP))
+            if not self._commanded and now > said + _AGAIN:  # who has only just joined can miss one
+                self._say()
+                said = now
+            self._turn.wait(min(until - now, _LOOK_UP))
             if self._graph.is_over() or not self._somebody_is_there():
                 return False
         return not self._disturbed
@@ -164,7 +169,7 @@ class Server:
     def _drive(self, velocity: Velocity) -> None:
         with self._turn:
             self._simulator.drive(velocity)
-            self._answered = True
+            self._answered = self._commanded = True
             self._turn.notify_all()
 
     def _pause(self, paused: bool) -> None:

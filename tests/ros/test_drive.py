@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import time
 from contextlib import contextmanager
 
 import pytest
@@ -110,20 +111,20 @@ def test_it_drives_in_real_time(policy, graph):
 def test_who_is_killed_stops_the_robot_and_who_comes_back_goes_on(graph):
     with simulate(graph) as first, drive(graph, "maze-loop-qlearn") as driven, watching(graph) as probe:
         wait_for(driven, "driving")
-        probe.ask("watched", until="moved", seconds=1.0)
+        probe.ask("watched", until="told to move", seconds=1.0)
         first.close()
         gone = probe.ask("watched", seconds=2.0)
         report("robot killed", told_to_stand_after=gone["told to stand"] - gone["told to move"])
         seen = len(driven.lines)
         with simulate(graph):
             wait_for(driven, "driving", seen - 1)
-            probe.ask("watched", until="moved", seconds=1.0)
+            probe.ask("watched", until="told to move", seconds=1.0)
             driven.close()
             killed = probe.ask("watched", seconds=3.0)
             report("node killed", stands_after=killed["went on"])
             with drive(graph, "maze-loop-qlearn") as again:
                 wait_for(again, "driving")
-                probe.ask("watched", until="moved")
+                probe.ask("watched", until="told to move")
                 assert again.stop() == 0
                 ended = probe.ask("watched", seconds=1.0)
     assert 0.0 < gone["told to stand"] - gone["told to move"] < 0.6
@@ -135,9 +136,12 @@ def test_services_start_and_stop_it(graph):
     with simulate(graph), drive(graph, "maze-loop-qlearn", "--wait") as driven, watching(graph) as probe:
         probe.listen("/diagnostics", "diagnostic_msgs/DiagnosticArray")
         wait_for(driven, "it stands: not started")
-        assert probe.ask("pass_time", seconds=1.0)
-        assert probe.ask("trigger", service="/tb2rl_driver/start") == [True, ""]
-        probe.ask("watched", until="moved")
+        start = {"service": "/tb2rl_driver/start"}
+        until = time.monotonic() + 300.0
+        while (answer := probe.ask("trigger", **start)) == [False, "no scan has come yet"]:
+            assert time.monotonic() < until
+        assert answer == [True, ""]
+        probe.ask("watched", until="told to move")
         assert probe.ask("trigger", service="/tb2rl_driver/stop") == [True, ""]
         stopped = probe.ask("watched", seconds=1.0)
         assert stopped["told to stand"] > stopped["told to move"]
