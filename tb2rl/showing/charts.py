@@ -24,7 +24,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
 from tb2rl.judging.evaluation import Episode, Evaluation
 from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, MOVER, PATH, START, WALL
 from tb2rl.showing.curves import Curve, Family
-from tb2rl.tasks.outcome import MOVER_CRASH, STOOD
+from tb2rl.tasks.outcome import MOVER_CRASH
 from tb2rl.worlds import World
 from tb2rl.worlds.world import box_shapes
 
@@ -90,10 +90,9 @@ def draw_ways(evaluation: Evaluation) -> Markup:
         mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
         for group in scene.setup.movers_in(world):
             axes.plot(*np.reshape(group.route, (-1, 2)).T, color=MOVER, linewidth=1.2, alpha=0.3)
-        met = (MOVER_CRASH, STOOD)
-        run_into = [episode.path[-1] for episode in episodes if episode.ended in met]
+        run_into = [episode.path[-1] for episode in episodes if episode.ended == MOVER_CRASH]
         mark(axes, run_into, s=22, color=MOVER, marker="x", linewidths=1.2, zorder=4, gid=f"run-into{own}")
-        failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended not in met]
+        failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended != MOVER_CRASH]
         mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
         goal = scene.goal_in(world)
         if goal is not None:

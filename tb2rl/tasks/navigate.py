@@ -41,7 +41,8 @@ class Navigate(Task):
     - `plan`: a point `reach` ahead on the shortest way, as from a planner that knows where the robot is, and the map:
       with `planner: known` the world's, with `seen` what the laser has seen so far.
 
-    Something that moves and touches a robot that stands ends the episode too, but under a name of its own.
+    What moves and runs into a robot that stands ends nothing, for the robot has not driven into it: it may go on when
+    the other has gone.
 
     A step pays the metres by which the way to the goal became shorter, round all obstacles. That is why the straight
     line into a dead end pays nothing.
@@ -117,7 +118,7 @@ class Navigate(Task):
 
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
         missing = np.hypot(*(after.goal - after.pose[:, :2]).T)
-        reached, crashed = (missing <= self.goal_radius) & ~after.bumped, after.bumped
+        reached, crashed = (missing <= self.goal_radius) & ~after.bumped, after.bumped & ~self._run_into(before, after)
         # Close to a wall the way is rounded from squares that no robot can be at, and may jump by more than a step.
         at_most = 1.5 * self.fastest * self.control_period
         closer = np.clip(before.to_go - after.to_go, -at_most, at_most)
@@ -127,5 +128,10 @@ class Navigate(Task):
             fines = fines + self.margin_reward * np.clip(self.margin - gap, 0.0, self.margin) / self.margin
         moving = self.closer_reward * closer + self.step_reward + fines
         reward = np.select([crashed, reached], [self.crash_reward, self.goal_reward], moving)
-        stood = (before.twist[:, 0] < _STILL) & (after.command[:, 0] < _STILL)
-        return Outcome(reward, failed=crash_endings(crashed, after, stood), succeeded={"goal": reached})
+        return Outcome(reward, failed=crash_endings(crashed, after), succeeded={"goal": reached})
+
+    def _run_into(self, before: Reading, after: Reading) -> np.ndarray:
+        """Which robots something that moves touches while they stand, bool, shape (robots,)."""
+        if after.moving is None:
+            return np.zeros_like(after.bumped)
+        return after.moving & (before.twist[:, 0] < _STILL) & (after.command[:, 0] < _STILL)

@@ -12,24 +12,18 @@ from tb2rl.simulation import Reading
 
 TIME_LIMIT = "time limit"  # the ending of an episode whose steps are used up
 CRASH, MOVER_CRASH = "crash", "crash with something that moves"
-STOOD = "touched by something that moves while it stood"
 
 
-def crash_endings(crashed: np.ndarray, after: Reading, stood: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def crash_endings(crashed: np.ndarray, after: Reading) -> dict[str, np.ndarray]:
     """Endings of robots that have crashed, for `Outcome.failed`: into a wall, or into something that moves.
 
     Args:
         crashed: Which have, bool, shape (robots,).
         after: The reading that says so.
-        stood: Which stood still, so that they have driven into nothing that moves, bool, shape (robots,); that is an
-            ending of its own. None: it is not told apart.
     """
     if after.moving is None:
         return {CRASH: crashed}
-    met = crashed & after.moving
-    if stood is None:
-        return {CRASH: crashed & ~after.moving, MOVER_CRASH: met}
-    return {CRASH: crashed & ~after.moving, MOVER_CRASH: met & ~stood, STOOD: met & stood}
+    return {CRASH: crashed & ~after.moving, MOVER_CRASH: crashed & after.moving}
 
 
 class Ending(NamedTuple):

@@ -11,7 +11,7 @@ from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.tasks import crash_endings
 from tb2rl.tasks.drive import Drive
 from tb2rl.tasks.navigate import Navigate
-from tb2rl.tasks.outcome import CRASH, MOVER_CRASH, STOOD
+from tb2rl.tasks.outcome import CRASH, MOVER_CRASH
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
@@ -53,17 +53,22 @@ def test_a_task_of_ones_own_tells_crashes_apart_with_one_call(reading):
     assert failed[MOVER_CRASH].tolist() == [False, False, False, True]
 
 
-def test_what_touches_a_robot_that_stands_is_told_apart_by_navigate(reading, driven_to_goal):
+def test_who_stands_at_navigate_has_driven_into_nothing(reading, driven_to_goal):
     endings = {}
     for name, (before, told) in {"stood": (0.0, 0.0), "drove": (0.0, 0.3), "braked": (0.3, 0.0)}.items():
         first, last = driven_to_goal(reading, before, told)
         endings[name] = Navigate().judge(first, np.zeros((4, 2), np.float32), last).ending(3, timed_out=False)
-    assert {name: ending.name for name, ending in endings.items()} == {
-        "stood": STOOD,
-        "drove": MOVER_CRASH,
-        "braked": MOVER_CRASH,
-    }
-    assert all(ending.failed and not ending.success for ending in endings.values())
+    assert endings.pop("stood") is None
+    assert [(ending.name, ending.failed) for ending in endings.values()] == [(MOVER_CRASH, True)] * 2
+
+
+def test_a_robot_that_stands_at_the_goal_is_not_there_while_something_touches_it(reading, driven_to_goal):
+    first, last = driven_to_goal(reading, 0.0, 0.0)
+    there = replace(last, pose=np.column_stack([last.goal, last.pose[:, 2]]))
+    vars(there)["to_go"] = np.zeros(4)
+    outcome = Navigate().judge(first, np.zeros((4, 2), np.float32), there)
+    assert outcome.succeeded["goal"].tolist() == [True, True, True, False]
+    assert not outcome.terminated[3]
 
 
 @pytest.fixture
