@@ -67,5 +67,7 @@ def end_with_parent() -> None:
 
 
 def processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """How many processors this process may use; the shell's variable TB2RL_PROCESSORS says how many at most."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    said = os.environ.get("TB2RL_PROCESSORS", "")
+    return min(there, max(1, int(said))) if said.isdigit() else there

@@ -3,9 +3,11 @@
     python -m tb2rl.train --agent qlearn
     python -m tb2rl.train --agent dqn --set task.world=circuit agent.gamma=0.97 --name mine
     python -m tb2rl.train --agent ppo --simulation kinematic --seeds 0..4
+    python -m tb2rl.train --agent ppo --simulation kinematic --seeds 0..31 --on ray:10.0.0.1:6379
     python -m tb2rl.train --resume runs/maze/dqn/mine
 
-Everything has a default, in a signature or a preset of `configs`; `--set` changes anything.
+Several seeds are trained beside each other, each in a thread: by processes, or by Ray with `--on ray`, here or on a
+cluster. Everything has a default, in a signature or a preset of `configs`; `--set` changes anything.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import argparse
 from pathlib import Path
 
 from tb2rl.errors import ArgumentParser, command
+from tb2rl.jobs.where import add_where
 from tb2rl.registry import agent_names, task_names
 
 
@@ -31,6 +34,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, help="stop after so many, if that comes before --total-timesteps")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--seeds", metavar="A..B", help="train once with each of these seeds, say what they come to")
+    add_where(parser)
     parser.add_argument("--simulation", help="what to train in: bullet (default), or its fast twin kinematic")
     parser.add_argument("--n-envs", type=int, help="environments, in parallel processes or in one batch")
     parser.add_argument("--device", help="of the networks: cpu, cuda, auto")

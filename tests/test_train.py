@@ -13,7 +13,7 @@ from tb2rl import load
 from tb2rl.errors import InputError
 from tb2rl.learning.statistics import tutorial_scores
 
-work = import_module("tb2rl.commands.train")
+work, seeds_work = import_module("tb2rl.commands.train"), import_module("tb2rl.commands.seeds")
 command = import_module("tb2rl.train")  # `from tb2rl import train` is the function
 BARE = ["--n-envs", "1", "--eval-freq", "0"]
 
@@ -94,16 +94,30 @@ def test_a_run_is_resumed_with_nothing_but_more_steps(folder, capsys):
 def test_several_seeds_are_trained_evaluated_and_summed_up(folder, monkeypatch, capsys):
     rates = iter([1.0, 0.5, 0.96])
     evaluation = SimpleNamespace(task=SimpleNamespace(world="loop"), tree=lambda *_: ({}, {}))
-    monkeypatch.setattr(work, "evaluate", lambda *_, **__: evaluation)
-    monkeypatch.setattr(work, "print_evaluation", lambda *_: {"mean_distance": 10.0, "success_rate": next(rates)})
+    monkeypatch.setattr(seeds_work, "evaluate", lambda *_, **__: evaluation)
+    summary = {"mean_distance": 10.0}
+    monkeypatch.setattr(seeds_work, "print_evaluation", lambda *_: {**summary, "success_rate": next(rates)})
+
+    def here(jobs, _, shared):
+        return [(job, job.function(shared, job.folder, *job.arguments)) for job in jobs]
+
+    monkeypatch.setattr(seeds_work, "run_jobs", here)
     command.main(["--seeds", "3..5", "--name", "it", "--total-timesteps", "8", *BARE])
     assert [load(folder / f"seed-{seed}").seed for seed in (3, 4, 5)] == [3, 4, 5]
+    assert "trained 16 steps" in (folder / "seed-3" / "log.txt").read_text()
     figures = json.loads((folder / "seeds.json").read_text())
     assert (figures["seeds"], figures["failed"]) == ([3, 4, 5], [4])
     assert figures["success"]["mean"] == pytest.approx(0.82)
     low, high = figures["success"]["interval"]
     assert 0.5 <= low < 0.82 < high <= 1.0
     assert "failed (success below 95 %): 1 of 3: 4" in capsys.readouterr().out
+
+
+def test_processes_are_for_several_seeds(folder, capsys):
+    for more in (["--on", "ray"], ["--workers", "2"]):
+        with pytest.raises(SystemExit):
+            command.main(["--name", "it", *more])
+        assert "--on and --workers go with --seeds" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("text", "seeds"), [("0..4", [0, 1, 2, 3, 4]), ("7", [7]), ("3,1", [3, 1]), ("2..2", [2])])

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
+from tb2rl.commands.seeds import say_trained, train_seeds
 from tb2rl.errors import InputError
-from tb2rl.files import write_text
-from tb2rl.judging.evaluator import EPISODES, PASSED, evaluate
-from tb2rl.judging.statistics import bootstrap_interval
-from tb2rl.learning.statistics import tutorial_scores
-from tb2rl.learning.training import Training, default_folder, resume, stopped_early, train_config
+from tb2rl.jobs.where import where_of
+from tb2rl.judging.evaluator import EPISODES, evaluate
+from tb2rl.learning.training import Training, default_folder, resume, train_config
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
@@ -32,14 +27,17 @@ _MOST_SEEDS = 1000
 def run(options: argparse.Namespace) -> None:
     """Train, say where the run is, evaluate."""
     if options.resume:
-        others = {"agent", "task", "preset", "set", "name", "seeds", *_FLAGS} - {"total_timesteps"}
+        others = {"agent", "task", "preset", "set", "name", "seeds", "on", "workers", *_FLAGS} - {"total_timesteps"}
         if any(getattr(options, name) not in (None, []) for name in others):
             raise InputError("--resume goes on with what the run's config says; only --total-timesteps can be raised")
         _finish(resume(options.resume, options.total_timesteps, _bar(options), options.verbose, _say_resumed), options)
         return
     config = requested(options)
     folder = _folder(config, options.name)
+    where = where_of(options)
     if options.seeds is None:
+        if (options.on, options.workers) != (None, None):
+            raise InputError("--on and --workers go with --seeds: one training is one process")
         _train_and_evaluate(config, folder, options)
         return
     if options.seed is not None or options.no_evaluation:
@@ -47,14 +45,7 @@ def run(options: argparse.Namespace) -> None:
     seeds = parse_seeds(options.seeds)
     if folder.exists():
         raise InputError(f"{folder} exists already; choose another --name")
-    summaries = {}
-    for seed in seeds:
-        seeded = replace(config, train=replace(config.train, seed=seed))
-        summary = _train_and_evaluate(seeded, folder / f"seed-{seed}", options)
-        if summary is None:  # interrupted
-            return
-        summaries[seed] = summary
-    _print_seeds(summaries, folder)
+    train_seeds(config, seeds, folder, where, options.verbose)
 
 
 def requested(options: argparse.Namespace) -> Config:
@@ -79,9 +70,9 @@ def parse_seeds(text: str) -> list[int]:
     return seeds
 
 
-def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespace) -> dict[str, Any] | None:
+def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespace) -> None:
     began = partial(_say_began, config)
-    return _finish(train_config(config, folder, _bar(options), options.verbose, began), options)
+    _finish(train_config(config, folder, _bar(options), options.verbose, began), options)
 
 
 def _say_began(config: Config, folder: Path) -> None:
@@ -99,39 +90,17 @@ def _say_resumed(folder: Path) -> None:
     print(f"resuming {folder}", flush=True)
 
 
-def _finish(training: Training, options: argparse.Namespace) -> dict[str, Any] | None:
-    """Say how a training went, and give the summary of its standard evaluation; None if it was interrupted."""
-    rate = training.timesteps / training.seconds
-    print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
-    if training.stopped_after is not None:
-        print(stopped_early(training.run.config, training.stopped_after))
-    print(tutorial_scores(training.lengths))
+def _finish(training: Training, options: argparse.Namespace) -> None:
+    """Say how a training went, and evaluate it unless it was interrupted."""
+    say_trained(training)
     if options.no_evaluation or training.interrupted:
-        return None
+        return
     run = training.run
     where = "PyBullet" if judging_simulation() == "bullet" else "the fast twin"
     print(f"standard evaluation of its best policy in {where}: {EPISODES} episodes, about half a minute", flush=True)
     evaluation = evaluate(load(run.folder), progress=True)
-    summary = print_evaluation(evaluation, f"{run.folder} in {run.config.scene.place}")
+    print_evaluation(evaluation, f"{run.folder} in {run.config.scene.place}")
     run.write_evaluation(*evaluation.tree(run.config, str(run.folder)))
-    return summary
-
-
-def _print_seeds(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
-    """Print what several seeds came to, and keep it as `seeds.json`."""
-    rates = [summary["success_rate"] for summary in summaries.values()]
-    distances = [summary["mean_distance"] for summary in summaries.values()]
-    failed = [seed for seed, summary in summaries.items() if summary["success_rate"] < PASSED]
-    figures: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "passed_from": PASSED}
-    print(f"{len(summaries)} seeds in {folder}")
-    for name, values, scale, unit in (("success", rates, 100, "%"), ("distance", distances, 1, "m")):
-        low, high = bootstrap_interval(values)
-        mean = sum(values) / len(values)
-        figures[name] = {"each": values, "mean": mean, "interval": [low, high]}
-        print(f"  {name}: mean {scale * mean:.1f} {unit}, 95 % interval {scale * low:.1f} to {scale * high:.1f} {unit}")
-    named = f": {', '.join(map(str, failed))}" if failed else ""
-    print(f"  failed (success below {100 * PASSED:.0f} %): {len(failed)} of {len(summaries)}{named}")
-    write_text(folder / "seeds.json", json.dumps(figures, indent=1) + "\n")
 
 
 def _bar(options: argparse.Namespace) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -30,6 +31,8 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     Raises:
         InputError: If there is no such world, or a setting does not fit.
     """
+    if _carried and (brought := _carried.get(_key(setting))):
+        return brought
     if isinstance(setting, Mapping) and "file" in setting:
         return (_of_file(setting),)
     if isinstance(setting, Mapping):
@@ -43,6 +46,25 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     if ":" not in setting and not is_path(setting) and setting not in world_names():
         raise unknown("world", setting, [*world_names(), *_generators()])
     return (find_world(setting),)
+
+
+def worlds_of_files(setting: Any) -> dict[str, tuple[World, ...]]:
+    """The worlds that a setting has from files of this machine, for `carry` on another one."""
+    if not isinstance(setting, str | Mapping):
+        return {key: worlds for entry in setting for key, worlds in worlds_of_files(entry).items()}
+    return {_key(setting): find_worlds(setting)} if list(files_named(setting)) else {}
+
+
+def carry(worlds: Mapping[str, tuple[World, ...]]) -> None:
+    """Let this process find the worlds that `worlds_of_files` took along, without their files."""
+    _carried.update(worlds)
+
+
+_carried: dict[str, tuple[World, ...]] = {}
+
+
+def _key(setting: Any) -> str:
+    return json.dumps(setting, sort_keys=True, default=list)
 
 
 def absolute_worlds(setting: Any) -> Any:

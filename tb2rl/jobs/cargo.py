@@ -1,0 +1,75 @@
+"""What jobs need on another machine beside tb2rl: the user's own modules, and what all jobs share."""
+
+from __future__ import annotations
+
+import pickle
+import site
+import sys
+import sysconfig
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import Any
+
+import cloudpickle
+
+import tb2rl
+from tb2rl.jobs.job import files_in, write_files
+
+_SCHEMES = ("stdlib", "platstdlib", "purelib", "platlib")
+_DATA = (".urdf", ".yaml", ".yml", ".json", ".obj", ".stl", ".dae", ".txt")  # beside a module, what it may read
+
+_folders: list[TemporaryDirectory[str]] = []  # that end with this process
+
+
+def packed(shared: Any) -> bytes:
+    """The modules that were imported here and are not installed, and what all jobs share."""
+    return pickle.dumps((_users_files(), cloudpickle.dumps(shared)))
+
+
+@lru_cache(maxsize=1)
+def unpacked(cargo: bytes) -> Any:
+    """What all jobs share; from now on this process imports the modules that came with it."""
+    files, shared = pickle.loads(cargo)
+    if files:
+        _folders.append(TemporaryDirectory(prefix="tb2rl-modules-"))
+        write_files(files, Path(_folders[-1].name, "modules"))
+        sys.path.insert(0, str(Path(_folders[-1].name, "modules")))
+    return pickle.loads(shared)
+
+
+def _users_files() -> dict[str, bytes]:
+    """The files of the modules that a user wrote, by their path below an entry of `sys.path`."""
+    files: dict[str, bytes] = {}
+    for name, file in _users_modules():
+        if file.name != "__init__.py":
+            files[f"{name}{file.suffix}"] = file.read_bytes()
+            files |= {each.name: each.read_bytes() for each in file.parent.glob("*") if each.suffix in _DATA}
+        else:
+            files |= {f"{name}/{path}": content for path, content in files_in(file.parent).items() if _is_kept(path)}
+    return files
+
+
+def _users_modules() -> Iterator[tuple[str, Path]]:
+    """The modules without a dot in their names that are neither installed nor of tb2rl, and their files."""
+    installed = [Path(sysconfig.get_path(scheme)).resolve() for scheme in _SCHEMES]
+    installed += [
+        Path(folder).resolve() for folder in (*site.getsitepackages(), site.getusersitepackages(), sys.prefix)
+    ]
+    installed += [Path(folder).resolve() for folder in tb2rl.__path__]
+    for name, module in list(sys.modules.items()):
+        file = _file_of(module)
+        if file is None or "." in name or name == "__main__" or any(file.is_relative_to(each) for each in installed):
+            continue
+        yield name, file
+
+
+def _file_of(module: ModuleType) -> Path | None:
+    file = getattr(module, "__file__", None)
+    return Path(file).resolve() if file and file.endswith(".py") else None
+
+
+def _is_kept(path: str) -> bool:
+    return "__pycache__" not in path and not any(part.startswith(".") for part in path.split("/"))
