@@ -9,10 +9,11 @@ on two processors.
 
     python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite unseen
     python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite barn PATH
+    python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite unseen --on ray
 
 A suite is driven instead: each of its worlds once, from its start to its goal. `unseen` has a thousand worlds that
 nothing else draws, `barn` those of the BARN challenge, from a copy of its repository. What is interrupted goes on where
-it was when the same command is given again.
+it was when the same command is given again. With `--on ray` the worlds are shared out by Ray, here or on a cluster.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import argparse
 from pathlib import Path
 
 from tb2rl.errors import ArgumentParser, command
+from tb2rl.jobs.where import add_where
 from tb2rl.policy_arguments import add_policy_arguments
 
 
@@ -32,7 +34,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, help="control steps at most in an episode (default: 1500)")
     parser.add_argument("--seed", type=int, help="of the start poses")
     parser.add_argument("--suite", nargs="+", metavar=("NAME", "PATH"), help="drive a suite: unseen, or barn PATH")
-    parser.add_argument("--workers", type=int, help="processes (default: one for each processor)")
+    add_where(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here, not into the run folder")
     return parser.parse_args(arguments)
 

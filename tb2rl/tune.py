@@ -3,6 +3,7 @@
     python -m tb2rl.tune --agent qlearn --task maze --trials 30
     python -m tb2rl.tune --agent ppo --preset mine.yaml --space my_space.yaml --minutes 60
     python -m tb2rl.tune --agent ppo --task navigate --set task.guide=plan --steps 2000000 --name with-plan
+    python -m tb2rl.tune --agent ppo --task navigate --trials 1000 --on ray:10.0.0.1:6379
 
 The study is the folder runs/tune/NAME. The same command goes on with it, and the same command in another terminal works
 at it, too. In the end stand there best.yaml, which `train --preset` takes, and report.html.
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 
 from tb2rl.errors import ArgumentParser, InputError, command
+from tb2rl.jobs.where import add_where
 from tb2rl.registry import agent_names, task_names
 
 
@@ -36,7 +38,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--sampler", default="tpe", help="what proposes settings: tpe (default) or random")
     parser.add_argument("--pruner", default="median", help="what ends bad trials: median (default), hyperband or none")
     parser.add_argument("--seed", type=int, default=0, help="of the sampler (default: 0)")
-    parser.add_argument("--workers", type=int, help="processes (default: one for each processor)")
+    add_where(parser)
     parser.add_argument("--fresh", type=int, default=3, help="seeds to compare best and default by; 0: do not")
     parser.add_argument("--name", help="of the folder runs/tune/NAME (default: TASK-AGENT)")
     parser.add_argument("--storage", metavar="URL", help="of a database (default: SQLite, in the folder)")

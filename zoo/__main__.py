@@ -3,6 +3,7 @@
     python -m tb2rl.zoo build                          # what is not there yet as its recipe says, all cards, the table
     python -m tb2rl.zoo build maze-loop-dqn --again    # from scratch
     python -m tb2rl.zoo build --barn PATH              # drives BARN's worlds from there, too
+    python -m tb2rl.zoo build --on ray                 # trained and driven by Ray, here or on a cluster
     python -m tb2rl.zoo check [NAME ...]
     python -m tb2rl.zoo push NAME user/repository      # puts one, or a run folder, on the hub of Hugging Face
 
@@ -22,6 +23,7 @@ import argparse
 from pathlib import Path
 
 from tb2rl.errors import ArgumentParser, command
+from tb2rl.jobs.where import add_where
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -37,6 +39,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--again", action="store_true", help="build: train and drive anew what is there, too")
     parser.add_argument("--barn", type=Path, metavar="PATH", help="build: drive BARN's worlds from here, too")
     parser.add_argument("--episodes", type=int, help="check: of the standard evaluation, the first (default: all)")
+    add_where(parser)
     parser.add_argument("--private", action="store_true", help="push: a new repository is for your eyes only")
     return parser.parse_args(arguments)
 

@@ -3,40 +3,63 @@
 from __future__ import annotations
 
 import json
-import shlex
 import shutil
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from PIL import Image
 
+from tb2rl.commands.seeds import train_and_evaluate
 from tb2rl.files import read_text, write_text
+from tb2rl.jobs.job import Job, files_in, write_files
+from tb2rl.jobs.running import run_jobs
+from tb2rl.jobs.where import Where
 from tb2rl.judging.evaluation import Evaluation, kept_evaluation
 from tb2rl.judging.evaluator import evaluate
 from tb2rl.learning.training import default_folder
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.showing.pictures import draw_paths
-from tb2rl.train import main as train
 from tb2rl.zoo.entry import ELSEWHERE, WORLDS, Entry
 
 _DRAWN = 30  # episodes in a picture, and all that failed
 PICTURE = "paths.png"
 
 
-def build(entry: Entry, again: bool) -> None:
-    """Train and evaluate a policy, as far as it is not there yet.
+def build(chosen: Sequence[Entry], again: bool, where: Where) -> None:
+    """Train and evaluate policies, as far as they are not there yet; each is in the zoo once it is done.
 
-    Raises:
-        InputError: If the training was interrupted, so that it has no evaluation.
+    Args:
+        chosen: Which.
+        again: Whether to train those that are there, too.
+        where: Where they are trained and driven.
     """
-    if again or not (entry.folder / "config.yaml").is_file() or not entry.is_as_requested:
-        folder = default_folder(entry.requested).with_name(f"{entry.name}-{datetime.now():%Y%m%d-%H%M%S}")
-        train([*shlex.split(entry.recipe), "--name", folder.name])
-        draw(kept_evaluation(Run.open(folder)), folder / PICTURE)
-        _take_over(folder, entry.folder)
-    for world in Entry(entry.name, entry.recipe, entry.folder).not_driven:  # read anew, for it may be another now
-        print(f"{entry.name} in {world}", flush=True)
-        _drive_in(world, entry.folder)
+    wanted = [entry for entry in chosen if again or not _is_trained(entry)]
+    by_name = {entry.name: entry for entry in wanted}
+    for job, _ in run_jobs([_training(entry) for entry in wanted], where):
+        assert job.folder is not None
+        draw(kept_evaluation(Run.open(job.folder)), job.folder / PICTURE)
+        _take_over(job.folder, by_name[job.name].folder)
+        print(f"{job.name}: trained in {job.folder}", flush=True)
+    anew = [Entry(entry.name, entry.recipe, entry.folder) for entry in chosen]  # read again, for they may be others now
+    places = {f"{entry.name} in {world}": (entry, world) for entry in anew for world in entry.not_driven}
+    jobs = [Job(name, _figures_in, (files_in(entry.folder), world)) for name, (entry, world) in places.items()]
+    for job, figures in run_jobs(jobs, where):
+        entry, world = places[job.name]
+        _add(figures, world, entry.folder)
+        print(job.name, flush=True)
+
+
+def _is_trained(entry: Entry) -> bool:
+    return (entry.folder / "config.yaml").is_file() and entry.is_as_requested
+
+
+def _training(entry: Entry) -> Job:
+    config = entry.requested
+    folder = default_folder(config).with_name(f"{entry.name}-{datetime.now():%Y%m%d-%H%M%S}")
+    return Job(entry.name, train_and_evaluate, (config, str(folder), 0), folder)
 
 
 def draw(evaluation: Evaluation, file: Path) -> None:
@@ -63,10 +86,18 @@ def _take_over(folder: Path, place: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _drive_in(world: str, folder: Path) -> None:
-    """Add the figures of the standard evaluation in a world to those that an entry's folder has."""
+def _figures_in(_shared: None, _folder: None, files: Mapping[str, bytes], world: str) -> dict[str, Any]:
+    """The figures of the standard evaluation of an entry in a world."""
+    with TemporaryDirectory() as parent:
+        folder = Path(parent, "entry")
+        write_files(files, folder)
+        return evaluate(folder, settings={"world": world}).summary()
+
+
+def _add(summary: Mapping[str, Any], world: str, folder: Path) -> None:
+    """Put figures in a world to those that an entry's folder has."""
     file = folder / ELSEWHERE
     figures = json.loads(read_text(file)) if file.is_file() else {}
-    figures[world] = evaluate(folder, settings={"world": world}, progress=True).summary()
+    figures[world] = summary
     in_order = {name: figures[name] for name in WORLDS if name in figures}
     write_text(file, json.dumps(in_order, indent=1) + "\n")

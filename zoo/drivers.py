@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from argparse import Namespace
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -80,8 +80,14 @@ class Driver:
             return False
         return before.to_dict() == self.config.to_dict()
 
-    def drive(self, suite: Suite, again: bool) -> None:
-        """Drive through a suite and keep the summary, unless it is there already; what was interrupted goes on."""
+    def drive(self, suite: Suite, again: bool, where: Sequence[str] = ()) -> None:
+        """Drive through a suite and keep the summary, unless it is there already; what was interrupted goes on.
+
+        Args:
+            suite: The suite.
+            again: Whether to drive anew what is there.
+            where: Arguments of the command that say where it is driven, see `Where.words`.
+        """
         kept = self.summary(suite.name)
         if kept is not None and kept.suite_digest == suite.digest and not again:
             return
@@ -89,7 +95,7 @@ class Driver:
         whole = _RESULTS / self.file(suite.name).name
         whole.parent.mkdir(parents=True, exist_ok=True)
         named = [suite.name, *([] if suite.path is None else [str(suite.path)])]
-        evaluate([*shlex.split(self.arguments), "--suite", *named, "--json", str(whole)])
+        evaluate([*shlex.split(self.arguments), "--suite", *named, "--json", str(whole), *where])
         self.folder.mkdir(exist_ok=True)
         summary = asdict(kept_result(whole).summary)
         write_text(self.file(suite.name), json.dumps(summary, indent=1, allow_nan=False) + "\n")

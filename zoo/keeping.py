@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tb2rl.errors import InputError
 from tb2rl.files import read_text, write_text
+from tb2rl.jobs.where import Where, where_of
 from tb2rl.judging.evaluator import EPISODES
 from tb2rl.judging.progress import progress, say
 from tb2rl.simulation import check_bullet
@@ -23,36 +24,35 @@ def run(options: argparse.Namespace) -> None:
     """Build the zoo or check it; status 1 if a card does not hold."""
     check_bullet("the zoo, whose cards are of PyBullet,")
     if options.what == "build":
-        _build(options.names, options.again, options.barn)
+        _build(options)
     elif not _check(options.names, EPISODES if options.episodes is None else options.episodes):
         raise SystemExit(1)
 
 
-def _build(names: list[str], again: bool, barn: Path | None) -> None:
+def _build(options: argparse.Namespace) -> None:
     """Build some entries and drive through suites, then write the cards and the table of all that is there."""
+    names, again, barn, where = options.names, options.again, options.barn, where_of(options)
     chosen, _ = named(names)
     if not os.access(zoo_folder(), os.W_OK):
         raise InputError(f"the zoo's folder {zoo_folder()} is not writable")
     if barn is not None:
         find_suite("barn", barn)  # says now, and not after all trainings, that it cannot be read
-    for number, entry in enumerate(chosen, start=1):
-        print(f"{entry.name} ({number} of {len(chosen)})", flush=True)
-        build(entry, again)
-    _drive(names, again, barn)
+    build(chosen, again, where)
+    _drive(names, again, barn, where)
     there = [entry for entry in entries() if entry.is_built]
     for entry in there:
         write_text(entry.folder / "README.md", card(entry))
     write_text(zoo_folder() / "README.md", table(there))
 
 
-def _drive(names: list[str], again: bool, barn: Path | None) -> None:
+def _drive(names: list[str], again: bool, barn: Path | None, where: Where) -> None:
     """Drive through suites: the entries that navigate, as they are now, and the others."""
     chosen, rest = named(names)
     drivers = [*drivers_of(chosen), *rest]
     places = [(UNSEEN, None), *([("barn", barn)] if barn else [])] if drivers else []  # made once, for it takes seconds
     for suite in [find_suite(*place) for place in places]:
         for driver in drivers:
-            driver.drive(suite, again)
+            driver.drive(suite, again, where.words)
 
 
 def _check(names: list[str], episodes: int) -> bool:

@@ -34,6 +34,8 @@ def run(options: argparse.Namespace) -> None:
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` where options do not go together, or do not fit."""
     check_places(options)
+    if options.on is not None:
+        raise InputError("--on goes with --suite: a hundred episodes are over sooner than Ray has started")
     if min(options.episodes, options.steps) < 1 or not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--episodes and --steps must be at least 1, and --seed from 0 to {LARGEST_SEED}")
 

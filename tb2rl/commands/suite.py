@@ -12,6 +12,7 @@ from tb2rl.commands.evaluate import check_places
 from tb2rl.commands.policy import chosen_policy
 from tb2rl.errors import InputError
 from tb2rl.files import write_text
+from tb2rl.jobs.where import where_of
 from tb2rl.judging.progress import progress
 from tb2rl.judging.spaces import check_observes
 from tb2rl.judging.suite_result import Drive, SuiteResult
@@ -33,12 +34,13 @@ def run(options: argparse.Namespace) -> None:
     scene = suite_scene(config.scene, suite)
     check_observes(policy, scene)
     about = _about(options)
-    with suite_evaluator(scene, options.workers) as evaluator:
+    where = where_of(options) if options.on else None
+    with suite_evaluator(scene, 1 if where else options.workers) as evaluator:
         file = _result_file(options, suite)
         journal = _journal(file, suite, config, {**about, "simulation": evaluator.simulation})
         drives = _kept(journal)
         _say_how_it_goes_on(journal, len(drives), len(suite.worlds))
-        rest = drives_of(evaluator, policy, len(drives))
+        rest = drives_of(evaluator, policy, len(drives), where)
         for drive in progress(rest, "evaluating", "world", total=len(suite.worlds) - len(drives)):
             journal.note(asdict(drive))
             drives.append(drive)

@@ -12,9 +12,11 @@ from optuna import Study
 from optuna.trial import FrozenTrial
 
 from tb2rl.errors import InputError
+from tb2rl.jobs.where import Where, where_of
 from tb2rl.processes import processors
 from tb2rl.runs.algorithm import check_learns
 from tb2rl.runs.layers import as_preset, parse_settings, resolve
+from tb2rl.search.elsewhere import run_elsewhere
 from tb2rl.search.judging import JUDGED, Comparison, Judgement, best_of, compare, judge
 from tb2rl.search.page import write_page, write_preset
 from tb2rl.search.space import check_space, find_space, space_from, without_fixed
@@ -31,13 +33,13 @@ _MOST = 100_000  # of trials, and of anything else that is counted
 def run(options: argparse.Namespace) -> None:
     """Run trials, judge the best, write a preset and a page."""
     check(options)
+    where = where_of(options)
     search = requested(options)
     try:
         with open_study(search) as study:
             _say_began(search, study, options)
-            workers = options.workers or processors()
             seconds = None if options.minutes is None else 60 * options.minutes
-            if not run_workers(search, options.trials, min(workers, options.trials), seconds):
+            if not _run_trials(search, study, where, options.trials, seconds):
                 print(f"the {options.minutes:g} minutes are over", flush=True)
             with search.lock():
                 drop_lost(search, study)
@@ -48,9 +50,16 @@ def run(options: argparse.Namespace) -> None:
         raise
 
 
+def _run_trials(search: Search, study: Study, where: Where, trials: int, seconds: float | None) -> bool:
+    """Run trials until the study has so many; whether it was over in time."""
+    if where.ray:
+        return run_elsewhere(search, study, trials, where, seconds)
+    return run_workers(search, trials, min(where.workers or processors(), trials), seconds)
+
+
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` where options do not fit."""
-    least = {"trials": 1, "seeds": 1, "fresh": 0, "workers": 1}
+    least = {"trials": 1, "seeds": 1, "fresh": 0}
     for name, low in least.items():
         value = getattr(options, name)
         if value is not None and not low <= value <= _MOST:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import closing
 from typing import Any, Protocol
@@ -31,7 +33,9 @@ class Workers(Protocol):
         """End what still runs."""
 
 
-def run_jobs(jobs: Iterable[Job], where: Where, shared: Any = None) -> Iterator[tuple[Job, Any]]:
+def run_jobs(
+    jobs: Iterable[Job], where: Where, shared: Any = None, seconds: float | None = None
+) -> Iterator[tuple[Job, Any]]:
     """Do jobs, and give each with what its function returned as it ends; its folder is there by then.
 
     However this ends, by Ctrl-C or an error of a job, what still runs ends with it. What is done stays.
@@ -40,11 +44,13 @@ def run_jobs(jobs: Iterable[Job], where: Where, shared: Any = None) -> Iterator[
         jobs: Taken one by one as places become free.
         where: What does them.
         shared: What all jobs share, large perhaps: it is sent once to each worker, and given to each function.
+        seconds: Time for it, after which what still runs is ended; None: as much as it takes.
 
     Raises:
         InputError: If a job raised one, its workers died too often, or there is nothing to do it.
         RuntimeError: If a job raised anything else; the message has its traceback.
     """
+    deadline = math.inf if seconds is None else time.monotonic() + seconds
     left, total = iter(jobs), len(jobs) if isinstance(jobs, Sized) else None
     with closing(where.open(shared)) as workers, LiveTable(total) as table:
         running = 0
@@ -53,7 +59,7 @@ def run_jobs(jobs: Iterable[Job], where: Where, shared: Any = None) -> Iterator[
                 workers.start(job)
                 table.begin(job.name)
                 running += 1
-            if not running:
+            if not running or time.monotonic() > deadline:
                 return
             for job, outcome in workers.wait(_LOOK):
                 running -= 1

@@ -29,6 +29,12 @@ class Where:
     address: str | None = None
     workers: int | None = None
 
+    @property
+    def words(self) -> list[str]:
+        """The arguments of a command line that mean it."""
+        ray = ["--on", "ray" if self.address is None else f"ray:{self.address}"] if self.ray else []
+        return ray if self.workers is None else [*ray, "--workers", str(self.workers)]
+
     def open(self, shared: object) -> Workers:
         """The workers.
 
@@ -47,11 +53,10 @@ class Where:
         return Cluster(self.address, self.workers, shared)
 
 
-def add_where(parser: argparse.ArgumentParser, workers: bool = True) -> None:
-    """The arguments that `where_of` reads; without `workers` the parser has its own `--workers` already."""
+def add_where(parser: argparse.ArgumentParser) -> None:
+    """The arguments that `where_of` reads."""
     parser.add_argument("--on", metavar="ray[:ADDRESS]", help="let Ray do it: here, or on the cluster of an address")
-    if workers:
-        parser.add_argument("--workers", type=int, help="how many at once (default: one for each processor)")
+    parser.add_argument("--workers", type=int, help="how many at once (default: one for each processor)")
 
 
 def where_of(options: argparse.Namespace) -> Where:

@@ -25,6 +25,9 @@ from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
+from tb2rl.jobs.job import Job
+from tb2rl.jobs.running import in_order
+from tb2rl.jobs.where import Where
 from tb2rl.judging.evaluation import Episode, Evaluation, smallest_type
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import Moment, Policy, roll_out, roll_out_together
@@ -95,12 +98,20 @@ class Evaluator:
         shown = progress_bar(self.drive(policy), "evaluating", "episode", total=len(self.poses), shown=progress)
         return Evaluation(list(shown), self.scene, self.seed, self.simulation)
 
-    def drive(self, policy: Policy, first: int = 0) -> Iterator[Episode]:
-        """Drive the episodes from number `first` on; each comes when it and all before it are over."""
+    def drive(self, policy: Policy, first: int = 0, where: Where | None = None) -> Iterator[Episode]:
+        """Drive the episodes from number `first` on; each comes when it and all before it are over.
+
+        With `where`, they are driven there, and not by the processes of this evaluator.
+        """
         together = _together(policy)
         begun = first - first % together
         groups = [self._group(i, together) for i in range(begun, len(self.poses), together)]
-        driven = self._drive_here(policy, groups) if self._pool is None else self._drive_in(self._pool, policy, groups)
+        if where is not None:
+            driven = self._drive_at(where, policy, groups)
+        elif self._pool is not None:
+            driven = self._drive_in(self._pool, policy, groups)
+        else:
+            driven = self._drive_here(policy, groups)
         return islice(driven, first - begun, None)
 
     def moments(self, policy: Policy, number: int) -> list[Moment]:
@@ -128,6 +139,11 @@ class Evaluator:
                 jobs = [pool.submit(_drive_some, file, group) for group in groups]
             for job in jobs:
                 yield from job.result()
+
+    def _drive_at(self, where: Where, policy: Policy, groups: Sequence[_Group]) -> Iterator[Episode]:
+        jobs = [Job(f"episodes from {group.seeds[0] - self.seed}", _drive_job, (group,)) for group in groups]
+        for episodes in in_order(jobs, where, (_Envs(self.scene, self.simulation), policy)):
+            yield from episodes
 
     def close(self) -> None:
         """End the processes."""
@@ -274,6 +290,10 @@ def _make_ready(scene: bytes, simulation: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that asked decides
     th.set_num_threads(1)
     _envs = _Envs(pickle.loads(scene), simulation)
+
+
+def _drive_job(shared: tuple[_Envs, Policy], _: None, group: _Group) -> list[Episode]:
+    return shared[0].drive(shared[1], group)  # the same for all jobs of a process: its environments stay open
 
 
 def _drive_some(policy: Path, group: _Group) -> list[Episode]:

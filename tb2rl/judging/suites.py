@@ -13,6 +13,7 @@ import numpy as np
 
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
+from tb2rl.jobs.where import Where
 from tb2rl.judging.evaluator import SEED, Evaluator
 from tb2rl.judging.rollout import Policy
 from tb2rl.judging.spaces import check_observes
@@ -145,9 +146,9 @@ def suite_evaluator(scene: Scene, workers: int | None = None) -> Evaluator:
     return Evaluator(scene, steps=scene.task.episode_steps, seed=SEED, workers=workers, each_world=True)
 
 
-def drives_of(evaluator: Evaluator, policy: Any, first: int = 0) -> Iterator[Drive]:
-    """Drive through the worlds from number `first` on, in their order."""
-    for episode in evaluator.drive(getattr(policy, "policy", policy), first):
+def drives_of(evaluator: Evaluator, policy: Any, first: int = 0, where: Where | None = None) -> Iterator[Drive]:
+    """Drive through the worlds from number `first` on, in their order; for `where` see `Evaluator.drive`."""
+    for episode in evaluator.drive(getattr(policy, "policy", policy), first, where):
         yield Drive.of(episode, evaluator.scene.task.control_period)
 
 

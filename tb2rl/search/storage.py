@@ -40,7 +40,7 @@ def open_study(search: Search) -> Iterator[optuna.Study]:
                 study_name=search.folder.name,
                 direction="maximize",
                 load_if_exists=True,
-                pruner=_pruner(search),
+                pruner=pruner(search),
             )
         try:
             yield study
@@ -80,7 +80,8 @@ def evaluations(search: Search) -> int:
     return -(-settings.total_timesteps // settings.eval_freq) if settings.eval_freq else 0
 
 
-def _pruner(search: Search) -> BasePruner:
+def pruner(search: Search) -> BasePruner:
+    """What ends bad trials, as the plan says."""
     count = evaluations(search)
     if search.plan.pruner == "none" or count < 2:
         return NopPruner()

@@ -58,8 +58,11 @@ def run_trials(search: Search, study: Study, wanted: int) -> None:
             claim.lock.release()
 
 
-def next_trial(search: Search, study: Study, wanted: int) -> Claim | None:
-    """Begin a trial, or wait for those that others run: these may be lost. None: the study has as many as wanted."""
+def next_trial(search: Search, study: Study, wanted: int, wait: bool = True) -> Claim | None:
+    """Begin a trial, or wait for those that others run: these may be lost.
+
+    None: the study has as many as wanted, or, if this does not `wait`, those that run are the rest.
+    """
     while True:
         with search.lock():
             drop_lost(search, study)
@@ -73,6 +76,8 @@ def next_trial(search: Search, study: Study, wanted: int) -> Claim | None:
                 lock = search.trial_lock(trial.number)
                 lock.acquire()
                 return Claim(trial, lock)
+        if not wait:
+            return None
         time.sleep(_AGAIN)
 
 
@@ -95,31 +100,36 @@ def _running(study: Study) -> list[int]:
 def _run(search: Search, study: Study, trial: Trial) -> str:
     """Run a trial to its end, and say in a line what came out."""
     started, named = time.monotonic(), f"trial {trial.number}"
-    same = _same(study, trial)
+    same = same_settings(study, trial)
     if same is not None:
         study.tell(trial, state=TrialState.PRUNED)
         return f"{named}: the same settings as trial {same}"
     try:
-        outcomes = _train(search, trial)
+        outcomes = train_trial(search, trial)
     except TrialPruned as reason:
         study.tell(trial, state=TrialState.PRUNED)
         search.forget(trial.number)  # not before: others would think it lost
         return f"{named}: {reason} ({time.monotonic() - started:.0f} s)"
+    tell(search, study, trial, outcomes)
+    return f"{named}: {said_of(study, trial, outcomes)} ({time.monotonic() - started:.0f} s)"
+
+
+def tell(search: Search, study: Study, trial: Trial, outcomes: Sequence[Outcome]) -> None:
+    """Tell a study what the trainings of a trial came to."""
     trial.set_user_attr("good_rates", [outcome.good_rate for outcome in outcomes])
     trial.set_user_attr("mean_returns", [outcome.mean_return for outcome in outcomes])
-    value = score(outcomes, search.default.train.best_by)
-    study.tell(trial, value)
+    study.tell(trial, score(outcomes, search.default.train.best_by))
+
+
+def said_of(study: Study, trial: Trial, outcomes: Sequence[Outcome]) -> str:
+    """What the trainings of a trial came to, in words."""
     best = ", the best so far" if study.best_trial.number == trial.number else ""
-    return f"{named}: {_described(outcomes)} ({time.monotonic() - started:.0f} s){best}"
-
-
-def _described(outcomes: Sequence[Outcome]) -> str:
     rates = ", ".join(f"{100 * outcome.good_rate:.1f}" for outcome in outcomes)
     share = sum(outcome.share for outcome in outcomes) / len(outcomes)
-    return f"{rates} % good episodes after {100 * share:.0f} % of the steps"
+    return f"{rates} % good episodes after {100 * share:.0f} % of the steps{best}"
 
 
-def _same(study: Study, trial: Trial) -> int | None:
+def same_settings(study: Study, trial: Trial) -> int | None:
     """The number of an earlier trial with the same settings, which would come to the same."""
     others = study.get_trials(deepcopy=False, states=(*FINISHED, TrialState.RUNNING))
     return next(
@@ -127,7 +137,7 @@ def _same(study: Study, trial: Trial) -> int | None:
     )
 
 
-def _train(search: Search, trial: Trial) -> list[Outcome]:
+def train_trial(search: Search, trial: Trial) -> list[Outcome]:
     """Train with each seed; raises `TrialPruned` with the reason where it is not worth its time."""
     folder, settings = search.trial_folder(trial.number), search.settings(trial.params)
     outcomes: list[Outcome] = []

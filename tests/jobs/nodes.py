@@ -10,7 +10,7 @@ import sys
 
 os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
-from ray.cluster_utils import Cluster  # noqa: E402 (it reads these as it is imported)
+from ray.cluster_utils import Cluster
 
 FEW = {"object_store_memory": 2**27, "include_dashboard": False}
 

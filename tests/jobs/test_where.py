@@ -28,6 +28,7 @@ def where(*words: str) -> Where:
 )
 def test_what_the_command_line_says(words, expected):
     assert where(*words) == expected
+    assert sorted(expected.words) == sorted(words)
 
 
 @pytest.mark.parametrize("words", [["--on", "spark"], ["--on", "ray:"], ["--workers", "0"], ["--on", ""]])

@@ -23,7 +23,7 @@ def begun(search, monkeypatch):
     it = search()
     monkeypatch.setattr(storage, "PATIENCE", 0.1)
     monkeypatch.setattr("optuna.storages._rdb.storage.time.sleep", lambda _: None)
-    monkeypatch.setattr(trials, "_train", lambda _, trial: [Outcome(trial.params["agent.gamma"], 1.0, 1.0)])
+    monkeypatch.setattr(trials, "train_trial", lambda _, trial: [Outcome(trial.params["agent.gamma"], 1.0, 1.0)])
     with open_study(it) as study:
         run_trials(it, study, 2)
     return it
@@ -75,17 +75,17 @@ def test_a_database_that_cannot_be_written_loses_no_finished_trial(begun, troubl
 
 
 def test_a_database_that_is_locked_while_a_trial_ends_loses_that_one_at_most(begun, monkeypatch):
-    before, train = values(begun), trials._train
+    before, train = values(begun), trials.train_trial
 
     def train_and_lock(search, trial):
         outcomes = train(search, trial)
         stack.enter_context(locked(search))
         return outcomes
 
-    monkeypatch.setattr(trials, "_train", train_and_lock)
+    monkeypatch.setattr(trials, "train_trial", train_and_lock)
     with pytest.raises(InputError, match="database is locked"), ExitStack() as stack, open_study(begun) as study:
         run_trials(begun, study, 3)
-    monkeypatch.setattr(trials, "_train", train)
+    monkeypatch.setattr(trials, "train_trial", train)
     with open_study(begun) as study:
         run_trials(begun, study, 3)
         assert counts(study) == {"complete": 3, "pruned": 0, "lost": 1}

@@ -9,9 +9,11 @@ import pytest
 from optuna.pruners import ThresholdPruner
 
 from tb2rl.errors import InputError
+from tb2rl.jobs.where import Where
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.search import trials
+from tb2rl.search.elsewhere import run_elsewhere
 from tb2rl.search.judging import Judgement
 from tb2rl.search.page import write_preset
 from tb2rl.search.storage import open_study
@@ -74,9 +76,9 @@ def test_two_that_share_a_study_have_different_trials_and_wait_for_each_other(se
 
 def test_settings_that_were_tried_are_not_trained_with_again(search, monkeypatch, capsys):
     it, trained = search(space={"agent.averaging": {"choices": [0.01, 0.1]}}), []
-    train = trials._train
+    train = trials.train_trial
     monkeypatch.setattr(
-        trials, "_train", lambda search, trial: [trained.append(trial.params), *train(search, trial)][1:]
+        trials, "train_trial", lambda search, trial: [trained.append(trial.params), *train(search, trial)][1:]
     )
     with open_study(it) as study:
         run_trials(it, study, 8)
@@ -151,3 +153,19 @@ def test_a_study_goes_on_with_the_same_settings_only(search):
         search(seeds=2, settings={"train.n_envs": 4})
     with pytest.raises(InputError, match="begun with another seeds, pruner;"):
         search(seeds=1, pruner="none")
+
+
+def test_trials_elsewhere_come_into_the_study_with_their_run_folders(search):
+    mine = search(seeds=2)
+    with open_study(mine) as study:
+        assert run_elsewhere(mine, study, 3, Where(workers=2))
+        trials = study.get_trials()
+    assert [trial.state.name for trial in trials] == ["COMPLETE"] * 3
+    for trial in trials:
+        assert len(trial.intermediate_values) == 4
+        assert len(trial.user_attrs["good_rates"]) == 2
+        for seed in mine.seeds:
+            assert (mine.run_folder(trial.number, seed) / "best" / "policy.safetensors").is_file()
+        with mine.trial_lock(trial.number):  # nobody runs it
+            pass
+    assert sorted(path.name for path in (mine.folder / "trials").iterdir()) == ["0000", "0001", "0002"]

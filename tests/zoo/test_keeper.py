@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 from importlib import import_module
 from io import StringIO
 
 import pytest
 
+from tb2rl.commands import seeds
+from tb2rl.judging.evaluator import evaluate
 from tb2rl.zoo import building, entry, keeping
 
 keeper = import_module("tb2rl.zoo.__main__")
@@ -71,28 +74,28 @@ def test_a_recipe_becomes_an_entry_that_holds_until_its_figures_are_touched(own_
     assert "evaluation.json is not JSON" in capsys.readouterr().err
 
 
-def test_a_build_that_is_interrupted_keeps_what_was_trained(own_zoo, monkeypatch, capsys):
-    training = building.train
+def test_a_build_that_is_interrupted_keeps_what_was_trained(own_zoo, monkeypatch):
+    (own_zoo / "recipes.yaml").write_text(f"mine: {SMALL}\nnext: {SMALL} train.seed=1\n")
+    monkeypatch.setattr(seeds, "evaluate", partial(evaluate, episodes=2, steps=20, workers=1))
 
-    def interrupted(arguments: list[str]) -> None:
-        training([*arguments, "--no-evaluation"])  # as after Ctrl-C
+    def interrupted(jobs, where):
+        first = jobs[0]
+        yield first, first.function({}, first.folder, *first.arguments)
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(building, "train", interrupted)
-    with pytest.raises(SystemExit, match="2"):
+    monkeypatch.setattr(building, "run_jobs", interrupted)
+    with pytest.raises(SystemExit, match="130"):
         keeper.main(["build"])
-    (folder,) = own_zoo.parent.glob("runs/maze/qlearn/mine-*")
-    assert f"{folder.name} has no standard evaluation" in capsys.readouterr().err
-    assert (folder / "best" / "policy.safetensors").is_file()
-    assert [file.name for file in own_zoo.iterdir()] == ["recipes.yaml"]
+    assert (own_zoo / "mine" / "best" / "policy.safetensors").is_file()
+    assert sorted(file.name for file in own_zoo.iterdir()) == ["mine", "recipes.yaml"]
 
 
 def test_a_build_trains_nothing_that_is_there_as_its_recipe_says(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(building, "train", lambda arguments: pytest.fail("trained"))
-    monkeypatch.setattr(building, "evaluate", lambda *arguments, **settings: pytest.fail("evaluated"))
+    monkeypatch.setattr(building, "Job", lambda *arguments: pytest.fail("trained or driven"))
     written = []
     monkeypatch.setattr(keeping, "write_text", lambda path, text: written.append((path, text)))
     keeper.main(["build", "maze-loop-dqn", "wall-wall-ppo"])
-    assert capsys.readouterr().out.splitlines() == ["maze-loop-dqn (1 of 2)", "wall-wall-ppo (2 of 2)"]
+    assert capsys.readouterr().out == ""
     assert len(written) == 29, "all cards and the table"
     assert all(path.read_text(encoding="utf-8") == text for path, text in written), "and they stay what they were"
 
