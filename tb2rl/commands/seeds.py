@@ -64,17 +64,17 @@ def _job(config: Config, folder: Path, verbose: int) -> Job:
     return Job(f"seed {config.train.seed}", train_and_evaluate, (config, str(place), verbose), place)
 
 
-def train_and_evaluate(worlds: Mapping[str, Any], folder: Path, config: Config, name: str, verbose: int) -> Any:
+def train_and_evaluate(worlds: Mapping[str, Any] | None, folder: Path, config: Config, name: str, verbose: int) -> Any:
     """A job: one training, and its standard evaluation, whose summary it returns; what is said is in its log.
 
     Args:
-        worlds: See `carry`.
+        worlds: See `carry`; None: it needs no files.
         folder: The run folder.
         config: Of the training.
         name: Of the run folder where it belongs, which is elsewhere on another machine.
         verbose: As in `train_config`.
     """
-    carry(worlds)
+    carry(worlds or {})
     said = StringIO()
     with redirect_stdout(said), redirect_stderr(said):
         training = train_config(config, folder, verbose=verbose)

@@ -108,6 +108,7 @@ def _run(
     study.add_trials(known)
     study.enqueue_trial(dict(parameters))
     trial = study.ask(dict(distributions))
+    search.trial_folder(trial.number).mkdir(parents=True)
     outcomes, pruned = [], None
     try:
         outcomes = train_trial(search, trial)

@@ -101,7 +101,7 @@ def test_settings_that_cannot_be_trained_with_cost_their_trial_only(search, caps
 
 def test_a_pruned_training_ends_and_leaves_nothing(search, monkeypatch):
     it = search()
-    monkeypatch.setattr("tb2rl.search.storage._pruner", lambda _: ThresholdPruner(lower=2.0))
+    monkeypatch.setattr("tb2rl.search.storage.pruner", lambda _: ThresholdPruner(lower=2.0))
     with open_study(it) as study:
         run_trials(it, study, 1)
         (trial,) = study.trials
