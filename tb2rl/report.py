@@ -2,12 +2,16 @@
 
     python -m tb2rl.report runs/maze/ppo/mine
     python -m tb2rl.report runs/maze/qlearn/seeds runs/maze/dqn/seeds --out comparison.html
+    python -m tb2rl.report --compare runs/maze/qlearn/seeds runs/maze/dqn/seeds
     python -m tb2rl.report dwa.json
     python -m tb2rl.report drive.bag --world my_map.yaml
 
 A folder of runs, as `train --seeds` leaves it, stands for the runs in it. Runs that differ in nothing but their seed
 are drawn together. The page shows learning curves, the standard evaluation, where its episodes went, and what the
 policy does at each place; it loads nothing from anywhere, and can be read in a browser or on paper.
+
+`--compare` holds two folders of runs against each other: interquartile means, the probability of improvement and
+performance profiles, with intervals over seeds, and it says in words which is better, or that the seeds are too few.
 
 The results of suites that a run folder keeps are on its page, and one that `evaluate --suite ... --json dwa.json` wrote
 has a page, too: the figures, the worlds that failed, and films of the first six of them, which are driven again for it.
@@ -36,6 +40,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         help="run folder, folder of them, zoo:NAME, hf:USER/REPOSITORY, a suite's result, or a bag of ROS",
     )
     add_trust(parser)
+    parser.add_argument(
+        "--compare", action="store_true", help="hold two folders of runs against each other, over seeds"
+    )
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="the page (default: report.html, in RUN if it is one folder)"
     )

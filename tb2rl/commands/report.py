@@ -12,7 +12,9 @@ from tb2rl.envs.worlds import find_worlds
 from tb2rl.errors import InputError
 from tb2rl.files import parse_yaml, write_text
 from tb2rl.judging.progress import progress as progress_bar
+from tb2rl.judging.reliable import Estimate
 from tb2rl.judging.suite_result import kept_result
+from tb2rl.showing.comparing import compare, comparison_page, read_side
 from tb2rl.showing.drives import DriveSection, drive_section
 from tb2rl.showing.groups import grouped
 from tb2rl.showing.page import page
@@ -23,6 +25,9 @@ from tb2rl.values import Worlds, checked
 
 def run(options: argparse.Namespace) -> None:
     """Read the runs, the results of suites and the bags, write the page, say where it is."""
+    if options.compare:
+        _compare(options)
+        return
     bags = [reference for reference in options.runs if is_bag(Path(reference))]
     files = [reference for reference in options.runs if reference not in bags and Path(reference).is_file()]
     folders = run_folders([reference for reference in options.runs if reference not in [*bags, *files]])
@@ -35,13 +40,34 @@ def run(options: argparse.Namespace) -> None:
     groups = grouped(subjects)
     suites = [suite_section(file, result, progress=True) for file, result in results]
     text = page(groups, suites, drives, progress=True)
+    _write(out, text)
+    print(
+        f"{out}: {_counted(run=len(folders), suite=len(results), drive=len(drives))}, {len(text.encode()) / 1e6:.1f} MB"
+    )
+
+
+def _compare(options: argparse.Namespace) -> None:
+    """Hold two folders of runs against each other, say which is better, write the page."""
+    if len(options.runs) != 2 or options.topics or options.world:
+        raise InputError("--compare takes two folders of runs, and nothing of bags")
+    out = _page_file(options)
+    one, other = (read_side(reference, options.trust) for reference in options.runs)
+    measures = compare(one, other)
+    for measure in measures:
+        print(f"{measure.title}: {_said(measure.middles[0])} and {_said(measure.middles[1])}. {measure.verdict}")
+    _write(out, comparison_page(one, other, measures))
+    print(out)
+
+
+def _said(estimate: Estimate) -> str:
+    return f"{100 * estimate.value:.1f} % ({100 * estimate.low:.1f} to {100 * estimate.high:.1f} %)"
+
+
+def _write(out: Path, text: str) -> None:
     try:
         write_text(out, text)
     except OSError as error:
         raise InputError(f"cannot write {out}: {error.strerror}") from None
-    print(
-        f"{out}: {_counted(run=len(folders), suite=len(results), drive=len(drives))}, {len(text.encode()) / 1e6:.1f} MB"
-    )
 
 
 def _drives(options: argparse.Namespace, bags: list[Path]) -> list[DriveSection]:

@@ -32,7 +32,7 @@ from tb2rl.tasks.wander import Wander
 class Mine(Wander):
     forward_reward: float = REWARD
 """
-WORLD = "cell: 1.0\ndrawing: |\n  #####\n  #.S.#\n  #...#\n  #...#\n  #####\n"
+WORLD = "cell: 2.0\ndrawing: |\n  #####\n  #.S.#\n  #...#\n  #...#\n  #####\n"
 SHORT = "--simulation kinematic --n-envs 16 --total-timesteps 40000 --set train.eval_freq=20000 train.eval_episodes=20"
 
 
@@ -47,11 +47,11 @@ def ray():
 @pytest.fixture
 def nodes(ray, tmp_path):
     """Two nodes: the process that holds them, and their address."""
-    log = (tmp_path / "nodes.log").open("w")
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log, "text": True}
-    process = subprocess.Popen([sys.executable, str(HERE / "nodes.py")], env=environment(), **pipes)
-    yield process, process.stdout.readline().strip()
-    process.communicate(timeout=120)
+    with (tmp_path / "nodes.log").open("w") as log:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log, "text": True}
+        process = subprocess.Popen([sys.executable, str(HERE / "nodes.py")], env=environment(), **pipes)
+        yield process, process.stdout.readline().strip()
+        process.communicate(timeout=120)
 
 
 def environment() -> dict[str, str]:

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from tb2rl.commands import seeds as training
 from tb2rl.commands import suite as command
-from tb2rl.commands import train as training
 from tb2rl.judging.suite_result import kept_result, kept_summary
 from tb2rl.registry import find_agent
 from tb2rl.runs import loading
 from tb2rl.runs.folder import Run
 from tb2rl.worlds.suites import SUITES
-from tb2rl.zoo import entry, keeping
+from tb2rl.zoo import building, entry, keeping
 from tb2rl.zoo.cards import overview
 from tb2rl.zoo.drivers import astray
 from tb2rl.zoo.entry import entries, named, others
@@ -44,9 +44,15 @@ def own_zoo(tmp_path, monkeypatch, small_suite):
     for module in (entry, loading):
         monkeypatch.setattr(module, "top_folder", lambda name: zoo)
     monkeypatch.setattr(training, "evaluate", partial(training.evaluate, episodes=2, steps=5, workers=1))
+    monkeypatch.setattr(building, "run_jobs", in_this_process)
     set_suite(monkeypatch, small_suite)
     monkeypatch.chdir(tmp_path)
     return zoo
+
+
+def in_this_process(jobs, where):
+    """What `run_jobs` does, one after the other."""
+    return [(job, job.function(None, job.folder, *job.arguments)) for job in jobs]
 
 
 def set_suite(monkeypatch, make, **changes) -> None:
