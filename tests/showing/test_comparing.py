@@ -48,7 +48,7 @@ def test_the_page_says_which_is_better_and_draws_both(runs, tmp_path, capsys):
     page = (tmp_path / "report.html").read_text()
     assert "&lt;good&gt;" in page
     assert "<good>" not in page
-    assert page.count('id="profile-0"') == 2
+    assert page.count("profile-0") == 2
     assert "maze in loop: 10 and 10 runs" in page
     assert "100.0\u202f% <small>100.0\u202f% to 100.0\u202f%</small>" in page, "the probability of improvement"
 
