@@ -27,6 +27,7 @@ from tb2rl.search.storage import pruner
 from tb2rl.search.study import DEFAULT, Plan, Search
 from tb2rl.search.trials import FINISHED, Claim, Outcome, next_trial, said_of, same_settings, tell, train_trial
 
+_KNOWN = 300  # trials that the pruner goes by, the latest: half a kilobyte each, with every trial that goes out
 _AGAIN = 0.5  # [s] between looks at whether others have ended
 
 
@@ -86,7 +87,7 @@ def _jobs(search: Search, study: Study, wanted: int, claims: dict[str, Claim]) -
             study.tell(trial, state=TrialState.PRUNED)
             claim.lock.release()
             continue
-        known = study.get_trials(states=FINISHED)
+        known = study.get_trials(deepcopy=False, states=FINISHED)[-_KNOWN:]
         name, folder = f"trial {trial.number}", search.folder / "trials" / f".{trial.number:04d}"
         claims[name] = claim
         yield Job(name, _run, (known, trial.params, trial.distributions), folder)
