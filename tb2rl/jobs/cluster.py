@@ -20,7 +20,8 @@ from tb2rl.processes import processors
 _STORE = 2**28  # [bytes] of a Ray that is started here, for what goes out and comes back; more goes to the disk
 _PATIENCE = 10  # [s] until a cluster answers
 _QUIET = {"RAY_USAGE_STATS_ENABLED": "0"}
-_LOOPBACK = {  # it keeps to 127.0.0.1, as elsewhere than on Linux, and its workers are as important as processes of ours
+# It keeps to 127.0.0.1, as elsewhere than on Linux, and its workers are as important as processes of ours.
+_LOOPBACK = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
     "RAY_worker_niceness": "0",
 }

@@ -33,7 +33,7 @@ class Mine(Wander):
     forward_reward: float = REWARD
 """
 WORLD = "cell: 2.0\ndrawing: |\n  #####\n  #.S.#\n  #...#\n  #...#\n  #####\n"
-SHORT = "--simulation kinematic --n-envs 16 --total-timesteps 40000 --set train.eval_freq=20000 train.eval_episodes=20"
+SHORT = "--simulation kinematic --n-envs 16 --total-timesteps 5120 --set train.eval_freq=2560 train.eval_episodes=20"
 
 
 @pytest.fixture(scope="module")
