@@ -69,6 +69,7 @@ def ended(process: subprocess.Popen) -> str:
     return out
 
 
+@pytest.mark.slow  # as all tests that need Ray, which CI installs for the slow ones
 def test_a_cluster_that_does_not_answer_is_named_at_once(ray):
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))

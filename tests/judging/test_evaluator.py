@@ -15,6 +15,7 @@ from stable_baselines3 import A2C
 from tb2rl import evaluate, make_env
 from tb2rl.envs.scene import make_scene
 from tb2rl.errors import InputError
+from tb2rl.jobs.where import Where
 from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.registry import agent_names, find_agent, find_world
 from tb2rl.robots.turtlebot2 import ROBOT
@@ -37,6 +38,14 @@ def test_the_result_does_not_depend_on_the_number_of_processes(name, outcomes):
     )
     assert outcomes(alone) == outcomes(shared)
     assert alone.summary() == shared.summary()
+
+
+def test_jobs_elsewhere_drive_the_same_episodes_in_their_order():
+    config = resolve("random", settings={"task.noise": 0.01})
+    policy = make_baseline(config)
+    with Evaluator(config.scene, 5, 40, workers=1) as evaluator:
+        here, there = list(evaluator.drive(policy)), list(evaluator.drive(policy, 1, Where(workers=2)))
+    assert [episode.episode_return for episode in there] == [episode.episode_return for episode in here[1:]]
 
 
 def test_a_memory_is_kept_in_every_process(outcomes):
