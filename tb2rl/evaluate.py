@@ -14,6 +14,10 @@ on two processors.
 A suite is driven instead: each of its worlds once, from its start to its goal. `unseen` has a thousand worlds that
 nothing else draws, `barn` those of the BARN challenge, from a copy of its repository. What is interrupted goes on where
 it was when the same command is given again. With `--on ray` the worlds are shared out by Ray, here or on a cluster.
+
+    python -m tb2rl.evaluate runs/maze/dqn/NAME --simulation ros --steps 300
+
+A robot with ROS is driven instead, your own or one in Gazebo, and counts its way by its odometry.
 """
 
 from __future__ import annotations
@@ -23,19 +27,20 @@ from pathlib import Path
 
 from tb2rl.errors import ArgumentParser, command
 from tb2rl.jobs.where import add_where
-from tb2rl.policy_arguments import add_policy_arguments
+from tb2rl.policy_arguments import add_policy_arguments, add_robot_arguments
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = ArgumentParser(prog="python -m tb2rl.evaluate", description=(__doc__ or "").splitlines()[0])
     add_policy_arguments(parser)
-    parser.add_argument("--episodes", type=int, help="how many (default: 100)")
+    parser.add_argument("--episodes", type=int, help="how many (default: 100; of a robot with ROS 1)")
     parser.add_argument("--steps", type=int, help="control steps at most in an episode (default: 1500)")
     parser.add_argument("--seed", type=int, help="of the start poses")
     parser.add_argument("--suite", nargs="+", metavar=("NAME", "PATH"), help="drive a suite: unseen, or barn PATH")
     add_where(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here, not into the run folder")
+    add_robot_arguments(parser)
     return parser.parse_args(arguments)
 
 

@@ -17,7 +17,7 @@ import argparse
 from pathlib import Path
 
 from tb2rl.errors import ArgumentParser, command
-from tb2rl.policy_arguments import add_policy_arguments
+from tb2rl.policy_arguments import add_policy_arguments, add_robot_arguments
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -33,6 +33,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--bag", type=Path, metavar="PATH", help="write a bag instead: a file .bag for ROS 1, else a folder for ROS 2"
     )
+    add_robot_arguments(parser)
     parser.add_argument("--camera", default="above", help="where it is seen from: above (default), chase")
     parser.add_argument("--speed", type=float, default=1.0, help="times as fast as it happens (1)")
     return parser.parse_args(arguments)

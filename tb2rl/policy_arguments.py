@@ -24,6 +24,34 @@ def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """What has a robot with ROS driven in the place of a simulation; see `tb2rl.commands.robot`."""
+    parser.add_argument("--simulation", choices=("ros",), help="drive a robot with ROS: see tb2rl/ros/README.md")
+    parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: drive no faster")
+    add_ros_arguments(parser)
+
+
+def add_ros_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where a robot with ROS is, and where its scanner is on it."""
+    parser.add_argument("--ros", type=int, choices=(1, 2), help="which ROS (1)")
+    parser.add_argument(
+        "--mounting",
+        metavar="X,Y,YAW[,upside-down]",
+        help="where the scanner is: ahead and left of the axle's middle [m], turned left [rad]; --mounting=-0.1,0,0",
+    )
+    add_topics(parser)
+    parser.add_argument(
+        "--ros-args", nargs=argparse.REMAINDER, default=[], help="at the end, for ROS 2: -p use_sim_time:=true"
+    )
+
+
+def add_topics(parser: argparse.ArgumentParser) -> None:
+    """How topics of ROS are given other names."""
+    parser.add_argument(
+        "--topics", nargs="+", default=[], action="extend", metavar="KEY=TOPIC", help="other names, e.g. scan=/scan"
+    )
+
+
 def add_trust(parser: argparse.ArgumentParser) -> None:
     """What lets a policy that somebody shared name any module, see `tb2rl.trust`."""
     parser.add_argument("--trust", action="store_true", help="import any module that a shared policy names")

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from tb2rl.commands.policy import chosen_policy
+from tb2rl.commands.robot import chosen_robot
 from tb2rl.errors import InputError
 from tb2rl.files import write_text
 from tb2rl.judging.evaluation import Evaluation
@@ -19,15 +20,17 @@ from tb2rl.showing.table import print_evaluation
 
 def run(options: argparse.Namespace) -> None:
     """Evaluate a policy, print a table, write JSON."""
-    for name, standard in (("episodes", EPISODES), ("steps", STEPS), ("seed", SEED)):
+    robot = chosen_robot(options)
+    for name, standard in (("episodes", EPISODES if robot is None else 1), ("steps", STEPS), ("seed", SEED)):
         if getattr(options, name) is None:
             setattr(options, name, standard)
     check(options)
     policy, config = chosen_policy(options)
-    conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed", "workers")}
+    conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed")}
+    conditions |= {"workers": options.workers} if robot is None else {"simulation": robot}
     evaluation = evaluate(policy, config, progress=True, **conditions)
     name = options.agent or options.policy
-    print_evaluation(evaluation, f"{name} in {evaluation.scene.place}")
+    print_evaluation(evaluation, f"{name} in {evaluation.scene.place if robot is None else 'a world with ROS'}")
     _write(evaluation, config, name, options)
 
 
@@ -36,6 +39,8 @@ def check(options: argparse.Namespace) -> None:
     check_places(options)
     if options.on is not None:
         raise InputError("--on goes with --suite: a hundred episodes are over sooner than Ray has started")
+    if options.simulation is not None and options.workers is not None:
+        raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
     if min(options.episodes, options.steps) < 1 or not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--episodes and --steps must be at least 1, and --seed from 0 to {LARGEST_SEED}")
 
@@ -57,6 +62,7 @@ def check_places(options: argparse.Namespace) -> None:
 def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.Namespace) -> None:
     """Put the evaluation into the file that is named, or the standard one into its run folder."""
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not options.set
+    standard = standard and options.simulation is None
     tree, arrays = evaluation.tree(config, name)
     if options.json:
         try:

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.commands.policy import chosen_policy
+from tb2rl.commands.robot import chosen_robot
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, unknown
 from tb2rl.judging.progress import say
 from tb2rl.judging.rollout import Moment, Policy
+from tb2rl.ros.robot import RosRobot
 from tb2rl.runs.checkpoint import SUFFIX
 from tb2rl.runs.config import Config
 from tb2rl.runs.hub import HUB
@@ -31,6 +33,7 @@ def run(options: argparse.Namespace) -> None:
     """Play, and say how the episodes went."""
     if options.steps is None:
         options.steps = STEPS
+    robot = chosen_robot(options)
     check(options)
     if options.teleop:
         config = resolve("random", options.task, settings=parse_settings(options.set))
@@ -42,7 +45,7 @@ def run(options: argparse.Namespace) -> None:
     if options.bag:
         _record(policy, config, options)
     elif options.video or not has_display():
-        _film(policy, config, options)
+        _film(policy, config, options, robot)
     else:
         _show(policy, config, options)
 
@@ -57,6 +60,8 @@ def check(options: argparse.Namespace) -> None:
         raise InputError("--task goes with --agent and --teleop; a policy keeps the task that it was trained at")
     if options.teleop and (options.video or options.bag):
         raise InputError("--video and --bag show a policy; --teleop shows what you drive in the terminal")
+    if options.simulation is not None and not options.video:
+        raise InputError("of a robot with ROS there is a film: name it by --video; a bag records ROS itself (rosbag)")
     if options.video and options.bag:
         raise InputError("take --video and --bag one after the other: with the same --seed it is the same drive")
     if options.camera not in CAMERAS:
@@ -78,7 +83,7 @@ def _to_goal(config: Config, options: argparse.Namespace) -> dict[str, Any]:
     return {"goal": [x, y], **({} if "task.start" in chosen else {"start": "fixed"})}
 
 
-def _film(policy: Policy, config: Config, options: argparse.Namespace) -> None:
+def _film(policy: Policy, config: Config, options: argparse.Namespace, robot: RosRobot | None) -> None:
     path = film(
         policy,
         options.video or f"{_film_name(options)}.mp4",
@@ -90,8 +95,10 @@ def _film(policy: Policy, config: Config, options: argparse.Namespace) -> None:
         speed=options.speed,
         listener=_teller(config.scene),
         progress=True,
+        simulation=robot,
     )
-    _tell_of_twin()
+    if robot is None:
+        _tell_of_twin()
     _tell_of_file(path, path.stat().st_size)
 
 

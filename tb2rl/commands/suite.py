@@ -54,6 +54,8 @@ def run(options: argparse.Namespace) -> None:
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` where options do not go together."""
     check_places(options)
+    if options.simulation is not None:
+        raise InputError("--simulation does not go with --suite: nobody builds a thousand worlds for a robot")
     if len(options.suite) > 2:
         raise InputError("--suite takes a name, and for barn a path; name the policy before it")
     for name in ("episodes", "steps", "seed"):

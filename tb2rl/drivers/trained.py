@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.drivers.portable.policy_contract import Needs, Sensed, Speeds
-from tb2rl.drivers.senses import Senses, find_senses
+from tb2rl.drivers.senses import find_senses
 from tb2rl.envs.encodings import row
 from tb2rl.envs.frames import Observer
 from tb2rl.envs.scene import Scene
@@ -42,10 +42,9 @@ class TrainedPolicy:
         if isinstance(policy, str | Path):
             policy = load(policy)
         scene = (config or config_of(policy)).scene
-        senses = find_senses(scene)
-        self.needs = _needs(scene, senses)
+        self.needs = needs_in(scene)
         self._policy, self._scene = getattr(policy, "policy", policy), scene
-        self._setup = Setup(scene.robot, scene.laser, (_floor(),))
+        self._setup = Setup(scene.robot, scene.laser, (floor(),))
         self._begin_with = Sensed(np.full(len(self.needs.beams), np.inf), goal=(2.0, 0.0), waypoint=(1.0, 0.0))
         self._warm_up()
 
@@ -77,7 +76,7 @@ class TrainedPolicy:
     def _episode(self, sensed: Sensed) -> tuple[Observer, Start]:
         scene, setup = self._scene, self._setup
         if scene.task.explores:
-            setup = Setup(scene.robot, scene.laser, (_floor(sensed.pose[:2], sensed.goal or sensed.pose[:2]),))
+            setup = Setup(scene.robot, scene.laser, (floor(sensed.pose[:2], sensed.goal or sensed.pose[:2]),))
         memories = scene.memories(setup)
         observer = Observer(scene.encoding, scene.observation_space, scene.task.frames, memories=memories)
         return observer, Start.proposed(setup, 1)
@@ -113,8 +112,13 @@ class _Told:
         return self._waypoint
 
 
-def _needs(scene: Scene, senses: Senses) -> Needs:
-    task, laser = scene.task, scene.laser
+def needs_in(scene: Scene) -> Needs:
+    """What a policy needs of a robot to do there what it does in a scene.
+
+    Raises:
+        InputError: If it observes what no robot can sense.
+    """
+    task, laser, senses = scene.task, scene.laser, find_senses(scene)
     goal = "plan" if senses.reach is not None and not task.explores else None
     if goal is None and (task.goal_task or task.explores or senses.goal):
         goal = "goal"
@@ -147,7 +151,7 @@ def _fastest(actions: Actions) -> Speeds:
     return speed, turn_rate
 
 
-def _floor(*places: tuple[float, float]) -> World:
+def floor(*places: tuple[float, float]) -> World:
     """A world without anything in it that holds some places, and much around them."""
     x, y = np.array(places or ((0.0, 0.0),)).T
     left, bottom, right, top = (float(side) for side in (x.min(), y.min(), x.max(), y.max()))

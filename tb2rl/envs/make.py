@@ -14,7 +14,8 @@ from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vector_env import BatchVectorEnv
 from tb2rl.errors import InputError, UnknownArgumentError
-from tb2rl.registry import find_task
+from tb2rl.registry import find_task, import_object
+from tb2rl.simulation import ROS
 from tb2rl.tasks import Task
 from tb2rl.values import build, untyped
 
@@ -25,7 +26,7 @@ def make_env(
     what: Any = "maze",
     observation: str | None = None,
     render_mode: str | None = None,
-    simulation: str = "bullet",
+    simulation: Any = "bullet",
     **settings: Any,
 ) -> TurtleBot2Env:
     """The environment of a task, or the one that a policy was trained for (to the task's own time limit).
@@ -34,7 +35,8 @@ def make_env(
         what: A task's name, "module:Class", a `Task` or its class, or a policy from `load` or `train`.
         observation: "discrete" or "raw"; None: the policy's, else "discrete".
         render_mode: None, "rgb_array" or "human", see `TurtleBot2Env`.
-        simulation: "bullet" (PyBullet's physics) or "kinematic" (its fast twin).
+        simulation: "bullet" (PyBullet's physics), "kinematic" (its fast twin) or "ros" (a robot with ROS 1, yours or
+            Gazebo's); for other topics, say, or ROS 2 a `tb2rl.ros.robot.RosRobot`.
         settings: Fields of the task to set, for example `world="circuit"`; a world or a robot of one's own by its
             name, "module:WORLD".
 
@@ -42,7 +44,11 @@ def make_env(
         InputError: For an unknown name, or a value that does not fit.
         UnknownArgumentError: For an unknown setting; it is a `TypeError`, too.
     """
-    return TurtleBot2Env(_scene(what, observation, settings), render_mode, simulation)
+    scene = _scene(what, observation, settings)
+    if simulation == ROS or not isinstance(simulation, str):
+        ros_robot = import_object("tb2rl.ros.robot:ros_robot")  # by its name: that room is above this one
+        return ros_robot(simulation).env(scene, render_mode)
+    return TurtleBot2Env(scene, render_mode, simulation)
 
 
 def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> Scene:

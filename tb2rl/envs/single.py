@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from tb2rl.envs.encodings import row
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, unknown
-from tb2rl.simulation import Reading, Start, simulate
+from tb2rl.simulation import Reading, Simulation, Start, simulate
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import TIME_LIMIT, Ending
 from tb2rl.values import Pose, checked
@@ -49,7 +49,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     Args:
         scene: The task, its robot and world, and how it is observed; see `make_env` for one by names.
         render_mode: None, "rgb_array" (seen from above, no window) or "human" (PyBullet's window).
-        simulation: "bullet" or "kinematic".
+        simulation: "bullet" or "kinematic", or one that is made of the scene's setup.
 
     A copy (`copy.deepcopy`, `pickle`) goes its own way from where the original is; one with a window cannot be copied.
 
@@ -59,7 +59,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     metadata: dict[str, Any] = {"render_modes": list(_RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (as Gymnasium declares it)
 
-    def __init__(self, scene: Scene, render_mode: str | None = None, simulation: str = "bullet") -> None:
+    def __init__(self, scene: Scene, render_mode: str | None = None, simulation: str | Simulation = "bullet") -> None:
         if render_mode is not None and render_mode not in _RENDER_MODES:
             raise unknown("render_mode", render_mode, _RENDER_MODES)
         self.scene, self.task, self.render_mode = scene, scene.task, render_mode
@@ -67,8 +67,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = scene.observation_space, scene.action_space
         self._observer, self._actions, self._commander = scene.observer(), scene.actions, scene.commander()
-        scene.check(simulation)
-        self.simulation = simulate(simulation, scene.setup, window=render_mode == "human")
+        self.simulation = self._opened(simulation)
         self.reading: Reading | None = None  # the latest; None before the first reset
         self._spec: EnvSpec | None = None
         self.path: list[np.ndarray] = []  # poses since the reset, for pictures: only with a render_mode
@@ -176,6 +175,14 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         """Free what the simulation holds; a reset opens it again."""
         self.simulation.close()
         self.reading = None
+
+    def _opened(self, simulation: str | Simulation) -> Simulation:
+        if isinstance(simulation, str):
+            self.scene.check(simulation)
+            return simulate(simulation, self.scene.setup, window=self.render_mode == "human")
+        if self.render_mode == "human":
+            raise InputError("render_mode 'human' shows PyBullet's window, which this simulation lacks")
+        return simulation
 
     def _start(self, options: dict[str, Any]) -> Start:
         setup = self.scene.setup

@@ -13,7 +13,9 @@ from gymnasium import spaces
 
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
+from tb2rl.judging.rollout import Moment
 from tb2rl.judging.statistics import wilson_interval
+from tb2rl.robots.robot import RADIUS
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import EVALUATION, Run, versions
 from tb2rl.simulation import Judge
@@ -123,6 +125,28 @@ class Evaluation:
 
     def _each(self, name: str) -> list[Any]:
         return [getattr(episode, name) for episode in self.episodes]
+
+
+def episode_of(scene: Scene, moments: Sequence[Moment], pose: np.ndarray, world: int = 0) -> Episode:
+    """What the moments of an episode in a world, from a pose x [m], y [m], yaw [rad], shape (3,), came to."""
+    last = moments[-1]
+    places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
+    radius = float(last.start.parameters[0, RADIUS])
+    clearance = min(scene.setup.worlds[world].clearance(*place) for place in places)
+    return Episode(
+        start=tuple(pose.tolist()),
+        ended=last.info["ended"],
+        failed=last.info["failed"],
+        success=last.info["is_success"],
+        touched=any(moment.info["bumped"] for moment in moments),
+        length=last.step,
+        distance=last.info["distance"],
+        episode_return=last.total,
+        path=np.array(places, dtype=np.float32),
+        actions=np.array([moment.action for moment in moments], dtype=smallest_type(scene.action_space)),
+        world=world,
+        closest=max(clearance - radius, 0.0) if np.isfinite(clearance) else None,  # inf: there is no obstacle
+    )
 
 
 def _squares(path: np.ndarray) -> int:

@@ -28,12 +28,13 @@ from tb2rl.errors import InputError
 from tb2rl.jobs.job import Job
 from tb2rl.jobs.running import in_order
 from tb2rl.jobs.where import Where
-from tb2rl.judging.evaluation import Episode, Evaluation, smallest_type
+from tb2rl.judging.evaluation import Episode, Evaluation, episode_of
 from tb2rl.judging.progress import progress as progress_bar
+from tb2rl.judging.robot import evaluate_on_robot
 from tb2rl.judging.rollout import Moment, Policy, roll_out, roll_out_together
 from tb2rl.judging.spaces import check_observes
 from tb2rl.processes import end_with_parent, main_hidden, process_context, processors
-from tb2rl.robots.robot import RADIUS
+from tb2rl.ros.robot import RosRobot
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
 from tb2rl.simulation import Start, judging_simulation
@@ -200,28 +201,6 @@ def _together(policy: Policy) -> int:
     return TOGETHER if isinstance(policy, BasePolicy) else 1
 
 
-def episode_of(scene: Scene, moments: Sequence[Moment], pose: np.ndarray, world: int = 0) -> Episode:
-    """What the moments of an episode in a world, from a pose x [m], y [m], yaw [rad], shape (3,), came to."""
-    last = moments[-1]
-    places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
-    radius = float(last.start.parameters[0, RADIUS])
-    clearance = min(scene.setup.worlds[world].clearance(*place) for place in places)
-    return Episode(
-        start=tuple(pose.tolist()),
-        ended=last.info["ended"],
-        failed=last.info["failed"],
-        success=last.info["is_success"],
-        touched=any(moment.info["bumped"] for moment in moments),
-        length=last.step,
-        distance=last.info["distance"],
-        episode_return=last.total,
-        path=np.array(places, dtype=np.float32),
-        actions=np.array([moment.action for moment in moments], dtype=smallest_type(scene.action_space)),
-        world=world,
-        closest=max(clearance - radius, 0.0) if np.isfinite(clearance) else None,  # inf: there is no obstacle
-    )
-
-
 def evaluate(
     policy: Policy | str | Path,
     config: Config | None = None,
@@ -230,6 +209,7 @@ def evaluate(
     task: str | Task | type[Task] | None = None,
     observation: str | None = None,
     progress: bool = False,
+    simulation: RosRobot | str | None = None,
     **conditions: Any,
 ) -> Evaluation:
     """Evaluate a policy; the standard evaluation unless `conditions` say otherwise.
@@ -244,6 +224,7 @@ def evaluate(
         task: What it is to do: a task's name, "module:Class", a `Task` or its class; in place of `config`.
         observation: How it observes that task, "discrete" or "raw"; None: as its observation space says.
         progress: Whether to draw a bar, where there is a terminal.
+        simulation: "ros" or a `RosRobot`: a robot to drive instead; then conditions are those of `evaluate_on_robot`.
         conditions: Arguments of `Evaluator`: episodes, steps, seed, workers, only.
 
     Raises:
@@ -252,8 +233,12 @@ def evaluate(
     """
     if isinstance(policy, str | Path):
         policy = load(policy)
-    scene = _scene(policy, config, task, observation, settings or {}).worlds_for("test")
+    scene = _scene(policy, config, task, observation, settings or {})
     check_observes(policy, scene)
+    if simulation is not None:
+        conditions = {"steps": STEPS, "seed": SEED, **conditions}
+        return evaluate_on_robot(getattr(policy, "policy", policy), scene, simulation, progress=progress, **conditions)
+    scene = scene.worlds_for("test")
     with Evaluator(scene, **conditions) as evaluator:
         return evaluator.run(getattr(policy, "policy", policy), progress)
 

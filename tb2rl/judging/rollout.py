@@ -39,6 +39,7 @@ class Moment:
     # What moves, at its beginning and at its end: outlines as in `Reading.movers`, shape (movers, 6); None: nothing.
     movers_before: np.ndarray | None = None
     movers: np.ndarray | None = None
+    ranges: np.ndarray | None = None  # along the laser's beams at its end [m], shape (beams,)
 
 
 def roll_out(
@@ -108,10 +109,11 @@ class _Episode:
         self.observation, reward, terminated, truncated, info = self._env.step(action)
         self._info, self._steps, self._total = info, self._steps + 1, self._total + float(reward)
         self.over = terminated or truncated
-        start = self._env.reading.start  # type: ignore[union-attr]
-        moving = movers_before, _movers(self._env)
+        reading = self._env.reading
+        assert reading is not None
+        read = movers_before, _movers(self._env), reading.ranges[0]
         done = np.asarray(action), float(reward), self._total
-        return Moment(self._steps, before, info["pose"], *done, info, start, *moving)
+        return Moment(self._steps, before, info["pose"], *done, info, reading.start, *read)
 
 
 @contextmanager

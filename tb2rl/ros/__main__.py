@@ -18,7 +18,7 @@ from importlib import import_module
 from pathlib import Path
 
 from tb2rl.errors import ArgumentParser, command
-from tb2rl.policy_arguments import add_trust
+from tb2rl.policy_arguments import add_ros_arguments, add_topics, add_trust
 
 ANSWER = 5.0  # [s] of wall-clock time
 
@@ -39,20 +39,11 @@ def add_drive(parser: argparse.ArgumentParser) -> None:
     """The arguments of `drive`."""
     parser.add_argument("policy", help="run folder, checkpoint in it, zoo:NAME, or hf:USER/REPOSITORY")
     add_trust(parser)
-    parser.add_argument("--ros", type=int, choices=(1, 2), default=1, help="which ROS (1)")
     parser.add_argument("--speed", type=float, metavar="M/S", help="drive no faster; turns are slowed with it")
-    parser.add_argument(
-        "--mounting",
-        default="0,0,0",
-        metavar="X,Y,YAW[,upside-down]",
-        help="where the scanner is: ahead and left of the axle's middle [m], turned left [rad]; --mounting=-0.1,0,0",
-    )
     parser.add_argument("--wait", action="store_true", help="stand until the service ~/start is called")
     parser.add_argument("--dry-run", action="store_true", help="say what it would drive, and tell the wheels nothing")
-    add_topics(parser)
-    parser.add_argument(
-        "--ros-args", nargs=argparse.REMAINDER, default=[], help="at the end, for ROS 2: -p use_sim_time:=true"
-    )
+    add_ros_arguments(parser)
+    parser.set_defaults(ros=1, mounting="0,0,0")
 
 
 def add_simulate(parser: argparse.ArgumentParser) -> None:
@@ -73,13 +64,6 @@ def add_simulate(parser: argparse.ArgumentParser) -> None:
         help=f"after each scan, let no time pass until a command answers it, or S s are over ({ANSWER:g})",
     )
     add_topics(parser)
-
-
-def add_topics(parser: argparse.ArgumentParser) -> None:
-    """How topics are given other names."""
-    parser.add_argument(
-        "--topics", nargs="+", default=[], action="extend", metavar="KEY=TOPIC", help="other names, e.g. scan=/scan"
-    )
 
 
 @command

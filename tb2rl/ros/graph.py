@@ -58,6 +58,13 @@ class Graph(Protocol):
             called: Returns why it failed; nothing: it did not.
         """
 
+    def call(self, service: str, kind: str) -> bool:
+        """Call a service, and wait for its answer; False: nobody offers it.
+
+        Raises:
+            InputError: If it fails.
+        """
+
     def now(self) -> float:
         """What time it is in the graph [s]: simulated where the graph says so."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, one_line
 from tb2rl.ros.debian import INSTALL, find_rospy
 from tb2rl.ros.definitions import write_packages
 from tb2rl.ros.graph import SET_PHYSICS, End, H, Nobody, Publisher, find_kind
@@ -45,6 +45,8 @@ class Graph1:
             raise InputError(
                 f"no ROS master answers at {where}: start one (roscore), or set ROS_MASTER_URI to where it is"
             )
+        if rospy.is_shutdown():
+            raise InputError("rospy joins a graph once in the life of a process: begin another process")
         rospy.init_node(name, disable_signals=True)
         self._keeps_time = False
 
@@ -74,6 +76,16 @@ class Graph1:
             return response(not failed, failed)  # and so begins that of Gazebo
 
         rospy.Service(service.replace("~/", "~"), offered, answer)
+
+    def call(self, service: str, kind: str) -> bool:
+        code, _, _ = rospy.get_master().lookupService(service)
+        if code != 1:
+            return False
+        try:
+            rospy.ServiceProxy(service, _class(kind, "srv"))()
+        except rospy.ServiceException as error:
+            raise InputError(one_line(f"the service {service} failed: {error}")) from None
+        return True
 
     def now(self) -> float:
         return rospy.get_time()

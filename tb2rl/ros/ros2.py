@@ -6,7 +6,7 @@ from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 from tb2rl.errors import InputError, one_line
@@ -23,6 +23,7 @@ try:
 except ImportError as error:
     raise InputError(f"--ros 2 needs rclpy ({error}); {_INSTALL}") from None
 
+_DISCOVERY, _ANSWER = 1.0, 30.0  # [s] until services of others are known, and until they answer
 _QUEUE = 10  # messages wait for a slow listener, then the oldest goes
 _RENAMED = {"kobuki_msgs": "kobuki_ros_interfaces"}  # what has another name in ROS 1
 
@@ -82,6 +83,20 @@ class Graph2:
 
         if kind != SET_PHYSICS:  # that is for programs of ROS 1 alone
             self._node.create_service(_class(kind, "srv"), service, answer)
+
+    def call(self, service: str, kind: str) -> bool:
+        offered = _class(kind, "srv")
+        client = self._node.create_client(offered, service)
+        try:
+            if not client.wait_for_service(_DISCOVERY):
+                return False
+            answered, answer = Event(), client.call_async(offered.Request())
+            answer.add_done_callback(lambda _: answered.set())
+            if not answered.wait(_ANSWER):
+                raise InputError(f"the service {service} does not answer")
+            return True
+        finally:
+            self._node.destroy_client(client)
 
     def now(self) -> float:
         return self._node.get_clock().now().nanoseconds / BILLION

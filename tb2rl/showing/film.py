@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from tb2rl.files import replacing
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.rollout import LARGEST_SEED, Moment, Policy, roll_out
 from tb2rl.judging.spaces import check_observes
+from tb2rl.ros.robot import RosRobot, ros_robot
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
 from tb2rl.showing.cameras import CAMERAS
@@ -27,6 +28,7 @@ from tb2rl.showing.writers import WRITERS
 from tb2rl.simulation import judging_simulation
 
 STEPS = 300  # control steps: a minute
+_AROUND = 1.0  # [m] of the floor around a robot's way
 _SLOWEST, _FASTEST = 0.1, 100.0
 
 Listener = Callable[[int, Moment], None]  # is told the number of an episode, from 1, and its last step
@@ -84,6 +86,7 @@ def film(
     speed: float = 1.0,
     listener: Listener | None = None,
     progress: bool = False,
+    simulation: RosRobot | str | None = None,
 ) -> Path:
     """Film a policy at what it was trained to do. In a notebook: `IPython.display.Video(path, embed=True)`.
 
@@ -99,6 +102,7 @@ def film(
         speed: How many times as fast as it happened.
         listener: Is called with the number of each episode, from 1, and its last step.
         progress: Whether to draw a bar, where there is a terminal.
+        simulation: "ros" or a `RosRobot`: a robot that drives instead, and is filmed by its odometry and its laser.
 
     Returns:
         The path.
@@ -108,12 +112,29 @@ def film(
     """
     path = check_film(path, camera)
     check_numbers(episodes, steps, seed, speed)
-    policy, env = open_env(policy, config, settings or {}, steps)
+    policy, scene = open_scene(policy, config, settings or {}, steps)
+    if simulation is None:
+        env = TurtleBot2Env(scene, simulation=judging_simulation())
+    else:
+        env = ros_robot(simulation).env(scene)
     bar = progress_bar(None, "filming", "step", total=episodes * steps, shown=progress)
     with closing(env), bar:
         driven = (_counted(moments, bar.update) for moments in drives(env, policy, episodes, seed, listener))
-        write_film(path, driven, env.scene, camera, speed)
+        if simulation is None:
+            write_film(path, driven, env.scene, camera, speed)
+            return path
+        whole = [list(moments) for moments in driven]  # a robot does not wait for pictures
+    write_film(path, whole, _scene_of(whole, env.scene), camera, speed)
     return path
+
+
+def _scene_of(driven: Sequence[Sequence[Moment]], scene: Scene) -> Scene:
+    """The scene with bounds that hold what was driven: of a robot nobody knows where it will go."""
+    places = np.array([moment.pose[:2] for moments in driven for moment in moments])
+    x0, y0, x1, y1 = scene.world.bounds
+    low, high = np.minimum((x0, y0), places.min(axis=0) - _AROUND), np.maximum((x1, y1), places.max(axis=0) + _AROUND)
+    bounds = (*low.tolist(), *high.tolist())
+    return scene.in_worlds((scene.world.with_places(None, None, bounds),))
 
 
 def write_film(

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.suite_result import ALL, Figures, SuiteResult
+from tb2rl.simulation import ROS
 
 _MEANS = (("distance", "m"), ("return", ""), ("length", "steps"))  # figures and their units
 _SUITE_COLUMNS = ("", "success", "95 %", "SPL", "time", "m/s", "gap", "failed")
@@ -85,7 +86,9 @@ def _endings(endings: Mapping[str, int]) -> str:
 
 
 def _say_if_twin(simulation: str) -> None:
-    if simulation != "bullet":
+    if simulation == ROS:
+        print("driven by a robot with ROS: its way is that of its odometry")
+    elif simulation != "bullet":
         print("driven in the fast twin, since PyBullet is not installed: these are not PyBullet's figures")
 
 

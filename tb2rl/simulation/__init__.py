@@ -20,6 +20,7 @@ from tb2rl.simulation.start import Start
 from tb2rl.simulation.streams import Draws
 
 __all__ = [
+    "ROS",
     "SIMULATIONS",
     "Draws",
     "Judge",
@@ -35,6 +36,7 @@ __all__ = [
 ]
 
 SIMULATIONS = ("bullet", "kinematic")
+ROS = "ros"  # in the place of one: a robot with ROS, see `tb2rl.ros.robot`
 Judge = Literal["bullet", "kinematic"]  # where a policy was judged, see `judging_simulation`
 
 

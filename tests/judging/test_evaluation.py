@@ -15,8 +15,8 @@ import pytest
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
-from tb2rl.judging.evaluation import Evaluation, kept_evaluation
-from tb2rl.judging.evaluator import episode_of, evaluate
+from tb2rl.judging.evaluation import Evaluation, episode_of, kept_evaluation
+from tb2rl.judging.evaluator import evaluate
 from tb2rl.judging.rollout import roll_out
 from tb2rl.judging.statistics import wilson_interval
 from tb2rl.runs.algorithm import make_baseline

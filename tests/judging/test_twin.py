@@ -10,8 +10,8 @@ import torch as th
 
 from tb2rl import load
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.judging.evaluation import Evaluation
-from tb2rl.judging.evaluator import TOGETHER, Evaluator, episode_of
+from tb2rl.judging.evaluation import Evaluation, episode_of
+from tb2rl.judging.evaluator import TOGETHER, Evaluator
 from tb2rl.judging.rollout import roll_out
 from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.runs.algorithm import Spaces, make_algorithm

@@ -148,7 +148,7 @@ class Driver:
         """What it waits for; "": nothing."""
         if self._scan is None:
             return "waiting for a scan"
-        old = _stale("scan", now - self._scanned[-1])
+        old = stale("scan", now - self._scanned[-1])
         needs = self._needs
         if old or not (needs.uses_odometry or needs.goal):
             return old
@@ -158,7 +158,7 @@ class Driver:
             return "waiting for a goal"
         if needs.goal == "plan" and self._planner is None:
             return "waiting for a plan"
-        return _stale("odometry", now - self._counted)
+        return stale("odometry", now - self._counted)
 
     def _arrived(self) -> str:
         if not self._needs.goal or self._goal is None:
@@ -198,7 +198,7 @@ class Driver:
         return ""
 
 
-def _stale(what: str, age: float) -> str:
+def stale(what: str, age: float) -> str:
     """Why data of this age [s] cannot be driven by; "": it can."""
     if age > STALE:
         return "the last {} is {:.1f} s old".format(what, age)

@@ -1,0 +1,130 @@
+"""A robot with ROS as an environment: `make_env(policy, simulation="ros")`, or with a `RosRobot` for what is not usual.
+
+Its episodes begin where the robot stands, on a floor that knows no walls: x ahead, y to the left. A policy that plans
+its way on a map needs one: there they begin at the start of the task's world.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+
+from tb2rl.drivers import Limits, Mounting
+from tb2rl.drivers.trained import floor, needs_in
+from tb2rl.envs.scene import Scene
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.errors import InputError
+from tb2rl.ros.graph import join
+from tb2rl.ros.remote import RemoteRobot
+from tb2rl.ros.topics import TURTLEBOT2, DriverTopics
+from tb2rl.simulation import ROS
+from tb2rl.values import build
+
+NAME = "tb2rl_environment"  # of the node
+_UPSIDE_DOWN = "upside-down"
+
+
+@dataclass(frozen=True)
+class RosRobot:
+    """Where a robot is, and what there is to know of it.
+
+    Attributes:
+        ros: Which ROS, 1 or 2.
+        topics: Other names than a TurtleBot2's, by the keys of `tb2rl.ros.topics.DriverTopics`.
+        mounting: Where its scanner is.
+        limits: What it is to do at most.
+        arguments: What follows `--ros-args` on a command line; for ROS 2.
+    """
+
+    ros: int = 1
+    topics: Mapping[str, str] = field(default_factory=dict)
+    mounting: Mounting = field(default_factory=Mounting)
+    limits: Limits = field(default_factory=Limits)
+    arguments: tuple[str, ...] = ()
+
+    def env(self, scene: Scene, render_mode: str | None = None) -> TurtleBot2Env:
+        """The environment, in the graph of ROS; there is one at a time.
+
+        Raises:
+            InputError: If this ROS is not installed, or what the scene's task needs is not to be had of a robot.
+        """
+        if self.ros not in TURTLEBOT2:
+            raise InputError(f"there is ROS 1 and ROS 2, got {self.ros!r}")
+        if self.arguments and self.ros == 1:
+            raise InputError("--ros-args is for --ros 2")
+        topics = build(DriverTopics, {**asdict(TURTLEBOT2[self.ros]), **self.topics}, "topics")
+        scene = robot_scene(scene)
+        graph = join(self.ros, NAME, self.arguments)
+        try:
+            robot = RemoteRobot(scene.setup, needs_in(scene), graph, topics, self.mounting, self.limits)
+        except BaseException:
+            graph.close()
+            raise
+        return TurtleBot2Env(scene, render_mode, robot)
+
+
+def ros_robot(simulation: RosRobot | str) -> RosRobot:
+    """The robot itself, or a TurtleBot2 with ROS 1 for "ros": what evaluations and films take as `simulation`.
+
+    Raises:
+        InputError: For another name: where they simulate, they choose the simulation themselves.
+    """
+    if isinstance(simulation, str):
+        if simulation != ROS:
+            raise InputError(
+                f"simulation takes {ROS!r} or a RosRobot; without it PyBullet simulates, got {simulation!r}"
+            )
+        return RosRobot()
+    return simulation
+
+
+def robot_scene(scene: Scene) -> Scene:
+    """A scene as a robot has it, which comes as it is, and whose world nobody knows.
+
+    Raises:
+        InputError: If a policy cannot do there what it does in the scene.
+    """
+    task, planned = scene.task, needs_in(scene).goal == "plan"
+    worlds = scene.setup.worlds
+    if planned and len(worlds) > 1:
+        raise InputError(f"a way is planned on one map, and {scene.place} are {len(worlds)}: name yours by task.world")
+    goal = getattr(task, "goal", None)
+    if task.goal_task and goal is None and not (planned and worlds[0].goal):
+        raise InputError("say where to get by task.goal=[x, y]: m ahead and m to the left of where the robot begins")
+    if not planned:
+        worlds = (floor((0.0, 0.0), goal or (0.0, 0.0)),)
+    worlds = tuple(replace(world, movers=()) for world in worlds)
+    return scene.in_worlds(worlds, start="fixed", variation="none", movers=None, noise=0.0)
+
+
+def parse_mounting(text: str) -> Mounting:
+    """Where the scanner is, as the command line has it: "x,y,yaw" or "x,y,yaw,upside-down".
+
+    Raises:
+        InputError: If it is not that.
+    """
+    *numbers, last = text.split(",")
+    upside_down = last == _UPSIDE_DOWN
+    try:
+        x, y, yaw = map(float, numbers if upside_down else [*numbers, last])
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise InputError(
+            f"--mounting takes x,y,yaw or x,y,yaw,{_UPSIDE_DOWN} in m and rad, such as 0.1,0,3.14159, got {text!r}"
+        )
+    return Mounting(x, y, yaw, upside_down)
+
+
+def parse_limits(speed: float | None, option: str = "--speed") -> Limits:
+    """The speed [m/s] that the robot is to keep to; None: what the policy drives.
+
+    Raises:
+        InputError: If it is no speed.
+    """
+    if speed is None:
+        return Limits()
+    if not 0.0 < speed < math.inf:
+        raise InputError(f"{option} takes m/s above 0, got {speed:g}")
+    return Limits(speed=speed)
