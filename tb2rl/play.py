@@ -24,7 +24,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = ArgumentParser(prog="python -m tb2rl.play", description=(__doc__ or "").splitlines()[0])
     add_policy_arguments(parser)
-    parser.add_argument("--goal", metavar="X,Y", help="where to get, from the world's start [m]; for task navigate")
     parser.add_argument("--teleop", action="store_true", help="instead: drive it yourself, by the terminal's keys")
     parser.add_argument("--episodes", type=int, default=1)
     parser.add_argument("--steps", type=int, help="control steps at most in an episode (300, a minute)")

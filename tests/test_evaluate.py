@@ -87,6 +87,32 @@ def test_a_policy_is_called_what_the_user_called_it(short, tmp_path, capsys):
     assert json.loads((tmp_path / "it.json").read_text())["policy"] == "zoo:maze-loop-qlearn"
 
 
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("--ros 2", ["--ros", "go with --simulation ros"]),
+        ("--topics scan=/laser", ["--topics", "go with --simulation ros"]),
+        ("--goal 1,2", ["--goal", "--simulation ros", "task.goal"]),
+        ("--simulation bullet", ["--simulation", "ros"]),
+        ("--simulation ros --workers 2", ["--workers", "one robot"]),
+        ("--simulation ros --suite unseen", ["--simulation", "--suite"]),
+        ("--simulation ros --topics laser=/scan", ["--topics", "laser", "scan"]),
+        ("--simulation ros --top-speed 0", ["--top-speed", "above 0"]),
+        ("--simulation ros --goal 1", ["--goal", "'1'"]),
+        ("--simulation ros --goal 1,nan", ["--goal", "nan"]),
+        ("--simulation ros --goal 1,2", ["goal", "navigate"]),
+        ("--simulation ros --ros-args -p use_sim_time:=true", ["--ros-args", "--ros 2"]),
+    ],
+)
+def test_what_does_not_fit_a_robot_with_ros_is_said(line, named, capsys):
+    with pytest.raises(SystemExit) as ended:
+        command.main(["--agent", "random", *line.split()])
+    error = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert all(name in error for name in named), error
+    assert error.count("\n") == 1
+
+
 @pytest.mark.parametrize("name", BASELINES)
 def test_every_baseline_can_be_evaluated_by_its_name_at_another_task(name, short, tmp_path, capsys):
     command.main(["--agent", name, "--task", "wall", *short, "--json", str(tmp_path / "it.json")])

@@ -41,6 +41,8 @@ def check(options: argparse.Namespace) -> None:
         raise InputError("--on goes with --suite: a hundred episodes are over sooner than Ray has started")
     if options.simulation is not None and options.workers is not None:
         raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
+    if options.goal is not None and options.simulation is None:
+        raise InputError("--goal goes with --simulation ros; else say --set task.goal=[3,2]")
     if min(options.episodes, options.steps) < 1 or not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--episodes and --steps must be at least 1, and --seed from 0 to {LARGEST_SEED}")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.commands.policy import chosen_policy
-from tb2rl.commands.robot import chosen_robot
+from tb2rl.commands.robot import chosen_robot, parse_goal
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, unknown
 from tb2rl.judging.progress import say
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
         drive_by_keyboard(config.scene, options.seed, options.camera)
         return
     policy, config = chosen_policy(options)
-    if options.goal is not None:
+    if options.goal is not None and robot is None:
         config = config.with_task(_to_goal(config, options))
     if options.bag:
         _record(policy, config, options)
@@ -58,6 +58,8 @@ def check(options: argparse.Namespace) -> None:
         )
     if options.policy and options.task:
         raise InputError("--task goes with --agent and --teleop; a policy keeps the task that it was trained at")
+    if options.teleop and options.simulation is not None:
+        raise InputError("--teleop drives a simulated robot; --simulation ros has a policy drive yours")
     if options.teleop and (options.video or options.bag):
         raise InputError("--video and --bag show a policy; --teleop shows what you drive in the terminal")
     if options.simulation is not None and not options.video:
@@ -75,10 +77,7 @@ def _to_goal(config: Config, options: argparse.Namespace) -> dict[str, Any]:
     """The settings of a drive from the world's start, unless something else is set, to the goal that `--goal` says."""
     if not hasattr(config.task, "goal"):
         raise InputError(f"--goal goes with a task that has one, such as navigate; task {config.task_name} has none")
-    try:
-        x, y = map(float, options.goal.split(","))
-    except ValueError:
-        raise InputError(f"--goal takes two numbers, X,Y, such as 3,2, got {options.goal!r}") from None
+    x, y = parse_goal(options.goal)
     chosen = [pair.partition("=")[0].strip() for pair in options.set]
     return {"goal": [x, y], **({} if "task.start" in chosen else {"start": "fixed"})}
 

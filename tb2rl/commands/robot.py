@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import math
 import signal
 from dataclasses import asdict
 
 from tb2rl.errors import InputError
 from tb2rl.ros.robot import RosRobot, parse_limits, parse_mounting
 from tb2rl.ros.topics import TURTLEBOT2, parse_topics
+
+
+def parse_goal(text: str) -> tuple[float, float]:
+    """A goal x, y [m] as the command line has it: "3,2".
+
+    Raises:
+        InputError: If it is not that.
+    """
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"--goal takes two numbers, X,Y, such as 3,2, got {text!r}")
+    return x, y
 
 
 def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
@@ -26,5 +42,6 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     ros = options.ros or 1
     topics = asdict(parse_topics(options.topics, TURTLEBOT2[ros]))
     mounting, limits = parse_mounting(options.mounting or "0,0,0"), parse_limits(options.top_speed, "--top-speed")
+    goal = None if options.goal is None else parse_goal(options.goal)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    return RosRobot(ros, topics, mounting, limits, tuple(options.ros_args))
+    return RosRobot(ros, topics, mounting, limits, goal, tuple(options.ros_args))

@@ -115,6 +115,7 @@ class RemoteRobot:
             InputError: If scans or odometry are missing for half a second.
         """
         with self._turn:
+            self._look()
             before, now = self._seen_count, self._graph.now()
             began = self._ended if abs(now - self._ended) < _LATE * duration else now  # else it was left alone
             late, self._until = began + (1.0 + _LATE) * duration, began + (1.0 - _EARLY) * duration
@@ -127,7 +128,7 @@ class RemoteRobot:
                 return shown or self._ended > late
 
             try:
-                self._wait(is_over, began)
+                self._wait(is_over, STALE)
                 if self._simulated:  # odometry of the same instant may come after the scan
                     self._turn.wait_for(lambda: self._counted_at >= self._seen_at, _LOOK_UP)
             except BaseException:
@@ -216,20 +217,20 @@ class RemoteRobot:
         self._stops = max(0, self._stops - 1)
         self._velocity.say(Velocity(*self._told))
 
-    def _wait(self, enough: Callable[[], bool], since: float = math.inf) -> None:
+    def _wait(self, enough: Callable[[], bool], oldest: float = math.inf) -> None:
         """Until there is odometry and a scan that shows what the policy needs, and it is enough.
 
         Args:
             enough: Says so.
-            since: From when on both must come all the time [s]; else within ten seconds of wall-clock time.
+            oldest: How old both may become [s]; they must come within ten seconds of wall-clock time anyway.
 
         Raises:
-            InputError: If one of them does not.
+            InputError: If one of them is missing.
         """
         with self._turn:
             began = time.monotonic()
             while not (self._look() and self._counted_at > -math.inf and enough()):
-                missing = self._missing(began, since)
+                missing = self._missing(began, oldest)
                 if missing:
                     raise InputError(f"the robot stands: {missing}")
                 self._turn.wait(_LOOK_UP)
@@ -256,15 +257,15 @@ class RemoteRobot:
             "use_sim_time"
         )
 
-    def _missing(self, began: float, since: float) -> str:
-        """What has not come for too long, in words; "": nothing. `began` is of the clock on the wall."""
+    def _missing(self, began: float, oldest: float) -> str:
+        """What has not come for too long, in words; "": nothing. See `_wait`, which began at that wall-clock time."""
         wall, now, topics = time.monotonic(), self._graph.now(), self._topics
-        for what, topic, heard, at in (
-            (self._lacks or "no scan", topics.scan, self._seen_heard, self._seen_at),
-            ("no odometry", topics.odometry, self._counted_heard, self._counted_at),
+        for what, heard, at in (
+            (self._lacks or f"no scan on {topics.scan}", self._seen_heard, self._seen_at),
+            (f"no odometry on {topics.odometry}", self._counted_heard, self._counted_at),
         ):
-            if now > max(at, since) + STALE or wall > max(heard, began) + _PATIENCE:
-                return f"{what} on {topic}"
+            if now > at + oldest or wall > max(heard, began) + _PATIENCE:
+                return what
         return ""
 
     def _stands(self) -> bool:

@@ -34,6 +34,8 @@ class RosRobot:
         topics: Other names than a TurtleBot2's, by the keys of `tb2rl.ros.topics.DriverTopics`.
         mounting: Where its scanner is.
         limits: What it is to do at most.
+        goal: Where to get, at a task with goals: x, y [m] ahead and to the left of where an episode begins, or on the map
+            of a policy that plans its way on one; None: what `task.goal` says.
         arguments: What follows `--ros-args` on a command line; for ROS 2.
     """
 
@@ -41,6 +43,7 @@ class RosRobot:
     topics: Mapping[str, str] = field(default_factory=dict)
     mounting: Mounting = field(default_factory=Mounting)
     limits: Limits = field(default_factory=Limits)
+    goal: tuple[float, float] | None = None
     arguments: tuple[str, ...] = ()
 
     def env(self, scene: Scene, render_mode: str | None = None) -> TurtleBot2Env:
@@ -54,7 +57,7 @@ class RosRobot:
         if self.arguments and self.ros == 1:
             raise InputError("--ros-args is for --ros 2")
         topics = build(DriverTopics, {**asdict(TURTLEBOT2[self.ros]), **self.topics}, "topics")
-        scene = robot_scene(scene)
+        scene = robot_scene(scene, self.goal)
         graph = join(self.ros, NAME, self.arguments)
         try:
             robot = RemoteRobot(scene.setup, needs_in(scene), graph, topics, self.mounting, self.limits)
@@ -79,8 +82,12 @@ def ros_robot(simulation: RosRobot | str) -> RosRobot:
     return simulation
 
 
-def robot_scene(scene: Scene) -> Scene:
+def robot_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:
     """A scene as a robot has it, which comes as it is, and whose world nobody knows.
+
+    Args:
+        scene: What the policy was trained at.
+        goal: See `RosRobot`.
 
     Raises:
         InputError: If a policy cannot do there what it does in the scene.
@@ -89,13 +96,16 @@ def robot_scene(scene: Scene) -> Scene:
     worlds = scene.setup.worlds
     if planned and len(worlds) > 1:
         raise InputError(f"a way is planned on one map, and {scene.place} are {len(worlds)}: name yours by task.world")
-    goal = getattr(task, "goal", None)
+    if goal is not None and not hasattr(task, "goal"):
+        raise InputError("a goal goes with a task that has one, such as navigate")
+    goal = goal or getattr(task, "goal", None)
     if task.goal_task and goal is None and not (planned and worlds[0].goal):
-        raise InputError("say where to get by task.goal=[x, y]: m ahead and m to the left of where the robot begins")
+        raise InputError("say where to get, such as --goal 3,0.5: m ahead and to the left of where the robot begins")
     if not planned:
         worlds = (floor((0.0, 0.0), goal or (0.0, 0.0)),)
     worlds = tuple(replace(world, movers=()) for world in worlds)
-    return scene.in_worlds(worlds, start="fixed", variation="none", movers=None, noise=0.0)
+    goals = {} if goal is None else {"goal": goal}
+    return scene.in_worlds(worlds, start="fixed", variation="none", movers=None, noise=0.0, **goals)
 
 
 def parse_mounting(text: str) -> Mounting:

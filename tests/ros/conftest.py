@@ -134,10 +134,16 @@ class RosGraph:
     @contextmanager
     def start(self, what: str, *arguments: str) -> Iterator[Process]:
         """`python -m tb2rl.ros` with some arguments, once it has said its first line."""
-        command = [str(self.python), "-m", "tb2rl.ros", what, "--ros", str(self.version), *arguments]
+        with self.command("ros", what, "--ros", str(self.version), *arguments) as process:
+            process.wait_for_line(0)
+            yield process
+
+    @contextmanager
+    def command(self, name: str, *arguments: str) -> Iterator[Process]:
+        """`python -m tb2rl.NAME` with some arguments."""
+        command = [str(self.python), "-m", f"tb2rl.{name}", *arguments]
         process = Process(command, {**self.env, "PYTHONPATH": self._path(CHECKOUT)}, self.folder)
         try:
-            process.wait_for_line(0)
             yield process
         finally:
             process.close()
@@ -274,7 +280,7 @@ class FakeGraph:
     def __init__(self) -> None:
         self.ends: dict[str, FakeEnd] = {}
         self.heard: dict[str, Callable[[Any], None]] = {}
-        self.services: dict[str, Callable[[], str | None]] = {}
+        self.services: dict[str, Callable[[], str | None]] = {}  # ours, and those of others
         self.over, self.time, self.simulated = False, 0.0, False
 
     def publisher(self, topic: str, kind: type[Message]) -> FakeEnd:
@@ -286,6 +292,11 @@ class FakeGraph:
 
     def serve(self, service: str, kind: str, called: Callable[[], str | None]) -> None:
         self.services[service] = called
+
+    def call(self, service: str, kind: str) -> bool:
+        if service in self.services:
+            self.services[service]()
+        return service in self.services
 
     def now(self) -> float:
         return self.time
