@@ -18,7 +18,7 @@ from tb2rl.drivers.portable.driver import stale
 from tb2rl.drivers.portable.preflight import STALE
 from tb2rl.drivers.portable.scan import Seen
 from tb2rl.errors import InputError
-from tb2rl.ros.graph import EMPTY, Graph, Nobody
+from tb2rl.ros.graph import EMPTY, Graph
 from tb2rl.ros.messages import BILLION, Bump, Odometry, Scan, Velocity
 from tb2rl.ros.topics import DriverTopics
 from tb2rl.simulation import Reading, Setup, Start
@@ -54,9 +54,6 @@ class RemoteRobot:
         topics: By which names.
         mounting: Where its scanner is.
         limits: What it is to do at most; what is faster is slowed down on the same arc.
-
-    Attributes:
-        feels: Whether its bumper can be heard.
     """
 
     robots = 1
@@ -82,7 +79,7 @@ class RemoteRobot:
         self._velocity = graph.publisher(topics.velocity, Velocity)
         graph.listen(topics.scan, Scan, self._see_scan)
         graph.listen(topics.odometry, Odometry, self._see_odometry)
-        self.feels = not isinstance(graph.listen(topics.bumper, Bump, self._feel), Nobody)
+        graph.listen(topics.bumper, Bump, self._feel)
         self._over = threading.Event()
         self._watch = threading.Thread(target=self._keep_telling, daemon=True)
         self._watch.start()
@@ -122,13 +119,12 @@ class RemoteRobot:
             self._left = math.inf
             self._tell(self._limits.slowed(*commands[0].tolist()))
 
-            def is_over() -> bool:  # or the clock was set back
-                shown = self._seen_count > before and not began <= self._seen_at < self._until
-                self._ended = self._seen_at if shown else self._graph.now()
-                return shown or self._ended > late
+            def is_shown() -> bool:  # what comes before its beginning, comes after the clock was set back
+                return self._seen_count > before and not began <= self._seen_at < self._until
 
             try:
-                self._wait(is_over, STALE)
+                self._wait(lambda: is_shown() or self._graph.now() > late, STALE)
+                self._ended = self._seen_at if is_shown() else self._graph.now()
                 if self._simulated:  # odometry of the same instant may come after the scan
                     self._turn.wait_for(lambda: self._counted_at >= self._seen_at, _LOOK_UP)
             except BaseException:

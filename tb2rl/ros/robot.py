@@ -34,8 +34,8 @@ class RosRobot:
         topics: Other names than a TurtleBot2's, by the keys of `tb2rl.ros.topics.DriverTopics`.
         mounting: Where its scanner is.
         limits: What it is to do at most.
-        goal: Where to get, at a task with goals: x, y [m] ahead and to the left of where an episode begins, or on the map
-            of a policy that plans its way on one; None: what `task.goal` says.
+        goal: Where to get, at a task with goals: x, y [m] ahead and to the left of where an episode begins, or on the
+            map of a policy that plans its way on one; None: what `task.goal` says.
         arguments: What follows `--ros-args` on a command line; for ROS 2.
     """
 

@@ -15,7 +15,7 @@ from tb2rl.drivers import Limits, Mounting
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.errors import InputError
-from tb2rl.ros.messages import BILLION, Bump, Odometry, Scan, Velocity
+from tb2rl.ros.messages import BILLION, Bump, Odometry, Scan
 from tb2rl.ros.remote import PUT_BACK
 from tb2rl.ros.robot import RosRobot, robot_scene
 from tb2rl.ros.topics import TURTLEBOT2
@@ -35,7 +35,7 @@ class Rover:
 
     def __init__(self, graph):
         self.graph, self.pose, self.ranges = graph, BEGAN, np.full(361, 5.0)
-        self.twist, self.sees, self.counts, self.over = (0.0, 0.0), True, True, False
+        self.twist, self.sees, self.counts, self.behind, self.over = (0.0, 0.0), True, True, 0.0, False
         self._thread = threading.Thread(target=self._drive, daemon=True)
 
     def start(self):
@@ -61,7 +61,7 @@ class Rover:
         (x, y, yaw), (v, w) = self.pose, (self.told or [(0.0, 0.0)])[-1]
         self.pose, self.twist = (x + v * TICK * math.cos(yaw), y + v * TICK * math.sin(yaw), yaw + w * TICK), (v, w)
         self.graph.time = round(self.graph.time + TICK, 6)
-        stamp = round(self.graph.time * BILLION)
+        stamp = round((self.graph.time - self.behind) * BILLION)
         if self.counts:
             self.graph.heard[TOPICS.odometry](Odometry(stamp, "odom", "base", self.pose, self.twist))
         if self.sees:
@@ -100,6 +100,11 @@ def env(rover):
     env.close()
 
 
+def drive_on(env):
+    for _ in range(9):
+        env.step(FORWARD)
+
+
 def wait_for(what):
     until = time.monotonic() + 20.0
     while not what():
@@ -127,8 +132,8 @@ def test_what_the_laser_sees_is_what_the_policy_was_trained_with(env, rover):
     observation, _ = env.reset()
     assert observation.tolist() == [1, 2, 2, 3, 3, 3, 3], "right to left"
     rover.ranges = np.full(361, 0.3)
-    observation, reward, terminated, _, info = env.step(FORWARD)
-    observation, reward, terminated, _, info = env.step(FORWARD)
+    env.step(FORWARD)
+    observation, _, terminated, _, info = env.step(FORWARD)
     assert (observation.tolist(), terminated, info["ended"]) == ([0] * 7, True, "crash")
 
 
@@ -150,17 +155,25 @@ def test_who_senses_nothing_stands_and_says_so(sense, env, rover):
     setattr(rover, sense, False)
     missing = {"sees": "no scan on /scan", "counts": "no odometry on /odom"}[sense]
     with pytest.raises(InputError, match=f"^the robot stands: {missing}$"):
-        for _ in range(9):
-            env.step(FORWARD)
+        drive_on(env)
     assert rover.told[-1] == (0.0, 0.0)
 
 
-def test_old_scans_and_those_that_show_too_little_are_none(env, rover):
+def test_scans_that_show_too_little_are_none(env, rover):
     env.reset()
     rover.ranges = np.full(361, np.nan)
     with pytest.raises(InputError, match="no valid reading at all"):
-        for _ in range(9):
-            env.step(FORWARD)
+        drive_on(env)
+
+
+@pytest.mark.parametrize(
+    ("behind", "said"), [(0.7, "the last scan is 0.7 s old"), (1.8e9, "the time of another clock")]
+)
+def test_old_scans_and_those_of_another_clock_are_none(behind, said, env, rover):
+    env.reset()
+    rover.behind = behind
+    with pytest.raises(InputError, match=said):
+        drive_on(env)
 
 
 def test_a_robot_that_does_not_answer_is_not_waited_for(env, rover, monkeypatch):
@@ -272,13 +285,13 @@ def test_the_floor_of_a_robot_knows_no_walls_and_nothing_varies():
 
 def test_goals_are_where_the_user_says_and_maps_those_of_who_plans():
     goal = make_scene(make_task("navigate", {"world": "loop"}), "raw")
-    with pytest.raises(InputError, match="--goal 3,0.5"):
+    with pytest.raises(InputError, match="such as --goal"):
         robot_scene(goal)
     assert robot_scene(goal, (2.0, -1.0)).goal == (2.0, -1.0)
     plan = make_scene(make_task("navigate", {"world": "circuit", "guide": "plan"}), "raw")
     assert robot_scene(plan, tuple(plan.world.start[:2])).world.name == "circuit"
     many = make_scene(make_task("navigate", {"world": ["loop", "circuit"], "guide": "plan"}), "raw")
-    with pytest.raises(InputError, match="name yours by task.world"):
+    with pytest.raises(InputError, match="name yours"):
         robot_scene(many)
     seen = make_scene(make_task("navigate", {"world": "loop", "guide": "plan", "planner": "seen"}), "raw")
     assert robot_scene(seen, (2.0, 0.0)).world.name == "floor"
