@@ -9,6 +9,7 @@ import ast
 import re
 import statistics
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,15 @@ def imported(module: Path) -> set[str]:
 def mentioning(pattern: str) -> set[str]:
     found = (module for module in MODULES if re.search(pattern, module.read_text()))
     return {str(module.relative_to(CHECKOUT)) for module in found}
+
+
+def test_the_picture_of_the_rooms_has_the_order_of_the_contract():
+    (contract,) = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    rooms = [
+        name for layer in contract["layers"] for name in layer.split(" | ") if (CHECKOUT / "tb2rl" / name).is_dir()
+    ]
+    shown = re.findall(r'font-weight="600">(\w+)/?</text>', (CHECKOUT / "zoo/pictures/architecture.svg").read_text())
+    assert [name for name in shown if name in rooms] == rooms
 
 
 def test_modules_are_short():

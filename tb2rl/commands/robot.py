@@ -43,5 +43,6 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     topics = asdict(parse_topics(options.topics, TURTLEBOT2[ros]))
     mounting, limits = parse_mounting(options.mounting or "0,0,0"), parse_limits(options.top_speed, "--top-speed")
     goal = None if options.goal is None else parse_goal(options.goal)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, signal.default_int_handler)
     return RosRobot(ros, topics, mounting, limits, goal, tuple(options.ros_args))
