@@ -121,7 +121,7 @@ def _command(message: Any) -> tuple[float, ...]:
 
 
 def _touch(message: Any) -> tuple[float, ...]:
-    return (float(message.data),)
+    return (float(message.data if hasattr(message, "data") else message.state),)
 
 
 def _goal(message: Any) -> tuple[float, ...]:

@@ -9,6 +9,7 @@
 | `/tf` | tf2_msgs/TFMessage | `map` to `odom` to `base_footprint` |
 | `/clock` | rosgraph_msgs/Clock | simulated time, which all stamps are in |
 | `/bumper` | std_msgs/Bool | whether the base touched anything since the last message |
+| `/mobile_base/events/bumper`, in ROS 2 `/events/bumper` | BumperEvent of the Kobuki | a bumper is pressed or let go |
 | `/reward` | std_msgs/Float64 | of each step |
 | `/move_base_simple/goal`, in ROS 2 `/goal_pose` | geometry_msgs/PoseStamped | the goal, of a task that has one |
 """
@@ -26,13 +27,15 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.bags.topics import message_types, rosbags_library
+from tb2rl.bags.topics import BUMPER_EVENTS, message_types, rosbags_library
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
 from tb2rl.files import replacing
+from tb2rl.sensors.bumper import bumper_at
 from tb2rl.simulation import Reading
 
 BEGIN = 1.0  # [s] the clock as an episode begins: in ROS, 0 means that there is no time yet
+_TOPICS = {1: ("/move_base_simple/goal", "/mobile_base/events/bumper"), 2: ("/goal_pose", "/events/bumper")}
 MAP, ODOM, BASE = "map", "odom", "base_footprint"  # frames (REP 105); the laser is above the middle of the axle
 
 
@@ -43,13 +46,15 @@ class Recorder:
         bag: A writer of the library.
         store: The message types of its ROS.
         serialize: From a message and its type to bytes.
-        goal_topic: Where its ROS expects a goal.
+        ros: Which, 1 or 2.
         scene: Of the environment.
     """
 
-    def __init__(self, bag: Any, store: Any, serialize: Any, goal_topic: str, scene: Scene) -> None:
+    def __init__(self, bag: Any, store: Any, serialize: Any, ros: int, scene: Scene) -> None:
         self._bag, self._serialize, self._store = bag, serialize, store
-        self._goal_topic, self._scene = goal_topic, scene
+        self._goal_topic, self._bumper_topic = _TOPICS[ros]
+        self._event, self._scene = BUMPER_EVENTS[ros].replace("/msg/", "/"), scene
+        self._pressed: int | None = None  # which of the bumpers
         self._connections: dict[str, Any] = {}
         self._step = 0
         self._whole = replace(scene.laser, indices=None).angles
@@ -85,6 +90,16 @@ class Recorder:
         self._write_odometry("/odom", ODOM, odometry, reading.odometry_twist[0])
         self._write("/kobuki/laser/scan", "sensor_msgs/LaserScan", **self._scan(reading.ranges[0]))
         self._write("/bumper", "std_msgs/Bool", data=bool(reading.bumped[0]))
+        nearest = self._scene.laser.angles[np.argmin(reading.ranges[0])]
+        self._press(bumper_at(nearest) if reading.bumped[0] else None)
+
+    def _press(self, bumper: int | None) -> None:
+        """Say which bumper was let go and which is pressed now, if that is another."""
+        if bumper != self._pressed:
+            for which, state in ((self._pressed, 0), (bumper, 1)):
+                if which is not None:
+                    self._write(self._bumper_topic, self._event, bumper=which, state=state)
+            self._pressed = bumper
 
     def _write_odometry(self, topic: str, frame: str, pose: np.ndarray, twist: np.ndarray) -> None:
         v, w = twist.tolist()
@@ -194,11 +209,11 @@ def open_bag(path: Path, scene: Scene) -> Iterator[Recorder]:
     try:
         if path.suffix:
             with replacing(path) as temporary, library.rosbag1.Writer(temporary) as bag:
-                yield Recorder(bag, store, store.serialize_ros1, "/move_base_simple/goal", scene)
+                yield Recorder(bag, store, store.serialize_ros1, 1, scene)
         else:
             plugin = library.rosbag2.StoragePlugin.MCAP
             with _new_folder(path) as folder, library.rosbag2.Writer(folder, version=8, storage_plugin=plugin) as bag:
-                yield Recorder(bag, store, store.serialize_cdr, "/goal_pose", scene)
+                yield Recorder(bag, store, store.serialize_cdr, 2, scene)
     except BrokenPipeError:  # not of the bag: whoever reads what is printed went away
         raise
     except OSError as error:

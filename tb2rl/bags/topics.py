@@ -25,6 +25,7 @@ class Kind:
     guessed: bool = True
 
 
+BUMPER_EVENTS = {1: "kobuki_msgs/msg/BumperEvent", 2: "kobuki_ros_interfaces/msg/BumperEvent"}  # of ROS 1 and 2
 KINDS: Mapping[str, Kind] = {
     "odom": Kind(("nav_msgs/msg/Odometry",), ("/odom", "/odometry/filtered")),
     "ground_truth": Kind(
@@ -35,7 +36,11 @@ KINDS: Mapping[str, Kind] = {
         ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
         ("/cmd_vel", "/mobile_base/commands/velocity", "/commands/velocity"),
     ),
-    "bumper": Kind(("std_msgs/msg/Bool",), ("/bumper",), guessed=False),
+    "bumper": Kind(
+        ("std_msgs/msg/Bool", *BUMPER_EVENTS.values()),
+        ("/bumper", "/mobile_base/events/bumper", "/events/bumper"),
+        guessed=False,
+    ),
     "goal": Kind(("geometry_msgs/msg/PoseStamped",), ("/move_base_simple/goal", "/goal_pose"), guessed=False),
 }
 
@@ -100,6 +105,9 @@ def message_types(library: Any, first: bool) -> Any:
     if TRANSFORMS not in store.fielddefs:  # the library knows the one of ROS 2 alone
         definition = "geometry_msgs/TransformStamped[] transforms"
         store.register(library.typesys.get_types_from_msg(definition, TRANSFORMS))
+    event = BUMPER_EVENTS[1 if first else 2]
+    if event not in store.fielddefs:
+        store.register(library.typesys.get_types_from_msg("uint8 bumper\nuint8 state", event))
     return store
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from tb2rl.envs.scene import Scene
 from tb2rl.robots import Laser, Robot
 from tb2rl.ros.messages import BILLION, Bump, Clock, Image, Odometry, Scan, Transform, Transforms, Velocity, upright
+from tb2rl.sensors.bumper import bumper_at
 from tb2rl.simulation import Reading, simulate
 from tb2rl.simulation.streams import GeneratorDraws
 
@@ -143,12 +144,11 @@ class Simulator:
         return told if now is None else [*told, Bump(now, True)]
 
     def _bumper(self, reading: Reading) -> int | None:
-        """Which of the bumpers is pressed: the Kobuki has three, 60 degrees each, in front."""
+        """Which of the bumpers is pressed."""
         beam = int(np.argmin(reading.ranges[0]))
         if not reading.bumped[0] or reading.ranges[0, beam] > self._setup.robot.radius + _AT_THE_HULL:
             return None
-        angle = self._setup.laser.angles[beam]
-        return 0 if angle > math.pi / 6 else 2 if angle < -math.pi / 6 else 1
+        return bumper_at(self._setup.laser.angles[beam])
 
 
 def _sweep(laser: Laser) -> tuple[float, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from tb2rl.sensors.sensor import Sensor
@@ -17,3 +19,11 @@ class Bumper(Sensor):
 
     def read(self, reading: Reading) -> np.ndarray:
         return reading.bumped[:, None].astype(float)
+
+
+def bumper_at(angle: float) -> int:
+    """Which of the Kobuki's bumpers an obstacle in this direction [rad] presses: 0 left, 1 in the middle, 2 right.
+
+    They are 60 degrees wide each, in front.
+    """
+    return 0 if angle > math.pi / 6 else 2 if angle < -math.pi / 6 else 1

@@ -15,6 +15,7 @@ import pytest
 from tb2rl.bags import reading
 from tb2rl.bags.drive import Drive
 from tb2rl.bags.reading import is_bag, read_drive
+from tb2rl.bags.topics import BUMPER_EVENTS
 from tb2rl.errors import InputError
 
 pytest.importorskip("rosbags")
@@ -60,6 +61,16 @@ def test_a_touch_is_counted_once_as_long_as_it_lasts(bag, write, messages):
     said = [(1.0, "/odom", new.odometry(0.0))]
     said += [(1.0 + i, "/bumper", new("std_msgs/msg/Bool", data=touched)) for i, touched in enumerate([1, 1, 0, 0, 1])]
     assert read_drive(write(bag, said), {}).touched == 2
+
+
+def test_the_bumper_events_of_a_kobuki_count(bag, write, messages):
+    new = messages(bag.suffix == ".bag")
+    ros1 = ("/mobile_base/events/bumper", BUMPER_EVENTS[1])
+    topic, event = ros1 if bag.suffix else ("/events/bumper", BUMPER_EVENTS[2])
+    said = [(1.0, "/odom", new.odometry(0.0))]
+    said += [(2.0 + i, topic, new(event, bumper=1, state=state)) for i, state in enumerate([1, 0, 1, 0])]
+    drive = read_drive(write(bag, said), {})
+    assert (drive.topics["bumper"], drive.touched) == (topic, 2)
 
 
 def test_a_robot_with_names_of_its_own_is_understood_by_types(stranger):

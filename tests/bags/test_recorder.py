@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,20 @@ def test_the_librarys_own_reader_finds_what_happened(bag, record):
     assert told == [tuple(command) for command in driven.commands.tolist()]
     assert [message.data for _, message in found["/reward"]] == driven.rewards
     assert [message.data for _, message in found["/bumper"]] == [bool(r.bumped[0]) for r in driven.readings]
+
+
+def test_a_touch_is_an_event_of_the_bumper_that_is_pressed(bag, record):
+    driven = record(bag.with_name(f"other{bag.suffix}"))
+    first, nothing = driven.readings[0], np.zeros(2)
+    angles = driven.env.scene.laser.angles
+    left, middle = (np.where(np.isclose(angles, angles[np.abs(angles - a).argmin()]), 0.2, 3.0) for a in (1.0, 0.0))
+    with open_bag(bag, driven.env.scene) as recorder:
+        recorder.begin(first)
+        for ranges, bumped in ((left, True), (left, True), (middle, True), (middle, False)):
+            recorder.step(nothing, 0.0, replace(first, ranges=ranges[None], bumped=np.array([bumped])))
+    events = said(bag)["/mobile_base/events/bumper" if bag.suffix else "/events/bumper"]
+    assert [(event.bumper, event.state) for _, event in events] == [(0, 1), (0, 0), (1, 1), (1, 0)]
+    assert [time for time, _ in events] == pytest.approx([1.2, 1.6, 1.6, 1.8])
 
 
 def test_every_stamp_is_in_simulated_time_and_commands_come_before_their_step(bag, record):

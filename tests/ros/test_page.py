@@ -1,0 +1,59 @@
+"""The commands of the page on ROS, in its order, against the simulated robot that it begins with."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+PAGE = Path(__file__).parent.parent.parent / "tb2rl" / "ros" / "README.md"
+SIM_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
+SHORTER = ["--steps", "3"]
+DRIVES = re.compile(r"driving|dry run|it stands: .*")
+
+
+def commands(version):
+    """The words of each of tb2rl's commands on the page for this ROS, behind `python -m`."""
+    blocks = re.findall(r"^```sh\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    shown = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+    ours = [words[2:] for words in shown if words[:2] == ["python", "-m"]]
+    return [words for words in ours if ("--ros 2" in shlex.join(words)) == (version == 2)]
+
+
+def on_ros(words, version):
+    """As the page says that a command is to be changed for ROS 2 and for a simulation."""
+    more = [] if version == 1 or "--ros" in words else ["--ros", "2"]
+    return [*words, *more, *(SIM_TIME if version == 2 and "--ros-args" not in words else [])]
+
+
+def run(graph, words):
+    """A command that drives, until it does: what it said then, without what stands in the way of a start."""
+    name, *arguments = words
+    with graph.command(name.removeprefix("tb2rl."), *arguments) as driving:
+        if name != "tb2rl.ros":
+            assert driving.wait() == 0, driving.errors
+            return driving.lines
+        number = 0
+        while not DRIVES.fullmatch(driving.wait_for_line(number)):
+            number += 1
+        assert driving.stop() == 0, driving.errors
+        return driving.lines
+
+
+def test_every_command_of_the_page_does_what_it_says(graph):
+    version = graph.version
+    (simulate,) = [words for words in commands(version) if "simulate" in words]
+    drives = [words for words in commands(version) if "drive" in words]
+    measures = [[*words, *SHORTER] for words in commands(1) if words[0] != "tb2rl.ros"]
+    assert min(len(drives), len(measures)) >= 3
+    with graph.command("ros", *simulate[1:]) as simulated:
+        simulated.wait_for_line(0)
+        for words in [*drives, *measures]:
+            said = run(graph, on_ros(words, version))
+            print(shlex.join(words), *said, sep="\n  ")
+            if words in drives and "3.14159" not in words[-1]:  # the simulated robot's scanner looks ahead
+                assert ("dry run" if "--dry-run" in words else "driving") in said
+        assert simulated.stop() == 0
