@@ -74,7 +74,7 @@ class RemoteRobot:
         self._counted_at = self._counted_heard = -math.inf
         self._touched = self._pressed = False
         self._told, self._stops = _STILL, 0
-        self._until = -math.inf  # from when on a scan ends the step that is under way; else -inf
+        self._until = -math.inf  # to when the wheels are told the same; then a scan ends the step that is under way
         self._left = math.inf  # when the robot counts as left alone, by the clock on the wall
         self._velocity = graph.publisher(topics.velocity, Velocity)
         graph.listen(topics.scan, Scan, self._see_scan)
@@ -93,13 +93,11 @@ class RemoteRobot:
         """
         if self._over.is_set():
             raise InputError("the robot was left when its environment was closed: make another one")
-        with self._turn:
-            self._tell(_STILL)
-        self._wait(lambda: True)
+        self._stand(lambda: True)
         self._put_back()
         before, until = self._seen_count, time.monotonic() + _ROLLING
-        self._wait(lambda: self._seen_count >= before + _SETTLED)
-        self._wait(lambda: self._stands() or time.monotonic() > until)
+        self._stand(lambda: self._seen_count >= before + _SETTLED)
+        self._stand(lambda: self._stands() or time.monotonic() > until)
         with self._turn:
             self._start, self._origin, self._speed = start, self._odometry.pose, 0.0
             self._touched, self._ended = False, self._seen_at
@@ -212,6 +210,16 @@ class RemoteRobot:
     def _say(self) -> None:
         self._stops = max(0, self._stops - 1)
         self._velocity.say(Velocity(*self._told))
+
+    def _stand(self, enough: Callable[[], bool]) -> None:
+        """See `_wait`: and stand so long, which is said again and again, for a simulation may wait for it."""
+        with self._turn:
+            self._until = math.inf
+            self._tell(_STILL)
+            try:
+                self._wait(enough)
+            finally:
+                self._until = -math.inf
 
     def _wait(self, enough: Callable[[], bool], oldest: float = math.inf) -> None:
         """Until there is odometry and a scan that shows what the policy needs, and it is enough.
