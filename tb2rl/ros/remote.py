@@ -29,7 +29,7 @@ _STILL = (0.0, 0.0)
 _SLOW = (0.02, 0.05)  # [m/s], [rad/s] what is slower stands
 _EARLY, _LATE = 0.1, 0.5  # shares of a control step: a scan may end it so early, and be missing for so long at its end
 _LOOK_UP = 0.02  # [s] of wall-clock time between looks
-_AGAIN = 0.1  # [s] of wall-clock time after which the wheels are told the same again: a base forgets after 0.6 s
+_AGAIN = 0.2  # [s] of wall-clock time after which the wheels are told the same again: a base forgets after 0.6 s
 _STOPS = 10  # times that the wheels are told to stand; then somebody else may drive the robot
 _LEFT = 0.5  # [s] of wall-clock time without another step after which the robot is told to stand
 _PATIENCE = 10.0  # [s] of wall-clock time for sensors to begin, and for a simulation's clock that stands still
@@ -39,7 +39,7 @@ _ANOTHER = 1e6  # [s] between two clocks of which one counts from the beginning 
 
 
 class RemoteRobot:
-    """See `tb2rl.simulation.Simulation`. A step ends with the scan that comes when its time is over.
+    """See `tb2rl.simulation.Simulation`. A step ends with the scan that comes when its time is over, on average.
 
     An episode begins at the start that it is given, and odometry counts on from there: there is no other truth. What
     Gazebo does not put back, the user does, if a terminal can ask for it; else the robot goes on from where it is.
@@ -100,7 +100,7 @@ class RemoteRobot:
         self._stand(lambda: self._stands() or time.monotonic() > until)
         with self._turn:
             self._start, self._origin, self._speed = start, self._odometry.pose, 0.0
-            self._touched, self._ended = False, self._seen_at
+            self._touched, self._due = False, self._seen_at
             return self._reading(math.inf)
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
@@ -112,17 +112,18 @@ class RemoteRobot:
         with self._turn:
             self._look()
             before, now = self._seen_count, self._graph.now()
-            began = self._ended if abs(now - self._ended) < _LATE * duration else now  # else it was left alone
-            late, self._until = began + (1.0 + _LATE) * duration, began + (1.0 - _EARLY) * duration
+            if abs(now - self._due) > _LATE * duration:  # it was left alone, or its clock was set back
+                self._due = now
+            self._due += duration
+            late, self._until = self._due + _LATE * duration, self._due - _EARLY * duration
             self._left = math.inf
             self._tell(self._limits.slowed(*commands[0].tolist()))
 
-            def is_shown() -> bool:  # what comes before its beginning, comes after the clock was set back
-                return self._seen_count > before and not began <= self._seen_at < self._until
+            def is_shown() -> bool:  # or the clock was set back
+                return self._seen_count > before and not now - duration < self._seen_at < self._until
 
             try:
                 self._wait(lambda: is_shown() or self._graph.now() > late, STALE)
-                self._ended = self._seen_at if is_shown() else self._graph.now()
                 if self._simulated:  # odometry of the same instant may come after the scan
                     self._turn.wait_for(lambda: self._counted_at >= self._seen_at, _LOOK_UP)
             except BaseException:
@@ -268,7 +269,8 @@ class RemoteRobot:
             (self._lacks or f"no scan on {topics.scan}", self._seen_heard, self._seen_at),
             (f"no odometry on {topics.odometry}", self._counted_heard, self._counted_at),
         ):
-            if now > at + oldest or wall > max(heard, began) + _PATIENCE:
+            old = now > at + oldest and wall > heard + oldest  # by both clocks: a simulation may be fast
+            if old or wall > max(heard, began) + _PATIENCE:
                 return what
         return ""
 

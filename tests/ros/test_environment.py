@@ -24,7 +24,6 @@ from tb2rl.runs.layers import resolve
 from tb2rl.showing.film import film
 
 TOPICS = TURTLEBOT2[1]
-TICK = 0.1  # [s] from scan to scan
 FORWARD, LEFT, RIGHT = range(3)  # of task maze
 ANSWER = 1.0  # [s] of wall-clock time
 BEGAN = (3.0, 4.0, 1.2)  # of its odometry
@@ -35,6 +34,7 @@ class Rover:
 
     def __init__(self, graph):
         self.graph, self.pose, self.ranges = graph, BEGAN, np.full(361, 5.0)
+        self.tick = 0.1  # [s] from scan to scan
         self.twist, self.sees, self.counts, self.behind, self.over = (0.0, 0.0), True, True, 0.0, False
         self._thread = threading.Thread(target=self._drive, daemon=True)
 
@@ -59,13 +59,16 @@ class Rover:
 
     def _tick(self):
         (x, y, yaw), (v, w) = self.pose, (self.told or [(0.0, 0.0)])[-1]
-        self.pose, self.twist = (x + v * TICK * math.cos(yaw), y + v * TICK * math.sin(yaw), yaw + w * TICK), (v, w)
-        self.graph.time = round(self.graph.time + TICK, 6)
+        self.pose, self.twist = (
+            (x + v * self.tick * math.cos(yaw), y + v * self.tick * math.sin(yaw), yaw + w * self.tick),
+            (v, w),
+        )
+        self.graph.time = round(self.graph.time + self.tick, 6)
         stamp = round((self.graph.time - self.behind) * BILLION)
         if self.counts:
             self.graph.heard[TOPICS.odometry](Odometry(stamp, "odom", "base", self.pose, self.twist))
         if self.sees:
-            scan = Scan(stamp, "laser", -math.pi / 2, math.pi / 360, TICK, 0.1, 30.0, self.ranges)
+            scan = Scan(stamp, "laser", -math.pi / 2, math.pi / 360, self.tick, 0.1, 30.0, self.ranges)
             self.graph.heard[TOPICS.scan](scan)
 
 
@@ -135,6 +138,16 @@ def test_what_the_laser_sees_is_what_the_policy_was_trained_with(env, rover):
     env.step(FORWARD)
     observation, _, terminated, _, info = env.step(FORWARD)
     assert (observation.tolist(), terminated, info["ended"]) == ([0] * 7, True, "crash")
+
+
+def test_steps_last_on_average_what_they_should_however_seldom_scans_come(env, rover):
+    rover.tick = 0.15
+    env.reset()
+    began, (x, y, _) = rover.graph.time, rover.pose
+    for _ in range(30):
+        env.step(FORWARD)
+    assert rover.graph.time - began == pytest.approx(30 * 0.2, abs=0.35)
+    assert math.hypot(rover.pose[0] - x, rover.pose[1] - y) == pytest.approx(30 * 0.2 * 0.5, abs=0.2)
 
 
 def test_a_touch_stops_the_wheels_and_is_told(env, rover):

@@ -37,7 +37,7 @@ def speed_on_robot(graph, *arguments):
 
 def test_an_evaluation_there_is_as_one_here(graph):
     with simulate(graph, *LOCKSTEP) as simulated:
-        found = speed_on_robot(graph, "--episodes", "2", "--steps", "300")
+        found = speed_on_robot(graph, "--steps", "300")
         assert simulated.stop() == 0
     expected = tb2rl.evaluate(POLICY, episodes=4, steps=300, workers=1).summary()["mean_speed"]
     print("speed", found, "evaluated", expected)
