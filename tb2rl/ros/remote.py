@@ -269,8 +269,8 @@ class RemoteRobot:
             (self._lacks or f"no scan on {topics.scan}", self._seen_heard, self._seen_at),
             (f"no odometry on {topics.odometry}", self._counted_heard, self._counted_at),
         ):
-            old = now > at + oldest and wall > heard + oldest  # by both clocks: a simulation may be fast
-            if old or wall > max(heard, began) + _PATIENCE:
+            on_its_way = self._simulated and wall < heard + oldest  # in a simulation that is fast
+            if (now > at + oldest and not on_its_way) or wall > max(heard, began) + _PATIENCE:
                 return what
         return ""
 
