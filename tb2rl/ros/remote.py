@@ -30,6 +30,7 @@ _SLOW = (0.02, 0.05)  # [m/s], [rad/s] what is slower stands
 _EARLY, _LATE = 0.1, 0.5  # shares of a control step: a scan may end it so early, and be missing for so long at its end
 _LOOK_UP = 0.02  # [s] of wall-clock time between looks
 _AGAIN = 0.2  # [s] of wall-clock time after which the wheels are told the same again: a base forgets after 0.6 s
+_LOST = 2.0  # [s] the same in a simulation, which may take a word for the answer to a scan that is under way
 _STOPS = 10  # times that the wheels are told to stand; then somebody else may drive the robot
 _LEFT = 0.5  # [s] of wall-clock time without another step after which the robot is told to stand
 _PATIENCE = 10.0  # [s] of wall-clock time for sensors to begin, and for a simulation's clock that stands still
@@ -73,7 +74,7 @@ class RemoteRobot:
         self._odometry = Odometry(0, "", "", (0.0, 0.0, 0.0), _STILL)
         self._counted_at = self._counted_heard = -math.inf
         self._touched = self._pressed = False
-        self._told, self._stops = _STILL, 0
+        self._told, self._stops, self._said = _STILL, 0, -math.inf  # when, by the clock on the wall
         self._until = -math.inf  # to when the wheels are told the same; then a scan ends the step that is under way
         self._left = math.inf  # when the robot counts as left alone, by the clock on the wall
         self._velocity = graph.publisher(topics.velocity, Velocity)
@@ -197,11 +198,12 @@ class RemoteRobot:
     # ---- what they and our own threads do in turns
 
     def _keep_telling(self) -> None:
+        again = _LOST if self._simulated else 0.0
         while not self._over.wait(_AGAIN):
             with self._turn:
                 if time.monotonic() > self._left and self._told != _STILL:
                     self._tell(_STILL)
-                elif self._stops or self._until > -math.inf:
+                elif time.monotonic() > self._said + again and (self._stops or self._until > -math.inf):
                     self._say()
 
     def _tell(self, speeds: tuple[float, float]) -> None:
@@ -209,7 +211,7 @@ class RemoteRobot:
         self._say()
 
     def _say(self) -> None:
-        self._stops = max(0, self._stops - 1)
+        self._stops, self._said = max(0, self._stops - 1), time.monotonic()
         self._velocity.say(Velocity(*self._told))
 
     def _stand(self, enough: Callable[[], bool]) -> None:
