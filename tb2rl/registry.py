@@ -56,7 +56,7 @@ TASKS = {
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }
-ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot2_rplidar", "turtlebot3", "jackal")}
+ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot3", "jackal")}
 MADE_BY_CODE = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(.+))?")  # module:WORLD, or module:reader:path
 
 

@@ -77,7 +77,7 @@ REFUSED = {
     "actions without @property": (wander(actions=lambda self: Commands(go=(1, 0))), "@property is missing above it"),
     "actions that are a dict": (wander(actions={"go": (1, 0)}), "actions must be Commands or Velocities; got {'go'"),
     "no return from begin": (wander(begin=lambda self, setup, draws: None), "begin must return a Start; got None"),
-    "a start for one robot": (begun(lambda start: Start(start.table[:1])), r"draws.robots rows.* shape \(1, 32\)"),
+    "a start for one robot": (begun(lambda start: Start(start.table[:1])), r"draws.robots rows.* shape \(1, 33\)"),
     "a world that is not there": (
         begun(lambda start: put(start.world, 1)),
         "begin must name worlds by index, below 1; got .1.0",

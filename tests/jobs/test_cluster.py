@@ -81,24 +81,22 @@ def test_a_cluster_that_does_not_answer_is_named_at_once(ray):
 
 
 def test_what_a_user_wrote_travels_along(tmp_path, monkeypatch):
-    (tmp_path / "mine.py").write_text("from package_of_mine.inner import NUMBER\nSQUARE = NUMBER**2\n")
+    (tmp_path / "my_helper.py").write_text("from package_of_mine.inner import NUMBER\nSQUARE = NUMBER**2\n")
     (tmp_path / "package_of_mine").mkdir()
     (tmp_path / "package_of_mine" / "__init__.py").touch()
     (tmp_path / "package_of_mine" / "inner.py").write_text("NUMBER = 7\n")
     (tmp_path / "robot.urdf").write_text("<robot/>")
     monkeypatch.syspath_prepend(tmp_path)
-    for name in ("mine", "package_of_mine", "package_of_mine.inner"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    import_module("mine")
+    import_module("my_helper")
     cargo = packed({"offset": 3})
     files = pickle.loads(cargo)[0]
-    assert {"mine.py", "package_of_mine/inner.py", "robot.urdf"} <= set(files)
+    assert {"my_helper.py", "package_of_mine/inner.py", "robot.urdf"} <= set(files)
     assert not any(name.startswith(("tb2rl", "numpy", "pytest")) for name in files)
     (tmp_path / "cargo").write_bytes(cargo)
     code = (
         "import sys; from pathlib import Path; from tb2rl.jobs.cargo import unpacked;"
         f"shared = unpacked(Path({str(tmp_path / 'cargo')!r}).read_bytes());"
-        "import mine; print(mine.SQUARE, shared, Path(mine.__file__).with_name('robot.urdf').is_file())"
+        "import my_helper; print(my_helper.SQUARE, shared, Path(my_helper.__file__).with_name('robot.urdf').is_file())"
     )
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
