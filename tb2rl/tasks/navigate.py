@@ -37,7 +37,7 @@ class Navigate(Task):
     with `fixed` it leads from the world's start to the world's goal. The robot observes its laser, its speeds, what it
     was last told, and what guides it:
 
-    - `goal`: where the goal is, by the wheels' odometry, and where the robot has been lately. It knows no map.
+    - `goal`: where the goal is, by odometry, and where the robot has been lately. It knows no map.
     - `plan`: a point `reach` ahead on the shortest way, as from a planner that knows where the robot is, and the map:
       with `planner: known` the world's, with `seen` what the laser has seen so far.
 
