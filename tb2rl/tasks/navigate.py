@@ -118,7 +118,7 @@ class Navigate(Task):
 
     def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
         missing = np.hypot(*(after.goal - after.pose[:, :2]).T)
-        reached, crashed = (missing <= self.goal_radius) & ~after.bumped, after.bumped & ~self._run_into(before, after)
+        reached, crashed = (missing <= self.goal_radius) & ~after.bumped, self._crashed(before, after)
         # Close to a wall the way is rounded from squares that no robot can be at, and may jump by more than a step.
         at_most = 1.5 * self.fastest * self.control_period
         closer = np.clip(before.to_go - after.to_go, -at_most, at_most)
@@ -130,8 +130,9 @@ class Navigate(Task):
         reward = np.select([crashed, reached], [self.crash_reward, self.goal_reward], moving)
         return Outcome(reward, failed=crash_endings(crashed, after), succeeded={"goal": reached})
 
-    def _run_into(self, before: Reading, after: Reading) -> np.ndarray:
-        """Which robots something that moves touches while they stand, bool, shape (robots,)."""
+    def _crashed(self, before: Reading, after: Reading) -> np.ndarray:
+        """Which robots touched something, unless it moves and ran into them while they stood, bool, shape (robots,)."""
         if after.moving is None:
-            return np.zeros_like(after.bumped)
-        return after.moving & (before.twist[:, 0] < _STILL) & (after.command[:, 0] < _STILL)
+            return after.bumped
+        stood = (before.twist[:, 0] < _STILL) & (after.command[:, 0] < _STILL)
+        return after.bumped & ~(after.moving & stood)
