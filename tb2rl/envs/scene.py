@@ -86,12 +86,12 @@ class Scene:
         return self.goal_in(0)
 
     def goal_in(self, world: int) -> tuple[float, float] | None:
-        """Where an episode in the world with this index is to get, x and y [m]; None for a task without a goal."""
+        """Where the episodes in the world with this index are to get, x and y [m]; None: nowhere, or not all there."""
         if not self.task.goal_task:
             return None
-        start = self.task.begin(self.setup.within(world), GeneratorDraws(np.random.default_rng(0)))
-        x, y = start.goal[0].tolist()
-        return x, y
+        draws = [GeneratorDraws(np.random.default_rng(seed)) for seed in range(2)]
+        one, other = (tuple(self.task.begin(self.setup.within(world), each).goal[0].tolist()) for each in draws)
+        return one if one == other else None
 
     def observer(self) -> Observer:
         """What turns the readings of some robots into what they observe, from their episodes' first one on."""

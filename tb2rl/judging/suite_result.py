@@ -15,6 +15,7 @@ from tb2rl.files import read_text
 from tb2rl.judging.evaluation import Episode
 from tb2rl.simulation import Judge
 from tb2rl.values import Count, CountOrZero, Fraction, NonNegative, build
+from tb2rl.worlds.movers import among, find_movers
 
 T = TypeVar("T", bound="SuiteSummary")
 
@@ -117,11 +118,16 @@ class SuiteSummary:
         return f"{guide}{planned}" if guide else ""
 
     @property
+    def among(self) -> str:
+        """What its task says that moves in the worlds: "among 8 people"; "": nothing."""
+        return among(find_movers(self.config.get("task", {}).get("movers"), "task.movers"))
+
+    @property
     def title(self) -> str:
-        """What drove where: policy, guide, robot, simulation."""
-        guided = [f"guide {self.guide}"] if self.guide else []
-        driven = [self.policy, *guided, str(self.config.get("task", {}).get("robot")), JUDGES[self.simulation]]
-        return f"{', '.join(driven)}: suite {self.suite}"
+        """What drove where: policy, guide, what moves, robot, simulation."""
+        guided, robot = f"guide {self.guide}" if self.guide else "", str(self.config.get("task", {}).get("robot"))
+        driven = [self.policy, guided, self.among, robot, JUDGES[self.simulation]]
+        return f"{', '.join(filter(None, driven))}: suite {self.suite}"
 
     @property
     def rows(self) -> dict[str, Figures]:

@@ -36,6 +36,7 @@ from tb2rl.worlds.movers import Movers as Group
 _PLACES = 8  # that are drawn for each mover: it takes the first one that suits
 _ROOM = 1.5  # [m] between the robot and a mover where an episode begins, if there is such a place
 _KEPT = [LENGTH, WIDTH, *range(KIND, MOVER_COLUMNS)]  # columns that no step changes
+_NOTHING = np.eye(MOVER_COLUMNS)[COS]  # the row of a mover that is not there
 _NUMBERS = 2.0**53  # that a number in [0, 1) can be
 
 
@@ -55,6 +56,7 @@ class Movers:
     def __init__(self, setup: Setup, robots: int) -> None:
         self._setup = setup
         self._kinds, self.routes = _tables(setup)
+        self._presence, self._leaders = _presences(setup, self._kinds.shape[1])
         self.table = np.zeros((robots, *self._kinds.shape[1:]))
         self.walks = np.zeros((robots, 2), dtype=np.uint64)
 
@@ -84,6 +86,9 @@ class Movers:
             places = np.concatenate([found.reshape(*places.shape[:3], 3), places[..., :1]], axis=3)
         else:
             places = places[..., [1, 2, 3, 0]]
+        if (self._presence < 1.0).any():
+            said = np.take_along_axis(draws.uniform(table.shape[1]), self._leaders[worlds], axis=1)
+            table[said >= self._presence[worlds]] = _NOTHING
         _settle(table, self.routes, places, start.table, *index, world_of)
         self.table[robots], self.walks[robots, 0], self.walks[robots, 1] = table, keys, draws.counts
 
@@ -101,7 +106,8 @@ class Movers:
         if table.shape != self.table.shape or walks.shape != self.walks.shape or not np.isfinite(table).all():
             raise ValueError("there are other movers")
         kinds, points = self._kinds[start.world.astype(int)], table[:, :, NEXT]
-        if not (table[:, :, _KEPT] == kinds[:, :, _KEPT]).all():
+        away = (table == _NOTHING).all(axis=2) & (self._presence[start.world.astype(int)] < 1.0)
+        if not ((table[:, :, _KEPT] == kinds[:, :, _KEPT]).all(axis=2) | away).all():
             raise ValueError("the movers are other ones")
         on_path, speed = table[:, :, KIND] == PATH, table[:, :, SPEED]
         known = (points >= 0) & (points < table[:, :, COUNT]) & (np.abs(table[:, :, STRIDE]) == 1)
@@ -120,11 +126,24 @@ def _tables(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     routes: list[tuple[float, float]] = []
     common = [row for group in setup.movers for row in _rows(group, routes)]
     rows = [[*common, *(row for group in world.movers for row in _rows(group, routes))] for world in setup.worlds]
-    table = np.zeros((len(rows), max(map(len, rows)), MOVER_COLUMNS))
-    table[:, :, COS] = 1.0
+    table = np.tile(_NOTHING, (len(rows), max(map(len, rows)), 1))
     for world, own in enumerate(rows):
         table[world, : len(own)] = np.reshape(own, (len(own), MOVER_COLUMNS))
     return table, np.array(routes).reshape(-1, 2)
+
+
+def _presences(setup: Setup, movers: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of each mover of each world, (worlds, movers): in what share of episodes it is there, and who decides for it.
+
+    That is the first one of its group, by its number.
+    """
+    presence, leaders = np.ones((len(setup.worlds), movers)), np.zeros((len(setup.worlds), movers), dtype=int)
+    for number, world in enumerate(setup.worlds):
+        first = 0
+        for group in (*setup.movers, *world.movers):
+            own = slice(first, first + group.count)
+            presence[number, own], leaders[number, own], first = group.presence, first, own.stop
+    return presence, leaders
 
 
 def _rows(group: Group, routes: list[tuple[float, float]]) -> list[np.ndarray]:

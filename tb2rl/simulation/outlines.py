@@ -16,6 +16,7 @@ from tb2rl.worlds.grid import PARALLEL
 X, Y, COS, SIN = range(4)  # [m, m] and the direction that a box looks in
 LENGTH, WIDTH = 4, 5  # [m] half of a box's; of what is round its radius, and 0
 OUTLINE = slice(0, 6)
+_TINY = 1e-9  # [m]
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
@@ -99,3 +100,27 @@ def cast_all_at_movers(poses, cos_beams, sin_beams, movers, ranges):
     """`cast_at_movers` for all robots: poses (robots, 3), ranges (robots, beams)."""
     for i in range(poses.shape[0]):
         cast_at_movers(poses[i, 0], poses[i, 1], poses[i, 2], cos_beams, sin_beams, movers, i, ranges, i)
+
+
+def towards(points: np.ndarray, movers: np.ndarray) -> np.ndarray:
+    """Which way from each point the nearest of its movers is.
+
+    Args:
+        points: x, y [m], shape (robots, 2).
+        movers: Their outlines, shape (robots, movers, 6).
+
+    Returns:
+        Unit vectors, shape (robots, 2).
+    """
+    cos, sin, size = movers[..., COS], movers[..., SIN], movers[..., [LENGTH, WIDTH]]
+    east, north = np.moveaxis(points[:, None] - movers[..., [X, Y]], -1, 0)
+    seen = np.stack([cos * east + sin * north, cos * north - sin * east], axis=-1)  # from the middle of the mover
+    is_box = movers[..., [WIDTH]] > 0.0
+    off = np.where(is_box, np.clip(seen, -size, size), 0.0) - seen  # to a box's nearest point, or a circle's middle
+    length = np.hypot(*np.moveaxis(off, -1, 0))
+    gap = np.where(movers[..., LENGTH] > 0.0, length - np.where(is_box[..., 0], 0.0, movers[..., LENGTH]), np.inf)
+    nearest = np.arange(len(points)), gap.argmin(axis=1)
+    along, across = (off[nearest] / np.maximum(length[nearest], _TINY)[:, None]).T
+    return np.stack(
+        [cos[nearest] * along - sin[nearest] * across, sin[nearest] * along + cos[nearest] * across], axis=1
+    )

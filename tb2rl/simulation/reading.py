@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tb2rl.errors import InputError
+from tb2rl.simulation.outlines import towards
 from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
 from tb2rl.worlds.geometry import shortest
@@ -97,6 +98,12 @@ class Reading:
         The robot does not know it: it is for a task to pay by. For goals of `tb2rl.worlds.ways`.
         """
         return self._ways.to_go(*self._goals, self.pose)
+
+    @property
+    def to_mover(self) -> np.ndarray:
+        """Which way from each robot what moves is nearest, unit vectors in the world's frame, shape (robots, 2)."""
+        assert self.movers is not None  # who asks looked at `moving`
+        return towards(self.pose[:, :2], self.movers)
 
     def ahead(self, reach: float) -> np.ndarray:
         """The point on each robot's way that is `reach` [m] ahead, or the goal, x, y [m], shape (robots, 2).

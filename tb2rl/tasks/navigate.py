@@ -26,7 +26,7 @@ from tb2rl.values import Count, NonNegative, Point, Positive, Worlds
 from tb2rl.worlds import World
 from tb2rl.worlds.ways import GOALS, OWN, shortest_way
 
-_STILL = 0.02  # [m/s] a robot that is slower, and told to be, stands; it may turn, for it is round
+_TOWARDS = 0.02  # [m/s] a robot that comes nearer to something by less does not drive into it; it may turn, being round
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Navigate(Task):
     - `plan`: a point `reach` ahead on the shortest way, as from a planner that knows where the robot is, and the map:
       with `planner: known` the world's, with `seen` what the laser has seen so far.
 
-    What moves and runs into a robot that stands ends nothing, for the robot has not driven into it: it may go on when
-    the other has gone.
+    What moves and runs into a robot that stands, or drives away from it, ends nothing, for the robot has not driven
+    into it: it may go on when the other has gone.
 
     A step pays the metres by which the way to the goal became shorter, round all obstacles. That is why the straight
     line into a dead end pays nothing.
@@ -131,8 +131,13 @@ class Navigate(Task):
         return Outcome(reward, failed=crash_endings(crashed, after), succeeded={"goal": reached})
 
     def _crashed(self, before: Reading, after: Reading) -> np.ndarray:
-        """Which robots touched something, unless it moves and ran into them while they stood, bool, shape (robots,)."""
-        if after.moving is None:
+        """Which robots drove into something, bool, shape (robots,): a wall, or something that moves.
+
+        Of what moves it is what nuPlan calls a collision at fault (Karnchanachari et al. 2024, "Towards learning-based
+        planning"): not when the robot stands, nor when it drives away from what runs into it.
+        """
+        if after.moving is None or not (after.bumped & after.moving).any():
             return after.bumped
-        stood = (before.twist[:, 0] < _STILL) & (after.command[:, 0] < _STILL)
-        return after.bumped & ~(after.moving & stood)
+        speed, east, north = np.maximum(before.twist[:, 0], after.command[:, 0]), *after.to_mover.T
+        towards = speed * (np.cos(after.pose[:, 2]) * east + np.sin(after.pose[:, 2]) * north)
+        return after.bumped & (~after.moving | (towards >= _TOWARDS))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
@@ -15,6 +16,7 @@ MOST = 50  # in one world: each is held against each other, and against every be
 _Number = Annotated[int, Ge(0), Le(MOST)]
 _Speed = Annotated[float, Ge(0.001), Le(5)]
 _Length = Annotated[float, Ge(0.001), Le(10)]
+Share = Annotated[float, Ge(0), Le(1)]
 _Coordinate = Annotated[float, Ge(-1e6), Le(1e6)]
 Speeds = Annotated[tuple[_Speed, _Speed], PAIR, ASCENDING]
 Path = Annotated[tuple[tuple[_Coordinate, _Coordinate], ...], Len(2, 1000)]
@@ -38,6 +40,7 @@ class Movers:
     path: Path | None = None  # [m] of posts and boxes; None: between random points
     closed: bool = False  # whether the path goes on from its last point to its first; else back the way it came
     avoid_robot: bool = False  # whether people walk around the robot, too, or do not see it
+    presence: Share = 1.0  # share of the episodes in which they are there: all of them, or nobody
 
     @property
     def count(self) -> int:
@@ -75,6 +78,19 @@ def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
         _check(movers[-1], where)
     check_number(movers, where)
     return tuple(movers)
+
+
+def among(movers: Sequence[Movers]) -> str:
+    """How many of what, in words: "among 8 people and 1 box"; "" if there are none."""
+    kinds, counts = {"people": "person", "posts": "post", "boxes": "box"}, Counter[tuple[str, float]]()
+    for group in movers:
+        counts.update({(kind, group.presence): getattr(group, kind) for kind in kinds})
+    said = [
+        f"{count} {kind if count > 1 else kinds[kind]}{f' in {presence:.0%} of the episodes' if presence < 1 else ''}"
+        for (kind, presence), count in counts.items()
+        if count
+    ]
+    return f"among {' and '.join(said)}" if said else ""
 
 
 def check_number(movers: Sequence[Movers], where: str) -> None:

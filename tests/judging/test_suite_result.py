@@ -24,6 +24,18 @@ def test_a_result_comes_back_as_it_was(tmp_path):
     assert RESULT.title == "agent dwa, turtlebot2, fast twin: suite unseen"
 
 
+def test_a_title_says_what_moves_there():
+    task = {
+        **CONFIG["task"],
+        "movers": [{"people": 3, "speed": [0.5, 0.6]}, {"boxes": 1}, {"people": 1}, {"posts": 2, "presence": 0.5}],
+    }
+    among = replace(SUMMARY, config={**CONFIG, "task": task})
+    assert (
+        among.title
+        == "agent dwa, among 4 people and 1 box and 2 posts in 50% of the episodes, turtlebot2, fast twin: suite unseen"
+    )
+
+
 def test_a_summary_is_small_names_no_place_and_comes_back_as_it_was(tmp_path):
     assert RESULT.summary == SUMMARY
     file = tmp_path / "it.json"

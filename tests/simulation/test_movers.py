@@ -137,6 +137,24 @@ def test_worlds_have_movers_of_their_own_beside_those_of_the_task(make_setup):
     assert (reading.movers[0, 1:, [LENGTH, WIDTH]] == 0).all()
 
 
+def test_a_group_is_there_in_its_share_of_the_episodes_all_of_it_or_nobody(make_setup, make_bullet):
+    groups = [{"people": 3, "presence": 0.25}, {"posts": 1}, {"boxes": 2, "presence": 0.8}]
+    setup, rng = among(make_setup("loop", "maze", beams=9), groups), np.random.default_rng(3)
+    twin, start = KinematicSimulation(setup, 2000), begin(setup, rng, 2000)
+    there = twin.reset(start, rng).movers[..., LENGTH] > 0
+    assert (there[:, :3] == there[:, [0]]).all() & there[:, 3].all() & (there[:, 4] == there[:, 5]).all()
+    both = [np.mean(there[:, 0]), np.mean(there[:, 4]), np.mean(there[:, 0] & there[:, 4])]
+    assert both == pytest.approx([0.25, 0.8, 0.2], abs=0.03)
+    twin.step(np.zeros((2000, 2)), STEP)
+    again = KinematicSimulation(setup, 2000)
+    again.restore(twin.state())
+    step = np.full((2000, 2), 0.2)
+    assert (again.step(step, STEP).movers == twin.step(step, STEP).movers).all()
+    for lone in (0, int(there[:, 0].argmax())):
+        one = Start(start.table[[lone]].copy())
+        assert (make_bullet(setup).reset(one, rng).movers[0, :, LENGTH] > 0).tolist() == there[lone].tolist()
+
+
 @pytest.mark.parametrize("name", ["bullet", "kinematic"])
 def test_depth_images_show_what_moves(name, make_setup):
     """A post of 0.3 m stands across: the row of pixels at the camera's height sees its front."""

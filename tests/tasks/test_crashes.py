@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from tb2rl.tasks.outcome import CRASH, MOVER_CRASH
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
+SOMEBODY_AHEAD = np.tile((0.4, 0.0, 1.0, 0.0, 0.2, 0.0), (4, 1, 1))  # an outline for each of four robots
 TASKS = (Wander(), Drive(), ReachGoal())
 
 
@@ -53,13 +55,31 @@ def test_a_task_of_ones_own_tells_crashes_apart_with_one_call(reading):
     assert failed[MOVER_CRASH].tolist() == [False, False, False, True]
 
 
-def test_who_stands_at_navigate_has_driven_into_nothing(reading, driven_to_goal):
-    endings = {}
-    for name, (before, told) in {"stood": (0.0, 0.0), "drove": (0.0, 0.3), "braked": (0.3, 0.0)}.items():
-        first, last = driven_to_goal(reading, before, told)
-        endings[name] = Navigate().judge(first, np.zeros((4, 2), np.float32), last).ending(3, timed_out=False)
-    assert endings.pop("stood") is None
-    assert [(ending.name, ending.failed) for ending in endings.values()] == [(MOVER_CRASH, True)] * 2
+@pytest.mark.parametrize(
+    ("before", "told", "bearing", "at_fault"),
+    [
+        (0.0, 0.0, 0, False),
+        (0.0, 0.3, 0, True),
+        (0.3, 0.0, 0, True),
+        (0.3, 0.3, 80, True),
+        (0.3, 0.3, -80, True),
+        (0.3, 0.3, 100, False),
+        (0.3, 0.3, 180, False),
+    ],
+)
+@pytest.mark.parametrize("shape", ["person", "long box"])
+def test_at_navigate_who_drives_towards_what_it_touches_has_crashed(
+    before, told, bearing, at_fault, shape, reading, driven_to_goal
+):
+    x, y = math.cos(math.radians(bearing)), math.sin(math.radians(bearing))
+    touched = {
+        "person": (0.4 * x, 0.4 * y, 1.0, 0.0, 0.25, 0.0),
+        "long box": (0.4 * x - 1.5 * y, 0.4 * y + 1.5 * x, -y, x, 2.0, 0.2),  # its side there, its middle elsewhere
+    }[shape]
+    beside = np.tile([(-x, -y, 1.0, 0.0, 0.0, 0.0), (-3.0 * x, -3.0 * y, 1.0, 0.0, 0.25, 0.0), touched], (4, 1, 1))
+    first, last = driven_to_goal(reading, before, told, beside)
+    ending = Navigate().judge(first, np.zeros((4, 2), np.float32), last).ending(3, timed_out=False)
+    assert (ending and (ending.name, ending.failed)) == ((MOVER_CRASH, True) if at_fault else None)
 
 
 def test_a_robot_that_stands_at_the_goal_is_not_there_while_something_touches_it(reading, driven_to_goal):
@@ -73,11 +93,14 @@ def test_a_robot_that_stands_at_the_goal_is_not_there_while_something_touches_it
 
 @pytest.fixture
 def driven_to_goal():
-    """A function that gives a reading before and after a step: at so many metres per second, and told to be so fast."""
+    """A function that gives a reading before and after a step: at so many metres per second, and told to be so fast.
 
-    def of(reading, speed, told):
-        first = replace(reading, twist=np.tile((speed, 0.5), (4, 1)))
-        last = replace(reading, command=np.tile((told, 0.5), (4, 1)))
+    `beside` are outlines of what moves, (4, movers, 6): usually somebody ahead.
+    """
+
+    def of(reading, speed, told, beside=SOMEBODY_AHEAD):
+        first = replace(reading, movers=beside, twist=np.tile((speed, 0.5), (4, 1)))
+        last = replace(reading, movers=beside, command=np.tile((told, 0.5), (4, 1)))
         for each in (first, last):
             vars(each)["to_go"] = np.full(4, 3.0)  # found before: these readings come from no simulation
         return first, last
