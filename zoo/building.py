@@ -65,8 +65,7 @@ def _training(entry: Entry) -> Job:
 def draw(evaluation: Evaluation, file: Path) -> None:
     """Draw the paths of the first episodes and of all that failed."""
     shown = [episode for i, episode in enumerate(evaluation.episodes) if episode.failed or i < _DRAWN]
-    columns = ([getattr(each, name) for each in shown] for name in ("path", "failed", "world"))
-    picture = draw_paths(evaluation.scene, *columns)
+    picture = draw_paths(evaluation.scene, shown)
     Image.fromarray(picture).quantize(64).save(file, optimize=True)
 
 

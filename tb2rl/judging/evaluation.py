@@ -39,6 +39,7 @@ class Episode:
     actions: np.ndarray  # of each step: shape (length,), whole numbers, or (length, 2), float32
     world: Annotated[int, Ge(0)] = 0  # index among those of the scene
     closest: NonNegative | None = None  # [m] from the hull to the nearest obstacle, at worst; None: not measured
+    goal: tuple[float, float] | None = None  # x, y [m]; None: the task has none
 
 
 _ARRAYS = ("path", "actions")
@@ -146,6 +147,7 @@ def episode_of(scene: Scene, moments: Sequence[Moment], pose: np.ndarray, world:
         actions=np.array([moment.action for moment in moments], dtype=smallest_type(scene.action_space)),
         world=world,
         closest=max(clearance - radius, 0.0) if np.isfinite(clearance) else None,  # inf: there is no obstacle
+        goal=tuple(last.start.goal[0].tolist()) if scene.task.goal_task else None,
     )
 
 

@@ -74,7 +74,10 @@ class _Record:
 
     def __init__(self, batch: Batch) -> None:
         self._batch, robots = batch, batch.robots
-        self._starts, self._worlds = batch.reading.pose.copy(), batch.reading.start.world.astype(int).tolist()
+        start = batch.reading.start
+        self._starts, self._worlds = batch.reading.pose.copy(), start.world.astype(int).tolist()
+        goals = batch.scene.task.goal_task
+        self._goals = [tuple(goal) for goal in start.goal.tolist()] if goals else [None] * robots
         self._places = [self._starts[:, :2].astype(np.float32)]
         self._actions: list[np.ndarray] = []
         self._touched = np.zeros(robots, dtype=bool)
@@ -117,6 +120,7 @@ class _Record:
                 path=paths[robot, : end["length"] + 1],
                 actions=actions[robot, : end["length"]],
                 world=self._worlds[robot],
+                goal=self._goals[robot],
             )
             for robot, end in enumerate(self._ends)
         ]

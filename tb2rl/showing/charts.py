@@ -24,6 +24,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
 from tb2rl.judging.evaluation import Episode, Evaluation
 from tb2rl.pictures.colours import FAILED, FLOOR, GOAL, MOVER, PATH, START, WALL
 from tb2rl.showing.curves import Curve, Family
+from tb2rl.showing.pictures import goals_of
 from tb2rl.tasks.outcome import MOVER_CRASH
 from tb2rl.worlds import World
 from tb2rl.worlds.world import box_shapes
@@ -94,19 +95,8 @@ def draw_ways(evaluation: Evaluation) -> Markup:
         mark(axes, run_into, s=22, color=MOVER, marker="x", linewidths=1.2, zorder=4, gid=f"run-into{own}")
         failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended != MOVER_CRASH]
         mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
-        goal = scene.goal_in(world)
-        if goal is not None:
-            mark(
-                axes,
-                [goal],
-                s=90,
-                color=GOAL,
-                marker="*",
-                edgecolors="black",
-                linewidths=0.5,
-                zorder=5,
-                gid=f"goal{own}",
-            )
+        goals, star = goals_of(scene, world, episodes), {"s": 90, "marker": "*", "edgecolors": "black"}
+        mark(axes, goals, **star, color=GOAL, linewidths=0.5, zorder=5, gid=f"goal{own}")
     return svg(figure)
 
 

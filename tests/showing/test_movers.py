@@ -93,9 +93,9 @@ def test_plans_and_pictures_of_paths_show_where_movers_go(make):
     assert columns.min() / scale - 5.3 == pytest.approx(-3.0, abs=0.1)
     assert 5.3 - rows.min() / scale == pytest.approx(3.0, abs=0.1)
     scene = make.config("maze", movers=[PATH, {"people": 1}]).scene
-    assert len(coloured(draw_paths(scene, [np.zeros((2, 2))], [False]), ROUTE)) > 500
+    assert len(coloured(draw_paths(scene, [make.episode(np.zeros((2, 2)), [0])]), ROUTE)) > 500
     bare = make.config("maze").scene
-    assert len(coloured(draw_paths(bare, [np.zeros((2, 2))], [False]), ROUTE)) == 0
+    assert len(coloured(draw_paths(bare, [make.episode(np.zeros((2, 2)), [0])]), ROUTE)) == 0
 
 
 def test_the_report_marks_crashes_with_movers_apart(make):

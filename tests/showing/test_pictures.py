@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -26,39 +28,70 @@ def centres(scene, picture: np.ndarray, colour: str) -> tuple[float, float] | No
     return (left + right) / 2 / scale + x0 - 0.3, y1 + 0.3 - (top + bottom) / 2 / scale
 
 
+@pytest.fixture
+def driven(make):
+    """A function that gives episodes along `PATHS`, or others, in worlds: those that failed as `failed` says."""
+
+    def of(failed=(False, False), worlds=(0, 0), paths=PATHS, goal=None):
+        episodes = [
+            make.episode(path, np.zeros(len(path) - 1, int), failed=f) for path, f in zip(paths, failed, strict=True)
+        ]
+        return [replace(each, world=world, goal=goal) for each, world in zip(episodes, worlds, strict=True)]
+
+    return of
+
+
 @pytest.mark.parametrize("failed", [(True, False), (False, True)])
-def test_the_ends_of_failed_episodes_are_marked(failed, make):
+def test_the_ends_of_failed_episodes_are_marked(failed, make, driven):
     scene = make.config("wall").scene
-    picture = draw_paths(scene, PATHS, failed)
+    picture = draw_paths(scene, driven(failed))
     assert centres(scene, picture, FAILED) == pytest.approx(PATHS[failed.index(True)][-1], abs=0.02)
     assert centres(scene, picture, START) == pytest.approx((0.0, -0.5), abs=0.02), "between the two starts"
     assert centres(scene, picture, GOAL) == pytest.approx((5.0, 0.0), abs=0.02)
     assert centres(scene, picture, PATH) is not None
 
 
-def test_without_failures_nothing_is_marked_as_such(make):
+def test_without_failures_nothing_is_marked_as_such(make, driven):
     scene = make.config("wall").scene
-    assert centres(scene, draw_paths(scene, PATHS, [False, False]), FAILED) is None
+    assert centres(scene, draw_paths(scene, driven()), FAILED) is None
 
 
-def test_a_task_without_a_goal_shows_none_though_its_world_has_one(make):
+def test_a_goal_of_its_own_is_that_of_the_episode(make, driven):
+    scene = make.config("navigate", world="wall").scene
+    assert centres(scene, draw_paths(scene, driven()), GOAL) is None, "an evaluation that does not say where"
+    picture = draw_paths(scene, driven(goal=(2.0, 1.0)))
+    assert centres(scene, picture, GOAL) == pytest.approx((2.0, 1.0), abs=0.02)
+
+
+def test_a_task_without_a_goal_shows_none_though_its_world_has_one(make, driven):
     scene = make.config("maze", world="wall").scene
-    assert centres(scene, draw_paths(scene, PATHS, [False, False]), GOAL) is None
+    assert centres(scene, draw_paths(scene, driven()), GOAL) is None
     start = Start.proposed(scene.setup, 2)
     assert np.isnan(goal_of(Wander(), start)).all()
     assert goal_of(ReachGoal(), start).tolist() == [5.0, 0.0]
 
 
-def test_every_path_needs_a_word_on_whether_it_failed(make):
-    with pytest.raises(ValueError, match="shorter"):
-        draw_paths(make.config().scene, PATHS, [True])
-
-
-def test_paths_in_several_worlds_are_drawn_in_theirs(make):
+def test_paths_in_several_worlds_are_drawn_in_theirs(make, driven):
     scene = make.config("maze", world=["loop", "wall", "circuit"]).scene
-    pictures = [draw_paths(scene, [path], [True], [world]) for path, world in zip(PATHS, (2, 1), strict=True)]
-    together = draw_paths(scene, [*PATHS, PATHS[0]], [True, True, True], [2, 1, 2])
+    episodes = driven([True] * 3, [2, 1, 2], [*PATHS, PATHS[0]])
+    pictures = [draw_paths(scene, [episode]) for episode in episodes[:2]]
+    together = draw_paths(scene, episodes)
     (high, wide, _), (low, narrow, _) = (picture.shape for picture in pictures)
     assert together.shape == (max(high, low), wide + narrow, 3)
     assert (together[:high, :wide] == pictures[0]).all()
     assert (together[:low, wide:] == pictures[1]).all()
+
+
+def test_many_worlds_stand_in_rows_half_as_large(make, driven):
+    scene = make.config("maze", world=["loop", "wall"] * 4).scene
+    episodes = driven([True] * 8, range(8), PATHS[:1] * 8)
+    pictures = [draw_paths(scene, [episode]) for episode in episodes]
+    together = draw_paths(scene, episodes)
+    wide = sum(picture.shape[1] // 2 for picture in pictures[:6])
+    assert together.shape == (2 * max(len(picture) // 2 for picture in pictures), wide, 3)
+    low = pictures[7].shape[0] // 2
+    begin, end = pictures[6].shape[1] // 2, (pictures[6].shape[1] + pictures[7].shape[1]) // 2
+    last = together[len(together) // 2 :][:low, begin:end]
+    seen = pictures[7].reshape(low, 2, -1, 2, 3).mean(axis=(1, 3))
+    assert np.abs(last - seen).max() <= 1, "the last world is the second of the second row"
+    assert (together[len(together) // 2 :, end:] == 255).all()
