@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import site
 import sys
 import sysconfig
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ import cloudpickle
 import tb2rl
 from tb2rl.jobs.job import files_in, write_files
 
-_SCHEMES = ("stdlib", "platstdlib", "purelib", "platlib")
+_INSTALLED = {"site-packages", "dist-packages"}  # of this environment, and of one that it is laid over
 _DATA = (".urdf", ".yaml", ".yml", ".json", ".obj", ".stl", ".dae", ".txt")  # beside a module, what it may read
 
 _folders: list[TemporaryDirectory[str]] = []  # that end with this process
@@ -54,16 +53,14 @@ def _users_files() -> dict[str, bytes]:
 
 def _users_modules() -> Iterator[tuple[str, Path]]:
     """The modules without a dot in their names that are neither installed nor of tb2rl, and their files."""
-    installed = [Path(sysconfig.get_path(scheme)).resolve() for scheme in _SCHEMES]
-    installed += [
-        Path(folder).resolve() for folder in (*site.getsitepackages(), site.getusersitepackages(), sys.prefix)
-    ]
-    installed += [Path(folder).resolve() for folder in tb2rl.__path__]
+    others = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), *tb2rl.__path__)
+    folders = [Path(folder).resolve() for folder in others]
     for name, module in list(sys.modules.items()):
         file = _file_of(module)
-        if file is None or "." in name or name == "__main__" or any(file.is_relative_to(each) for each in installed):
+        if file is None or "." in name or name in ("__main__", "__mp_main__") or _INSTALLED & set(file.parts):
             continue
-        yield name, file
+        if not any(file.is_relative_to(folder) for folder in folders):
+            yield name, file
 
 
 def _file_of(module: ModuleType) -> Path | None:

@@ -26,6 +26,9 @@ _LOOPBACK = {
     "RAY_worker_niceness": "0",
 }
 
+# Variables that a worker on any machine goes by; those with secrets are each machine's own.
+_CARRIED = ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME", "WANDB_MODE", "WANDB_PROJECT")
+
 
 class Cluster:
     """Ray's workers.
@@ -54,7 +57,7 @@ class Cluster:
 
     def start(self, job: Job) -> None:
         """Give a job to Ray."""
-        self._running[self._task.remote(self._cargo, job.call, job.folder is not None)] = job
+        self._running[self._task.remote(self._cargo, job.call, job.folder is not None, _said())] = job
 
     def wait(self, seconds: float) -> list[tuple[Job, Outcome]]:
         """The jobs that ended meanwhile; returns when there are some, or after so many seconds.
@@ -120,9 +123,14 @@ def _is_loopback(address: str) -> bool:
     return _split(address)[0] in ("localhost", "127.0.0.1")
 
 
-def _do(cargo: bytes, call: bytes, fills_folder: bool) -> Outcome:
+def _said() -> dict[str, str]:
+    """What the environment here says of where figures go."""
+    return {name: os.environ[name] for name in _CARRIED if name in os.environ}
+
+
+def _do(cargo: bytes, call: bytes, fills_folder: bool, said: dict[str, str]) -> Outcome:
     """Do a job in a worker of Ray."""
-    os.environ.update(ONE_THREAD)  # before anything large is imported
+    os.environ.update(ONE_THREAD | said)  # before anything large is imported
     shared = unpacked(cargo)
     if not fills_folder:
         return attempt(call, shared, None)

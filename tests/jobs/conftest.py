@@ -69,3 +69,11 @@ def _job(name: str, function: str, *arguments: object, folder: Path | None = Non
 def make_job():
     """The function `_job`."""
     return _job
+
+
+@pytest.fixture(scope="module")
+def ray():
+    """Ray, which ends with the tests of a module."""
+    module = pytest.importorskip("ray", reason="Ray is not installed: pip install 'tb2rl[ray]'")
+    yield module
+    module.shutdown()
