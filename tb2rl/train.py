@@ -41,6 +41,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--eval-freq", type=int, help="control steps between evaluations; 0: no evaluations")
     parser.add_argument("--save-freq", type=int, help="control steps between checkpoints; 0: only the last")
     parser.add_argument("--keep", type=int, help="checkpoints of the training to keep, the latest")
+    parser.add_argument(
+        "--track", nargs="+", action="extend", metavar="NAME", help="mlflow, wandb or module:Class: note figures there"
+    )
     parser.add_argument("--resume", type=Path, metavar="FOLDER", help="go on with a run; takes --total-timesteps")
     parser.add_argument("--no-evaluation", action="store_true", help="skip the standard evaluation at the end")
     parser.add_argument("--no-progress", action="store_true", help="no progress bar")

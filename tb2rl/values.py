@@ -57,7 +57,18 @@ def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
+def _different(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(names)) < len(names):
+        raise ValueError("must be different names")
+    return names
+
+
+def _listed(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
 PAIR, ASCENDING = BeforeValidator(_pair), AfterValidator(_ascending)  # of a range, which a number can stand for
+Names = Annotated[tuple[str, ...], Len(0, 100), BeforeValidator(_listed), AfterValidator(_different)]  # or one alone
 Edges = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_increasing)]  # borders of classes
 
 

@@ -18,6 +18,7 @@ from tb2rl.jobs.where import Where
 from tb2rl.judging.evaluator import PASSED, evaluate
 from tb2rl.judging.statistics import bootstrap_interval
 from tb2rl.learning.statistics import tutorial_scores
+from tb2rl.learning.trackers import check_trackers
 from tb2rl.learning.training import Training, stopped_early, train_config
 from tb2rl.runs.algorithm import check_device, check_learns
 from tb2rl.runs.config import Config
@@ -39,6 +40,7 @@ def train_seeds(config: Config, seeds: Sequence[int], folder: Path, where: Where
     """
     check_learns(config)
     check_device(config)
+    check_trackers(config, where.ray)
     jobs = [_job(replace(config, train=replace(config.train, seed=seed)), folder, verbose) for seed in seeds]
     settings = config.train
     print(
@@ -77,7 +79,7 @@ def train_and_evaluate(worlds: Mapping[str, Any] | None, folder: Path, config: C
     carry(worlds or {})
     said = StringIO()
     with redirect_stdout(said), redirect_stderr(said):
-        training = train_config(config, folder, verbose=verbose)
+        training = train_config(config, folder, verbose=verbose, place=Path(name))
         say_trained(training)
         evaluation = evaluate(load(folder))
         summary = print_evaluation(evaluation, f"{name} in {config.scene.place}")

@@ -20,6 +20,7 @@ from tb2rl.simulation import judging_simulation
 
 _FLAGS = (
     "total_timesteps", "episodes", "seed", "simulation", "n_envs", "device", "eval_freq", "save_freq", "keep",
+    "track",
 )  # fmt: skip
 _MOST_SEEDS = 1000
 

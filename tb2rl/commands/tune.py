@@ -13,6 +13,7 @@ from optuna.trial import FrozenTrial
 
 from tb2rl.errors import InputError
 from tb2rl.jobs.where import Where, where_of
+from tb2rl.learning.trackers import check_trackers
 from tb2rl.processes import processors
 from tb2rl.runs.algorithm import check_learns
 from tb2rl.runs.layers import as_preset, parse_settings, resolve
@@ -82,6 +83,7 @@ def requested(options: argparse.Namespace) -> Search:
 
     config = resolved({})
     check_learns(config)
+    check_trackers(config, where_of(options).ray)
     tree, file = find_space(options.space or _space_name(config.agent_name))
     space = without_fixed(tree, base) if isinstance(tree, Mapping) else tree
     check_space(space_from(space, file), file, resolved)

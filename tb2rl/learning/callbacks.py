@@ -102,9 +102,7 @@ class Evaluate(BaseCallback):
         for key in _LOGGED:
             self.logger.record(f"eval/{key}", summary[key])
         self.logger.record("eval/score", evaluation.score[0])
-        few = evaluation.episodes[:_PATHS_DRAWN]
-        columns = ([getattr(episode, name) for episode in few] for name in ("path", "failed", "world"))
-        picture = draw_paths(evaluation.scene, *columns)
+        picture = draw_paths(evaluation.scene, evaluation.episodes[:_PATHS_DRAWN])
         self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)
         if self._evaluated:

@@ -105,18 +105,18 @@ class TensorBoard(TensorBoardOutputFormat):
         self._is_closed = False
         # Without the first summary, a list of columns: TensorBoard would take one run's list for all of them, and leave
         # out what only other agents have. Where there is none, it gathers the columns from all runs.
-        _columns, *values = hparams(_flat(hyperparameters), {})
+        _columns, *values = hparams(flat(hyperparameters), {})
         for summary in values:
             self.writer._get_file_writer().add_summary(summary)
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """The leaves of a tree by dotted key, for a table that knows numbers and text only."""
-    flat: dict[str, Any] = {}
+    leaves: dict[str, Any] = {}
     for key, value in tree.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            flat.update(_flat(value, f"{name}."))
+            leaves.update(flat(value, f"{name}."))
         elif value is not None:
-            flat[name] = value if isinstance(value, bool | int | float | str) else str(value)
-    return flat
+            leaves[name] = value if isinstance(value, bool | int | float | str) else str(value)
+    return leaves

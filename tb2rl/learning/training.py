@@ -23,7 +23,8 @@ from tb2rl.judging.twin import TwinEvaluator
 from tb2rl.learning import state
 from tb2rl.learning.callbacks import Checkpoints, Evaluate, StopAfterEpisodes, StopOnInterrupt
 from tb2rl.learning.environments import make_vec_env
-from tb2rl.learning.statistics import EpisodeLines, Statistics, TensorBoard
+from tb2rl.learning.statistics import EpisodeLines, Statistics, TensorBoard, flat
+from tb2rl.learning.trackers import Tracked, find_trackers, run_name, tracking
 from tb2rl.learning.troubles import learning_troubles_named, machine_troubles_named
 from tb2rl.learning.watcher import Watcher
 from tb2rl.runs.algorithm import check_device, check_learns, make_algorithm
@@ -103,6 +104,7 @@ def train_config(
     verbose: int = 0,
     began: Callable[[Path], object] | None = None,
     evaluated: Callable[[Evaluation], object] | None = None,
+    place: Path | None = None,
 ) -> Training:
     """`train` for a resolved config.
 
@@ -111,8 +113,9 @@ def train_config(
         folder, progress_bar, verbose: As in `train`.
         began: Is called with the run folder when nothing was refused.
         evaluated: Is called with each evaluation on the way; what it raises ends the training.
+        place: Where the run folder belongs, if it is made elsewhere, as on another machine: trackers are told this.
     """
-    return _train(config, Path(folder), None, progress_bar, verbose, began, evaluated)
+    return _train(config, Path(folder), None, progress_bar, verbose, began, evaluated, place)
 
 
 def resume(
@@ -161,10 +164,12 @@ def _train(
     verbose: int,
     began: Callable[[Path], object] | None,
     evaluated: Callable[[Evaluation], object] | None = None,
+    place: Path | None = None,
 ) -> Training:
     settings = config.train
     check_learns(config)
     check_device(config)
+    trackers = find_trackers(settings.track, folder if checkpoint else None)
     with machine_troubles_named(folder), ExitStack() as resources:
         resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
         th.set_num_threads(settings.torch_threads)
@@ -199,6 +204,8 @@ def _train(
         done = algorithm.num_timesteps
         algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done, config.to_dict())]))
         resources.callback(algorithm.logger.close)
+        tracked = Tracked(run.folder, run_name(config, place or run.folder), flat(config.to_dict()))
+        resources.enter_context(tracking(algorithm.logger, trackers, tracked, stop))
         if began:
             began(run.folder)
         started = time.monotonic()

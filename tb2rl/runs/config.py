@@ -22,7 +22,7 @@ from tb2rl.runs.arguments import agent_for, check_arguments
 from tb2rl.runs.plain import check_plain, check_sections, plain
 from tb2rl.tasks import Task
 from tb2rl.trust import check_file
-from tb2rl.values import Count, CountOrZero, Fraction, build
+from tb2rl.values import Count, CountOrZero, Fraction, Names, build
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ class TrainSettings:
     stop_evaluations: Count = 2  # so many of them in a row
     save_freq: CountOrZero = 50_000  # control steps between checkpoints; 0: only the last
     keep: Count = 2  # of these checkpoints, the latest
+    track: Names = ()  # where the figures go beside TensorBoard: mlflow, wandb, module:Class
 
 
 @dataclass(frozen=True)
