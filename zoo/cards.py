@@ -41,9 +41,8 @@ def overview(built: Sequence[Entry]) -> str:
 
 
 def _place(entry: Entry) -> tuple[str, ...]:
-    """The task, the world, and the guide if there is one."""
-    guided = (f"guide {entry.guide}",) if entry.guide else ()
-    return (entry.config.task_name, entry.place, *guided)
+    """The task, the world, and the conditions if there are some."""
+    return tuple(filter(None, (entry.config.task_name, entry.place, entry.conditions)))
 
 
 def percent(share: float) -> str:

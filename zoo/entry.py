@@ -18,13 +18,15 @@ from tb2rl.runs.config import Config
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import parse as parse_training
+from tb2rl.worlds.movers import among
 from tb2rl.zoo.drivers import Driver
 
 MAZES = ("loop", "circuit", "round", "maze")  # the closed ones: in `wall` a robot that drives away is safe
 WORLDS = (*MAZES, "mixed")
 UNSEEN = "unseen"  # the suite of worlds that nothing is trained in
 ELSEWHERE = "elsewhere.json"  # in an entry's folder, beside files of its run folder
-PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_PLAN = 0.99, 0.95, 0.96  # share of good episodes
+# Share of good episodes.
+PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_PLAN, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
 GOOD_SPEED, GOOD_SPEED_ANYWHERE = 0.75, 0.6  # of the fastest command; between posts all turn more
 
 
@@ -63,9 +65,10 @@ class Entry:
         return isinstance(self.config.task, Navigate)
 
     @property
-    def guide(self) -> str:
-        """What guides it, "goal" or "plan"; "": its task knows no guide."""
-        return getattr(self.config.task, "guide", "")
+    def conditions(self) -> str:
+        """What guides it and what moves around it, "guide plan, among 8 people"; "": a task that knows neither."""
+        guide = getattr(self.config.task, "guide", "")
+        return ", ".join(filter(None, (guide and f"guide {guide}", among(self.config.scene.setup.movers))))
 
     @cached_property
     def driver(self) -> Driver:
@@ -135,7 +138,9 @@ class Entry:
         """The share of good episodes that the zoo promises."""
         if self.config.observation == "discrete":
             return PROMISED_TABULAR
-        return PROMISED_WITHOUT_PLAN if self.guide == "goal" else PROMISED
+        if self.config.scene.setup.movers:
+            return PROMISED_AMONG_PEOPLE
+        return PROMISED_WITHOUT_PLAN if getattr(self.config.task, "guide", "") == "goal" else PROMISED
 
     @property
     def promised_speed(self) -> float:

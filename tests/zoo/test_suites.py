@@ -187,7 +187,7 @@ def test_a_policy_that_navigates_is_an_entry_with_its_suites(own_zoo, driven):
     assert "`navigate, loop, guide goal`" in overview([mine])
 
     text = (mine.folder / "README.md").read_text()
-    assert "in `loop`, guide `goal`, " in text
+    assert "in `loop`, guide goal, " in text
     assert "| unseen | a | 2 | 0.0 % | " in text
     assert "- In suite `unseen`, `b`: 100.0 % of 1 worlds (time limit 1)." in text
     assert "**Falls short:** 0 % of its episodes are good, the zoo promises 95 %." in text
@@ -219,6 +219,7 @@ def test_a_summary_of_another_policy_does_not_count(own_zoo, driven, capsys):
     [
         ("--agent ppo --set task.guide=plan", 0.99),
         ("--agent ppo --set task.guide=goal", 0.96),
+        ("--preset navigate-people --set task.reach=1.0", 0.9),
         ("--agent qlearn --set task.named_actions=true task.guide=plan", 0.95),
         ("--agent qlearn --set task.named_actions=true task.guide=goal", 0.95),
     ],
