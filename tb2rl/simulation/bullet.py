@@ -245,7 +245,7 @@ class BulletSimulation:
         self._command, self._acceleration = command, (self._speed - earlier) / duration
         twist, bumped = (self._speed, turn_rate), at_wall or at_mover
         sensed = pose, twist, *self._count_wheels(), ranges[0], bumped, command[0], self._acceleration
-        return sensed if movers is None else (*sensed, movers[0], at_mover or (moving and not at_wall))
+        return sensed if movers is None else (*sensed, movers[0], not at_wall and (at_mover or moving))
 
     def _count_wheels(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
         """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give; and its speeds."""

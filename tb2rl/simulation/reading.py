@@ -66,7 +66,7 @@ class Reading:
             width [m] of a box, or radius and 0, shape (robots, movers, 6); 0 and 0 in rows that are of none. None:
             nothing moves in these worlds, and no rows.
         moving: Whether what a robot touched, or if it touched nothing what is nearest along its laser's beams, is one
-            of them, shape (robots,), bool; None: nothing moves.
+            of them, shape (robots,), bool; not if it touched a wall, too. None: nothing moves.
         explored: What the robots have seen so far, where their planner goes by that; None: it knows the world.
         trail: Where the robots have been lately, where a sensor asks for it; None: nowhere yet.
     """

@@ -130,7 +130,7 @@ def step_robots(
         )  # fmt: skip
         nearest[i] = shortest_of(ranges, i)
         if movers is not None:
-            moving[i] = at_mover if bumped[i] else moving[i]
+            moving[i] = not at_wall and (at_mover or moving[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

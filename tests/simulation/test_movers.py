@@ -245,6 +245,24 @@ def test_a_wall_that_is_touched_is_nothing_that_moves(name, make_setup):
 
 
 @pytest.mark.parametrize("name", ["bullet", "kinematic"])
+def test_a_wall_that_is_touched_counts_although_something_touches_the_robot_from_behind(name, make_setup):
+    wall = World.from_shapes("wall", [(1.0, 0.0, 0.2, 4.0, 0.0)], start=(0, 0, 0), bounds=(-9, -9, 9, 9))
+    post = {"posts": 1, "path": [[-3, 0], [0.8, 0]], "speed": 0.6}  # it comes back once the robot is at the wall
+    setup = among(make_setup(wall, beams=9), post)
+    simulation = simulate(name, setup)
+    simulation.reset(Start.proposed(setup, 1), np.random.default_rng(0))
+    moving = []
+    for _ in range(100):
+        reading = simulation.step(np.array([[0.2, 0.0]]), STEP)
+        behind = gap(reading.movers[0], reading.pose[0])[0] < ROBOT.radius + 5e-3
+        if behind and reading.bumped[0]:
+            moving.append(bool(reading.moving[0]))
+    assert len(moving) > 5
+    assert not any(moving)
+    simulation.close()
+
+
+@pytest.mark.parametrize("name", ["bullet", "kinematic"])
 def test_what_is_far_off_goes_at_its_speed_while_the_robot_is_at_a_wall(name, make_setup):
     wall = World.from_shapes("wall", [(0.3, 0.0, 0.2, 4.0, 0.0)], start=(0, 0, 0), bounds=(-9, -9, 9, 9))
     far = {"boxes": 1, "path": [[-6, -100], [-6, 100]], "speed": 0.5}
