@@ -16,6 +16,7 @@ from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import read_text, read_yaml, top_folder
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
+from tb2rl.simulation.variation import varied
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import parse as parse_training
 from tb2rl.worlds.movers import among
@@ -66,9 +67,9 @@ class Entry:
 
     @property
     def conditions(self) -> str:
-        """What guides it and what moves around it, "guide plan, among 8 people"; "": a task that knows neither."""
-        guide = getattr(self.config.task, "guide", "")
-        return ", ".join(filter(None, (guide and f"guide {guide}", among(self.config.scene.setup.movers))))
+        """What guides it and what makes it harder: "guide plan, among 8 people, mild variation"; "": nothing does."""
+        guide, moves = getattr(self.config.task, "guide", ""), among(self.config.scene.setup.movers)
+        return ", ".join(filter(None, (guide and f"guide {guide}", moves, varied(self.config.task.variation))))
 
     @cached_property
     def driver(self) -> Driver:

@@ -32,7 +32,7 @@ def compared(driven: Driven) -> str:
         every = kept.figures[ALL]
         each = [percent(kept.figures[family].success_rate) for family in families]
         score = [f"{every.barn_score:.3f}"] if scores else []
-        conditions = ", ".join(filter(None, (kept.guide, kept.among)))
+        conditions = ", ".join(filter(None, (kept.guide, *kept.conditions)))
         rows.append([_linked(driver), conditions, *_success(every), *each, *_figures(every), *score])
     return _table(rows)
 

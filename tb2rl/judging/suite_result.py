@@ -14,6 +14,7 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.files import read_text
 from tb2rl.judging.evaluation import Episode
 from tb2rl.simulation import Judge
+from tb2rl.simulation.variation import varied
 from tb2rl.values import Count, CountOrZero, Fraction, NonNegative, build
 from tb2rl.worlds.movers import among, find_movers
 
@@ -118,16 +119,18 @@ class SuiteSummary:
         return f"{guide}{planned}" if guide else ""
 
     @property
-    def among(self) -> str:
-        """What its task says that moves in the worlds: "among 8 people"; "": nothing."""
-        return among(find_movers(self.config.get("task", {}).get("movers"), "task.movers"))
+    def conditions(self) -> tuple[str, ...]:
+        """What makes it harder: "among 8 people", "strong variation"."""
+        task = self.config.get("task", {})
+        moves = among(find_movers(task.get("movers"), "task.movers"))
+        return tuple(filter(None, (moves, varied(task.get("variation", "none")))))
 
     @property
     def title(self) -> str:
-        """What drove where: policy, guide, what moves, robot, simulation."""
-        guided, robot = f"guide {self.guide}" if self.guide else "", str(self.config.get("task", {}).get("robot"))
-        driven = [self.policy, guided, self.among, robot, JUDGES[self.simulation]]
-        return f"{', '.join(filter(None, driven))}: suite {self.suite}"
+        """What drove where: policy, guide, conditions, robot, simulation."""
+        guided, robot = [f"guide {self.guide}"] if self.guide else [], str(self.config.get("task", {}).get("robot"))
+        driven = [self.policy, *guided, *self.conditions, robot, JUDGES[self.simulation]]
+        return f"{', '.join(driven)}: suite {self.suite}"
 
     @property
     def rows(self) -> dict[str, Figures]:

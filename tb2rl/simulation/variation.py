@@ -159,6 +159,14 @@ def find_variation(setting: Any) -> Variation:
     return build(Variation, {**asdict(PRESETS[preset]), **others}, "task.variation")
 
 
+def varied(setting: Any) -> str:
+    """What `task.variation` means, for titles and tables: "strong variation"; "": nothing varies."""
+    variation = find_variation(setting)
+    if variation == NONE:
+        return ""
+    return next((f"{name} variation" for name, preset in PRESETS.items() if preset == variation), "own variation")
+
+
 def _between(span: tuple[float, float], shares: np.ndarray) -> np.ndarray:
     """Numbers that lie at these shares, in [0, 1), of the way from the lowest to the highest."""
     low, high = span

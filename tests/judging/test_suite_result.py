@@ -24,16 +24,22 @@ def test_a_result_comes_back_as_it_was(tmp_path):
     assert RESULT.title == "agent dwa, turtlebot2, fast twin: suite unseen"
 
 
-def test_a_title_says_what_moves_there():
-    task = {
-        **CONFIG["task"],
-        "movers": [{"people": 3, "speed": [0.5, 0.6]}, {"boxes": 1}, {"people": 1}, {"posts": 2, "presence": 0.5}],
-    }
-    among = replace(SUMMARY, config={**CONFIG, "task": task})
-    assert (
-        among.title
-        == "agent dwa, among 4 people and 1 box and 2 posts in 50% of the episodes, turtlebot2, fast twin: suite unseen"
-    )
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        (
+            {"movers": [{"people": 3}, {"boxes": 1}, {"people": 1}, {"posts": 2, "presence": 0.5}]},
+            "among 4 people and 1 box and 2 posts in 50% of the episodes, ",
+        ),
+        ({"variation": "strong"}, "strong variation, "),
+        ({"variation": {"preset": "mild"}, "movers": {"people": 1}}, "among 1 person, mild variation, "),
+        ({"variation": {"noise": 0.1}}, "own variation, "),
+        ({"variation": "none", "guide": "plan", "planner": "seen"}, "guide plan (planner seen), "),
+    ],
+)
+def test_a_title_says_under_what_conditions_it_drove(task, said):
+    driven = replace(SUMMARY, config={**CONFIG, "task": {**CONFIG["task"], **task}})
+    assert driven.title == f"agent dwa, {said}turtlebot2, fast twin: suite unseen"
 
 
 def test_a_summary_is_small_names_no_place_and_comes_back_as_it_was(tmp_path):
