@@ -79,7 +79,7 @@ class Mlflow(Tracker):
         except MlflowException as error:
             if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                 raise
-            self.id = None
+            self.id, self._told = None, 0
         return self.id is not None
 
     def track(self, step: int, figures: Mapping[str, float], pictures: Mapping[str, np.ndarray]) -> None:

@@ -9,6 +9,7 @@ import inspect
 import json
 import os
 import re
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ from tb2rl.runs.folder import imports_limited
 TRACKERS = {"mlflow": "tb2rl.learning.mlflow_tracker:Mlflow", "wandb": "tb2rl.learning.wandb_tracker:Wandb"}
 _LIBRARIES = {"mlflow": "MLflow", "wandb": "Weights & Biases"}
 MLFLOW_STORE = "MLFLOW_TRACKING_URI"  # the variable that MLflow itself reads
+_FILES = ("sqlite:", "file:", "/", ".")  # stores that other machines do not have begin so
 _ID = re.compile(r"[\w-]{1,64}")
 
 
@@ -62,7 +64,8 @@ class Tracker(KVWriter, ABC):
 
     def __init__(self, training: Tracked) -> None:
         self.training = training
-        self._memory = training.folder / f"{type(self).__name__.lower()}.json"
+        kind = type(self)
+        self._memory = training.folder / f"tracker-{kind.__module__}.{kind.__qualname__}.json"
         self.id, self._told = self._remembered()
 
     @abstractmethod
@@ -112,6 +115,30 @@ class Tracker(KVWriter, ABC):
         raise InputError(f"{self._memory} is damaged: remove it, and the tracker begins a new run")
 
 
+class _Guarded(KVWriter):
+    """A tracker that is left out once it cannot write: no training is worth less for what it misses."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker, self._writes = tracker, True
+
+    def write(self, key_values: Mapping[str, Any], key_excluded: Mapping[str, tuple[str, ...]], step: int = 0) -> None:
+        with self._guard():
+            self._tracker.write(key_values, key_excluded, step)
+
+    def close(self) -> None:
+        with self._guard():
+            self._tracker.close()
+
+    @contextmanager
+    def _guard(self) -> Iterator[None]:
+        try:
+            yield
+        except UnwritableError as error:
+            if self._writes:
+                print(f"warning: {error}; the training goes on, and may be missing there", file=sys.stderr, flush=True)
+            self._writes = False
+
+
 def find_tracker(name: str) -> type[Tracker]:
     """The tracker of a name, or of "module:Class".
 
@@ -151,7 +178,8 @@ def find_trackers(names: Sequence[str], folder: Path | None = None) -> list[type
 def check_trackers(config: Config, machines: bool) -> None:
     """Raise an `InputError` if trainings with this config cannot be tracked; `machines`: Ray is to do them."""
     find_trackers(config.train.track)
-    if machines and "mlflow" in config.train.track and not os.environ.get(MLFLOW_STORE):
+    store = os.environ.get(MLFLOW_STORE, "")
+    if machines and "mlflow" in config.train.track and (not store or store.startswith(_FILES)):
         raise InputError(f"train.track: with --on ray, mlflow needs a server for all machines: set {MLFLOW_STORE}")
 
 
@@ -165,7 +193,7 @@ def tracking(
     try:
         for tracker in trackers:
             begun.append(tracker(training))
-            logger.output_formats.append(begun[-1])
+            logger.output_formats.append(_Guarded(begun[-1]))
         yield
         ended = "interrupted" if stop.interrupted else "finished"
     except KeyboardInterrupt:
@@ -183,7 +211,7 @@ def tracker_troubles_named(name: str, *errors: type[Exception]) -> Iterator[None
     Raises:
         InputError: If that is so.
     """
-    caught: tuple[type[Exception], ...] = (OSError, *errors)
+    caught: tuple[type[Exception], ...] = (OSError, ImportError, *errors)  # a store may need a driver
     try:
         yield
     except caught as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -180,6 +181,9 @@ def _train(
         if evaluator:
             resources.callback(evaluator.close)
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
+        refused = resources.enter_context(ExitStack())  # where a tracker cannot begin, nothing is left behind
+        if not checkpoint:
+            refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
         resources.enter_context(run.lock())
         statistics, stop = Statistics(), StopOnInterrupt()
         checkpoints = Checkpoints(run, settings.save_freq, settings.keep)
@@ -206,6 +210,7 @@ def _train(
         resources.callback(algorithm.logger.close)
         tracked = Tracked(run.folder, run_name(config, place or run.folder), flat(config.to_dict()))
         resources.enter_context(tracking(algorithm.logger, trackers, tracked, stop))
+        refused.pop_all()
         if began:
             began(run.folder)
         started = time.monotonic()

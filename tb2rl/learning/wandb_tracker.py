@@ -55,4 +55,4 @@ class Wandb(Tracker):
             self._run.finish(_EXIT[self.ended])
 
     def _troubles_named(self) -> Any:
-        return tracker_troubles_named("wandb", wandb.Error)
+        return tracker_troubles_named("wandb", wandb.Error, ValueError)  # a setting that there is not

@@ -9,7 +9,7 @@
         evaluation.json     the standard evaluation; episodes.safetensors: where each of its episodes went
         suite-unseen.json   what it did in a suite of worlds
         tensorboard/        event files
-        mlflow.json         what a tracker remembers, by its name; wandb/: what Weights & Biases has offline
+        tracker-*.json      what a tracker remembers, by its class; wandb/: what Weights & Biases has offline
 
 Files are written beside and renamed, so a folder is valid at every instant.
 """

@@ -6,6 +6,7 @@ import pytest
 
 from tb2rl.errors import UnwritableError
 from tb2rl.learning.training import resume, train_config
+from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")  # of the library
@@ -74,7 +75,9 @@ def test_a_run_that_is_not_in_the_store_is_begun_anew(mlflow, tables, tmp_path, 
     for name in ("mlflow/mlflow.db", "other.db"):
         shutil.copy(tables, tmp_path / name)
     monkeypatch.chdir(tmp_path)  # where MLflow puts pictures, if the store is a database that the user names
-    folder = train_config(config(), tmp_path / "run").run.folder
+    folder = train_config(config(save_freq=64, keep=9), tmp_path / "run").run.folder
+    for checkpoint in Run.open(folder).checkpoints[1:]:  # as if it had been killed
+        checkpoint.unlink()
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/other.db")
     monkeypatch.setenv("MLFLOW_EXPERIMENT_NAME", "mine")
     resume(folder, 192)
@@ -92,7 +95,9 @@ def test_a_training_that_fails_is_failed_there(mlflow, tables, tmp_path):
     assert (run.info.status, steps(client, run, "eval/score")) == ("FAILED", [64])
 
 
-@pytest.mark.parametrize("uri", ["", "http://127.0.0.1:9", "sqlite:///mlflow", "nonsense://x"])
+@pytest.mark.parametrize(
+    "uri", ["", "http://127.0.0.1:9", "sqlite:///mlflow", "nonsense://x", "postgresql://127.0.0.1/x"]
+)
 def test_a_store_that_cannot_be_written_is_named(uri, mlflow, tmp_path, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")

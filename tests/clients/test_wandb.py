@@ -116,7 +116,8 @@ def test_a_training_that_fails_is_failed_there(tmp_path):
     assert (part.exit, part.steps("eval/score")) == (1, [64])
 
 
-def test_an_environment_that_cannot_be_is_named(tmp_path, monkeypatch):
-    monkeypatch.setenv("WANDB_PROJECT", "a/b")
+@pytest.mark.parametrize(("name", "value"), [("WANDB_PROJECT", "a/b"), ("WANDB_MODE", "ofline")])
+def test_an_environment_that_cannot_be_is_named(name, value, tmp_path, monkeypatch):
+    monkeypatch.setenv(name, value)
     with pytest.raises(UnwritableError, match=r"^train\.track: wandb cannot write: "):
         train_config(config(), tmp_path / "run")

@@ -15,11 +15,13 @@ from tb2rl.jobs.where import Where
 from tb2rl.learning.trackers import run_name, runs_folder
 from tb2rl.learning.training import resume, train_config
 from tb2rl.runs.folder import Run
+from tb2rl.runs.loading import load
 from tb2rl.train import main
 
 MINE = """
     import json
 
+    from tb2rl.errors import UnwritableError
     from tb2rl.learning.trackers import Tracker
 
     class Lines(Tracker):
@@ -45,6 +47,24 @@ MINE = """
             super().track(step, figures, pictures)
             if step >= 128:
                 raise {"stop": KeyboardInterrupt, "fail": ZeroDivisionError}[self.training.folder.name]
+
+    class Evaluation(Lines):
+        "Called as something else of a run folder is."
+
+    class Full(Lines):
+        "Cannot write after the first lot, nor be closed."
+        def track(self, step, figures, pictures):
+            super().track(step, figures, pictures)
+            raise UnwritableError("train.track: the disk is full")
+
+        def close(self):
+            super().close()
+            raise UnwritableError("train.track: the disk is still full")
+
+    class Closed(Lines):
+        "Cannot begin."
+        def __init__(self, training):
+            raise UnwritableError("train.track: there is no disk")
 
     class Nothing:
         pass
@@ -89,7 +109,7 @@ def test_a_resumed_training_goes_on_with_its_trackers_and_tells_no_step_twice(sm
     config = small(track=["my_trackers:Lines"], save_freq=64, keep=9, **LOGGED | {"eval_freq": 32})
     whole = train_config(config, tmp_path / "whole").run
     folder = killed(whole, tmp_path / "run").folder
-    (folder / "lines.json").write_text('{"id": "mine", "step": 100}\n')
+    (folder / "tracker-my_trackers.Lines.json").write_text('{"id": "mine", "step": 100}\n')
     resume(folder)
     begun, *lots, last = lines(folder)
     assert (begun["again"], last) == ("mine", {"ended": "finished"})
@@ -98,12 +118,29 @@ def test_a_resumed_training_goes_on_with_its_trackers_and_tells_no_step_twice(sm
     assert [lot["step"] for lot in lots] == [step for step in all_steps if step > 100] != []
 
 
+def test_a_training_outlives_a_tracker_that_cannot_write(small, tmp_path, capsys):
+    config = small(track=["my_trackers:Full", "my_trackers:Evaluation"], **LOGGED)
+    training = train_config(config, tmp_path / "run")
+    assert load(training.run.folder / "final" / "policy.safetensors").num_timesteps == training.timesteps == 128
+    warnings = capsys.readouterr().err.splitlines()
+    assert warnings == ["warning: train.track: the disk is full; the training goes on, and may be missing there"]
+    assert lines(tmp_path / "run")[-2:] == [{"ended": "finished"}] * 2  # the other one is closed, too
+    assert not training.run.has_evaluation
+
+
+def test_a_training_whose_tracker_cannot_begin_leaves_nothing(small, tmp_path):
+    for _ in range(2):
+        with pytest.raises(InputError, match="there is no disk"):
+            train_config(small(track=["my_trackers:Closed"]), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("memory", ["{", "[]", '{"id": "../x", "step": 1}', '{"id": "x", "step": null}', '{"id": 1}'])
 def test_a_damaged_memory_is_named(memory, small, killed, tmp_path):
     whole = train_config(small(track=["my_trackers:Lines"], save_freq=64, keep=9, **LOGGED), tmp_path / "whole").run
     folder = killed(whole, tmp_path / "run").folder
-    (folder / "lines.json").write_text(memory)
-    with pytest.raises(InputError, match=r"lines\.json is damaged"):
+    (folder / "tracker-my_trackers.Lines.json").write_text(memory)
+    with pytest.raises(InputError, match=r"tracker-my_trackers\.Lines\.json is damaged"):
         resume(folder)
 
 
@@ -170,9 +207,10 @@ def test_a_run_folder_imports_no_tracker_that_lies_in_it(small, killed, tmp_path
     assert Run.open(folder).config.train.track == ("my_trackers:Lines",)  # to look at it imports nothing
 
 
-def test_a_cluster_needs_a_server_for_mlflow(small, tmp_path, monkeypatch):
+@pytest.mark.parametrize("store", ["", "sqlite:///mlflow.db", "file:///tmp/mlruns", "/tmp/mlruns", "./mlruns"])
+def test_a_cluster_needs_a_server_for_mlflow(store, small, tmp_path, monkeypatch):
     pytest.importorskip("mlflow", reason="mlflow is not installed")
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", store)
     with pytest.raises(InputError, match="--on ray, mlflow needs a server for all machines: set MLFLOW_TRACKING_URI"):
         train_seeds(small(track=["mlflow"]), [0], tmp_path / "run", Where(ray=True))
 
