@@ -29,7 +29,7 @@ def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
     expected |= {f"drive-loop-{agent}" for agent in ("sac", "td3", "ppo")}
     expected |= {f"anywhere-{agent}" for agent in ("qlearn", "dqn", "ppo", "sac")}
-    expected |= {f"navigate-{guide}-ppo" for guide in ("plan", "goal")}
+    expected |= {f"navigate-{kind}-ppo" for kind in ("plan", "goal", "varied")}
     assert {entry.name for entry in ENTRIES} == expected | {TURTLEBOT3}
 
 
@@ -100,7 +100,7 @@ def test_the_table_is_what_the_entries_say():
 
 def test_the_overview_has_a_row_for_every_place_and_a_cell_for_every_policy():
     lines = overview(ENTRIES).splitlines()
-    assert len(lines) == 2 + len(PLACES) + 6
+    assert len(lines) == 2 + len(PLACES) + 7
     assert any(line.startswith("| `maze, loop with turtlebot3` | ") for line in lines)
     assert "`qlearn`" in lines[0]
     assert lines[2].startswith("| `maze, loop` | ")

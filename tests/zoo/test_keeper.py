@@ -96,7 +96,7 @@ def test_a_build_trains_nothing_that_is_there_as_its_recipe_says(monkeypatch, ca
     monkeypatch.setattr(keeping, "write_text", lambda path, text: written.append((path, text)))
     keeper.main(["build", "maze-loop-dqn", "wall-wall-ppo"])
     assert capsys.readouterr().out == ""
-    assert len(written) == 29, "all cards and the table"
+    assert len(written) == 30, "all cards and the table"
     assert all(path.read_text(encoding="utf-8") == text for path, text in written), "and they stay what they were"
 
 

@@ -258,10 +258,12 @@ def test_a_check_finds_summaries_that_are_touched_or_of_something_else(own_zoo, 
 
 
 @pytest.mark.parametrize("driver", others(), ids=lambda driver: driver.name)
-def test_each_other_driver_does_not_learn_and_its_name_says_its_guide(driver):
-    assert find_agent(driver.options.agent).algorithm is None
-    assert driver.name == f"{driver.options.agent}-{driver.config.task.guide}"
-    assert driver.digest is None
+def test_each_other_driver_does_not_learn_or_is_of_the_zoo_and_its_name_says_how_it_drives(driver):
+    policy, agent, task = driver.options.policy, driver.options.agent, driver.config.task
+    who = policy.removeprefix("zoo:") if policy else f"{agent}-{task.guide}"
+    assert driver.name == (who if task.variation == "none" else f"{who}-{task.variation}")
+    assert (driver.digest is None) == (policy is None)
+    assert policy or find_agent(agent).algorithm is None
 
 
 def test_names_are_of_policies_or_of_others():
