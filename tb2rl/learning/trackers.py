@@ -122,8 +122,9 @@ class _Guarded(KVWriter):
         self._tracker, self._writes = tracker, True
 
     def write(self, key_values: Mapping[str, Any], key_excluded: Mapping[str, tuple[str, ...]], step: int = 0) -> None:
-        with self._guard():
-            self._tracker.write(key_values, key_excluded, step)
+        if self._writes:
+            with self._guard():
+                self._tracker.write(key_values, key_excluded, step)
 
     def close(self) -> None:
         with self._guard():
@@ -135,7 +136,7 @@ class _Guarded(KVWriter):
             yield
         except UnwritableError as error:
             if self._writes:
-                print(f"warning: {error}; the training goes on, and may be missing there", file=sys.stderr, flush=True)
+                print(f"warning: {error}; the training goes on without it", file=sys.stderr, flush=True)
             self._writes = False
 
 
