@@ -124,9 +124,10 @@ def test_a_training_outlives_a_tracker_that_cannot_write(small, tmp_path, capsys
     assert load(training.run.folder / "final" / "policy.safetensors").num_timesteps == training.timesteps == 128
     warnings = capsys.readouterr().err.splitlines()
     assert warnings == ["warning: train.track: the disk is full; the training goes on without it"]
-    assert sum("step" in line for line in lines(tmp_path / "run")) > 1  # of the other one, and of this one once
     assert lines(tmp_path / "run")[-2:] == [{"ended": "finished"}] * 2  # the other one is closed, too
     assert not training.run.has_evaluation
+    train_config(small(track=["my_trackers:Full"], **LOGGED), tmp_path / "alone")
+    assert sum("step" in line for line in lines(tmp_path / "alone")) == 1, "it is not asked again"
 
 
 def test_a_training_whose_tracker_cannot_begin_leaves_nothing(small, tmp_path):
