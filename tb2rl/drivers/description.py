@@ -32,7 +32,7 @@ _ARGUMENTS: Mapping[type[Sensor], tuple[str, ...]] = {  # what `portable/encodin
     GoalDirection: (),
     GoalDistance: (),
     LaserRanges: (),
-    LastAction: ("fastest",),
+    LastAction: ("fastest", "told"),
     TurnRate: (),
     Visited: ("around", "near"),
     Waypoint: (),

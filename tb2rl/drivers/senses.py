@@ -13,7 +13,7 @@ from tb2rl.sensors import Sensor
 from tb2rl.simulation import Reading, Setup, Start
 
 _ODOMETRY = frozenset({"pose", "odometry", "odometry_twist", "twist", "acceleration", "trail"})
-_SENSED = _ODOMETRY | {"ranges", "nearest", "bumped", "command", "goal"}
+_SENSED = _ODOMETRY | {"ranges", "nearest", "bumped", "command", "told", "goal"}
 
 
 @dataclass(frozen=True)

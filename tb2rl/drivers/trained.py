@@ -11,6 +11,7 @@ from gymnasium import spaces
 
 from tb2rl.drivers.portable.policy_contract import Needs, Sensed, Speeds
 from tb2rl.drivers.senses import find_senses
+from tb2rl.envs.commander import Commander
 from tb2rl.envs.encodings import row
 from tb2rl.envs.frames import Observer
 from tb2rl.envs.scene import Scene
@@ -60,6 +61,7 @@ class TrainedPolicy:
             self._observer, self._start = self._episode(sensed)
             observations = self._observer.begin(self._reading(sensed))
         else:
+            self._commander.pass_on(np.array([sensed.command], dtype=float), np.zeros(1))
             observations = self._observer.go_on(self._reading(sensed))
         remembered = {} if self._memory is None else {"state": self._memory}
         action, self._memory = self._policy.predict(row(observations, 0), deterministic=True, **remembered)
@@ -77,7 +79,8 @@ class TrainedPolicy:
         scene, setup = self._scene, self._setup
         if scene.task.explores:
             setup = Setup(scene.robot, scene.laser, (floor(sensed.pose[:2], sensed.goal or sensed.pose[:2]),))
-        memories = scene.memories(setup)
+        self._commander = Commander(0, scene.told)
+        memories = [*scene.memories(setup), self._commander]
         observer = Observer(scene.encoding, scene.observation_space, scene.task.frames, memories=memories)
         return observer, Start.proposed(setup, 1)
 

@@ -55,7 +55,8 @@ class Batch:
     def __init__(self, scene: Scene, robots: int, simulation: str = "kinematic") -> None:
         scene.check(simulation)
         self.scene, self.task, self.robots = scene, scene.task, robots
-        self._observer, self._actions, self._commander = scene.observer(), scene.actions, scene.commander()
+        self._actions, self._commander = scene.actions, scene.commander()
+        self._observer = scene.observer(self._commander)
         self.simulation = simulate_many(simulation, scene.setup, robots)
         self.seed(None)
 
@@ -72,7 +73,6 @@ class Batch:
         self._lengths = np.zeros(robots, dtype=np.int64)
         self._returns, self.distances = np.zeros(robots), np.zeros(robots)
         self.reading = self.simulation.reset(self._starts(np.arange(robots)), noise)
-        self._commander.begin(np.zeros((robots, 2)))
         return self._observer.begin(self.reading)
 
     def step(self, actions: np.ndarray) -> Step:
@@ -94,7 +94,6 @@ class Batch:
             self._lengths[ended], self._returns[ended], self.distances[ended] = 0, 0.0, 0.0
             after, first = self.simulation.restart(ended, self._starts(ended), after)
             self._observer.begin_some(ended, first, observations)
-            self._commander.begin_some(ended, np.zeros((len(ended), 2)))
         self.reading = after
         return Step(observations, outcome.reward, terminated, truncated, finals)
 
@@ -104,7 +103,6 @@ class Batch:
             "simulation": self.simulation.state(),
             "reading": self.reading.state(),
             "frames": self._observer.state(),
-            "commands": self._commander.state(),
             "keys": self._keys.copy(),
             "draws": self._draws.copy(),
             "lengths": self._lengths.copy(),
@@ -122,7 +120,6 @@ class Batch:
         self.simulation.restore(state["simulation"])
         self.reading = Reading.from_state(state["reading"], self.simulation)
         self._observer.restore(state["frames"])
-        self._commander.restore(state["commands"])
         self._keys, self._draws = state["keys"].copy(), state["draws"].copy()
         self._lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
         self.distances = state["distances"].copy()

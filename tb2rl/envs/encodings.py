@@ -146,6 +146,11 @@ def _read(sensor: Sensor, reading: Reading) -> np.ndarray:
     return values
 
 
+def numbers_of(observations: Observations) -> np.ndarray:
+    """The numbers, or their classes, of all robots, shape (robots, n), beside which there may be images."""
+    return observations[NUMBERS] if isinstance(observations, dict) else observations
+
+
 def row(observations: Observations, robot: int) -> Observations:
     """The observation of one robot."""
     if isinstance(observations, dict):

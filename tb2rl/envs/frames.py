@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from tb2rl.envs.encodings import Encoding, Numbers, Observations, put_rows, row
+from tb2rl.envs.encodings import Encoding, Numbers, Observations, numbers_of, put_rows, row
 from tb2rl.envs.latency import Delay
 from tb2rl.envs.memory import Memory
 from tb2rl.errors import InputError
@@ -31,6 +31,7 @@ class Observer:
         frames: How many observations are stacked.
         latency: The most control steps until a robot observes a reading.
         memories: What the robots remember.
+        prompt: Which numbers are observed at once, however late readings are, bool, shape (numbers,); None: none.
     """
 
     def __init__(
@@ -40,9 +41,11 @@ class Observer:
         frames: int,
         latency: int = 0,
         memories: Sequence[Memory] = (),
+        prompt: np.ndarray | None = None,
     ) -> None:
         self._encode, self._space, self._frames = encoding, space, frames
         self._delay, self._memories = Delay(latency), memories
+        self._prompt = prompt if latency and prompt is not None and prompt.any() else None
         self._stack: Observations = None  # the latest; with one frame it is not kept
 
     def begin(self, reading: Reading) -> Observations:
@@ -61,7 +64,10 @@ class Observer:
         for memory in self._memories:
             memory.go_on(reading)
         latest = self._encode(self._remembering(reading, self._memories))
+        prompt = None if self._prompt is None else numbers_of(latest)[:, self._prompt]
         latest = self._delay.pass_on(latest, reading.start.reading_latency)
+        if prompt is not None:
+            numbers_of(latest)[:, self._prompt] = prompt
         if self._frames == 1:
             return latest
         self._stack = _each(lambda new, old: np.concatenate([old[:, new.shape[1] :], new], axis=1), latest, self._stack)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from tb2rl.envs.commander import Commander
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
 from tb2rl.envs.exploring import Explorer
 from tb2rl.envs.frames import Observer, stacked_space
-from tb2rl.envs.latency import Delay
 from tb2rl.envs.memory import Memory
 from tb2rl.envs.rehearsal import rehearse
 from tb2rl.envs.trail import Trail
@@ -93,21 +93,37 @@ class Scene:
         one, other = (tuple(self.task.begin(self.setup.within(world), each).goal[0].tolist()) for each in draws)
         return one if one == other else None
 
-    def observer(self) -> Observer:
-        """What turns the readings of some robots into what they observe, from their episodes' first one on."""
+    def observer(self, commander: Commander) -> Observer:
+        """What turns the readings of some robots into what they observe, from their episodes' first one on.
+
+        Args:
+            commander: What commands go through; it forgets them where an episode begins.
+        """
         latency = self.task.imperfections.reading_latency[1]
-        return Observer(self.encoding, self.observation_space, self.task.frames, latency, self.memories(self.setup))
+        memories = self.memories(self.setup) + [commander] * commander.remembers
+        return Observer(self.encoding, self.observation_space, self.task.frames, latency, memories, self._prompt)
 
     def memories(self, setup: Setup) -> list[Memory]:
-        """What robots remember of an episode in these worlds."""
+        """What robots remember of an episode in these worlds, but for what they are told."""
         memories: list[Memory] = [Explorer(setup)] if self.task.explores else []
         if any(sensor.remembers for sensor in self.sensors):
             memories.append(Trail(self.task.control_period))
         return memories
 
-    def commander(self) -> Delay:
+    def commander(self) -> Commander:
         """What hands commands to the robots, as late as they are to obey them."""
-        return Delay(self.task.imperfections.latency[1])
+        return Commander(self.task.imperfections.latency[1], self.told)
+
+    @property
+    def told(self) -> int:
+        """How many of the last commands sensors read."""
+        return max(sensor.told for sensor in self.sensors)
+
+    @property
+    def _prompt(self) -> np.ndarray:
+        """Which of the observed numbers are of what was told, which nobody waits for, bool, shape (numbers,)."""
+        numbers = [sensor for sensor in self.sensors if len(sensor.shape) == 1]
+        return np.concatenate([np.zeros(0, bool), *(np.full(sensor.shape, sensor.told > 0) for sensor in numbers)])
 
     def check(self, simulation: str) -> None:
         """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what a sensor reads."""

@@ -66,7 +66,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         modes = [mode for mode in _RENDER_MODES if mode != "human" or simulation == "bullet"]
         self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = scene.observation_space, scene.action_space
-        self._observer, self._actions, self._commander = scene.observer(), scene.actions, scene.commander()
+        self._actions, self._commander = scene.actions, scene.commander()
+        self._observer = scene.observer(self._commander)
         self.simulation = self._opened(simulation)
         self.reading: Reading | None = None  # the latest; None before the first reset
         self._spec: EnvSpec | None = None
@@ -82,7 +83,6 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         """
         super().reset(seed=seed)
         self.reading = self.simulation.reset(self._start(options or {}), self.np_random)
-        self._commander.begin(np.zeros((1, 2)))
         self._steps, self._distance = 0, 0.0
         self.path = [self.reading.pose[0]]
         return row(self._observer.begin(self.reading), 0), info_of(self.reading, 0, 0.0, None)
@@ -142,7 +142,6 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             "simulation": self.simulation.state(),
             "reading": self.reading.state(),
             "frames": self._observer.state(),
-            "commands": self._commander.state(),
             "steps": self._steps,
             "distance": self._distance,
             "generator": self.np_random.bit_generator.state,
@@ -155,7 +154,6 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.simulation.restore(state["simulation"])
         self.reading = Reading.from_state(state["reading"], self.simulation)
         self._observer.restore(state["frames"])
-        self._commander.restore(state["commands"])
         self._steps, self._distance = int(state["steps"]), float(state["distance"])
         self.np_random.bit_generator.state = state["generator"]
         self.path = [self.reading.pose[0]]

@@ -6,9 +6,10 @@ Odometry counts the wheels, which slip on the floor; the inertial unit feels how
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from tb2rl.robots import Robot
 from tb2rl.sensors.sensor import Sensor
@@ -107,22 +108,29 @@ class ForwardAcceleration(_Motion):
 class LastAction(Sensor):
     """What the robot was last told, v and w, as shares of its fastest speed and its fastest turn; 0 at the start.
 
+    Who drives knows it at once, however late the robot obeys and its readings come. With a `count` of as many control
+    steps as both take, a late robot is a Markov decision process again (Katsikopoulos & Engelbrecht 2003, "Markov
+    decision processes with delays and asynchronous cost collection").
+
     Shares, so that one sensor has one unit, and networks see numbers of one size, whatever the robot.
 
     Args:
         robot: What it can do.
-        edges: Borders of the classes of both shares.
+        edges: Borders of the classes of all shares.
+        count: How many of the last actions, the newest first.
     """
 
-    name, shape = "last action", (2,)
-    low, high = -1.0, 1.0
+    name, low, high = "last action", -1.0, 1.0
 
-    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1)) -> None:
+    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1), count: Annotated[int, Ge(1), Le(100)] = 1) -> None:
         self.fastest, self.edges = np.array([robot.max_speed, robot.max_turn_rate]), edges
+        self.told, self.shape = count, (2 * count,)
 
     @classmethod
     def given(cls, setup: Setup) -> Mapping[str, Any]:
         return {"robot": setup.robot}
 
     def read(self, reading: Reading) -> np.ndarray:
-        return reading.command / self.fastest
+        if reading.told is None:
+            return np.zeros((len(reading.command), *self.shape))
+        return (reading.told.last(self.told) / self.fastest).reshape(-1, *self.shape)

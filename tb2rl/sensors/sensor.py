@@ -30,6 +30,7 @@ class Sensor(ABC):
             be observed raw.
         shape: Of what it reads for one robot: (n,) for n numbers, (channels, height, width) for an image of uint8.
         remembers: Whether it reads `Reading.trail`.
+        told: How many of the last commands it reads from `Reading.told`; what reads them reads nothing else.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Sensor(ABC):
     edges: tuple[float, ...] = ()
     shape: tuple[int, ...] = (1,)
     remembers: bool = False
+    told: int = 0
 
     @classmethod
     def given(cls, setup: Setup) -> Mapping[str, Any]:

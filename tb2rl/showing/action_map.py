@@ -71,7 +71,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     actions, states = [], []
     for start in _starts(scene, places):
         reading = simulation.reset(start, np.random.default_rng(0))
-        observations = scene.observer().begin(reading)
+        observations = scene.observer(scene.commander()).begin(reading)
         taken = np.array(policy.predict(observations, deterministic=True)[0])
         over = scene.task.judge(reading, np.zeros_like(taken), reading).terminated
         actions.append(np.where(over, OVER, scene.actions.kinds(taken)))

@@ -33,6 +33,13 @@ class Trailed(Protocol):
         """How long each was within `radius` [m] of points, x and y, (robots, n, 2): [s], shape (robots, n)."""
 
 
+class Commanded(Protocol):
+    """What the robots of a reading were told lately."""
+
+    def last(self, count: int) -> np.ndarray:
+        """The last commands, v [m/s] and w [rad/s], the newest first, shape (robots, count, 2); 0 before the first."""
+
+
 class Eye(Protocol):
     """What a simulation hands over with a reading, so that what takes time is found only when it is asked for."""
 
@@ -57,8 +64,7 @@ class Reading:
         ranges: Distances along the laser's beams [m], right to left, shape (robots, beams); inf where nothing was hit
             or a beam was dropped.
         bumped: Whether the base touched a wall or something that moves since the last reading, shape (robots,), bool.
-        command: What each robot was last told, v [m/s] and w [rad/s], shape (robots, 2); 0 at an episode's start. With
-            latency: what it obeyed last.
+        command: What each robot obeyed last, v [m/s] and w [rad/s], shape (robots, 2); 0 at an episode's start.
         acceleration: Mean forward acceleration since the last reading [m/s^2], shape (robots,); 0 at a start.
         start: How the episode of each robot began: its world, its goal, its bounds.
         eye: What makes images, see `look`, and knows ways; None for a reading that comes from no simulation.
@@ -69,6 +75,8 @@ class Reading:
             of them, shape (robots,), bool; not if it touched a wall, too. None: nothing moves.
         explored: What the robots have seen so far, where their planner goes by that; None: it knows the world.
         trail: Where the robots have been lately, where a sensor asks for it; None: nowhere yet.
+        told: What the robots were told lately, which late ones have not obeyed yet, where a sensor asks for it; None:
+            nothing yet.
     """
 
     pose: np.ndarray
@@ -85,6 +93,7 @@ class Reading:
     moving: np.ndarray | None = None
     explored: Explored | None = field(default=None, kw_only=True)
     trail: Trailed | None = field(default=None, kw_only=True)
+    told: Commanded | None = field(default=None, kw_only=True)
 
     @cached_property
     def nearest(self) -> np.ndarray:

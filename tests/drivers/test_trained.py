@@ -34,7 +34,7 @@ TRAININGS = {
     "by odometry and IMU": (
         "stable_baselines3:PPO",
         "maze",
-        {**ON_POLICY, "task.observe": ["laser", "imu", "twist", "last_action", "bumper", "free_paths"]},
+        {**ON_POLICY, "task.observe": ["laser", "imu", "twist", {"last_action": {"count": 3}}, "bumper", "free_paths"]},
     ),
 }
 FAST = "all at once"

@@ -27,7 +27,7 @@ def scene_of(**settings):
 
 def waypoints(scene, poses):
     """Where the waypoint is, x and y in the world [m], for a robot that is put at one pose after the other."""
-    simulation, observer = KinematicSimulation(scene.setup), scene.observer()
+    simulation, observer = KinematicSimulation(scene.setup), scene.observer(scene.commander())
     points = []
     for number, pose in enumerate(poses):
         start = scene.task.begin(scene.setup.within(0), _One())

@@ -71,6 +71,19 @@ def test_nothing_of_an_episode_arrives_in_the_next_one():
     assert (env.reading.command == 0.0).all()
 
 
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+def test_what_was_told_is_known_at_once_however_late_the_rest_comes(simulation):
+    observe, actions = ["laser", {"last_action": {"count": 2}}], [1, 0, 2, 0]
+    env = make(simulation, observe=observe, frames=2, variation={"latency": 2, "reading_latency": 2})
+    observations, _ = drive(env, actions)
+    told = np.vstack([np.zeros((2, 2)), env.scene.actions.commands(np.array(actions))]) / (0.65, np.pi)
+    for step, observation in enumerate(observations):
+        np.testing.assert_allclose(observation[-4:], np.concatenate([told[step + 1], told[step]]), atol=1e-6)
+    columns = np.array(env.observation_space.names[: len(observation) // 2]) == "laser"
+    prompt, _ = drive(make(simulation, observe=observe, frames=2, variation={"latency": 2}), actions)
+    np.testing.assert_array_equal(observations[-1][len(columns) :][columns], prompt[-3][len(columns) :][columns])
+
+
 # ---- thousands
 
 
@@ -106,7 +119,8 @@ def test_each_robot_of_a_batch_is_as_late_as_its_own_episode_says():
 
 
 def test_nothing_of_an_episode_arrives_in_the_next_one_of_a_batch():
-    env = BatchVecEnv(make_scene(Wander(variation={"latency": 2, "reading_latency": 2}, episode_steps=6), "raw"), 20)
+    settings = {"variation": {"latency": 2, "reading_latency": 2}, "observe": ["laser", {"last_action": {"count": 2}}]}
+    env = BatchVecEnv(make_scene(Wander(**settings, episode_steps=6), "raw"), 20)
     env.seed(0)
     env.reset()
     for _ in range(6):
@@ -116,7 +130,8 @@ def test_nothing_of_an_episode_arrives_in_the_next_one_of_a_batch():
     for _ in range(2):
         observations, *_ = env.step(np.ones(20, int))
         assert (env.batch.reading.command[begun] == 0.0).all()
-        np.testing.assert_array_equal(observations[begun], first[begun])
+        np.testing.assert_array_equal(observations[begun, :-4], first[begun, :-4])
+    assert (first[begun, -4:] == 0.0).all()
 
 
 def test_a_robot_meets_the_same_whatever_the_others_do():
@@ -137,12 +152,13 @@ def test_variation_moves_no_start_pose():
     np.testing.assert_array_equal(*starts)
 
 
-def test_a_batch_goes_on_from_a_state_to_the_bit():
-    env, _ = rollout(STRONG, 40, frames=2, noise=0.01)
+@pytest.mark.parametrize("observe", [None, ["laser", {"last_action": {"count": 5}}]])
+def test_a_batch_goes_on_from_a_state_to_the_bit(observe):
+    env, _ = rollout(STRONG, 40, frames=2, noise=0.01, observe=observe)
     state = copy.deepcopy(env.state())
     chosen = np.random.default_rng(9).integers(3, size=(40, 40))
     expected = [env.step(actions) for actions in chosen]
-    other, _ = rollout(STRONG, 40, steps=3, frames=2, noise=0.01)
+    other, _ = rollout(STRONG, 40, steps=3, frames=2, noise=0.01, observe=observe)
     other.restore(state)
     for actions, answer in zip(chosen, expected, strict=True):
         np.testing.assert_equal(other.step(actions), answer)

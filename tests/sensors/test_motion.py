@@ -1,10 +1,12 @@
 """Speeds, accelerations and commands as sensors read them are those with which the robot truly drove."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tb2rl.envs.commander import Commander
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
 from tb2rl.sensors.names import SENSORS
@@ -52,10 +54,16 @@ def test_against_a_wall_the_wheels_turn_on(drive):
     assert last.bumped[0]
 
 
-def test_the_last_action_is_what_was_told_as_shares_of_the_fastest(drive):
-    told = [(0.5, 0.0), (0.05, 1.0), (-0.2, -2.0)]
-    shares = values(LastAction(ROBOT), drive(OPEN, (0, 0, 0), told))
-    np.testing.assert_allclose(shares, np.array([(0, 0), *told]) / (0.65, math.pi))
+def test_the_last_actions_are_what_was_told_as_shares_of_the_fastest(make_reading):
+    one, other, sensor = [(0.65, 0.0), (0.13, math.pi)], [(0.0, -math.pi), (-0.65, 0.0)], LastAction(ROBOT, count=3)
+    commander, reading = Commander(latency=0, kept=sensor.told), make_reading(twist=np.zeros((2, 2)))
+    commander.begin(reading)
+    for commands in np.transpose([one, other], (1, 0, 2)):
+        commander.pass_on(commands, np.zeros(2))
+    shares = sensor.read(replace(reading, told=commander))
+    np.testing.assert_allclose(shares, [[0.2, 1.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, -1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(LastAction(ROBOT).read(replace(reading, told=commander)), shares[:, :2])
+    np.testing.assert_array_equal(sensor.read(reading), np.zeros((2, 6)), "nothing was told yet")
 
 
 @pytest.mark.parametrize(
@@ -79,13 +87,11 @@ def test_each_robot_reads_its_own(make_reading):
         odometry_twist=np.array([[0.1, 0.2], [0.3, 0.4]]),
         twist=[(0.0, 0.5), (0.0, 0.6)],
         acceleration=np.array([1.0, -2.0]),
-        command=np.array([[0.65, 0.0], [0.0, -math.pi]]),
     )
     assert ForwardSpeed(ROBOT).read(reading).tolist() == [[0.1], [0.3]]
     assert TurnRate(ROBOT).read(reading).tolist() == [[0.2], [0.4]]
     assert YawRate(ROBOT).read(reading).tolist() == [[0.5], [0.6]]
     assert ForwardAcceleration(ROBOT).read(reading).tolist() == [[1.0], [-2.0]]
-    assert LastAction(ROBOT).read(reading).tolist() == [[1.0, 0.0], [0.0, -1.0]]
 
 
 @pytest.mark.parametrize("name", sorted(set(SENSORS) - {"camera"}))

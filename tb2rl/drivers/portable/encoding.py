@@ -25,6 +25,7 @@ class Encoding:
         needs: The same.
         acceleration: Ahead since the last control step, by the odometry [m/s^2].
         trail: Where it was in the last minute, x and y [m], once a second.
+        told: The last commands, v [m/s] and w [rad/s], the newest first.
 
     Raises:
         ValueError: If there is a sensor that is not known here.
@@ -36,6 +37,7 @@ class Encoding:
             if settings["name"] not in _SENSORS:
                 raise ValueError("this runner does not know the sensor {}".format(settings["name"]))
             self._sensors.append((settings, _SENSORS[settings["name"]]))
+        self._told = max(settings.get("told", 0) for settings, _ in self._sensors)
         self._as_classes, self._frames = observation["mode"] == "discrete", observation["frames"]
         self.needs = needs
         self.begin()
@@ -46,10 +48,13 @@ class Encoding:
         self._speed = self.acceleration = 0.0
         self.trail: Deque[Point] = deque(maxlen=_KEPT)
         self._steps = 0
+        self.told: Deque[Point] = deque([(0.0, 0.0)] * self._told, maxlen=self._told)
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """What the policy observes now, shape (1, n): float32 numbers, or the numbers of classes."""
         self.acceleration, self._speed = (sensed.twist[0] - self._speed) / self.needs.period, sensed.twist[0]
+        if self._steps:
+            self.told.appendleft(sensed.command)
         if self._steps % max(1, round(1.0 / self.needs.period)) == 0:
             self.trail.append(sensed.pose[:2])
         self._steps += 1
@@ -125,6 +130,11 @@ def _visited(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarr
     return (np.hypot(away[..., 0], away[..., 1]) < settings["near"]).sum(axis=1).astype(float)
 
 
+def _last_action(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
+    told = [encoding.told[k] for k in range(settings["told"])]
+    return (np.array(told) / np.array(settings["fastest"])).ravel()
+
+
 _SENSORS: Dict[str, Callable[[Sensed, Settings, Encoding], np.ndarray]] = {
     "bumper": lambda sensed, settings, encoding: np.array([float(sensed.bumped)]),
     "forward acceleration": lambda sensed, settings, encoding: np.array([encoding.acceleration]),
@@ -134,7 +144,7 @@ _SENSORS: Dict[str, Callable[[Sensed, Settings, Encoding], np.ndarray]] = {
     "goal direction": _goal_direction,
     "goal distance": _goal_distance,
     "laser": lambda sensed, settings, encoding: np.asarray(sensed.ranges, dtype=float),
-    "last action": lambda sensed, settings, encoding: np.array(sensed.command) / np.array(settings["fastest"]),
+    "last action": _last_action,
     "turn rate": lambda sensed, settings, encoding: np.array(sensed.twist[1:]),
     "visited": _visited,
     "waypoint": _waypoint,

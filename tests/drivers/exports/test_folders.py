@@ -30,7 +30,7 @@ from tb2rl.runs.loading import config_of
 NAMES = sorted(entry.parent.name for entry in top_folder("zoo").glob("*/config.yaml"))
 QUICK = ("anywhere-qlearn", "wall-wall-dqn")
 PPO, RAW = "stable_baselines3:PPO", {"task.observation": "raw"}
-SENSORS = ["laser", "bumper", "twist", "last_action", "free_paths", "visited"]
+SENSORS = ["laser", "bumper", "twist", {"last_action": {"count": 3}}, "free_paths", "visited"]
 TASKS = {  # what no policy of the zoo observes
     "all that needs no goal": (PPO, "drive", {**RAW, "task.observe": SENSORS}),
     "classes": ("qlearn", "maze", {"task.observe": ["bumper", "twist", "last_action", "free_paths"]}),
