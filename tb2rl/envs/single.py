@@ -11,10 +11,11 @@ import numpy as np
 from annotated_types import Ge, Lt
 from gymnasium.envs.registration import EnvSpec
 
-from tb2rl.envs.encodings import row
+from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, unknown
-from tb2rl.simulation import Reading, Simulation, Start, simulate
+from tb2rl.simulation import Reading, Setup, Simulation, Start, simulate
+from tb2rl.simulation.setup import GOAL, POSE, WAY
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import TIME_LIMIT, Ending
 from tb2rl.values import Pose, checked
@@ -76,7 +77,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; `options={"world": 3, "pose": (x, y, yaw)}` says where, else the task does.
 
-        Either option can be given alone; a world is its index among `scene.setup.worlds`.
+        Either option can be given alone; a world is its index among `scene.setup.worlds`. Alone, too, goes `start`: one
+        robot's `Start`, from the task's `begin`, for its world, pose and goal.
 
         Raises:
             InputError: If there is no such world, or that pose is inside a wall.
@@ -85,7 +87,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self.reading = self.simulation.reset(self._start(options or {}), self.np_random)
         self._steps, self._distance = 0, 0.0
         self.path = [self.reading.pose[0]]
-        return row(self._observer.begin(self.reading), 0), info_of(self.reading, 0, 0.0, None)
+        return rows(self._observer.begin(self.reading), 0), info_of(self.reading, 0, 0.0, None)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Hold an action for a control period.
@@ -110,7 +112,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         ending = outcome.ending(0, truncated)
         terminated = ending is not None and ending.name != TIME_LIMIT
         info = info_of(after, 0, self._distance, ending)
-        return row(self._observer.go_on(after), 0), float(outcome.reward[0]), terminated, truncated, info
+        return rows(self._observer.go_on(after), 0), float(outcome.reward[0]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """The picture of the moment, seen from above, shape (height, width, 3), uint8; None for the window."""
@@ -184,14 +186,18 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     def _start(self, options: dict[str, Any]) -> Start:
         setup = self.scene.setup
+        if (given := options.get("start")) is not None:
+            start = self._varied(setup.within(int(given.world[0])))
+            for columns in (POSE, GOAL, WAY):
+                start.table[:, columns] = given.table[:, columns]
+            return start
         if options.get("world") is not None:
             index = checked(Annotated[int, Ge(0), Lt(len(setup.worlds))], options["world"], "options.world")
             setup = setup.within(index)
         if "pose" not in options:
             return self.task.begin_varied(setup, GeneratorDraws(self.np_random))
         x, y, yaw = checked(Pose, options["pose"], "options.pose")
-        # What the task draws for the rest of the start is thrown away: the noise is that of any other episode.
-        start = self.task.begin_varied(setup, GeneratorDraws(deepcopy(self.np_random)))
+        start = self._varied(setup)
         world = setup.worlds[int(start.world[0])]
         if not world.contains((x, y)):
             raise InputError(f"the start ({x:g}, {y:g}) is outside world {world.name}")
@@ -199,6 +205,10 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             raise InputError(f"the start ({x:g}, {y:g}) is inside a wall of world {world.name}")
         start.pose[:] = x, y, yaw
         return start
+
+    def _varied(self, setup: Setup) -> Start:
+        """A start that the task draws and that is then partly overwritten: it takes no number from the noise."""
+        return self.task.begin_varied(setup, GeneratorDraws(deepcopy(self.np_random)))
 
 
 def info_of(reading: Reading, robot: int, distance: float, ending: Ending | None) -> dict[str, Any]:

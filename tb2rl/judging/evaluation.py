@@ -128,14 +128,15 @@ class Evaluation:
         return [getattr(episode, name) for episode in self.episodes]
 
 
-def episode_of(scene: Scene, moments: Sequence[Moment], pose: np.ndarray, world: int = 0) -> Episode:
-    """What the moments of an episode in a world, from a pose x [m], y [m], yaw [rad], shape (3,), came to."""
-    last = moments[-1]
-    places = [moments[0].before[:2], *(moment.pose[:2] for moment in moments)]
+def episode_of(scene: Scene, moments: Sequence[Moment]) -> Episode:
+    """What the moments of an episode came to."""
+    first, last = moments[0], moments[-1]
+    world = int(first.start.world[0])
+    places = [first.before[:2], *(moment.pose[:2] for moment in moments)]
     radius = float(last.start.parameters[0, RADIUS])
     clearance = min(scene.setup.worlds[world].clearance(*place) for place in places)
     return Episode(
-        start=tuple(pose.tolist()),
+        start=tuple(first.before.tolist()),
         ended=last.info["ended"],
         failed=last.info["failed"],
         success=last.info["is_success"],

@@ -80,8 +80,8 @@ class Evaluator:
         else:
             draws = GeneratorDraws(np.random.default_rng(seed), episodes)
             starts = scene.changed(start="random").task.begin(scene.setup, draws)
-        self.poses, self.worlds = starts.pose[:only], starts.world[:only].astype(int).tolist()
-        workers = min(workers or processors(), len(self.poses))
+        self.starts = [Start(row[None]) for row in starts.table[:only]]
+        workers = min(workers or processors(), len(self.starts))
         self._pool = None
         if workers > 1:
             # Says here, and not in a process that then breaks, what cannot be opened.
@@ -96,7 +96,7 @@ class Evaluator:
             policy: What drives.
             progress: Whether to draw a bar, where there is a terminal.
         """
-        shown = progress_bar(self.drive(policy), "evaluating", "episode", total=len(self.poses), shown=progress)
+        shown = progress_bar(self.drive(policy), "evaluating", "episode", total=len(self.starts), shown=progress)
         return Evaluation(list(shown), self.scene, self.seed, self.simulation)
 
     def drive(self, policy: Policy, first: int = 0, where: Where | None = None) -> Iterator[Episode]:
@@ -106,7 +106,7 @@ class Evaluator:
         """
         together = _together(policy)
         begun = first - first % together
-        groups = [self._group(i, together) for i in range(begun, len(self.poses), together)]
+        groups = [self._group(i, together) for i in range(begun, len(self.starts), together)]
         if where is not None:
             driven = self._drive_at(where, policy, groups)
         elif self._pool is not None:
@@ -123,9 +123,8 @@ class Evaluator:
             return envs.moments(policy, self._group(number - place, together))[place]
 
     def _group(self, first: int, together: int) -> _Group:
-        some = slice(first, first + together)
-        poses = self.poses[some]
-        return _Group([self.seed + first + i for i in range(len(poses))], poses, self.worlds[some])
+        starts = self.starts[first : first + together]
+        return _Group([self.seed + first + i for i in range(len(starts))], starts)
 
     def _drive_here(self, policy: Policy, groups: Sequence[_Group]) -> Iterator[Episode]:
         with closing(_Envs(self.scene, self.simulation)) as envs:
@@ -159,11 +158,10 @@ class Evaluator:
 
 
 class _Group(NamedTuple):
-    """Episodes that are driven together: the seed, the start pose and the world of each."""
+    """Episodes that are driven together: the seed of each, and how it begins."""
 
     seeds: list[int]
-    poses: np.ndarray
-    worlds: list[int]
+    starts: list[Start]
 
 
 class _Envs:
@@ -175,16 +173,15 @@ class _Envs:
 
     def drive(self, policy: Policy, group: _Group) -> list[Episode]:
         """Drive a group of episodes."""
-        each = zip(self.moments(policy, group), group.poses, group.worlds, strict=True)
-        return [episode_of(self._scene, *one) for one in each]
+        return [episode_of(self._scene, moments) for moments in self.moments(policy, group)]
 
     def moments(self, policy: Policy, group: _Group) -> list[list[Moment]]:
         """The same, and all that happened in each."""
-        while len(self._open) < len(group.poses):
+        while len(self._open) < len(group.starts):
             self._open.append(TurtleBot2Env(self._scene, simulation=self._simulation))
-        envs = self._open[: len(group.poses)]
+        envs = self._open[: len(group.starts)]
         if len(envs) == 1:
-            return [list(roll_out(envs[0], policy, group.seeds[0], group.poses[0], group.worlds[0]))]
+            return [list(roll_out(envs[0], policy, group.seeds[0], start=group.starts[0]))]
         return roll_out_together(envs, policy, *group)
 
     def close(self) -> None:

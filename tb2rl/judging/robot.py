@@ -41,5 +41,5 @@ def evaluate_on_robot(
         for number in progress_bar(range(episodes), "evaluating", "episode", shown=progress):
             moments = list(roll_out(env, policy, seed + number))
             closest = min(moment.info["min_range"] for moment in moments) - env.scene.robot.radius
-            driven.append(replace(episode_of(env.scene, moments, moments[0].before), closest=max(closest, 0.0)))
+            driven.append(replace(episode_of(env.scene, moments), closest=max(closest, 0.0)))
         return Evaluation(driven, env.scene, seed, ROS)

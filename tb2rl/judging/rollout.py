@@ -42,23 +42,20 @@ class Moment:
     ranges: np.ndarray | None = None  # along the laser's beams at its end [m], shape (beams,)
 
 
-def roll_out(
-    env: TurtleBot2Env, policy: Policy, seed: int, pose: np.ndarray | None = None, world: int | None = None
-) -> Iterator[Moment]:
+def roll_out(env: TurtleBot2Env, policy: Policy, seed: int, **options: Any) -> Iterator[Moment]:
     """One episode of the greedy policy.
 
     Args:
         env: Where it drives.
         policy: What drives.
         seed: Of the noise, of the start pose unless one is given, and of a policy that draws.
-        pose: Where it starts: x [m], y [m], yaw [rad], shape (3,); None: where the task says.
-        world: Index of the world that it is in; None: the one that the task draws.
+        options: Of `TurtleBot2Env.reset`: how it begins, where that is not drawn.
 
     Raises:
         InputError: If the pose is inside a wall, or the policy gives an action that does not exist.
     """
     with _drawing_from(seed):
-        episode = _Episode(env, seed, pose, world)
+        episode = _Episode(env, seed, **options)
         remembered: dict[str, Any] = {}  # by a recurrent policy; others do not know the argument
         while not episode.over:
             action, memory = policy.predict(episode.observation, deterministic=True, **remembered)
@@ -67,7 +64,7 @@ def roll_out(
 
 
 def roll_out_together(
-    envs: Sequence[TurtleBot2Env], policy: Policy, seeds: Sequence[int], poses: np.ndarray, worlds: Sequence[int]
+    envs: Sequence[TurtleBot2Env], policy: Policy, seeds: Sequence[int], starts: Sequence[Start]
 ) -> list[list[Moment]]:
     """One episode in each of several environments, as by `roll_out`, but the policy is asked for all of them at once.
 
@@ -77,11 +74,10 @@ def roll_out_together(
         envs: Where it drives, one for each episode.
         policy: What drives; it predicts for several robots at once, as those of Stable-Baselines3 do.
         seeds: Of the noise of each episode; the first also of a policy that draws.
-        poses: Where each starts, shape (episodes, 3).
-        worlds: Index of the world that each is in.
+        starts: How each begins, one robot in each.
     """
     with _drawing_from(seeds[0]):
-        episodes = [_Episode(*each) for each in zip(envs, seeds, poses, worlds, strict=True)]
+        episodes = [_Episode(env, seed, start=start) for env, seed, start in zip(envs, seeds, starts, strict=True)]
         moments: list[list[Moment]] = [[] for _ in episodes]
         remembered: dict[str, Any] = {}
         while not all(episode.over for episode in episodes):
@@ -97,8 +93,7 @@ def roll_out_together(
 class _Episode:
     """An episode under way."""
 
-    def __init__(self, env: TurtleBot2Env, seed: int, pose: np.ndarray | None, world: int | None) -> None:
-        options = {"world": world} if pose is None else {"world": world, "pose": tuple(pose)}
+    def __init__(self, env: TurtleBot2Env, seed: int, **options: Any) -> None:
         self._env = env
         self.observation, self._info = env.reset(seed=seed, options=options)
         self._steps, self._total, self.over = 0, 0.0, False

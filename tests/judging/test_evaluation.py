@@ -71,8 +71,7 @@ def test_what_failed_is_told_by_the_episode_and_not_by_the_name_of_its_ending(ma
 def test_out_of_bounds_counts_as_failed(ahead):
     scene = resolve("random", "wall", settings={"task.bounds": [-1.0, -3.0, 1.0, 3.0]}).scene
     with closing(TurtleBot2Env(scene)) as env:
-        pose = np.array([0.0, 2.0, 0.0])
-        outside = episode_of(scene, list(roll_out(env, ahead, 0, pose)), pose)
+        outside = episode_of(scene, list(roll_out(env, ahead, 0, pose=(0.0, 2.0, 0.0))))
     assert (outside.ended, outside.failed, outside.success, outside.touched) == ("out of bounds", True, False, False)
     assert outside.path[-1, 0] > 1.0 > outside.path[-2, 0]
     assert 5.0 * (outside.length - 1) <= outside.episode_return + 200.0 <= 10.0 * (outside.length - 1)

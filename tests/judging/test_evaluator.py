@@ -122,7 +122,17 @@ def test_the_standard_start_poses_are_those_of_the_world_for_its_seed():
     evaluator = Evaluator(resolve().scene, workers=1)
     clearance = Wander().start_clearance
     expected = find_world("loop").random_poses(np.random.default_rng(SEED), EPISODES, clearance)
-    np.testing.assert_array_equal(evaluator.poses, expected)
+    np.testing.assert_array_equal([start.pose[0] for start in evaluator.starts], expected)
+
+
+def test_an_episode_leads_to_the_goal_that_was_drawn_with_its_start():
+    config = resolve("pursuit", "navigate", settings={"task.world": {"generator": "clutter", "worlds": 2}})
+    with Evaluator(config.scene, episodes=12, steps=1, workers=1) as evaluator:
+        episodes = evaluator.run(make_baseline(config)).episodes
+    assert [each.goal for each in episodes] == [tuple(start.goal[0].tolist()) for start in evaluator.starts]
+    assert len({(each.world, each.goal) for each in episodes}) > 4
+    ways = [config.scene.setup.ways.to_go(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts]
+    assert min(ways) > config.task.goal_radius, "of two random goals it is the farther one"
 
 
 def test_imperfect_robots_are_judged_from_the_same_starts(ahead):

@@ -33,9 +33,8 @@ def learner(config: Config, **weights):
 def check_against_robots_alone(evaluation: Evaluation, policy) -> None:
     env = TurtleBot2Env(evaluation.scene, simulation=evaluation.simulation)
     for i, together in enumerate(evaluation.episodes):
-        pose = np.array(together.start)
-        moments = list(roll_out(env, policy, evaluation.seed + i, pose, together.world))
-        alone = episode_of(evaluation.scene, moments, pose, together.world)
+        place = {"pose": together.start, "world": together.world}
+        alone = episode_of(evaluation.scene, list(roll_out(env, policy, evaluation.seed + i, **place)))
         assert together.actions.dtype == alone.actions.dtype
         np.testing.assert_allclose(together.actions, alone.actions, atol=1e-3)  # float32, summed in another order
         assert together.path.shape == alone.path.shape == (alone.length + 1, 2)
