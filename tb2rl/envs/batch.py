@@ -92,7 +92,11 @@ class Batch:
             infos = infos_of(after, ended, self.distances[ended], outcome)
             finals = Finals(ended, rows(observations, ended), infos, self._returns[ended], self._lengths[ended])
             self._lengths[ended], self._returns[ended], self.distances[ended] = 0, 0.0, 0.0
+            to_go = vars(after).get("to_go")
             after, first = self.simulation.restart(ended, self._starts(ended), after)
+            if to_go is not None:  # it was asked for, and takes long: of the others it is still the same
+                to_go[ended] = first.to_go
+                vars(after)["to_go"] = to_go
             self._observer.begin_some(ended, first, observations)
         self.reading = after
         return Step(observations, outcome.reward, terminated, truncated, finals)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from tb2rl.compiled import UNCOUNTED, njit
@@ -14,7 +12,7 @@ _KEPT = 64  # places: of the last minute
 
 
 class Trail(Memory):
-    """The places of some robots in the last minute, one a second, by their odometry.
+    """The places of some robots in the last minute, about one a second, by their odometry.
 
     Args:
         period: Of the control [s].
@@ -25,6 +23,7 @@ class Trail(Memory):
     def __init__(self, period: float) -> None:
         super().__init__()
         self._every = max(1, round(1.0 / period))
+        self._seconds = self._every * period  # from one place to the next
 
     def blank(self, robots: int) -> dict[str, np.ndarray]:
         return {"places": np.full((robots, _KEPT, 2), np.inf), "steps": np.zeros(robots, dtype=np.int64)}
@@ -39,7 +38,7 @@ class Trail(Memory):
         """How long the robots were within `radius` [m] of points, x and y, (robots, n, 2): [s], shape (robots, n)."""
         counts = np.empty(points.shape[:2])
         _count(self._rows["places"], points, radius, counts)
-        return counts
+        return self._seconds * counts
 
 
 @njit(cache=True, **UNCOUNTED)
@@ -49,5 +48,6 @@ def _count(places, points, radius, counts):
         for point in range(counts.shape[1]):
             x, y, count = points[robot, point, 0], points[robot, point, 1], 0
             for k in range(places.shape[1]):
-                count += math.hypot(places[robot, k, 0] - x, places[robot, k, 1] - y) < radius
+                east, north = places[robot, k, 0] - x, places[robot, k, 1] - y
+                count += east * east + north * north < radius * radius
             counts[robot, point] = count

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tb2rl.envs.batch import Batch
 from tb2rl.envs.scene import make_scene
@@ -44,6 +45,15 @@ def test_a_minute_is_remembered_and_no_more(make_reading):
     assert visited(make_reading, np.concatenate([stood, stood]))[0, HERE] == 64.0
     far = np.full((64, 1, 3), 9.0)
     assert visited(make_reading, np.concatenate([stood, far, stood[:1]]))[0, HERE] == 1.0
+
+
+@pytest.mark.parametrize("period", [0.1, 0.2, 0.4, 2.0])
+def test_it_is_in_seconds_however_long_a_control_step_is(period, make_reading):
+    trail, reading = Trail(period), make_reading(pose=[(0.0, 0.0, 0.0)])
+    trail.begin(reading)
+    for _ in range(round(20.0 / period)):
+        trail.go_on(reading)
+    assert Visited().read(replace(reading, trail=trail))[0, HERE] == pytest.approx(20.0, abs=2.0)
 
 
 def test_before_anything_is_remembered_it_has_been_nowhere(make_reading):

@@ -24,7 +24,8 @@ class Encoding:
     Attributes:
         needs: The same.
         acceleration: Ahead since the last control step, by the odometry [m/s^2].
-        trail: Where it was in the last minute, x and y [m], once a second.
+        trail: Where it was in the last minute, x and y [m], about once a second.
+        trail_period: From one of these places to the next [s].
         told: The last commands, v [m/s] and w [rad/s], the newest first.
 
     Raises:
@@ -37,9 +38,11 @@ class Encoding:
             if settings["name"] not in _SENSORS:
                 raise ValueError("this runner does not know the sensor {}".format(settings["name"]))
             self._sensors.append((settings, _SENSORS[settings["name"]]))
-        self._told = max(settings.get("told", 0) for settings, _ in self._sensors)
+        self._told = max(settings.get("reads_commands", 0) for settings, _ in self._sensors)
         self._as_classes, self._frames = observation["mode"] == "discrete", observation["frames"]
         self.needs = needs
+        self._every = max(1, round(1.0 / needs.period))
+        self.trail_period = self._every * needs.period
         self.begin()
 
     def begin(self) -> None:
@@ -55,7 +58,7 @@ class Encoding:
         self.acceleration, self._speed = (sensed.twist[0] - self._speed) / self.needs.period, sensed.twist[0]
         if self._steps:
             self.told.appendleft(sensed.command)
-        if self._steps % max(1, round(1.0 / self.needs.period)) == 0:
+        if self._steps % self._every == 0:
             self.trail.append(sensed.pose[:2])
         self._steps += 1
         parts = [self._encoded(read(sensed, settings, self), settings) for settings, read in self._sensors]
@@ -127,11 +130,11 @@ def _visited(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarr
     cos, sin = np.cos(yaw), np.sin(yaw)
     places = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left])
     away = np.array(encoding.trail) - places[:, None]
-    return (np.hypot(away[..., 0], away[..., 1]) < settings["near"]).sum(axis=1).astype(float)
+    return encoding.trail_period * (np.hypot(away[..., 0], away[..., 1]) < settings["near"]).sum(axis=1)
 
 
 def _last_action(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    told = [encoding.told[k] for k in range(settings["told"])]
+    told = [encoding.told[k] for k in range(settings["reads_commands"])]
     return (np.array(told) / np.array(settings["fastest"])).ravel()
 
 
