@@ -53,13 +53,14 @@ class Guided(BasePolicy):
             what is observed say.
         turn_rate: The w that 1 means [rad/s], `task.turn_rate`; likewise.
         radius: Of the robot [m].
-        field_of_view: From the first beam to the last [rad].
+        directions: Of the laser's beams, from right to left [rad]; None: evenly from -90 to 90 degrees.
 
     Raises:
         InputError: If the laser, the target or the speeds are not observed, or the actions are not v and w.
     """
 
-    asks = "fastest", "turn_rate", "radius", "field_of_view"  # what is not set, whoever makes it by its name tells it
+    # What `tb2rl.runs.algorithm.make_baseline` fills in from the robot and the task, unless the user sets it.
+    asks = "fastest", "turn_rate", "radius", "directions"
 
     def __init__(
         self,
@@ -69,7 +70,7 @@ class Guided(BasePolicy):
         fastest: float,
         turn_rate: float,
         radius: float,
-        field_of_view: float,
+        directions: Sequence[float] | None,
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
@@ -80,7 +81,10 @@ class Guided(BasePolicy):
         self.fastest = min(fastest, float(observation_space.high[columns.speed]))
         self.turn_rate = min(turn_rate, float(observation_space.high[columns.turn]))
         self.radius = radius
-        angles = np.linspace(-field_of_view / 2, field_of_view / 2, len(columns.laser))
+        beams = len(columns.laser)
+        angles = np.linspace(-math.pi / 2, math.pi / 2, beams) if directions is None else np.asarray(directions)
+        if len(angles) != beams:
+            raise InputError(f"{name} needs the directions of its {beams} beams, got {len(angles)}")
         self._beams = np.column_stack([np.cos(angles), np.sin(angles)])
 
     @abstractmethod
@@ -114,8 +118,10 @@ class _Columns:
         self._first = len(self._names) - len(self._names) // getattr(space, "frames", 1)
         waypoint, direction, distance = map(self._of, ("waypoint", "goal direction", "goal distance"))
         speed, turn = self._of("forward speed"), self._of("turn rate")
-        if not (waypoint or (direction and distance)) or not speed or not turn:
+        if not (waypoint or (direction and distance)):
             raise InputError(f"{who} needs task navigate, which says where to go")
+        if not speed or not turn:
+            raise InputError(f"{who} needs to know how fast it is; add twist to task.observe")
         self.laser, self.target = self._of("laser"), waypoint or direction
         self.distance = None if waypoint else distance[0]
         self.speed, self.turn = speed[0], turn[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +57,7 @@ class DWA(Guided):
         fastest: See there [m/s].
         turn_rate: See there [rad/s].
         radius: See there [m].
-        field_of_view: See there [rad].
+        directions: See there [rad].
         gap: To keep to what the laser sees [m].
         acceleration: Of v, also to brake [m/s^2].
         turn_acceleration: Of w [rad/s^2].
@@ -77,7 +78,7 @@ class DWA(Guided):
         fastest: Positive = 0.65,
         turn_rate: Positive = 2.0,
         radius: Positive = 0.178,
-        field_of_view: Positive = math.pi,
+        directions: Sequence[float] | None = None,
         gap: NonNegative = 0.04,
         acceleration: Positive = 1.0,
         turn_acceleration: Positive = 6.0,
@@ -89,7 +90,7 @@ class DWA(Guided):
         progress: NonNegative = 1.0,
         **kwargs: Any,
     ) -> None:
-        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "field_of_view": field_of_view}
+        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "directions": directions}
         super().__init__(observation_space, action_space, **robot, **kwargs)
         speeds = self.fastest, self.turn_rate, acceleration, turn_acceleration
         self._limits = _Limits(*speeds, period, horizon, radius, gap)

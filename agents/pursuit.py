@@ -7,7 +7,7 @@ fast marching as A* finds it on a grid. Speeds by what stands ahead are those of
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
@@ -38,7 +38,7 @@ class Pursuit(Guided):
         fastest: See there [m/s].
         turn_rate: See there [rad/s].
         radius: See there [m].
-        field_of_view: See there [rad].
+        directions: See there [rad].
         gap: To keep to what the laser sees [m].
         behind: It turns on the spot to a target in a direction beyond this [rad].
         braking: How fast it counts on becoming slower [m/s^2].
@@ -57,7 +57,7 @@ class Pursuit(Guided):
         fastest: Positive = 0.65,
         turn_rate: Positive = 2.0,
         radius: Positive = 0.178,
-        field_of_view: Positive = math.pi,
+        directions: Sequence[float] | None = None,
         gap: NonNegative = 0.02,
         behind: Positive = 2.0,
         braking: Positive = 0.5,
@@ -67,7 +67,7 @@ class Pursuit(Guided):
         gain: Positive = 2.0,
         **kwargs: Any,
     ) -> None:
-        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "field_of_view": field_of_view}
+        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "directions": directions}
         super().__init__(observation_space, action_space, **robot, **kwargs)
         self.gap, self.behind, self.braking, self.period = gap, behind, braking, period
         self.look, self.bends, self.gain = look, bends, gain

@@ -6,6 +6,7 @@ I. Ulrich and J. Borenstein, "VFH+: reliable obstacle avoidance for fast mobile 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ class VFH(Guided):
         fastest: See there [m/s].
         turn_rate: See there [rad/s].
         radius: See there [m].
-        field_of_view: See there [rad].
+        directions: See there [rad].
         gap: To keep to what the laser sees [m].
         window: How far a direction is free that is not blocked, or to the target, where that is nearer [m].
         valley: How many sectors of 5 degrees a wide valley has.
@@ -69,7 +70,7 @@ class VFH(Guided):
         fastest: Positive = 0.65,
         turn_rate: Positive = 2.0,
         radius: Positive = 0.178,
-        field_of_view: Positive = math.pi,
+        directions: Sequence[float] | None = None,
         gap: NonNegative = 0.02,
         window: Positive = 1.0,
         valley: Annotated[int, Ge(1), Le(SECTORS)] = 10,
@@ -81,7 +82,7 @@ class VFH(Guided):
         spin: Positive = 1.0,
         **kwargs: Any,
     ) -> None:
-        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "field_of_view": field_of_view}
+        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "directions": directions}
         super().__init__(observation_space, action_space, **robot, **kwargs)
         self.room, self.window, self.valley = radius + gap, window, valley
         self.gain, self.braking, self.spin = gain, braking, spin

@@ -146,11 +146,11 @@ def make_baseline(config: Config) -> BasePolicy:
     return policy(scene.observation_space, scene.action_space, **{**told, **config.agent_arguments})
 
 
-def _facts(scene: Scene) -> dict[str, float]:
+def _facts(scene: Scene) -> dict[str, Any]:
     """What a policy that does not learn may ask for (`Guided.asks`), of the robot, its laser and the task."""
     names = {"fastest": "fastest", "turn_rate": "turn_rate", "period": "control_period"}
     task = {name: getattr(scene.task, field) for name, field in names.items() if hasattr(scene.task, field)}
-    return {"radius": scene.robot.radius, "field_of_view": scene.laser.field_of_view, **task}
+    return {"radius": scene.robot.radius, "directions": scene.laser.angles.tolist(), **task}
 
 
 class Spaces(gym.Env):

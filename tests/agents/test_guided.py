@@ -80,6 +80,8 @@ def test_many_robots_act_as_each_of_them_alone(policy, playground):
         ("wall", {}, "needs task navigate"),
         ("navigate", {"world": "wall", "named_actions": True}, "task.named_actions=false"),
         ("navigate", {"world": "wall", "beams": 1}, "2 beams"),
+        ("navigate", {"world": "wall", "observe": ("laser", "goal")}, "needs task navigate"),
+        ("navigate", {"world": "wall", "observe": ("laser", "waypoint", "imu")}, "add twist to task.observe"),
     ],
 )
 def test_it_refuses_what_it_cannot_drive_by(policy, task, settings, named, playground):
@@ -87,6 +89,23 @@ def test_it_refuses_what_it_cannot_drive_by(policy, task, settings, named, playg
     with pytest.raises(InputError, match=named) as refused:
         policy(scene.observation_space, scene.action_space)
     assert policy.__name__.lower() in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
+@pytest.mark.parametrize(
+    "laser", [{"robot": "turtlebot3", "field_of_view": None}, {"beams": 180, "beam_indices": [0, 30, 60, 90, 120]}]
+)
+def test_it_knows_where_its_beams_look(name, laser):
+    config = resolve(name, "navigate", settings={"task.world": "wall", **{f"task.{k}": v for k, v in laser.items()}})
+    ranges = np.arange(1.0, 1.0 + len(config.scene.laser.angles))
+    seen = make_baseline(config)._seen(np.array([[*ranges, *np.zeros(config.scene.observation_space.shape[0])]]))
+    bearings = np.arctan2(*seen.points[0].T[::-1])
+    np.testing.assert_allclose(np.cos(bearings - config.scene.laser.angles), 1.0)
+
+
+def test_it_says_how_many_directions_it_needs(playground):
+    with pytest.raises(InputError, match="directions of its 60 beams, got 2"):
+        playground((1.0, 0.0)).policy(Pursuit, directions=[0.0, 1.0])
 
 
 @pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
