@@ -20,7 +20,7 @@ _ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 def observed_sensors(task: Task, own: tuple[Sensor, ...], setup: Setup) -> tuple[Sensor, ...]:
     """The sensors that `task.observe` lists; those of the task itself if it is None.
 
-    A sensor that is named without arguments, and that the task has, is the task's: with its edges.
+    A sensor that is named without arguments, and that the task has or offers, is the task's: with its settings.
 
     Args:
         task: The task.
@@ -32,7 +32,7 @@ def observed_sensors(task: Task, own: tuple[Sensor, ...], setup: Setup) -> tuple
     """
     if task.observe is None:
         return own
-    present = [*own, *Task.sensors(task, setup)]  # the laser, with the task's edges, though the task may not read it
+    present = [*own, *task.offers(setup)]
     sensors = [sensor for entry in task.observe for sensor in _sensors(entry, present, setup)]
     names = [sensor.name for sensor in sensors]
     twice = [name for name in names if names.count(name) > 1]

@@ -86,6 +86,10 @@ class Task(ABC):
         """What a learner observes, in this order."""
         return (LaserRanges(setup.laser, self.edges),)
 
+    def offers(self, setup: Setup) -> tuple[Sensor, ...]:
+        """Sensors with the task's settings that `observe` can name, whether or not it observes them by itself."""
+        return Task.sensors(self, setup)
+
     def places(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
         """The worlds as the task sets them: with other goals, say.
 

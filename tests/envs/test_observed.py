@@ -90,6 +90,14 @@ def test_a_sensor_that_the_task_has_keeps_the_tasks_edges():
     assert len(bearing.edges) == 8
 
 
+@pytest.mark.parametrize("observe", [["waypoint"], ["waypoint_bearing"]])
+def test_a_sensor_that_the_task_offers_keeps_the_tasks_settings(observe):
+    (sensor,) = sensors(observe, "navigate", world="wall", guide="goal", reach=0.8)
+    assert sensor.reach == 0.8
+    (sensor,) = sensors([{observe[0]: {"reach": 1.1}}], "navigate", world="wall", reach=0.8)
+    assert sensor.reach == 1.1
+
+
 def test_a_task_without_the_laser_can_observe_it_all_the_same():
     @dataclass(frozen=True)
     class Blind(Wander):
