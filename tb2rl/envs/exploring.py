@@ -19,7 +19,7 @@ from tb2rl.simulation.setup import BOUNDS
 from tb2rl.worlds.floor import SIDE
 from tb2rl.worlds.ways import KEEP_OFF, march_from, points_ahead
 
-_EVERY = 5  # control steps between two plans
+_EVERY = 6  # control steps from one plan to the next
 _HIT, _SURE = 4, 20  # what a beam that ends in a square adds, where one that passes takes 1; at most, both ways
 
 
@@ -50,8 +50,10 @@ class Explorer(Memory):
         grids, rows, reach = self._grids(reading), self._rows, self._radius + KEEP_OFF
         _note(np.array(reading.pose), np.array(reading.ranges), self._angles, self._most, grids, rows["hits"])
         rows["age"] += 1
-        for i in np.flatnonzero(rows["age"] > _EVERY):
-            rows["way"][i] = march_from(_clearances(rows["hits"][i], reach), self._radius, reading.goal[i], grids[i])
+        for i in np.flatnonzero(rows["age"] >= _EVERY):
+            clearance = np.minimum(self._inside(reading.start.bounds[i]), reach)
+            _keep_off(rows["hits"][i], reach, clearance)
+            rows["way"][i] = march_from(clearance, self._radius, reading.goal[i], grids[i])
             rows["age"][i] = 0
 
     def ahead(self, reading: Reading, reach: float) -> np.ndarray:
@@ -61,6 +63,13 @@ class Explorer(Memory):
         place, goal = np.array(reading.pose), np.array(reading.goal)  # compiled once, for arrays of one kind
         points_ahead(begins, self._grids(reading), ways.ravel(), place, goal, reach, points)
         return points
+
+    def _inside(self, bounds: np.ndarray) -> np.ndarray:
+        """How far the squares of a robot's map are within its bounds (4,) [m], 0 outside; shape (rows, columns)."""
+        rows, columns = self._size
+        y, x = SIDE * np.arange(rows)[:, None], SIDE * np.arange(columns)
+        across, along = np.minimum(x, bounds[2] - bounds[0] - x), np.minimum(y, bounds[3] - bounds[1] - y)
+        return np.maximum(np.minimum(across, along), 0.0)
 
     def _grids(self, reading: Reading) -> np.ndarray:
         """Rows, columns, x and y of the first square's middle, side of a square [m] of each robot's map."""
@@ -95,10 +104,16 @@ def _note(poses, ranges, angles, most, grids, hits):
 
 
 @njit(cache=True)
-def _clearances(hits, most):
-    """How far the squares of a map (rows, columns) are from the middles of those with something on them, up to [m]."""
+def _keep_off(hits, most, clearance):
+    """Lower `clearance` (rows, columns) [m] to how far the squares are from those with something on them, up to `most`.
+
+    Args:
+        hits: See `_note`, shape (rows, columns).
+        most: What is farther does not matter [m].
+        clearance: Changed in place.
+    """
     rows, columns = hits.shape
-    reach, clearance = int(most / SIDE), np.full((rows, columns), most)
+    reach = int(most / SIDE)
     for row in range(rows):
         for column in range(columns):
             if hits[row, column] <= 0:
@@ -106,4 +121,3 @@ def _clearances(hits, most):
             for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
                 for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
                     clearance[r, c] = min(clearance[r, c], SIDE * math.hypot(r - row, c - column))
-    return clearance
