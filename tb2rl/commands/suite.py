@@ -10,6 +10,7 @@ from typing import Any
 
 from tb2rl.commands.evaluate import check_places
 from tb2rl.commands.policy import chosen_policy
+from tb2rl.commands.robot import chosen_robot
 from tb2rl.errors import InputError
 from tb2rl.files import write_text
 from tb2rl.jobs.where import where_of
@@ -54,8 +55,10 @@ def run(options: argparse.Namespace) -> None:
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` where options do not go together."""
     check_places(options)
-    if options.simulation is not None:
+    if chosen_robot(options) is not None:
         raise InputError("--simulation does not go with --suite: nobody builds a thousand worlds for a robot")
+    if options.goal is not None:
+        raise InputError("--goal does not go with --suite: each of its worlds has a goal")
     if len(options.suite) > 2:
         raise InputError("--suite takes a name, and for barn a path; name the policy before it")
     for name in ("episodes", "steps", "seed"):
