@@ -9,21 +9,21 @@ from pathlib import Path
 import jinja2
 
 from tb2rl.zoo import results
-from tb2rl.zoo.entry import WORLDS, Entry, drivers_of, others
+from tb2rl.zoo.entry import WORLDS, Entry, contestants_of, others
 
 _STARTS_NAMED = 5  # failed episodes on a card
 
 
 def card(entry: Entry) -> str:
     """The text of a policy's card."""
-    driven = entry.driver.summaries if entry.navigates else []
+    driven = entry.contestant.summaries if entry.navigates else []
     lines = {"shortfalls": _shortfalls(entry), "failures": [*_failures(entry), *results.failures(driven)]}
     return template("card.md.jinja").render(entry=entry, summaries=driven, results=results, **lines)
 
 
 def table(built: Sequence[Entry]) -> str:
     """The text of the zoo's README: the results of all policies, in each other's worlds and in suites, too."""
-    suites = results.by_suite([*drivers_of(built), *others()])
+    suites = results.by_suite([*contestants_of(built), *others()])
     return template("table.md.jinja").render(entries=built, worlds=WORLDS, suites=suites, results=results)
 
 
@@ -50,10 +50,6 @@ def percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _interval(ends: Sequence[float]) -> str:
-    return f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f} %"
-
-
 def _spaced(number: int) -> str:
     return f"{number:,}".replace(",", " ")
 
@@ -62,7 +58,7 @@ def template(name: str) -> jinja2.Template:
     """A template that stands beside this module."""
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
     env = jinja2.Environment(loader=loader, trim_blocks=True, undefined=jinja2.StrictUndefined)
-    env.filters.update(percent=percent, interval=_interval, spaced=_spaced)
+    env.filters.update(percent=percent, interval=results.interval, spaced=_spaced)
     return env.get_template(name)
 
 

@@ -24,7 +24,7 @@ _RESULTS = Path("runs", "suites")  # here the results stay with what was done in
 
 
 @dataclass(frozen=True)
-class Driver:
+class Contestant:
     """What drives through suites."""
 
     name: str
@@ -101,7 +101,7 @@ class Driver:
         write_text(self.file(suite.name), json.dumps(summary, indent=1, allow_nan=False) + "\n")
 
 
-def astray(files: Iterable[Path], drivers: Iterable[Driver]) -> list[str]:
+def astray(files: Iterable[Path], drivers: Iterable[Contestant]) -> list[str]:
     """Which of these files are not summaries of one of these drivers as it is now, in sentences."""
     now = {driver.file(kept.suite) for driver in drivers for kept in driver.summaries}
     found = sorted(file for file in files if file not in now)

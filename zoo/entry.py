@@ -20,7 +20,7 @@ from tb2rl.simulation.variation import varied
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import parse as parse_training
 from tb2rl.worlds.movers import among
-from tb2rl.zoo.drivers import Driver
+from tb2rl.zoo.contestants import Contestant
 
 MAZES = ("loop", "circuit", "round", "maze")  # the closed ones: in `wall` a robot that drives away is safe
 WORLDS = (*MAZES, "mixed")
@@ -72,9 +72,9 @@ class Entry:
         return ", ".join(filter(None, (guide and f"guide {guide}", moves, varied(self.config.task.variation))))
 
     @cached_property
-    def driver(self) -> Driver:
+    def contestant(self) -> Contestant:
         """What drives through suites, if it navigates."""
-        return Driver(self.name, f"zoo:{self.name}", suites_folder())
+        return Contestant(self.name, f"zoo:{self.name}", suites_folder())
 
     @cached_property
     def notes(self) -> list[dict[str, Any]]:
@@ -191,19 +191,19 @@ def entries() -> list[Entry]:
     return [Entry(name, recipe, zoo_folder() / name) for name, recipe in recipes.items()]
 
 
-def others() -> list[Driver]:
+def others() -> list[Contestant]:
     """What is driven through suites beside the policies."""
     file = zoo_folder() / "suites.yaml"
     listed = read_yaml(file) if file.is_file() else {}
-    return [Driver(name, arguments, suites_folder()) for name, arguments in listed.items()]
+    return [Contestant(name, arguments, suites_folder()) for name, arguments in listed.items()]
 
 
-def drivers_of(built: Iterable[Entry]) -> list[Driver]:
+def contestants_of(built: Iterable[Entry]) -> list[Contestant]:
     """Those of some policies that navigate, as what drives through suites."""
-    return [entry.driver for entry in built if entry.navigates]
+    return [entry.contestant for entry in built if entry.navigates]
 
 
-def named(names: Sequence[str]) -> tuple[list[Entry], list[Driver]]:
+def named(names: Sequence[str]) -> tuple[list[Entry], list[Contestant]]:
     """The policies and the others of these names; without names all.
 
     Raises:

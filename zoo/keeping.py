@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-from pathlib import Path
 
 from tb2rl.errors import InputError
 from tb2rl.files import read_text, write_text
@@ -12,12 +11,12 @@ from tb2rl.jobs.where import Where, where_of
 from tb2rl.judging.evaluator import EPISODES
 from tb2rl.judging.progress import progress, say
 from tb2rl.simulation import check_bullet
-from tb2rl.worlds.suites import find_suite
+from tb2rl.worlds.suites import Suite, find_suite
 from tb2rl.zoo.building import build
 from tb2rl.zoo.cards import card, table
 from tb2rl.zoo.checking import check
-from tb2rl.zoo.drivers import astray
-from tb2rl.zoo.entry import UNSEEN, drivers_of, entries, named, suites_folder, zoo_folder
+from tb2rl.zoo.contestants import astray
+from tb2rl.zoo.entry import UNSEEN, contestants_of, entries, named, suites_folder, zoo_folder
 
 
 def run(options: argparse.Namespace) -> None:
@@ -35,22 +34,20 @@ def _build(options: argparse.Namespace) -> None:
     chosen, _ = named(names)
     if not os.access(zoo_folder(), os.W_OK):
         raise InputError(f"the zoo's folder {zoo_folder()} is not writable")
-    if barn is not None:
-        find_suite("barn", barn)  # says now, and not after all trainings, that it cannot be read
+    given = [] if barn is None else [find_suite("barn", barn)]  # it may say that it cannot be read: now, not at the end
     build(chosen, again, where)
-    _drive(names, again, barn, where)
+    _drive(names, again, given, where)
     there = [entry for entry in entries() if entry.is_built]
     for entry in there:
         write_text(entry.folder / "README.md", card(entry))
     write_text(zoo_folder() / "README.md", table(there))
 
 
-def _drive(names: list[str], again: bool, barn: Path | None, where: Where) -> None:
-    """Drive through suites: the entries that navigate, as they are now, and the others."""
+def _drive(names: list[str], again: bool, given: list[Suite], where: Where) -> None:
+    """Drive through `unseen` and the suites given: the entries that navigate, as they are now, and the others."""
     chosen, rest = named(names)
-    drivers = [*drivers_of(chosen), *rest]
-    places = [(UNSEEN, None), *([("barn", barn)] if barn else [])] if drivers else []  # made once, for it takes seconds
-    for suite in [find_suite(*place) for place in places]:
+    drivers = [*contestants_of(chosen), *rest]
+    for suite in [find_suite(UNSEEN), *given] if drivers else []:  # made once, for it takes seconds
         for driver in drivers:
             driver.drive(suite, again, where.words)
 
@@ -61,7 +58,7 @@ def _check(names: list[str], episodes: int) -> bool:
     if not 1 <= episodes <= EPISODES:
         raise InputError(f"--episodes must be from 1 to {EPISODES}, got {episodes}")
     wrong = [line for entry in progress(chosen, "checking", "policy") for line in check(entry, episodes)]
-    drivers = [*drivers_of(chosen), *rest]
+    drivers = [*contestants_of(chosen), *rest]
     kept = [file for driver in drivers for file in driver.files] if names else list(suites_folder().glob("*"))
     wrong += astray(kept, drivers)
     if not names and read_text(zoo_folder() / "README.md") != table(chosen):

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from tb2rl.judging.suite_result import ALL, Figures, SuiteSummary
 from tb2rl.worlds.suites import SUITES
-from tb2rl.zoo.drivers import Driver
+from tb2rl.zoo.contestants import Contestant
 
 _FIGURES = ("longest tenth", "SPL", "time", "m/s", "closest [m]")
-Driven = list[tuple[Driver, SuiteSummary]]
+Driven = list[tuple[Contestant, SuiteSummary]]
 
 
-def by_suite(drivers: Iterable[Driver]) -> list[Driven]:
+def by_suite(drivers: Iterable[Contestant]) -> list[Driven]:
     """The results in each suite, in the order of the suites; other worlds of the same name are another suite."""
     found = defaultdict(list)
     for driver in drivers:
@@ -30,7 +30,7 @@ def compared(driven: Driven) -> str:
     rows = [["driver", "guide", "success", "95 % interval", *families, *_FIGURES, *scores]]
     for driver, kept in driven:
         every = kept.figures[ALL]
-        each = [percent(kept.figures[family].success_rate) for family in families]
+        each = [_percent(kept.figures[family].success_rate) for family in families]
         score = [f"{every.barn_score:.3f}"] if scores else []
         conditions = ", ".join(filter(None, (kept.guide, *kept.conditions)))
         rows.append([_linked(driver), conditions, *_success(every), *each, *_figures(every), *score])
@@ -51,27 +51,31 @@ def failures(driven: Iterable[SuiteSummary]) -> Iterator[str]:
     for kept in driven:
         for family, figures in kept.families.items():
             endings = ", ".join(f"{ended} {count}" for ended, count in figures.endings.items())
-            failing = percent(1 - figures.success_rate)
+            failing = _percent(1 - figures.success_rate)
             yield f"In suite `{kept.suite}`, `{family}`: {failing} of {figures.worlds} worlds ({endings})."
 
 
-def percent(share: float) -> str:
+def interval(ends: Sequence[float]) -> str:
+    """(0.963, 1.0) as 96.3 to 100.0 %."""
+    return f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f} %"
+
+
+def _percent(share: float) -> str:
     """0.994 as 99.4 %."""
     return f"{100 * share:.1f} %"
 
 
 def _success(figures: Figures) -> list[str]:
-    low, high = figures.success_interval
-    return [percent(figures.success_rate), f"{100 * low:.1f} to {100 * high:.1f} %"]
+    return [_percent(figures.success_rate), interval(figures.success_interval)]
 
 
 def _figures(figures: Figures) -> list[str]:
     numbers = figures.time_ratio, figures.mean_speed, figures.mean_closest
-    tenth, spl = percent(figures.longest_tenth_success_rate), f"{figures.spl:.3f}"
+    tenth, spl = _percent(figures.longest_tenth_success_rate), f"{figures.spl:.3f}"
     return [tenth, spl, *("-" if number is None else f"{number:.2f}" for number in numbers)]
 
 
-def _linked(driver: Driver) -> str:
+def _linked(driver: Contestant) -> str:
     """Its name; that of a policy of the zoo with its card."""
     return f"[{driver.name}]({driver.name}/README.md)" if driver.is_policy_of_zoo else driver.name
 

@@ -20,7 +20,7 @@ from tb2rl.runs.folder import Run
 from tb2rl.worlds.suites import SUITES
 from tb2rl.zoo import building, entry, keeping
 from tb2rl.zoo.cards import overview
-from tb2rl.zoo.drivers import astray
+from tb2rl.zoo.contestants import astray
 from tb2rl.zoo.entry import entries, named, others
 
 keeper = import_module("tb2rl.zoo.__main__")
@@ -58,7 +58,7 @@ def in_this_process(jobs, where):
 def set_suite(monkeypatch, make, **changes) -> None:
     """Let this be what any suite is."""
     for module in (command, keeping):
-        monkeypatch.setattr(module, "find_suite", lambda name, path: make(name, **changes))
+        monkeypatch.setattr(module, "find_suite", lambda name, path=None: make(name, **changes))
 
 
 def section(zoo: Path) -> list[str]:
@@ -275,7 +275,7 @@ def test_names_are_of_policies_or_of_others():
 
 def test_the_summaries_are_of_what_is_there_now():
     built = [each for each in entries() if (each.folder / "config.yaml").is_file()]
-    assert astray(entry.suites_folder().glob("*"), [*entry.drivers_of(built), *others()]) == []
+    assert astray(entry.suites_folder().glob("*"), [*entry.contestants_of(built), *others()]) == []
 
 
 def test_whatever_a_policy_is_called_it_is_installed_and_summaries_are():
