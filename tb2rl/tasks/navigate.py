@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from annotated_types import Le
 
 from tb2rl.errors import InputError
 from tb2rl.robots import Robot
@@ -17,7 +16,7 @@ from tb2rl.sensors import Sensor
 from tb2rl.sensors.goal import GoalDirection, GoalDistance
 from tb2rl.sensors.motion import ForwardSpeed, LastAction, TurnRate
 from tb2rl.sensors.visited import Visited
-from tb2rl.sensors.waypoint import Waypoint
+from tb2rl.sensors.waypoint import REACH, Reach, Waypoint, WaypointBearing
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.actions import Actions, Commands, Velocities
 from tb2rl.tasks.outcome import Outcome, crash_endings
@@ -26,7 +25,8 @@ from tb2rl.values import Count, NonNegative, Point, Positive, Worlds
 from tb2rl.worlds import World
 from tb2rl.worlds.ways import GOALS, OWN, shortest_way
 
-_TOWARDS = 0.02  # [m/s] a robot that comes nearer to something by less does not drive into it; it may turn, being round
+_TOLD = 3  # actions: with commands and readings a step late, what the robot is still to do, and one more
+_TOWARDS = 0.02  # [m/s] slower than this towards something is not driving into it; to turn is not either, it is round
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Navigate(Task):
     goal: Point | None = None  # [m] x and y, in place of the world's goal and of random ones
     guide: Literal["goal", "plan"] = "goal"
     planner: Literal["known", "seen"] = "known"
-    reach: Annotated[Positive, Le(100)] = 1.5  # [m] from the robot to the point of the plan, along the way
+    reach: Reach = REACH  # [m] from the robot to the point of the plan, along the way
     start_clearance: Clearance = 0.25  # [m]
     control_period: Period = 0.1  # [s]
     episode_steps: Count = 600
@@ -89,10 +89,14 @@ class Navigate(Task):
         return self.guide == "plan" and self.planner == "seen"
 
     def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
-        moves = ForwardSpeed(setup.robot), TurnRate(setup.robot), LastAction(setup.robot)
+        speeds = ForwardSpeed(setup.robot), TurnRate(setup.robot)
         if self.guide == "plan":
-            return (*super().sensors(setup), Waypoint(self.reach), *moves)
-        return (*super().sensors(setup), GoalDistance(), GoalDirection(), Visited(), *moves)
+            return (*super().sensors(setup), Waypoint(self.reach), *speeds, LastAction(setup.robot))
+        guides = GoalDistance(), GoalDirection(), Visited()
+        return (*super().sensors(setup), *guides, *speeds, LastAction(setup.robot, count=_TOLD))
+
+    def offers(self, setup: Setup) -> tuple[Sensor, ...]:
+        return (*super().offers(setup), Waypoint(self.reach), WaypointBearing(self.reach))
 
     def places(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
         if self.goal is None:

@@ -76,7 +76,8 @@ class Playground:
         far, bearing = np.hypot(east, north), np.arctan2(north, east) - yaw
         direction = np.array([np.cos(bearing), np.sin(bearing)])
         guide = [far, *direction, *np.zeros(13)] if self.guide == "goal" else min(far, 1.5) * direction  # visited
-        return np.array([*self._ranges(x, y, yaw), *guide, *speeds, 0.0, 0.0], dtype=np.float32)
+        told = np.zeros(6 if self.guide == "goal" else 2)
+        return np.array([*self._ranges(x, y, yaw), *guide, *speeds, *told], dtype=np.float32)
 
     def command(self, kind, speeds=(0.0, 0.0), **arguments):
         """The v and w that a policy answers at the start."""
