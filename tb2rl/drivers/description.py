@@ -32,7 +32,7 @@ _ARGUMENTS: Mapping[type[Sensor], tuple[str, ...]] = {  # what `portable/encodin
     GoalDirection: (),
     GoalDistance: (),
     LaserRanges: (),
-    LastAction: ("fastest", "told"),
+    LastAction: ("fastest", "reads_commands"),
     TurnRate: (),
     Visited: ("around", "near"),
     Waypoint: (),

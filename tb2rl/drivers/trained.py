@@ -12,7 +12,7 @@ from gymnasium import spaces
 from tb2rl.drivers.portable.policy_contract import Needs, Sensed, Speeds
 from tb2rl.drivers.senses import find_senses
 from tb2rl.envs.commander import Commander
-from tb2rl.envs.encodings import row
+from tb2rl.envs.encodings import rows
 from tb2rl.envs.frames import Observer
 from tb2rl.envs.scene import Scene
 from tb2rl.runs.config import Config
@@ -64,7 +64,7 @@ class TrainedPolicy:
             self._commander.pass_on(np.array([sensed.command], dtype=float), np.zeros(1))
             observations = self._observer.go_on(self._reading(sensed))
         remembered = {} if self._memory is None else {"state": self._memory}
-        action, self._memory = self._policy.predict(row(observations, 0), deterministic=True, **remembered)
+        action, self._memory = self._policy.predict(rows(observations, 0), deterministic=True, **remembered)
         v, w = self._scene.actions.commands(self._scene.actions.checked(action))[0].tolist()
         return v, w
 
@@ -79,7 +79,7 @@ class TrainedPolicy:
         scene, setup = self._scene, self._setup
         if scene.task.explores:
             setup = Setup(scene.robot, scene.laser, (floor(sensed.pose[:2], sensed.goal or sensed.pose[:2]),))
-        self._commander = Commander(0, scene.told)
+        self._commander = Commander(0, scene.commands_read)
         memories = [*scene.memories(setup), self._commander]
         observer = Observer(scene.encoding, scene.observation_space, scene.task.frames, memories=memories)
         return observer, Start.proposed(setup, 1)

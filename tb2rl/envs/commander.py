@@ -24,8 +24,8 @@ class Commander(Memory):
         self._kept = max(kept, latency + 1 if latency else 0)
 
     @property
-    def remembers(self) -> bool:
-        """Whether it keeps any command."""
+    def is_used(self) -> bool:
+        """Whether there is anything to remember: a robot that is late, or a sensor that asks."""
         return self._kept > 0
 
     def blank(self, robots: int) -> dict[str, np.ndarray]:

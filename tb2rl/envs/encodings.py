@@ -151,15 +151,8 @@ def numbers_of(observations: Observations) -> np.ndarray:
     return observations[NUMBERS] if isinstance(observations, dict) else observations
 
 
-def row(observations: Observations, robot: int) -> Observations:
-    """The observation of one robot."""
-    if isinstance(observations, dict):
-        return {name: values[robot] for name, values in observations.items()}
-    return observations[robot]
-
-
-def rows(observations: Observations, robots: np.ndarray) -> Observations:
-    """The observations of some robots, in arrays of their own."""
+def rows(observations: Observations, robots: int | np.ndarray) -> Observations:
+    """The observation of one robot, or those of some, which are in arrays of their own."""
     if isinstance(observations, dict):
         return {name: values[robots] for name, values in observations.items()}
     return observations[robots]

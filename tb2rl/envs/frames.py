@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from tb2rl.envs.encodings import Encoding, Numbers, Observations, numbers_of, put_rows, row
+from tb2rl.envs.encodings import Encoding, Numbers, Observations, numbers_of, put_rows, rows
 from tb2rl.envs.latency import Delay
 from tb2rl.envs.memory import Memory
 from tb2rl.errors import InputError
@@ -124,7 +124,7 @@ class Observer:
 
 def _check(observations: Observations, space: spaces.Space) -> None:
     robots = len(next(iter(observations.values())) if isinstance(observations, dict) else observations)
-    if not all(space.contains(row(observations, robot)) for robot in range(robots)):
+    if not all(space.contains(rows(observations, robot)) for robot in range(robots)):
         raise ValueError("the stacked observations lie outside the observation space")
 
 

@@ -1,4 +1,4 @@
-"""What comes late: commands that a robot obeys, and readings that it observes, a few control steps later."""
+"""What comes late: readings that a robot observes a few control steps later."""
 
 from __future__ import annotations
 

@@ -100,30 +100,30 @@ class Scene:
             commander: What commands go through; it forgets them where an episode begins.
         """
         latency = self.task.imperfections.reading_latency[1]
-        memories = self.memories(self.setup) + [commander] * commander.remembers
+        memories = self.memories(self.setup) + [commander] * commander.is_used
         return Observer(self.encoding, self.observation_space, self.task.frames, latency, memories, self._prompt)
 
     def memories(self, setup: Setup) -> list[Memory]:
         """What robots remember of an episode in these worlds, but for what they are told."""
         memories: list[Memory] = [Explorer(setup)] if self.task.explores else []
-        if any(sensor.remembers for sensor in self.sensors):
+        if any(sensor.reads_trail for sensor in self.sensors):
             memories.append(Trail(self.task.control_period))
         return memories
 
     def commander(self) -> Commander:
         """What hands commands to the robots, as late as they are to obey them."""
-        return Commander(self.task.imperfections.latency[1], self.told)
+        return Commander(self.task.imperfections.latency[1], self.commands_read)
 
     @property
-    def told(self) -> int:
+    def commands_read(self) -> int:
         """How many of the last commands sensors read."""
-        return max(sensor.told for sensor in self.sensors)
+        return max(sensor.reads_commands for sensor in self.sensors)
 
     @property
     def _prompt(self) -> np.ndarray:
         """Which of the observed numbers are of what was told, which nobody waits for, bool, shape (numbers,)."""
         numbers = [sensor for sensor in self.sensors if len(sensor.shape) == 1]
-        return np.concatenate([np.zeros(0, bool), *(np.full(sensor.shape, sensor.told > 0) for sensor in numbers)])
+        return np.repeat([s.reads_commands > 0 for s in numbers], [s.shape[0] for s in numbers])
 
     def check(self, simulation: str) -> None:
         """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what a sensor reads."""

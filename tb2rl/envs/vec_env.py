@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from tb2rl.envs.batch import Batch, Finals
-from tb2rl.envs.encodings import row
+from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
 
 
@@ -89,7 +89,9 @@ def _reports(finals: Finals, truncated: np.ndarray) -> list[dict[str, Any]]:
     infos, observations = finals.infos, finals.observations
     names = "distance", "min_range", "bumped", "is_success", "ended", "failed"
     columns = *(infos[name].tolist() for name in names), finals.returns.tolist(), finals.lengths.tolist()
-    last = [row(observations, i) for i in range(len(finals.robots))] if isinstance(observations, dict) else observations
+    last = observations
+    if isinstance(observations, dict):
+        last = [rows(observations, i) for i in range(len(finals.robots))]
     return [
         {
             "pose": pose,

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from tb2rl.envs.batch import Batch, Finals
-from tb2rl.envs.encodings import row
+from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
 from tb2rl.values import Count, checked
@@ -99,7 +99,7 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
         ended[finals.robots] = True
         observations = np.full(self.num_envs, None, dtype=object)
         for i, robot in enumerate(finals.robots):
-            observations[robot] = row(finals.observations, i)
+            observations[robot] = rows(finals.observations, i)
         info: dict[str, Any] = {}
         for name, column in finals.infos.items():
             nothing = None if column.dtype == object else 0

@@ -7,36 +7,37 @@ from collections.abc import Sequence
 
 import numpy as np
 
+_Z = 1.959964  # of the normal distribution: 95 % lie between its negative and it
+_RESAMPLES = 10_000
 
-def wilson_interval(count: int, total: int, z: float = 1.959964) -> tuple[float, float]:
-    """The interval of a rate (Wilson 1927): honest near 0 and 1, where the usual one is not.
+
+def wilson_interval(count: int, total: int) -> tuple[float, float]:
+    """The 95 % interval of a rate (Wilson 1927): honest near 0 and 1, where the usual one is not.
 
     Args:
         count: How many of the trials succeeded.
         total: How many trials there were, at least 1.
-        z: Quantile of the normal distribution; the default gives the 95 % interval.
 
     Returns:
         The lower and the upper end, both in [0, 1].
     """
-    rate, spread = count / total, z * z / total
+    rate, spread = count / total, _Z * _Z / total
     centre = (rate + spread / 2) / (1 + spread)
-    half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
+    half = _Z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def bootstrap_interval(values: Sequence[float] | np.ndarray, resamples: int = 10_000) -> tuple[float, float]:
+def bootstrap_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     """The 95 % interval of the mean of a few trainings (percentile bootstrap, Agarwal et al. 2021).
 
     It is too narrow for fewer than ten values; for two or three it is their range.
 
     Args:
         values: One figure for each training, shape (trainings,).
-        resamples: How often values are drawn again.
 
     Returns:
         The lower and the upper end, in the unit of the values.
     """
-    drawn = np.random.default_rng(0).choice(np.asarray(values), size=(resamples, len(values)))
+    drawn = np.random.default_rng(0).choice(np.asarray(values), size=(_RESAMPLES, len(values)))
     low, high = np.percentile(drawn.mean(axis=1), [2.5, 97.5])
     return float(low), float(high)

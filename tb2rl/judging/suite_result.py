@@ -75,7 +75,7 @@ class Figures:
     # Success weighted by path length (Anderson et al. 2018, "On evaluation of embodied navigation agents"). The
     # shortest way ends where the goal is reached: at its radius, which is a tenth of the way in BARN.
     spl: Fraction
-    time_ratio: NonNegative | None  # time to the goal, times what this way takes at top speed; mean of the successes
+    time_ratio: NonNegative | None  # time to the goal, over what this way takes at top speed; mean of the successes
     mean_speed: NonNegative  # [m/s] all metres through all seconds
     mean_closest: NonNegative | None  # [m] how near the hull came to an obstacle at worst; mean of the successes
     # In the worst tenth of the worlds: those with the longest shortest ways, for the longer the way, the more there is

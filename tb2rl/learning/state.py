@@ -14,7 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import BaseBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 
-from tb2rl.envs.encodings import row
+from tb2rl.envs.encodings import rows
 from tb2rl.errors import InputError, one_line
 from tb2rl.learning import environments
 from tb2rl.learning.randomness import PutBack, generators_of, noise_of, set_generators
@@ -86,7 +86,7 @@ def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Seque
             last = algorithm._last_original_obs = around.get_original_obs()
             algorithm._last_obs = around.normalize_obs(last)
         for i in range(algorithm.env.num_envs):
-            if not algorithm.observation_space.contains(row(last, i)):
+            if not algorithm.observation_space.contains(rows(last, i)):
                 raise ValueError("the last observation lies outside the observation space")
         for callback, remembered in zip(callbacks, state["callbacks"], strict=True):
             callback.restore(remembered)

@@ -28,8 +28,7 @@ class GoalDistance(Sensor):
         self.edges = edges
 
     def read(self, reading: Reading) -> np.ndarray:
-        east, north = (reading.goal - reading.odometry[:, :2]).T
-        return np.hypot(east, north)[:, None]
+        return np.hypot(*_to_goal(reading))[:, None]
 
 
 class GoalBearing(Sensor):
@@ -46,9 +45,7 @@ class GoalBearing(Sensor):
         self.edges = edges
 
     def read(self, reading: Reading) -> np.ndarray:
-        east, north = (reading.goal - reading.odometry[:, :2]).T
-        bearing = np.arctan2(north, east) - reading.odometry[:, 2]
-        return (np.remainder(bearing + math.pi, math.tau) - math.pi)[:, None]
+        return (np.remainder(_bearing(reading) + math.pi, math.tau) - math.pi)[:, None]
 
 
 class GoalDirection(Sensor):
@@ -59,6 +56,16 @@ class GoalDirection(Sensor):
     edges = (-0.7, 0.0, 0.7)
 
     def read(self, reading: Reading) -> np.ndarray:
-        east, north = (reading.goal - reading.odometry[:, :2]).T
-        bearing = np.arctan2(north, east) - reading.odometry[:, 2]
+        bearing = _bearing(reading)
         return np.column_stack([np.cos(bearing), np.sin(bearing)])
+
+
+def _to_goal(reading: Reading) -> np.ndarray:
+    """How far the goal is along x and along y of the odometry's frame [m], shape (2, robots)."""
+    return (reading.goal - reading.odometry[:, :2]).T
+
+
+def _bearing(reading: Reading) -> np.ndarray:
+    """Its direction, counted from straight ahead [rad], shape (robots,); any number of whole turns more or less."""
+    east, north = _to_goal(reading)
+    return np.arctan2(north, east) - reading.odometry[:, 2]

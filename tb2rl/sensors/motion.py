@@ -124,7 +124,7 @@ class LastAction(Sensor):
 
     def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1), count: Annotated[int, Ge(1), Le(100)] = 1) -> None:
         self.fastest, self.edges = np.array([robot.max_speed, robot.max_turn_rate]), edges
-        self.told, self.shape = count, (2 * count,)
+        self.reads_commands, self.shape = count, (2 * count,)
 
     @classmethod
     def given(cls, setup: Setup) -> Mapping[str, Any]:
@@ -133,4 +133,4 @@ class LastAction(Sensor):
     def read(self, reading: Reading) -> np.ndarray:
         if reading.told is None:
             return np.zeros((len(reading.command), *self.shape))
-        return (reading.told.last(self.told) / self.fastest).reshape(-1, *self.shape)
+        return (reading.told.last(self.reads_commands) / self.fastest).reshape(-1, *self.shape)

@@ -29,8 +29,8 @@ class Sensor(ABC):
         edges: Strictly increasing borders of the classes that tabular learners see; empty: it has none, and can only
             be observed raw.
         shape: Of what it reads for one robot: (n,) for n numbers, (channels, height, width) for an image of uint8.
-        remembers: Whether it reads `Reading.trail`.
-        told: How many of the last commands it reads from `Reading.told`; what reads them reads nothing else.
+        reads_trail: Whether it reads `Reading.trail`.
+        reads_commands: How many of the last commands it reads from `Reading.told`; if any, it reads nothing else.
     """
 
     name: str
@@ -39,8 +39,8 @@ class Sensor(ABC):
     high: float
     edges: tuple[float, ...] = ()
     shape: tuple[int, ...] = (1,)
-    remembers: bool = False
-    told: int = 0
+    reads_trail: bool = False
+    reads_commands: int = 0
 
     @classmethod
     def given(cls, setup: Setup) -> Mapping[str, Any]:

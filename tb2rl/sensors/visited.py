@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading
+from tb2rl.values import Positive
 
 _MOST = 10.0  # [s]
 _APART = 0.5  # of the distance: so near to a place counts as there
@@ -31,9 +34,9 @@ class Visited(Sensor):
 
     name, unit, low, high = "visited", "s", 0.0, _MOST
     edges = (1.0, 3.0)
-    remembers = True
+    reads_trail = True
 
-    def __init__(self, count: int = 12, distance: float = 1.0) -> None:
+    def __init__(self, count: Annotated[int, Ge(1), Le(100)] = 12, distance: Positive = 1.0) -> None:
         angles = np.arange(count) * math.tau / count
         circle = distance * np.column_stack([np.cos(angles), np.sin(angles)])
         self.around, self.near, self.shape = np.vstack([circle, (0.0, 0.0)]), _APART * distance, (count + 1,)

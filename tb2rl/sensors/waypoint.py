@@ -1,6 +1,6 @@
 """Where the planned way leads: a point on it some way ahead, as navigation stacks hand it to what drives.
 
-The planner knows the map and where the robot is on it, as a localised robot does.
+The planner knows where the robot is on its map, as a localised robot does: on the world's own, or on what was seen.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from tb2rl.simulation import ROS
 _MEANS = (("distance", "m"), ("return", ""), ("length", "steps"))  # figures and their units
 _SUITE_COLUMNS = ("", "success", "95 %", "SPL", "time", "m/s", "gap", "failed")
 _SUITE_CAPTION = (
-    "time: to the goal, times that of the shortest way at top speed; gap: the least from hull to obstacle [m]; "
+    "time: to the goal, over what the shortest way takes at top speed; gap: the least from hull to obstacle [m]; "
     "both: means of the successes"
 )
 

@@ -26,7 +26,7 @@ class Start:
     A task makes one by `proposed` and then overwrites what is to be different: `start.goal[:] = (1.0, 2.0)`.
 
     Attributes:
-        table: A row of columns for each robot, see `tb2rl.simulation.setup`; shape (robots, 32).
+        table: A row of columns for each robot, see `tb2rl.simulation.setup`; shape (robots, columns).
     """
 
     table: np.ndarray

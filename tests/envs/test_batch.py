@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.envs.encodings import row
+from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.judging.evaluator import Evaluator
@@ -88,7 +88,7 @@ def test_each_robot_is_a_gymnasium_environment(observation, settings, simulation
     task = Wander(start="fixed", episode_steps=50, **settings)
     many, first = batch(task, observation, 2, simulation=simulation)
     envs, ends = [make(task, observation, simulation=simulation) for _ in range(2)], set()
-    np.testing.assert_equal([row(first, robot) for robot in range(2)], [env.reset()[0] for env in envs])
+    np.testing.assert_equal([rows(first, robot) for robot in range(2)], [env.reset()[0] for env in envs])
     for actions in np.random.default_rng(1).choice(3, size=(150, 2), p=[0.3, 0.4, 0.3]):
         observations, rewards, dones, infos = many.step(actions)
         for robot, (env, action) in enumerate(zip(envs, actions, strict=True)):
@@ -101,7 +101,7 @@ def test_each_robot_is_a_gymnasium_environment(observation, settings, simulation
                 np.testing.assert_equal(infos[robot]["terminal_observation"], seen)
                 np.testing.assert_equal({name: infos[robot][name] for name in info}, info)
                 seen, _ = env.reset()
-            np.testing.assert_equal(row(observations, robot), seen)
+            np.testing.assert_equal(rows(observations, robot), seen)
     many.close()
     assert ends == {"crash", "time limit"}
 

@@ -42,7 +42,7 @@ def alike(one, other):
     return one.dtype == other.dtype and np.array_equal(one, other)
 
 
-def row(observations, robot):
+def rows(observations, robot):
     if isinstance(observations, dict):
         return {name: part[robot] for name, part in observations.items()}
     return observations[robot]
@@ -71,9 +71,9 @@ def test_a_batch_does_so_for_every_robot_and_its_terminal_observations_have_the_
     for env in envs:
         env.seed(4)
     first, seen = (env.reset() for env in envs)
-    last = [[row(first, robot)] * FRAMES for robot in range(ROBOTS)]
+    last = [[rows(first, robot)] * FRAMES for robot in range(ROBOTS)]
     for _ in range(20):
-        assert all(alike(row(seen, robot), joined(last[robot])) for robot in range(ROBOTS))
+        assert all(alike(rows(seen, robot), joined(last[robot])) for robot in range(ROBOTS))
         actions = np.arange(ROBOTS) % 3
         (plain, _, dones, infos), (seen, _, same, stacked_infos) = (env.step(actions) for env in envs)
         np.testing.assert_array_equal(dones, same)
@@ -81,9 +81,9 @@ def test_a_batch_does_so_for_every_robot_and_its_terminal_observations_have_the_
             if dones[robot]:
                 final = [*last[robot][1:], infos[robot]["terminal_observation"]]
                 assert alike(stacked_infos[robot]["terminal_observation"], joined(final))
-                last[robot] = [row(plain, robot)] * FRAMES
+                last[robot] = [rows(plain, robot)] * FRAMES
             else:
-                last[robot] = [*last[robot][1:], row(plain, robot)]
+                last[robot] = [*last[robot][1:], rows(plain, robot)]
 
 
 def test_both_faces_of_a_batch_are_alike(observed):

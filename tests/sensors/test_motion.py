@@ -56,7 +56,7 @@ def test_against_a_wall_the_wheels_turn_on(drive):
 
 def test_the_last_actions_are_what_was_told_as_shares_of_the_fastest(make_reading):
     one, other, sensor = [(0.65, 0.0), (0.13, math.pi)], [(0.0, -math.pi), (-0.65, 0.0)], LastAction(ROBOT, count=3)
-    commander, reading = Commander(latency=0, kept=sensor.told), make_reading(twist=np.zeros((2, 2)))
+    commander, reading = Commander(latency=0, kept=sensor.reads_commands), make_reading(twist=np.zeros((2, 2)))
     commander.begin(reading)
     for commands in np.transpose([one, other], (1, 0, 2)):
         commander.pass_on(commands, np.zeros(2))
