@@ -16,7 +16,7 @@ test: $(VENV)/installed  ## set up, run the fast tests
 	$(BIN)/python -m pytest -n 2
 
 slow: $(VENV)/installed  ## the tests that take longer
-	$(BIN)/python -m pytest -m slow -n 2
+	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal --durations 20
 
 check: $(VENV)/installed  ## format, lint, rooms, types, fast tests
 	$(BIN)/ruff format --check .

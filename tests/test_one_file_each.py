@@ -193,11 +193,12 @@ def test_what_is_trained_is_resumed_evaluated_filmed_and_reported(what, simulati
     evaluation = evaluate(run.folder, episodes=2, steps=30, workers=1)
     assert [len(episode.path) for episode in evaluation.episodes] == [e.length + 1 for e in evaluation.episodes]
     run.write_evaluation(*evaluation.tree(run.config, "mine"))
-    assert film(run.folder, mine / "film.gif", steps=5).stat().st_size > 1000
-    assert film(run.folder, mine / "chase.gif", steps=3, camera="chase").stat().st_size > 1000
-    report([str(run.folder)])
-    assert (run.folder / "report.html").stat().st_size > 10_000
     assert tb2rl.make_env(tb2rl.load(run.folder)).task == Run.open(run.folder).config.task
+    if simulation == "kinematic" or what == "a camera with colours":  # films and reports drive in PyBullet either way
+        assert film(run.folder, mine / "film.gif", steps=5).stat().st_size > 1000
+        assert film(run.folder, mine / "chase.gif", steps=3, camera="chase").stat().st_size > 1000
+        report([str(run.folder)])
+        assert (run.folder / "report.html").stat().st_size > 10_000
 
 
 def test_a_baseline_is_evaluated_and_filmed(mine):

@@ -238,5 +238,6 @@ def test_a_policy_is_as_good_in_both_simulations(name):
     policy = tb2rl.load(name)
     with Evaluator(config_of(policy).scene, episodes=100) as evaluator:
         in_physics = evaluator.run(policy.policy).summary()["failure_free_rate"]
-    in_twin = failure_free_in_the_twin(policy, evaluator.poses, evaluator.scene.task.episode_steps)
+    poses = np.concatenate([start.pose for start in evaluator.starts])
+    in_twin = failure_free_in_the_twin(policy, poses, evaluator.scene.task.episode_steps)
     assert in_twin == pytest.approx(in_physics, abs=0.02)

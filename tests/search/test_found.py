@@ -24,6 +24,7 @@ from tb2rl.search.trials import best_trials
 
 CHECKOUT = Path(__file__).parents[2]
 TRIALS, WORKERS = 30, 2
+TRAIN = {"simulation": "kinematic", "total_timesteps": 1_000_000, "eval_episodes": 300, "eval_steps": 500}
 _SUBREAPER = 36  # of prctl: processes whose parent is killed become ours, so that their time is counted
 
 
@@ -39,7 +40,7 @@ def poor_preset(seed: int) -> dict:
         "exploration_fraction": 1.0,
         "exploration_final_eps": float(rng.uniform(0.7, 0.95)),
     }
-    return {"agent": agent, "train": {"simulation": "kinematic", "total_timesteps": 1_000_000}}
+    return {"agent": agent, "train": TRAIN}
 
 
 @pytest.fixture
