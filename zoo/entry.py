@@ -86,7 +86,7 @@ class Entry:
         """Whether it was trained, and driven in all worlds that it never saw, or through the suite of such."""
         if not (self.folder / EVALUATION).is_file() or self.not_driven:
             return False
-        return not self.navigates or self.driver.summary(UNSEEN) is not None
+        return not self.navigates or self.contestant.summary(UNSEEN) is not None
 
     @property
     def not_driven(self) -> list[str]:

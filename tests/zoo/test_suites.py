@@ -191,8 +191,8 @@ def test_a_policy_that_navigates_is_an_entry_with_its_suites(own_zoo, driven):
     assert "| unseen | a | 2 | 0.0 % | " in text
     assert "- In suite `unseen`, `b`: 100.0 % of 1 worlds (time limit 1)." in text
     assert "**Falls short:** 0 % of its episodes are good, the zoo promises 95 %." in text
-    assert mine.driver.summary("unseen").policy == "zoo:mine"
-    assert str(own_zoo) not in mine.driver.file("unseen").read_text(), "nobody else has it there"
+    assert mine.contestant.summary("unseen").policy == "zoo:mine"
+    assert str(own_zoo) not in mine.contestant.file("unseen").read_text(), "nobody else has it there"
     keeper.main(["build"])
     assert len(driven) == 6
 
