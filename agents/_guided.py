@@ -15,6 +15,7 @@ from stable_baselines3.common.policies import BasePolicy
 
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.errors import InputError
+from tb2rl.robots.vehicle import Vehicle
 
 STRAIGHT = 1e-3  # [1/m] arcs that bend less count as straight
 STANDING = 0.05  # [m/s] slower than this a robot stands
@@ -22,6 +23,9 @@ TURNING = 0.5  # [rad/s] faster than this it turns
 STUCK = 0.15  # [m] a robot that stands turns away from what is nearer ahead than this,
 OUT = 0.5  # [m] until so much is free ahead
 _STEP = math.radians(5.0)  # between the directions in which it looks for a way out
+
+
+TURTLEBOT2 = Vehicle()
 
 
 @dataclass(frozen=True)
@@ -49,39 +53,25 @@ class Guided(BasePolicy):
     Args:
         observation_space: `tb2rl.envs.encodings.Numbers` of task `navigate`.
         action_space: v and w, from -1 to 1.
-        fastest: The v that 1 means [m/s], `task.fastest`; -1 means to stand. A slower robot's own, which the limits of
-            what is observed say.
-        turn_rate: The w that 1 means [rad/s], `task.turn_rate`; likewise.
-        radius: Of the robot [m].
-        directions: Of the laser's beams, from right to left [rad]; None: evenly from -90 to 90 degrees.
+        vehicle: What drives. A slower robot's own speeds count, which the limits of what is observed say; action -1
+            means to stand.
 
     Raises:
         InputError: If the laser, the target or the speeds are not observed, or the actions are not v and w.
     """
 
-    # What `tb2rl.runs.algorithm.make_baseline` fills in from the robot and the task, unless the user sets it.
-    asks = "fastest", "turn_rate", "radius", "directions"
-
     def __init__(
-        self,
-        observation_space: spaces.Space,
-        action_space: spaces.Space,
-        *,
-        fastest: float,
-        turn_rate: float,
-        radius: float,
-        directions: Sequence[float] | None,
-        **kwargs: Any,
+        self, observation_space: spaces.Space, action_space: spaces.Space, vehicle: Vehicle, **kwargs: Any
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
         name = type(self).__name__.lower()
         self._columns = columns = _Columns(observation_space, name)
         if not isinstance(action_space, spaces.Box) or not isinstance(observation_space, spaces.Box):
             raise InputError(f"{name} sets speeds, so it needs task.named_actions=false")
-        self.fastest = min(fastest, float(observation_space.high[columns.speed]))
-        self.turn_rate = min(turn_rate, float(observation_space.high[columns.turn]))
-        self.radius = radius
-        beams = len(columns.laser)
+        self.fastest = min(vehicle.fastest, float(observation_space.high[columns.speed]))
+        self.turn_rate = min(vehicle.turn_rate, float(observation_space.high[columns.turn]))
+        self.radius, self.period = vehicle.radius, vehicle.period
+        beams, directions = len(columns.laser), vehicle.directions
         angles = np.linspace(-math.pi / 2, math.pi / 2, beams) if directions is None else np.asarray(directions)
         if len(angles) != beams:
             raise InputError(f"{name} needs the directions of its {beams} beams, got {len(angles)}")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 
-from tb2rl.agents._guided import Guided, Seen, free_way, way_out
+from tb2rl.agents._guided import TURTLEBOT2, Guided, Seen, free_way, way_out
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.registry import Agent
+from tb2rl.robots.vehicle import Vehicle
 from tb2rl.values import NonNegative, Positive
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.dwa:DWA", observation="raw", only=True)
@@ -52,16 +52,12 @@ class DWA(Guided):
     `dwa_local_planner`. Where nothing leads on it rotates away, as the paper's robot does.
 
     Args:
-        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next five.
+        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next two.
         action_space: See there.
-        fastest: See there [m/s].
-        turn_rate: See there [rad/s].
-        radius: See there [m].
-        directions: See there [rad].
+        vehicle: See there.
         gap: To keep to what the laser sees [m].
         acceleration: Of v, also to brake [m/s^2].
         turn_acceleration: Of w [rad/s^2].
-        period: From one command to the next [s], `task.control_period`.
         horizon: How far ahead progress counts [s].
         heading: Weight.
         clearance: Weight.
@@ -69,20 +65,14 @@ class DWA(Guided):
         progress: Weight.
     """
 
-    asks = *Guided.asks, "period"
-
     def __init__(
         self,
         observation_space: spaces.Space,
         action_space: spaces.Space,
-        fastest: Positive = 0.65,
-        turn_rate: Positive = 2.0,
-        radius: Positive = 0.178,
-        directions: Sequence[float] | None = None,
+        vehicle: Vehicle = TURTLEBOT2,
         gap: NonNegative = 0.04,
         acceleration: Positive = 1.0,
         turn_acceleration: Positive = 6.0,
-        period: Positive = 0.1,
         horizon: Positive = 1.0,
         heading: NonNegative = 1.0,
         clearance: NonNegative = 0.5,
@@ -90,10 +80,9 @@ class DWA(Guided):
         progress: NonNegative = 1.0,
         **kwargs: Any,
     ) -> None:
-        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "directions": directions}
-        super().__init__(observation_space, action_space, **robot, **kwargs)
+        super().__init__(observation_space, action_space, vehicle, **kwargs)
         speeds = self.fastest, self.turn_rate, acceleration, turn_acceleration
-        self._limits = _Limits(*speeds, period, horizon, radius, gap)
+        self._limits = _Limits(*speeds, self.period, horizon, self.radius, gap)
         self._weights = _Weights(heading, clearance, speed, progress)
 
     def drive(self, seen: Seen) -> np.ndarray:

@@ -7,16 +7,16 @@ fast marching as A* finds it on a grid. Speeds by what stands ahead are those of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Le
 from gymnasium import spaces
 
-from tb2rl.agents._guided import Guided, Seen, free_way, way_out
+from tb2rl.agents._guided import TURTLEBOT2, Guided, Seen, free_way, way_out
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.registry import Agent
+from tb2rl.robots.vehicle import Vehicle
 from tb2rl.values import NonNegative, Positive
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.pursuit:Pursuit", observation="raw", only=True)
@@ -33,43 +33,32 @@ class Pursuit(Guided):
     `bends=0` only his own.
 
     Args:
-        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next five.
+        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next two.
         action_space: See there.
-        fastest: See there [m/s].
-        turn_rate: See there [rad/s].
-        radius: See there [m].
-        directions: See there [rad].
+        vehicle: See there.
         gap: To keep to what the laser sees [m].
         behind: It turns on the spot to a target in a direction beyond this [rad].
         braking: How fast it counts on becoming slower [m/s^2].
-        period: From one command to the next [s].
         look: How far an arc should be free [m].
         bends: How many arcs to either side it tries, each bent by 0.25 / m more.
         gain: Turn rate to a target behind, for each radian [1/s].
     """
 
-    asks = *Guided.asks, "period"
-
     def __init__(
         self,
         observation_space: spaces.Space,
         action_space: spaces.Space,
-        fastest: Positive = 0.65,
-        turn_rate: Positive = 2.0,
-        radius: Positive = 0.178,
-        directions: Sequence[float] | None = None,
+        vehicle: Vehicle = TURTLEBOT2,
         gap: NonNegative = 0.02,
         behind: Positive = 2.0,
         braking: Positive = 0.5,
-        period: Positive = 0.1,
         look: Positive = 0.6,
         bends: Annotated[int, Ge(0), Le(100)] = 16,
         gain: Positive = 2.0,
         **kwargs: Any,
     ) -> None:
-        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "directions": directions}
-        super().__init__(observation_space, action_space, **robot, **kwargs)
-        self.gap, self.behind, self.braking, self.period = gap, behind, braking, period
+        super().__init__(observation_space, action_space, vehicle, **kwargs)
+        self.gap, self.behind, self.braking = gap, behind, braking
         self.look, self.bends, self.gain = look, bends, gain
 
     def drive(self, seen: Seen) -> np.ndarray:

@@ -6,16 +6,16 @@ I. Ulrich and J. Borenstein, "VFH+: reliable obstacle avoidance for fast mobile 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Le
 from gymnasium import spaces
 
-from tb2rl.agents._guided import STANDING, TURNING, Guided, Seen
+from tb2rl.agents._guided import STANDING, TURNING, TURTLEBOT2, Guided, Seen
 from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.registry import Agent
+from tb2rl.robots.vehicle import Vehicle
 from tb2rl.values import NonNegative, Positive
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", observation="raw", only=True)
@@ -46,12 +46,9 @@ class VFH(Guided):
     The direction chosen before is not remembered: the turn rate that is observed says it.
 
     Args:
-        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next five.
+        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next two.
         action_space: See there.
-        fastest: See there [m/s].
-        turn_rate: See there [rad/s].
-        radius: See there [m].
-        directions: See there [rad].
+        vehicle: See there.
         gap: To keep to what the laser sees [m].
         window: How far a direction is free that is not blocked, or to the target, where that is nearer [m].
         valley: How many sectors of 5 degrees a wide valley has.
@@ -67,10 +64,7 @@ class VFH(Guided):
         self,
         observation_space: spaces.Space,
         action_space: spaces.Space,
-        fastest: Positive = 0.65,
-        turn_rate: Positive = 2.0,
-        radius: Positive = 0.178,
-        directions: Sequence[float] | None = None,
+        vehicle: Vehicle = TURTLEBOT2,
         gap: NonNegative = 0.02,
         window: Positive = 1.0,
         valley: Annotated[int, Ge(1), Le(SECTORS)] = 10,
@@ -82,9 +76,8 @@ class VFH(Guided):
         spin: Positive = 1.0,
         **kwargs: Any,
     ) -> None:
-        robot = {"fastest": fastest, "turn_rate": turn_rate, "radius": radius, "directions": directions}
-        super().__init__(observation_space, action_space, **robot, **kwargs)
-        self.room, self.window, self.valley = radius + gap, window, valley
+        super().__init__(observation_space, action_space, vehicle, **kwargs)
+        self.room, self.window, self.valley = self.radius + gap, window, valley
         self.gain, self.braking, self.spin = gain, braking, spin
         self._costs = _Costs(to_target, to_heading, to_previous)
 

@@ -21,6 +21,7 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, one_line
 from tb2rl.registry import find_agent, import_object
+from tb2rl.robots.vehicle import Vehicle
 from tb2rl.runs.arguments import LIBRARY_ERRORS, agent_for, algorithm_arguments
 from tb2rl.runs.config import Config
 from tb2rl.runs.normalisation import agree, normalised
@@ -142,15 +143,14 @@ def make_baseline(config: Config) -> BasePolicy:
         name = config.agent_name
         raise InputError(f"agent {name} learns; train it with `python -m tb2rl.train --agent {name}`")
     scene, policy = config.scene, import_object(agent.policy)
-    told = {name: value for name, value in _facts(scene).items() if name in getattr(policy, "asks", ())}
-    return policy(scene.observation_space, scene.action_space, **{**told, **config.agent_arguments})
+    told = {"vehicle": _vehicle(scene)} if "vehicle" in inspect.signature(policy).parameters else {}
+    return policy(scene.observation_space, scene.action_space, **told, **config.agent_arguments)
 
 
-def _facts(scene: Scene) -> dict[str, Any]:
-    """What a policy that does not learn may ask for (`Guided.asks`), of the robot, its laser and the task."""
-    names = {"fastest": "fastest", "turn_rate": "turn_rate", "period": "control_period"}
-    task = {name: getattr(scene.task, field) for name, field in names.items() if hasattr(scene.task, field)}
-    return {"radius": scene.robot.radius, "directions": scene.laser.angles.tolist(), **task}
+def _vehicle(scene: Scene) -> Vehicle:
+    task, robot = scene.task, scene.robot
+    fastest, turn_rate = getattr(task, "fastest", robot.max_speed), getattr(task, "turn_rate", robot.max_turn_rate)
+    return Vehicle(robot.radius, fastest, turn_rate, task.control_period, tuple(scene.laser.angles.tolist()))
 
 
 class Spaces(gym.Env):

@@ -30,8 +30,8 @@ LIBRARY_ERRORS = (  # what torch, numpy and Stable-Baselines3 raise for values o
 )  # fmt: skip
 _GIVEN_BY_TRAIN = {
     "self", "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
-    "observation_space", "action_space", "replay_buffer_class", "replay_buffer_kwargs", "rollout_buffer_class",
-    "rollout_buffer_kwargs",
+    "observation_space", "action_space", "vehicle", "replay_buffer_class", "replay_buffer_kwargs",
+    "rollout_buffer_class", "rollout_buffer_kwargs",
 }  # fmt: skip
 _SMALLEST_IMAGE = 36  # rows or columns that Stable-Baselines3's convolutions need
 _GIVEN = {  # to policies and what they are made of; the last two are for CUDA graphs and for gradients of gradients

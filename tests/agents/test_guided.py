@@ -13,6 +13,7 @@ from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.robots.vehicle import Vehicle
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.layers import resolve
 
@@ -105,7 +106,7 @@ def test_it_knows_where_its_beams_look(name, laser):
 
 def test_it_says_how_many_directions_it_needs(playground):
     with pytest.raises(InputError, match="directions of its 60 beams, got 2"):
-        playground((1.0, 0.0)).policy(Pursuit, directions=[0.0, 1.0])
+        playground((1.0, 0.0)).policy(Pursuit, vehicle=Vehicle(directions=(0.0, 1.0)))
 
 
 @pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
@@ -120,9 +121,9 @@ def test_it_drives_by_its_name_within_what_the_robot_can_do(name, robot):
 
 
 @pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
-def test_it_is_told_what_its_robot_and_task_are_unless_that_is_set(name):
+def test_it_is_told_what_its_robot_and_task_are(name):
     settings = {"task.robot": "jackal", "task.world": "wall", "task.fastest": 2.0, "task.turn_rate": 1.0}
     policy = make_baseline(resolve(name, "navigate", settings=settings))
-    radius = policy._limits.radius if name == "dwa" else policy.radius
-    assert (policy.fastest, policy.turn_rate, radius) == (2.0, 1.0, 0.26)
-    assert make_baseline(resolve(name, "navigate", settings={**settings, "agent.fastest": 0.9})).fastest == 0.9
+    assert (policy.fastest, policy.turn_rate, policy.radius, policy.period) == (2.0, 1.0, 0.26, 0.1)
+    with pytest.raises(InputError, match="unknown key of agent 'vehicle'"):
+        resolve(name, "navigate", settings={**settings, "agent.vehicle": {}})

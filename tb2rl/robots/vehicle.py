@@ -1,0 +1,24 @@
+"""What a policy that does not learn is told of the robot that it drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """What drives, and how it is told to; a policy that does not learn is told it if it takes an argument `vehicle`.
+
+    Attributes:
+        radius: Of the robot's base [m].
+        fastest: The v that the task's action 1 means [m/s].
+        turn_rate: The w that it means [rad/s].
+        period: From one action to the next [s].
+        directions: Of the laser's beams, from right to left [rad]; None: evenly from -90 to 90 degrees.
+    """
+
+    radius: float = 0.178
+    fastest: float = 0.65
+    turn_rate: float = 2.0
+    period: float = 0.1
+    directions: tuple[float, ...] | None = None
