@@ -18,7 +18,7 @@ CHECKOUT = Path(__file__).parent.parent
 MODULES = [*(CHECKOUT / "tb2rl").rglob("*.py"), *(CHECKOUT / "agents").glob("*.py"), *(CHECKOUT / "zoo").glob("*.py")]
 ROOMS = sorted(file.parent for file in (CHECKOUT / "tb2rl").glob("*/__init__.py"))
 DOORS = ("agents", "configs", "zoo", "tb2rl/worlds", "tb2rl/robots", "tb2rl/tasks", "tb2rl/sensors")
-FOR_AGENTS = {"tb2rl.registry", "tb2rl.values", "tb2rl.compiled", "tb2rl.errors"}
+FOR_AGENTS = {"tb2rl.registry", "tb2rl.values", "tb2rl.compiled", "tb2rl.errors", "tb2rl.robots.vehicle"}
 
 
 def lines(module: Path) -> int:
