@@ -19,16 +19,16 @@ _APART = 0.5  # of the distance: so near to a place counts as there
 class Visited(Sensor):
     """How long the robot has been at some places around it within the last minute [s], by its odometry.
 
-    The places lie on a circle, counter-clockwise from straight ahead, and one is where the robot is. So a policy
-    without a memory tells the way back from the way on: the idea of node counting (Koenig & Szymanski 1999,
-    "Value-update rules for real-time search").
+    First the places on a circle, counter-clockwise from straight ahead, then where the robot is, then those on a circle
+    of twice the size. So a policy without a memory tells the way back from the way on: the idea of node counting (Koenig &
+    Szymanski 1999, "Value-update rules for real-time search").
 
     Args:
-        count: Of places on the circle.
-        distance: Its radius [m].
+        count: Of places on each circle.
+        distance: Radius of the smaller circle [m].
 
     Attributes:
-        around: The places in the robot's frame, x and y [m], shape (count + 1, 2).
+        around: The places in the robot's frame, x and y [m], shape (2 * count + 1, 2).
         near: How near to a place counts as there [m].
     """
 
@@ -39,7 +39,8 @@ class Visited(Sensor):
     def __init__(self, count: Annotated[int, Ge(1), Le(100)] = 12, distance: Positive = 1.0) -> None:
         angles = np.arange(count) * math.tau / count
         circle = distance * np.column_stack([np.cos(angles), np.sin(angles)])
-        self.around, self.near, self.shape = np.vstack([circle, (0.0, 0.0)]), _APART * distance, (count + 1,)
+        self.around = np.vstack([circle, (0.0, 0.0), 2.0 * circle])
+        self.near, self.shape = _APART * distance, (len(self.around),)
 
     def read(self, reading: Reading) -> np.ndarray:
         if reading.trail is None:

@@ -75,7 +75,7 @@ class Playground:
         east, north = self.target - (x, y)
         far, bearing = np.hypot(east, north), np.arctan2(north, east) - yaw
         direction = np.array([np.cos(bearing), np.sin(bearing)])
-        guide = [far, *direction, *np.zeros(13)] if self.guide == "goal" else min(far, 1.5) * direction  # visited
+        guide = [far, *direction, *np.zeros(25)] if self.guide == "goal" else min(far, 1.5) * direction  # visited
         told = np.zeros(6 if self.guide == "goal" else 2)
         return np.array([*self._ranges(x, y, yaw), *guide, *speeds, *told], dtype=np.float32)
 

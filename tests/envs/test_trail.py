@@ -13,11 +13,12 @@ from tb2rl.tasks.drive import Drive
 
 PERIOD = 0.2  # [s]
 STEPS = 5  # a second
-AHEAD, LEFT, BEHIND, HERE = 0, 3, 6, -1  # which of the thirteen places
+AHEAD, LEFT, BEHIND, HERE = 0, 3, 6, 12  # which of the 25 places
+FAR = 13  # from here on, twice as far
 
 
 def visited(make_reading, poses):
-    """What the last of some robots' poses, each a second after the other, reads; shape (robots, 13)."""
+    """What the last of some robots' poses, each a second after the other, reads; shape (robots, 25)."""
     trail, sensor = Trail(PERIOD), Visited()
     for number, pose in enumerate(np.asarray(poses, dtype=float)):
         reading = make_reading(pose=pose)
@@ -35,6 +36,8 @@ def test_the_way_back_is_known_and_the_way_on_is_not(make_reading):
     assert seen[0, BEHIND] == 3.0, "it was within half a metre of that place for three seconds"
     assert seen[0, [AHEAD, LEFT]].tolist() == [0.0, 0.0]
     assert seen[0, HERE] == 2.0
+    assert seen[0, FAR + BEHIND] == 3.0
+    assert seen[0, [FAR + AHEAD, FAR + LEFT]].tolist() == [0.0, 0.0]
     assert seen[1, 12 - LEFT] == 3.0
     assert seen[1, BEHIND] == 0.0
 
