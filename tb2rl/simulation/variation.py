@@ -164,7 +164,12 @@ def varied(setting: Any) -> str:
     variation = find_variation(setting)
     if variation == NONE:
         return ""
-    return next((f"{name} variation" for name, preset in PRESETS.items() if preset == variation), "own variation")
+    if variation in PRESETS.values():
+        return next(f"{name} variation" for name, preset in PRESETS.items() if preset == variation)
+    base = setting.get("preset", "none")
+    others = [it.name for it in fields(Variation) if getattr(variation, it.name) != getattr(PRESETS[base], it.name)]
+    names = ", ".join(others)
+    return f"variation of {names}" if base == "none" else f"{base} variation with other {names}"
 
 
 def _between(span: tuple[float, float], shares: np.ndarray) -> np.ndarray:

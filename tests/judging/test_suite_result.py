@@ -33,7 +33,7 @@ def test_a_result_comes_back_as_it_was(tmp_path):
         ),
         ({"variation": "strong"}, "strong variation, "),
         ({"variation": {"preset": "mild"}, "movers": {"people": 1}}, "among 1 person, mild variation, "),
-        ({"variation": {"noise": 0.1}}, "own variation, "),
+        ({"variation": {"noise": 0.1}}, "variation of noise, "),
         ({"variation": "none", "guide": "plan", "planner": "seen"}, "guide plan (planner seen), "),
     ],
 )

@@ -31,7 +31,7 @@ def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
     expected |= {f"drive-loop-{agent}" for agent in ("sac", "td3", "ppo")}
     expected |= {f"anywhere-{agent}" for agent in ("qlearn", "dqn", "ppo", "sac")}
-    expected |= {f"navigate-{kind}-ppo" for kind in ("plan", "goal", "varied")}
+    expected |= {f"navigate-{kind}-ppo" for kind in ("plan", "goal")}
     assert {entry.name for entry in ENTRIES} == expected | {TURTLEBOT3}
 
 
