@@ -20,8 +20,8 @@ class Visited(Sensor):
     """How long the robot has been at some places around it within the last minute [s], by its odometry.
 
     First the places on a circle, counter-clockwise from straight ahead, then where the robot is, then those on a circle
-    of twice the size. So a policy without a memory tells the way back from the way on: the idea of node counting (Koenig &
-    Szymanski 1999, "Value-update rules for real-time search").
+    of twice the size. So a policy without a memory tells the way back from the way on: the idea of node counting
+    (Koenig & Szymanski 1999, "Value-update rules for real-time search").
 
     Args:
         count: Of places on each circle.
