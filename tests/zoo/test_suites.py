@@ -138,7 +138,7 @@ def test_barn_has_a_table_of_its_own_with_a_score_whose_formula_is_named(own_zoo
     keeper.main(["build"])
     assert "barn" not in (own_zoo / "README.md").read_text()
 
-    def barn(name: str, path: Path | None):
+    def barn(name: str, path: Path | None = None):
         if path is None:
             return small_suite(name)
         suite = small_suite(name, last=1.2)
@@ -261,7 +261,9 @@ def test_a_check_finds_summaries_that_are_touched_or_of_something_else(own_zoo, 
 def test_each_other_driver_does_not_learn_or_is_of_the_zoo_and_its_name_says_how_it_drives(driver):
     policy, agent, task = driver.options.policy, driver.options.agent, driver.config.task
     who = policy.removeprefix("zoo:") if policy else f"{agent}-{task.guide}"
-    assert driver.name == (who if task.variation == "none" else f"{who}-{task.variation}")
+    usual = "none" if agent else loading.config_of(loading.load(policy)).task.variation
+    how = "exact" if task.variation == "none" else task.variation
+    assert driver.name == (who if task.variation == usual else f"{who}-{how}")
     assert (driver.digest is None) == (policy is None)
     assert policy or find_agent(agent).algorithm is None
 
