@@ -101,7 +101,7 @@ class RemoteRobot:
         self._stand(lambda: self._stands() or time.monotonic() > until)
         with self._turn:
             self._start, self._origin, self._speed = start, self._odometry.pose, 0.0
-            self._touched, self._due = False, self._seen_at
+            self._touched, self._due = False, -math.inf
             return self._reading(math.inf)
 
     def step(self, commands: np.ndarray, duration: float) -> Reading:
@@ -113,7 +113,7 @@ class RemoteRobot:
         with self._turn:
             self._look()
             before, now = self._seen_count, self._graph.now()
-            if abs(now - self._due) > _LATE * duration:  # it was left alone, or its clock was set back
+            if abs(now - self._due) > duration:  # it begins, was left alone, or its clock was set back
                 self._due = now
             self._due += duration
             late, self._until = self._due + _LATE * duration, self._due - _EARLY * duration
