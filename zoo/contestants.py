@@ -101,8 +101,8 @@ class Contestant:
         write_text(self.file(suite.name), json.dumps(summary, indent=1, allow_nan=False) + "\n")
 
 
-def astray(files: Iterable[Path], drivers: Iterable[Contestant]) -> list[str]:
-    """Which of these files are not summaries of one of these drivers as it is now, in sentences."""
-    now = {driver.file(kept.suite) for driver in drivers for kept in driver.summaries}
+def astray(files: Iterable[Path], contestants: Iterable[Contestant]) -> list[str]:
+    """Which of these files are not summaries of one of these contestants as it is now, in sentences."""
+    now = {contestant.file(kept.suite) for contestant in contestants for kept in contestant.summaries}
     found = sorted(file for file in files if file not in now)
     return [f"suites/{file.name} is not of a policy and a task that are there now" for file in found]

@@ -46,10 +46,10 @@ def _build(options: argparse.Namespace) -> None:
 def _drive(names: list[str], again: bool, given: list[Suite], where: Where) -> None:
     """Drive through `unseen` and the suites given: the entries that navigate, as they are now, and the others."""
     chosen, rest = named(names)
-    drivers = [*contestants_of(chosen), *rest]
-    for suite in [find_suite(UNSEEN), *given] if drivers else []:  # made once, for it takes seconds
-        for driver in drivers:
-            driver.drive(suite, again, where.words)
+    contestants = [*contestants_of(chosen), *rest]
+    for suite in [find_suite(UNSEEN), *given] if contestants else []:  # made once, for it takes seconds
+        for contestant in contestants:
+            contestant.drive(suite, again, where.words)
 
 
 def _check(names: list[str], episodes: int) -> bool:
@@ -58,9 +58,9 @@ def _check(names: list[str], episodes: int) -> bool:
     if not 1 <= episodes <= EPISODES:
         raise InputError(f"--episodes must be from 1 to {EPISODES}, got {episodes}")
     wrong = [line for entry in progress(chosen, "checking", "policy") for line in check(entry, episodes)]
-    drivers = [*contestants_of(chosen), *rest]
-    kept = [file for driver in drivers for file in driver.files] if names else list(suites_folder().glob("*"))
-    wrong += astray(kept, drivers)
+    contestants = [*contestants_of(chosen), *rest]
+    kept = [file for each in contestants for file in each.files] if names else list(suites_folder().glob("*"))
+    wrong += astray(kept, contestants)
     if not names and read_text(zoo_folder() / "README.md") != table(chosen):
         wrong.append("the table in README.md is not what the files say")
     for line in wrong:

@@ -13,32 +13,32 @@ _FIGURES = ("longest tenth", "SPL", "time", "m/s", "closest [m]")
 Driven = list[tuple[Contestant, SuiteSummary]]
 
 
-def by_suite(drivers: Iterable[Contestant]) -> list[Driven]:
+def by_suite(contestants: Iterable[Contestant]) -> list[Driven]:
     """The results in each suite, in the order of the suites; other worlds of the same name are another suite."""
     found = defaultdict(list)
-    for driver in drivers:
-        for kept in driver.summaries:
-            found[SUITES.index(kept.suite), kept.suite_digest].append((driver, kept))
+    for contestant in contestants:
+        for kept in contestant.summaries:
+            found[SUITES.index(kept.suite), kept.suite_digest].append((contestant, kept))
     return [found[suite] for suite in sorted(found)]
 
 
 def compared(driven: Driven) -> str:
-    """The table of a suite: a row for each driver, with a column for each family if there are several."""
+    """The table of a suite: a row for each contestant, with a column for each family if there are several."""
     first = driven[0][1]
     families = [family for family in first.rows if family != ALL]
     scores = ["score"] if first.figures[ALL].barn_formula else []
     rows = [["driver", "guide", "success", "95 % interval", *families, *_FIGURES, *scores]]
-    for driver, kept in driven:
+    for contestant, kept in driven:
         every = kept.figures[ALL]
         each = [_percent(kept.figures[family].success_rate) for family in families]
         score = [f"{every.barn_score:.3f}"] if scores else []
         conditions = ", ".join(filter(None, (kept.guide, *kept.conditions)))
-        rows.append([_linked(driver), conditions, *_success(every), *each, *_figures(every), *score])
+        rows.append([_linked(contestant), conditions, *_success(every), *each, *_figures(every), *score])
     return _table(rows)
 
 
 def by_family(driven: Iterable[SuiteSummary]) -> str:
-    """The table of a driver: in each suite a row for each family, and one for all."""
+    """The table of a contestant: in each suite a row for each family, and one for all."""
     rows = [["suite", "family", "worlds", "success", "95 % interval", *_FIGURES]]
     for kept in driven:
         for family, figures in kept.rows.items():
@@ -47,7 +47,7 @@ def by_family(driven: Iterable[SuiteSummary]) -> str:
 
 
 def failures(driven: Iterable[SuiteSummary]) -> Iterator[str]:
-    """What a driver fails at, a line for each family."""
+    """What a contestant fails at, a line for each family."""
     for kept in driven:
         for family, figures in kept.families.items():
             endings = ", ".join(f"{ended} {count}" for ended, count in figures.endings.items())
@@ -75,9 +75,9 @@ def _figures(figures: Figures) -> list[str]:
     return [tenth, spl, *("-" if number is None else f"{number:.2f}" for number in numbers)]
 
 
-def _linked(driver: Contestant) -> str:
+def _linked(contestant: Contestant) -> str:
     """Its name; that of a policy of the zoo with its card."""
-    return f"[{driver.name}]({driver.name}/README.md)" if driver.is_policy_of_zoo else driver.name
+    return f"[{contestant.name}]({contestant.name}/README.md)" if contestant.is_policy_of_zoo else contestant.name
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

@@ -67,9 +67,9 @@ def section(zoo: Path) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("|")]
 
 
-def only_driver():
-    (driver,) = others()
-    return driver
+def only_contestant():
+    (contestant,) = others()
+    return contestant
 
 
 # ---- agents that do not learn
@@ -105,13 +105,13 @@ def test_without_results_there_is_no_table_of_suites(own_zoo):
 
 def test_other_worlds_or_another_task_are_driven_anew(own_zoo, driven, small_suite, monkeypatch):
     keeper.main(["build"])
-    before = only_driver().summary("unseen")
+    before = only_contestant().summary("unseen")
     set_suite(monkeypatch, small_suite, last=1.1)
     keeper.main(["build"])
     assert len(driven) == 6
-    assert only_driver().summary("unseen").suite_digest != before.suite_digest
+    assert only_contestant().summary("unseen").suite_digest != before.suite_digest
     (own_zoo / "suites.yaml").write_text(f"dwa-goal: {DWA} task.guide=plan\n")
-    assert only_driver().summary("unseen") is None, "what was driven with another guide says nothing"
+    assert only_contestant().summary("unseen") is None, "what was driven with another guide says nothing"
     keeper.main(["build"])
     assert len(driven) == 9
     assert section(own_zoo)[2].startswith("| dwa-goal | plan (planner known) | ")
@@ -257,14 +257,14 @@ def test_a_check_finds_summaries_that_are_touched_or_of_something_else(own_zoo, 
 # ---- the zoo itself
 
 
-@pytest.mark.parametrize("driver", others(), ids=lambda driver: driver.name)
-def test_each_other_driver_does_not_learn_or_is_of_the_zoo_and_its_name_says_how_it_drives(driver):
-    policy, agent, task = driver.options.policy, driver.options.agent, driver.config.task
+@pytest.mark.parametrize("contestant", others(), ids=lambda contestant: contestant.name)
+def test_each_other_contestant_does_not_learn_or_is_of_the_zoo_and_its_name_says_how_it_drives(contestant):
+    policy, agent, task = contestant.options.policy, contestant.options.agent, contestant.config.task
     who = policy.removeprefix("zoo:") if policy else f"{agent}-{task.guide}"
     usual = "none" if agent else loading.config_of(loading.load(policy)).task.variation
     how = "exact" if task.variation == "none" else task.variation
-    assert driver.name == (who if task.variation == usual else f"{who}-{how}")
-    assert (driver.digest is None) == (policy is None)
+    assert contestant.name == (who if task.variation == usual else f"{who}-{how}")
+    assert (contestant.digest is None) == (policy is None)
     assert policy or find_agent(agent).algorithm is None
 
 
