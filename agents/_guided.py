@@ -53,8 +53,7 @@ class Guided(BasePolicy):
     Args:
         observation_space: `tb2rl.envs.encodings.Numbers` of task `navigate`.
         action_space: v and w, from -1 to 1.
-        vehicle: What drives. A slower robot's own speeds count, which the limits of what is observed say; action -1
-            means to stand.
+        vehicle: What drives; action -1 means to stand.
 
     Raises:
         InputError: If the laser, the target or the speeds are not observed, or the actions are not v and w.
@@ -68,8 +67,7 @@ class Guided(BasePolicy):
         self._columns = columns = _Columns(observation_space, name)
         if not isinstance(action_space, spaces.Box) or not isinstance(observation_space, spaces.Box):
             raise InputError(f"{name} sets speeds, so it needs task.named_actions=false")
-        self.fastest = min(vehicle.fastest, float(observation_space.high[columns.speed]))
-        self.turn_rate = min(vehicle.turn_rate, float(observation_space.high[columns.turn]))
+        self.fastest, self.turn_rate = vehicle.fastest, vehicle.turn_rate
         self.radius, self.period = vehicle.radius, vehicle.period
         beams, directions = len(columns.laser), vehicle.directions
         angles = np.linspace(-math.pi / 2, math.pi / 2, beams) if directions is None else np.asarray(directions)
@@ -109,7 +107,7 @@ class _Columns:
         waypoint, direction, distance = map(self._of, ("waypoint", "goal direction", "goal distance"))
         speed, turn = self._of("forward speed"), self._of("turn rate")
         if not (waypoint or (direction and distance)):
-            raise InputError(f"{who} needs task navigate, which says where to go")
+            raise InputError(f"{who} needs to know where to go, as task navigate says by itself; or observe waypoint")
         if not speed or not turn:
             raise InputError(f"{who} needs to know how fast it is; add twist to task.observe")
         self.laser, self.target = self._of("laser"), waypoint or direction

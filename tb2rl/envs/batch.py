@@ -95,8 +95,8 @@ class Batch:
             to_go = vars(after).get("to_go")
             after, first = self.simulation.restart(ended, self._starts(ended), after)
             if to_go is not None:  # it was asked for, and takes long: of the others it is still the same
+                vars(after)["to_go"] = to_go = to_go.copy()
                 to_go[ended] = first.to_go
-                vars(after)["to_go"] = to_go
             self._observer.begin_some(ended, first, observations)
         self.reading = after
         return Step(observations, outcome.reward, terminated, truncated, finals)

@@ -31,8 +31,15 @@ class Commander(Memory):
     def blank(self, robots: int) -> dict[str, np.ndarray]:
         return {"told": np.zeros((robots, self._kept, 2))}  # the newest first
 
+    def begin(self, reading: Reading) -> None:
+        """See `Memory.begin`. A robot that drives already, when it gets another goal on the way, was told to before."""
+        self._rows = self.blank(len(reading.command))
+        self._rows["told"][:] = reading.command[:, None]
+
     def go_on(self, reading: Reading) -> None:
-        """Nothing: what is told does not come with a reading."""
+        """Note what a robot made of it that is not late, but may have a limit of its own."""
+        if not self._latest:
+            self._rows["told"][:, :1] = reading.command[:, None]
 
     def pass_on(self, commands: np.ndarray, late: np.ndarray) -> np.ndarray:
         """What the robots obey now.

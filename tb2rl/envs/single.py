@@ -81,7 +81,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         robot's `Start`, from the task's `begin`, for its world, pose and goal.
 
         Raises:
-            InputError: If there is no such world, or that pose is inside a wall.
+            InputError: If there is no such world, that pose is inside a wall, or `start` is none.
         """
         super().reset(seed=seed)
         self.reading = self.simulation.reset(self._start(options or {}), self.np_random)
@@ -187,6 +187,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     def _start(self, options: dict[str, Any]) -> Start:
         setup = self.scene.setup
         if (given := options.get("start")) is not None:
+            if not isinstance(given, Start) or len(given.table) != 1 or len(options) > 1:
+                raise InputError("options.start goes alone, and is the Start of one robot; a pose is options.pose")
             start = self._varied(setup.within(int(given.world[0])))
             for columns in (POSE, GOAL, WAY):
                 start.table[:, columns] = given.table[:, columns]

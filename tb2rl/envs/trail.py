@@ -8,7 +8,7 @@ from tb2rl.compiled import UNCOUNTED, njit
 from tb2rl.envs.memory import Memory
 from tb2rl.simulation import Reading
 
-_KEPT = 64  # places: of the last minute
+_KEPT = 64.0  # [s] the last minute
 
 
 class Trail(Memory):
@@ -24,14 +24,15 @@ class Trail(Memory):
         super().__init__()
         self._every = max(1, round(1.0 / period))
         self._seconds = self._every * period  # from one place to the next
+        self._kept = max(1, round(_KEPT / self._seconds))
 
     def blank(self, robots: int) -> dict[str, np.ndarray]:
-        return {"places": np.full((robots, _KEPT, 2), np.inf), "steps": np.zeros(robots, dtype=np.int64)}
+        return {"places": np.full((robots, self._kept, 2), np.inf), "steps": np.zeros(robots, dtype=np.int64)}
 
     def go_on(self, reading: Reading) -> None:
         steps = self._rows["steps"]
         due = np.flatnonzero(steps % self._every == 0)
-        self._rows["places"][due, steps[due] // self._every % _KEPT] = reading.odometry[due, :2]
+        self._rows["places"][due, steps[due] // self._every % self._kept] = reading.odometry[due, :2]
         steps += 1
 
     def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:

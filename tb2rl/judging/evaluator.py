@@ -75,11 +75,7 @@ class Evaluator:
         only: int | None = None,
     ) -> None:
         self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judging_simulation()
-        if each_world:
-            starts = Start(scene.setup.table)
-        else:
-            draws = GeneratorDraws(np.random.default_rng(seed), episodes)
-            starts = scene.changed(start="random").task.begin(scene.setup, draws)
+        starts = Start(scene.setup.table) if each_world else _random_starts(scene, episodes, seed)
         self.starts = [Start(row[None]) for row in starts.table[:only]]
         workers = min(workers or processors(), len(self.starts))
         self._pool = None
@@ -155,6 +151,19 @@ class Evaluator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _random_starts(scene: Scene, episodes: int, seed: int) -> Start:
+    """From random poses; to random goals if the task draws them."""
+
+    def begun(task: Task) -> Start:
+        return task.begin(scene.setup, GeneratorDraws(np.random.default_rng(seed), episodes))
+
+    starts = begun(scene.changed(start="random").task)
+    if scene.task.start == "fixed":  # then the goals are those of the worlds
+        own = begun(scene.task)
+        starts.goal[:], starts.way[:] = own.goal, own.way
+    return starts
 
 
 class _Group(NamedTuple):

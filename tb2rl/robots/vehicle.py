@@ -11,8 +11,8 @@ class Vehicle:
 
     Attributes:
         radius: Of the robot's base [m].
-        fastest: The v that the task's action 1 means [m/s].
-        turn_rate: The w that it means [rad/s].
+        fastest: The v that the task's action 1 means [m/s], or that of its fastest named action.
+        turn_rate: The w that the task's action 1 means [rad/s]; with named actions the robot's largest.
         period: From one action to the next [s].
         directions: Of the laser's beams, from right to left [rad]; None: evenly from -90 to 90 degrees.
     """

@@ -25,6 +25,7 @@ from tb2rl.robots.vehicle import Vehicle
 from tb2rl.runs.arguments import LIBRARY_ERRORS, agent_for, algorithm_arguments
 from tb2rl.runs.config import Config
 from tb2rl.runs.normalisation import agree, normalised
+from tb2rl.tasks.actions import Velocities
 
 MOST_WEIGHTS = 100_000_000  # in all networks of an algorithm; 400 MB
 MOST_LAYERS = 2_000  # arrays of weights, in all networks of an algorithm
@@ -148,9 +149,11 @@ def make_baseline(config: Config) -> BasePolicy:
 
 
 def _vehicle(scene: Scene) -> Vehicle:
-    task, robot = scene.task, scene.robot
-    fastest, turn_rate = getattr(task, "fastest", robot.max_speed), getattr(task, "turn_rate", robot.max_turn_rate)
-    return Vehicle(robot.radius, fastest, turn_rate, task.control_period, tuple(scene.laser.angles.tolist()))
+    actions, robot = scene.actions, scene.robot
+    fastest, turn_rate = actions.fastest, robot.max_turn_rate
+    if isinstance(actions, Velocities):
+        fastest, turn_rate = actions.high.tolist()
+    return Vehicle(robot.radius, fastest, turn_rate, scene.task.control_period, tuple(scene.laser.angles.tolist()))
 
 
 class Spaces(gym.Env):

@@ -77,11 +77,11 @@ def test_many_robots_act_as_each_of_them_alone(policy, playground):
 @pytest.mark.parametrize(
     ("task", "settings", "named"),
     [
-        ("drive", {}, "needs task navigate"),
-        ("wall", {}, "needs task navigate"),
+        ("drive", {}, "where to go, as task navigate says"),
+        ("wall", {}, "where to go, as task navigate says"),
         ("navigate", {"world": "wall", "named_actions": True}, "task.named_actions=false"),
         ("navigate", {"world": "wall", "beams": 1}, "2 beams"),
-        ("navigate", {"world": "wall", "observe": ("laser", "goal")}, "needs task navigate"),
+        ("navigate", {"world": "wall", "observe": ("laser", "goal")}, "or observe waypoint"),
         ("navigate", {"world": "wall", "observe": ("laser", "waypoint", "imu")}, "add twist to task.observe"),
     ],
 )
@@ -118,6 +118,14 @@ def test_it_drives_by_its_name_within_what_the_robot_can_do(name, robot):
     assert policy.fastest == pytest.approx(min(config.task.fastest, config.scene.robot.max_speed))
     summary = evaluate(policy, config, episodes=2, steps=30, workers=1).summary()
     assert summary["failure_free_rate"] == 1.0
+
+
+@pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
+def test_action_1_is_what_the_robot_can_do_where_the_task_is_faster(name):
+    config = resolve(name, "navigate", settings={"task.robot": "turtlebot3", "task.world": "wall"})
+    policy = make_baseline(config)
+    np.testing.assert_array_equal(config.scene.actions.commands(np.ones((1, 2))), [[policy.fastest, policy.turn_rate]])
+    assert policy.fastest == 0.22
 
 
 @pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])

@@ -10,6 +10,8 @@ import pytest
 
 from tb2rl import load, make_env
 from tb2rl.drivers import Driver, Sensed, TrainedPolicy, WorldPlanner
+from tb2rl.drivers.description import describe
+from tb2rl.drivers.portable.encoding import Encoding
 from tb2rl.errors import InputError
 from tb2rl.learning.training import train
 from tb2rl.runs.algorithm import make_baseline
@@ -163,6 +165,22 @@ def test_what_no_robot_can_sense_is_refused_in_a_line(task, observe, sentence):
     with pytest.raises(InputError) as error:
         TrainedPolicy(make_baseline(config), config)
     assert str(error.value) == sentence
+
+
+def test_a_robot_that_gets_another_goal_on_the_way_knows_what_it_was_told(monkeypatch):
+    config = resolve("pursuit", "navigate", settings={"task.world": "wall"})
+    policy, seen = make_baseline(config), []
+    trained, predict = TrainedPolicy(policy, config), policy.predict
+    monkeypatch.setattr(policy, "predict", lambda observation, **_: seen.append(observation) or predict(observation))
+    encoding, ranges = Encoding(describe(config, "one")["observation"], trained.needs), np.full(60, 5.0)
+    for number, command in enumerate([(0.0, 0.0), (0.3, 0.1), (0.65, 0.2)]):
+        if number == 2:
+            trained.begin(), encoding.begin()
+        sensed = Sensed(ranges, twist=command, goal=(2.0, 0.0), command=command)
+        trained.act(sensed)
+        told = np.array([command] * 3 if number == 2 else [command, *[(0.0, 0.0)] * 2])
+        for each in (seen[-1], encoding(sensed)[0]):
+            assert each[-6:] == pytest.approx((told / (0.65, np.pi)).ravel())
 
 
 def test_a_goal_far_away_fits_on_the_map_that_a_policy_draws():

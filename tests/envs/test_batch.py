@@ -9,6 +9,7 @@ import pytest
 
 import tb2rl
 from tb2rl.envs.encodings import rows
+from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.judging.evaluator import Evaluator
@@ -49,6 +50,19 @@ def test_equal_seeds_give_equal_episodes_and_others_do_not():
     poses = [batch(Wander(), "raw", 20, seed)[0].batch.simulation.state()["poses"] for seed in (1, 1, 2)]
     np.testing.assert_array_equal(poses[0], poses[1])
     assert (poses[0] != poses[2]).all()
+
+
+def test_the_way_to_go_is_each_robots_own_where_episodes_end():
+    task = make_task("navigate", {"world": {"generator": "clutter", "worlds": 2}, "episode_steps": 60})
+    (env, _), ended = batch(task, "raw", 20), []
+    for _ in range(59):
+        *_, dones, _ = env.step(np.tile((1.0, 0.0), (20, 1)))
+        reading = env.batch.reading
+        if dones.any():
+            ended.append(dones.sum())
+            np.testing.assert_array_equal(vars(reading)["to_go"], replace(reading).to_go)
+    assert len(ended) > 5
+    assert max(ended) < 20
 
 
 def test_an_episode_ends_as_stable_baselines_expects():

@@ -14,6 +14,7 @@ from gymnasium.wrappers import FrameStackObservation
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 from stable_baselines3.common.vec_env import VecFrameStack
 
+from tb2rl.envs.encodings import rows
 from tb2rl.envs.features import Nearness
 from tb2rl.envs.frames import stacked_space
 from tb2rl.envs.scene import make_scene
@@ -40,12 +41,6 @@ def alike(one, other):
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(alike(one[name], other[name]) for name in one)
     return one.dtype == other.dtype and np.array_equal(one, other)
-
-
-def rows(observations, robot):
-    if isinstance(observations, dict):
-        return {name: part[robot] for name, part in observations.items()}
-    return observations[robot]
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)

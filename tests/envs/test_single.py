@@ -9,7 +9,8 @@ from tb2rl import make_env
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError
-from tb2rl.simulation import SIMULATIONS
+from tb2rl.simulation import SIMULATIONS, Start
+from tb2rl.simulation.setup import COLUMNS
 from tb2rl.tasks.wander import Wander
 
 FORWARD, LEFT, RIGHT = range(3)
@@ -64,6 +65,9 @@ def test_where_an_option_says_to_start_the_noise_is_that_of_the_seed_alone_and_t
         ({"pose": (0, 0)}, "options.pose"),
         ({"pose": (np.nan, 0, 0)}, "finite"),
         ({"pose": "here"}, "'here'"),
+        ({"start": (0, 0, 0)}, "a pose is options.pose"),
+        ({"start": Start(np.zeros((2, COLUMNS)))}, "the Start of one robot"),
+        ({"start": Start(np.zeros((1, COLUMNS))), "world": 0}, "goes alone"),
     ],
 )
 def test_a_start_that_cannot_be_is_refused(options, words, make):

@@ -54,9 +54,10 @@ def test_a_minute_is_remembered_and_no_more(make_reading):
 def test_it_is_in_seconds_however_long_a_control_step_is(period, make_reading):
     trail, reading = Trail(period), make_reading(pose=[(0.0, 0.0, 0.0)])
     trail.begin(reading)
-    for _ in range(round(20.0 / period)):
-        trail.go_on(reading)
-    assert Visited().read(replace(reading, trail=trail))[0, HERE] == pytest.approx(20.0, abs=2.0)
+    for duration, stayed in ((20.0, 20.0), (80.0, 64.0)):
+        for _ in range(round(duration / period)):
+            trail.go_on(reading)
+        assert Visited().read(replace(reading, trail=trail))[0, HERE] == pytest.approx(stayed, abs=2.0)
 
 
 def test_before_anything_is_remembered_it_has_been_nowhere(make_reading):

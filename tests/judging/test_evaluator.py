@@ -135,6 +135,17 @@ def test_an_episode_leads_to_the_goal_that_was_drawn_with_its_start():
     assert min(ways) > config.task.goal_radius, "of two random goals it is the farther one"
 
 
+def test_a_task_that_leads_to_the_goals_of_its_worlds_is_judged_by_them():
+    settings = {"task.world": ["wall", {"generator": "clutter", "worlds": 2}], "task.start": "fixed"}
+    config = resolve("pursuit", "navigate", settings=settings)
+    with Evaluator(config.scene, episodes=12, steps=1, workers=1) as evaluator:
+        episodes = evaluator.run(make_baseline(config)).episodes
+    worlds = config.scene.setup.worlds
+    assert [each.goal for each in episodes] == [worlds[each.world].goal[:2] for each in episodes]
+    assert len({each.world for each in episodes}) == 3
+    assert len({each.start for each in episodes}) == 12
+
+
 def test_imperfect_robots_are_judged_from_the_same_starts(ahead):
     starts = []
     for variation in ("none", "strong"):

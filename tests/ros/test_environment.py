@@ -273,6 +273,16 @@ def test_it_drives_no_faster_than_its_limits(rover):
     env.close()
 
 
+def test_a_policy_sees_that_its_commands_were_slowed_down(rover):
+    task = make_task("maze", {"observe": ["laser", {"last_action": {"count": 2}}]})
+    env = RosRobot(limits=Limits(speed=0.25)).env(make_scene(task, "raw"))
+    env.reset()
+    for _ in range(2):
+        observation, *_ = env.step(FORWARD)
+    assert observation[-4:] == pytest.approx([0.25 / 0.65, 0.0] * 2)
+    env.close()
+
+
 def wallfollower():
     config = resolve("wallfollower", "maze")
     return make_baseline(config), config

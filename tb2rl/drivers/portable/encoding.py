@@ -11,7 +11,7 @@ import numpy as np
 from .policy_contract import Needs, Point, Sensed
 
 Settings = Mapping[str, Any]  # of a sensor, in `policy.json`
-_KEPT = 64  # places of the trail
+_KEPT = 64.0  # [s] of the trail
 
 
 class Encoding:
@@ -49,15 +49,14 @@ class Encoding:
         """Forget what was observed: an episode begins."""
         self._past: List[np.ndarray] = []
         self._speed = self.acceleration = 0.0
-        self.trail: Deque[Point] = deque(maxlen=_KEPT)
+        self.trail: Deque[Point] = deque(maxlen=max(1, round(_KEPT / self.trail_period)))
         self._steps = 0
-        self.told: Deque[Point] = deque([(0.0, 0.0)] * self._told, maxlen=self._told)
+        self.told: Deque[Point] = deque(maxlen=self._told)
 
     def __call__(self, sensed: Sensed) -> np.ndarray:
         """What the policy observes now, shape (1, n): float32 numbers, or the numbers of classes."""
         self.acceleration, self._speed = (sensed.twist[0] - self._speed) / self.needs.period, sensed.twist[0]
-        if self._steps:
-            self.told.appendleft(sensed.command)
+        self.told.extendleft([sensed.command] * (1 if self._steps else self._told))
         if self._steps % self._every == 0:
             self.trail.append(sensed.pose[:2])
         self._steps += 1

@@ -62,7 +62,7 @@ class Sensed:
         pose: In the odometry frame.
         twist: v and w by the odometry.
         bumped: Whether the robot touches something.
-        command: What it was last told; (0, 0) where an episode begins.
+        command: What it was last told; (0, 0) where it has not been told anything.
         goal: In the odometry frame; None: it has none.
         waypoint: The point of the planned way, in the odometry frame; None: there is no plan.
     """
