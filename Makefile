@@ -26,7 +26,7 @@ check: $(VENV)/installed  ## format, lint, rooms, types, fast tests
 	$(BIN)/python -m pytest -n 2
 
 $(VENV)/installed: pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "error: install Python 3.11: PyBullet has wheels for it, and for newer ones must be compiled" >&2; exit 2; }
+	@test -n "$(PYTHON)" || { echo "error: make needs Python 3.11, for which PyBullet has wheels; install it, or see 'Other systems and newer Pythons' in README.md" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"

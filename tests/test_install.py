@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -105,6 +106,15 @@ def test_pybullet_is_required_only_where_it_need_not_be_compiled(system, process
     machine = {"sys_platform": system, "platform_machine": processor, "python_version": python}
     assert bullet.marker.evaluate(machine) == required
     assert [Requirement(each).name for each in project["optional-dependencies"]["bullet"]] == ["pybullet"]
+
+
+def test_make_without_python_3_11_names_the_section_for_newer_ones(tmp_path):
+    command = ["make", "--silent", "--always-make", "PYTHON=", f"VENV={tmp_path / 'venv'}", "test"]
+    done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    section = re.search("see '(.+?)' in README.md", done.stderr)
+    assert section, done.stderr
+    assert f"\n### {section[1]}\n" in (CHECKOUT / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import torch as th
 import yaml
 from filelock import FileLock, Timeout
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -281,8 +282,9 @@ def _writing(what: object) -> Iterator[None]:
 
 
 def versions() -> dict[str, str]:
-    """The versions of what a result depends on."""
-    return {"python": platform.python_version(), **{package: _version(package) for package in _PACKAGES}}
+    """The versions of what a result depends on; that of torch names its build, which the package's metadata may omit."""
+    packages = {package: _version(package) for package in _PACKAGES}
+    return {"python": platform.python_version(), **packages, "torch": str(th.__version__)}
 
 
 def _version(package: str) -> str:

@@ -52,6 +52,11 @@ def test_a_folder_begins_with_its_config_and_the_versions(run):
     assert list(run.folder.parent.iterdir()) == [run.folder]
 
 
+def test_the_version_of_torch_names_its_build_whatever_the_metadata_says(monkeypatch):
+    monkeypatch.setattr("torch.__version__", "2.13.0+cu130")
+    assert versions()["torch"] == "2.13.0+cu130"
+
+
 def test_a_folder_that_is_taken_is_left_alone(run, refused, tmp_path):
     assert "exists already" in refused(Run.create, run.folder, resolve("dqn"))
     assert Run.open(run.folder).config.agent_name == "qlearn"
