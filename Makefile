@@ -4,10 +4,11 @@ IS_3_11 := -c "import sys; sys.exit(sys.version_info[:2] != (3, 11))"
 PYTHON ?= $(firstword $(foreach name,$(PYTHONS),$(shell $(name) $(IS_3_11) 2>/dev/null && echo $(name))))
 VENV := .venv
 ROS2 := .venv-ros2
+LOWEST := .venv-lowest
 BIN := $(VENV)/bin
 SITE := lib/python3.11/site-packages
 
-.PHONY: train test check slow ros clean
+.PHONY: train test check slow ros lowest clean
 
 train: $(VENV)/installed  ## set up, train the default agent, evaluate it
 	$(BIN)/python -m tb2rl.train --agent qlearn
@@ -40,5 +41,16 @@ $(ROS2)/installed: $(VENV)/installed
 	$(ROS2)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[ros2]"
 	touch $@
 
+lowest: $(LOWEST)/installed  ## a smoke test with the lowest versions that pyproject.toml allows
+	NUMBA_CACHE_DIR=$(abspath $(LOWEST))/compiled $(LOWEST)/bin/python -m pytest -W default tests/test_readme.py
+
+# What it names is lower than in $(VENV); the rest, torch among it, is that of $(VENV).
+$(LOWEST)/installed: $(VENV)/installed tests/lowest_versions.py
+	$(BIN)/python -m venv --without-pip $(LOWEST)
+	echo "import site; site.addsitedir('$(abspath $(VENV))/$(SITE)')" > $(LOWEST)/$(SITE)/ours.pth
+	$(BIN)/python tests/lowest_versions.py > $(LOWEST)/constraints.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/constraints.txt --editable ".[bags,contrib,export,hub,meshes,mlflow,notebook,ray,tune,wandb]"
+	touch $@
+
 clean:
-	rm -rf $(VENV) $(ROS2) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) $(ROS2) $(LOWEST) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
