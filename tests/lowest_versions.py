@@ -1,7 +1,4 @@
-"""Prints the lowest versions that pyproject.toml allows, as constraints for pip; torch is excepted.
-
-    python tests/lowest_versions.py > constraints.txt
-"""
+"""Prints the lowest versions that pyproject.toml allows, as constraints for pip; torch is excepted."""
 
 from __future__ import annotations
 

@@ -282,7 +282,7 @@ def _writing(what: object) -> Iterator[None]:
 
 
 def versions() -> dict[str, str]:
-    """The versions of what a result depends on; that of torch names its build, which the package's metadata may omit."""
+    """The versions of what a result depends on; torch's names its build, which the package's metadata may omit."""
     packages = {package: _version(package) for package in _PACKAGES}
     return {"python": platform.python_version(), **packages, "torch": str(th.__version__)}
 
