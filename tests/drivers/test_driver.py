@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tb2rl.drivers import Driver, Limits
+from tb2rl.drivers import Driver, Limits, Mounting
 
 PERIOD = 0.2
 
@@ -146,6 +146,49 @@ def test_what_is_too_fast_is_slowed_down_on_the_same_arc(drives):
     command = driver.command(PERIOD)
     assert (command.v, command.w) == pytest.approx((-0.025, -1.0))
     assert policy.episodes[0][1].command == pytest.approx((0.2, 0.24))
+
+
+@pytest.mark.parametrize("name", ["speed", "turn_rate"])
+@pytest.mark.parametrize("value", [-5.0, 0.0, math.nan])
+def test_a_limit_is_a_number_above_0(name, value):
+    with pytest.raises(ValueError, match=f"{name} takes .* above 0"):
+        Limits(**{name: value})
+
+
+def test_no_speed_is_above_its_limit_not_even_by_rounding(drives):
+    rng = np.random.default_rng(0)
+    for speed, turn_rate, v, w in rng.uniform(0.1, 5.0, (2000, 4)):
+        slowed = Limits(speed, turn_rate).slowed(v, -w)
+        assert abs(slowed[0]) <= speed
+        assert abs(slowed[1]) <= turn_rate
+
+
+@pytest.mark.parametrize("where", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0)])
+def test_a_mounting_has_finite_numbers(where):
+    with pytest.raises(ValueError, match="finite"):
+        Mounting(*where)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, 1e200])
+@pytest.mark.parametrize("place", range(5))
+def test_odometry_that_is_no_number_is_as_good_as_none(drives, scan, wrong, place):
+    _, driver = drives(uses_odometry=True)
+    numbers = [0.0] * 5
+    numbers[place] = wrong
+    driver.see_odometry(tuple(numbers[:3]), tuple(numbers[3:]), 0.6)
+    driver.see_scan(scan, 0.6)
+    assert stands(driver, 0.6) == "the last odometry is 0.6 s old"
+
+
+def test_a_time_that_is_no_number_is_no_time_to_drive(drives):
+    _, driver = drives()
+    assert stands(driver, math.nan) == "the last scan is nan s old"
+
+
+@pytest.mark.parametrize("goal", [(math.nan, 0.0), (0.0, 1e200)])
+def test_a_goal_that_is_no_place_is_refused(drives, goal):
+    with pytest.raises(ValueError, match="a goal has a number that is not finite"):
+        drives(goal="goal")[1].set_goal(goal)
 
 
 def test_a_dry_run_says_what_it_would_drive(drives):

@@ -14,7 +14,7 @@ from typing import Deque, List, Optional
 
 import numpy as np
 
-from .policy_contract import Point, Policy, Pose, Sensed, Speeds
+from .policy_contract import Point, Policy, Pose, Sensed, Speeds, are_usable
 from .preflight import STALE, Finding, Limits, Situation, find_misfits
 from .readings import Scan
 from .scan import Mounting, ScanReader
@@ -93,15 +93,25 @@ class Driver:
         self._scanned.append(stamp)
 
     def see_odometry(self, pose: Pose, twist: Speeds, stamp: float) -> None:
-        """Take where the robot is by its odometry, and how fast, at a time [s]."""
-        self._pose, self._twist, self._counted = pose, twist, stamp
+        """Take where the robot is by its odometry, and how fast, at a time [s].
+
+        If a number is not finite, or larger than `LARGEST`, it is ignored: then the odometry before becomes stale.
+        """
+        if are_usable((*pose, *twist)):
+            self._pose, self._twist, self._counted = pose, twist, stamp
 
     def bump(self) -> None:
         """The base touches something: stand until the next `start`."""
         self.stop(BUMPED)
 
     def set_goal(self, goal: Point) -> None:
-        """Where to get, x, y [m] in the odometry frame."""
+        """Where to get, x, y [m] in the odometry frame.
+
+        Raises:
+            ValueError: If a number is not finite, or larger than `LARGEST`.
+        """
+        if not are_usable(goal):
+            raise ValueError("a goal has a number that is not finite, or too large: {}, {}".format(*goal))
         if self._goal is None or distance(self._goal, goal) > self._needs.goal_radius:
             self._going = False  # another way, another episode
         self._goal = goal
@@ -200,8 +210,8 @@ class Driver:
 
 def stale(what: str, age: float) -> str:
     """Why data of this age [s] cannot be driven by; "": it can."""
-    if age > STALE:
-        return "the last {} is {:.1f} s old".format(what, age)
+    if -STALE <= age <= STALE:
+        return ""
     if age < -STALE:
         return "the last {} is stamped {:.1f} s ahead: the clocks differ".format(what, -age)
-    return ""
+    return "the last {} is {:.1f} s old".format(what, age)  # NaN, too

@@ -6,14 +6,21 @@ under the middle of the axle; the odometry frame is the one that the robot's odo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Optional, Protocol, Tuple
+from typing import Any, Optional, Protocol, Tuple
 
 import numpy as np
 
 Pose = Tuple[float, float, float]  # x [m], y [m], yaw [rad]
 Point = Tuple[float, float]  # x [m], y [m]
 Speeds = Tuple[float, float]  # v [m/s] ahead, w [rad/s] to the left
+LARGEST = 1e9  # [m], [rad], [m/s]: larger numbers are errors, and squares of smaller ones do not overflow
+
+
+def are_usable(numbers: Any) -> bool:
+    """Whether all numbers of an array or a tuple are finite, and none is larger than `LARGEST`."""
+    return bool((np.abs(np.asarray(numbers, dtype=float)) <= LARGEST).all())
 
 
 @dataclass(frozen=True)
@@ -33,6 +40,9 @@ class Needs:
             it, too.
         goal_radius: How near to the goal it is to get [m].
         reach: How far ahead on the planned way that point is [m].
+
+    Raises:
+        ValueError: For a number that is not finite or is negative, a period of 0, or ranges without extent.
     """
 
     beams: np.ndarray
@@ -46,6 +56,17 @@ class Needs:
     goal: Optional[str] = None
     goal_radius: float = 0.3
     reach: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.beams.ndim != 1 or not self.beams.size or not are_usable(self.beams):
+            raise ValueError("beams takes finite angles, shape (beams,), at least one")
+        for name in ("min_range", "max_range", "period", "max_speed", "max_turn_rate", "goal_radius", "reach"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError("{} takes a finite number from 0, got {}".format(name, getattr(self, name)))
+        if not (self.period > 0.0 and self.max_range > self.min_range):
+            raise ValueError("period takes seconds above 0, and max_range metres above min_range")
+        if self.goal not in (None, "goal", "plan"):
+            raise ValueError('goal takes None, "goal" or "plan", got {!r}'.format(self.goal))
 
     @property
     def field_of_view(self) -> float:

@@ -19,17 +19,25 @@ class Limits:
     """What a robot can do, or is to do, at most.
 
     Attributes:
-        speed: Ahead and back [m/s].
-        turn_rate: To both sides [rad/s].
+        speed: Ahead and back [m/s], above 0; inf: no limit.
+        turn_rate: To both sides [rad/s], above 0; inf: no limit.
+
+    Raises:
+        ValueError: For another number.
     """
 
     speed: float = math.inf
     turn_rate: float = math.inf
 
+    def __post_init__(self) -> None:
+        for name, unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
+            if not getattr(self, name) > 0.0:  # NaN is not, either
+                raise ValueError("{} takes {} above 0, got {}".format(name, unit, getattr(self, name)))
+
     def slowed(self, v: float, w: float) -> Speeds:
         """These speeds, slowed to the limits on the same arc."""
         share = min(1.0, self.speed / max(abs(v), 1e-9), self.turn_rate / max(abs(w), 1e-9))
-        return float(share * v), float(share * w)
+        return _within(float(share * v), self.speed), _within(float(share * w), self.turn_rate)
 
 
 @dataclass(frozen=True)
@@ -84,6 +92,11 @@ def find_misfits(needs: Needs, robot: Situation) -> List[Finding]:
     }
     found = [Finding(sentence, True) for sentence, holds in serious.items() if holds]
     return found + [Finding(sentence, False) for sentence in _remarks(needs, robot)]
+
+
+def _within(value: float, limit: float) -> float:
+    """The product above may be larger than the limit by its rounding."""
+    return min(max(value, -limit), limit)
 
 
 def _remarks(needs: Needs, robot: Situation) -> List[str]:

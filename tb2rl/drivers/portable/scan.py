@@ -13,7 +13,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from .policy_contract import Needs
+from .policy_contract import Needs, are_usable
 from .readings import NEIGHBOURS, Scan, distances_of, goes_around
 
 BEYOND = math.radians(2)  # so far beyond its ends a scan still covers
@@ -32,12 +32,20 @@ class Mounting:
         x, y: Ahead of the middle of the axle, and to the left of it [m].
         yaw: Where its angle 0 looks, counted to the left from straight ahead [rad].
         upside_down: Whether it hangs head first, so that its angles count clockwise.
+
+    Raises:
+        ValueError: For a number that is not finite, or larger than `LARGEST`.
     """
 
     x: float = 0.0
     y: float = 0.0
     yaw: float = 0.0
     upside_down: bool = False
+
+    def __post_init__(self) -> None:
+        if not are_usable((self.x, self.y, self.yaw)):
+            where = "{}, {}, {}".format(self.x, self.y, self.yaw)
+            raise ValueError("the mounting takes finite numbers x, y [m] and yaw [rad], got " + where)
 
 
 @dataclass(frozen=True)

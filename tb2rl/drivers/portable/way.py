@@ -7,7 +7,7 @@ from typing import Optional, Protocol
 
 import numpy as np
 
-from .policy_contract import Point, Pose
+from .policy_contract import Point, Pose, are_usable
 
 
 class Planner(Protocol):
@@ -27,15 +27,15 @@ class PlannedWay:
         points: x, y [m] in the odometry frame, shape (points, 2), the goal last.
 
     Raises:
-        ValueError: If that is not at least one point of finite numbers.
+        ValueError: If that is not at least one point, or a number is not finite or larger than `LARGEST`.
     """
 
     def __init__(self, points: np.ndarray) -> None:
         self._points = np.array(points, dtype=float)
         if self._points.ndim != 2 or self._points.shape[1] != 2 or not len(self._points):
             raise ValueError(f"a planned way has the shape (points, 2), not {self._points.shape}")
-        if not np.isfinite(self._points).all():
-            raise ValueError("a planned way has points that are not finite numbers")
+        if not are_usable(self._points):
+            raise ValueError("a planned way has a number that is not finite, or too large")
         self._steps = np.diff(self._points, axis=0)
         self._lengths = np.hypot(*self._steps.T)
         self._behind = np.concatenate([[0.0], np.cumsum(self._lengths)])  # way from the first point to each
