@@ -10,6 +10,7 @@ from textwrap import dedent
 import numpy as np
 import pytest
 
+from tb2rl.commands.export import export_folder
 from tb2rl.drivers.network import in_a_row, network_of
 from tb2rl.drivers.portable.network import Network
 from tb2rl.drivers.portable.policy_contract import Sensed
@@ -103,3 +104,11 @@ def loaded():
     """`tb2rl.load`, each policy once."""
     kept: dict[str, object] = {}
     return lambda name: kept[name] if name in kept else kept.setdefault(name, load(name))
+
+
+@pytest.fixture(scope="session")
+def robot(tmp_path_factory):
+    """The folder of a policy, for a robot that has numpy and nothing else."""
+    folder = tmp_path_factory.mktemp("exported")
+    export_folder("zoo:drive-loop-ppo", folder)
+    return folder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ import pytest
 from tb2rl.commands.export import export_folder
 from tb2rl.drivers import TrainedPolicy
 from tb2rl.drivers.folder import program
+from tb2rl.drivers.portable.main import main as drive
 from tb2rl.drivers.portable.policy import ExportedPolicy
 from tb2rl.drivers.portable.policy_contract import Sensed
 from tb2rl.envs.batch import Batch
@@ -115,14 +117,6 @@ def test_the_inertial_unit_is_read_as_drivers_of_tb2rl_read_it(untrained, loaded
     assert np.abs(exported.observed[0, -1]) > 0.01, "it accelerates"
 
 
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    """The folder of a policy, for a robot that has numpy and nothing else."""
-    folder = tmp_path_factory.mktemp("exported")
-    export_folder("zoo:drive-loop-ppo", folder)
-    return folder
-
-
 @pytest.fixture
 def alone(robot, tmp_path):
     """A function that runs code where there is the standard library, numpy and a robot's folder, and nothing else."""
@@ -165,7 +159,7 @@ def test_its_program_drives_where_there_is_numpy_and_nothing_else(alone, loaded)
     assert [line["why"] for line in said[:3]] == ["not started", "driving", "driving"]
     assert "old" in said[3]["why"]
     v, w = scene.actions.commands(policy.predict(seen, deterministic=True)[0][None])[0]
-    for line, expected in zip(said, [(0, 0), (v, w), (v, w), (0, 0)], strict=True):
+    for line, expected in zip(said, [(0, 0), (v, w), (v, w), (0, 0), (0, 0)], strict=True):
         assert (line["v"], line["w"]) == pytest.approx(expected, abs=1e-5)
     slower = alone(MAIN.format("['--speed', '0.1']"), lines_of(seen.tolist(), scene.laser.angles)).stdout
     assert json.loads(slower.splitlines()[1])["v"] == pytest.approx(min(v, 0.1), abs=1e-5)
@@ -182,11 +176,16 @@ def test_its_program_is_imported_as_its_readme_says(alone, robot):
     ("line", "words"),
     [
         ("{", "JSONDecodeError"),
-        ("3", "int"),
+        ("3", "object"),
         ('{"goal": 3}', "goal"),
         ('{"time": NaN}', "finite"),
         ('{"odometry": {"x": "far"}}', "far"),
-        ('{"scan": {"ranges": []}}', "angle_min"),
+        ('{"scan": {"ranges": []}}', "range_min"),
+        ('{"scan": {"ranges": [[1, 2], [3, 4]]}}', "not a number"),
+        ('{"odometry": {"x": 1e200}}', "finite number up to 1e+09"),
+        ('{"time": 1' + 400 * "0" + "}", "finite"),
+        ("[" * 100_000, "RecursionError"),
+        ('{"start": "no"}', "true or false"),
     ],
 )
 def test_a_line_that_is_wrong_stops_the_robot_and_the_program(alone, line, words):
@@ -195,6 +194,46 @@ def test_a_line_that_is_wrong_stops_the_robot_and_the_program(alone, line, words
     assert (done.returncode, said["v"], said["w"]) == (2, 0.0, 0.0)
     assert words in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--speed=-5"], ["--speed", "above 0", "-5"]),
+        (["--speed=nan"], ["--speed", "finite"]),
+        (["--speed=inf"], ["--speed", "finite"]),
+        (["--speed=0"], ["--speed", "above 0"]),
+        (["--turn-rate=-9"], ["--turn-rate", "above 0", "-9"]),
+        (["--scanner", "0", "nan", "0"], ["mounting", "nan"]),
+        (["--spead=1"], ["--spead"]),
+    ],
+)
+def test_a_number_that_is_no_limit_and_no_mounting_is_refused_in_a_line(arguments, words, robot, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        drive([str(robot), *arguments])
+    message = capsys.readouterr().err
+    assert (stopped.value.code, message.count("\n")) == (2, 1)
+    assert [word for word in words if word not in message] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("period", 0.0),
+        ("period", math.nan),
+        ("max_range", math.inf),
+        ("goal_radius", -1.0),
+        ("beams", []),
+        ("goal", "x"),
+    ],
+)
+def test_a_policy_with_needs_that_make_no_sense_is_refused(name, value, robot, tmp_path):
+    folder = shutil.copytree(robot, tmp_path / "copy")
+    about = json.loads((folder / "policy.json").read_text())
+    about["needs"][name] = value
+    (folder / "policy.json").write_text(json.dumps(about))
+    with pytest.raises(ValueError, match=f"is damaged: .*{name}"):
+        ExportedPolicy(folder)
 
 
 @pytest.mark.parametrize("damage", ["weights.npz", "policy.json"])
