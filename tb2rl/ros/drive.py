@@ -10,6 +10,7 @@ from contextlib import closing
 import torch as th
 
 from tb2rl.drivers import Driver, TrainedPolicy
+from tb2rl.drivers.portable.ending import ending_signals
 from tb2rl.errors import InputError
 from tb2rl.ros.graph import join
 from tb2rl.ros.pilot import NAME, Pilot
@@ -29,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     driver = Driver(policy, limits, mounting, dry_run=options.dry_run)
     with closing(join(options.ros, NAME, options.ros_args)) as graph:
         ending = threading.Event()
-        for sign in (signal.SIGINT, signal.SIGTERM):
+        for sign in ending_signals():
             signal.signal(sign, lambda *_: ending.set())
         told = "nothing: a dry run" if options.dry_run else f"commands to {topics.velocity}"
         print(f"{options.policy} on ROS {options.ros}: scans from {topics.scan}, {told}", flush=True)

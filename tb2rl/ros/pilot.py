@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TypeVar
 
 import numpy as np
@@ -92,12 +93,13 @@ class Pilot:
             self._driver.stop("the node ends")
             self._stops = _STOPS
         for _ in range(_STOPS):
-            with self._turn:
+            with self._turn, suppress(OSError):  # the terminal may be gone
                 self._say(self._driver.command(self._graph.now()))
             time.sleep(0.02)  # the last words shall be heard
         if self._took:
             wall, cpu = (_percentiles(times) for times in zip(*self._took, strict=True))
-            _tell(f"{len(self._took)} scans, from scan to command: {wall} (of processor time: {cpu})")
+            with suppress(OSError):
+                _tell(f"{len(self._took)} scans, from scan to command: {wall} (of processor time: {cpu})")
 
     # ---- what the threads of ROS call
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing, suppress
 
+from tb2rl.drivers.portable.ending import ending_signals
 from tb2rl.errors import InputError
 from tb2rl.ros.graph import EMPTY, SET_PHYSICS, Graph, Nobody, join
 from tb2rl.ros.messages import Bump, Clock, Image, Odometry, Scan, Transforms, Velocity
@@ -31,7 +32,7 @@ def run(options: argparse.Namespace) -> None:
     topics, name = parse_topics(options.topics, Topics()), options.simulation or judging_simulation()
     config = resolve("random", options.task, settings={"task.start": "fixed"} | parse_settings(options.set))
     with closing(join(options.ros, "tb2rl_simulation")) as graph:
-        for ending in (signal.SIGINT, signal.SIGTERM):
+        for ending in ending_signals():
             signal.signal(ending, signal.default_int_handler)
         simulator = Simulator(config.scene, name, options.seed, options.scan_rate, coarse=options.lockstep is not None)
         with closing(Server(simulator, graph, topics, options.rate, options.lockstep)) as server:

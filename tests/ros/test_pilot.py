@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+import signal
 import threading
 import time
 
@@ -10,12 +13,15 @@ import numpy as np
 import pytest
 
 from tb2rl.drivers import Driver, Limits, Needs
+from tb2rl.ros.__main__ import parse
+from tb2rl.ros.drive import run
 from tb2rl.ros.messages import BILLION, Bump, Goal, Odometry, Plan, Scan, Velocity
 from tb2rl.ros.pilot import Pilot
 from tb2rl.ros.topics import TURTLEBOT2
 
 TOPICS = TURTLEBOT2[1]
 FORWARD = (0.4, 0.2)
+ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
 
 
 class Told:
@@ -268,6 +274,55 @@ def test_at_the_end_the_wheels_are_told_to_stand_several_times(robot, capsys):
     it.pilot.close()
     assert len(it.told()) >= 5
     assert lines(capsys)[-1].startswith("6 scans, from scan to command: ")
+
+
+def test_at_the_end_the_wheels_are_told_to_stand_although_the_terminal_is_closed(robot, monkeypatch):
+    it = robot()
+    it.scan(6)
+    it.told()
+
+    def write_nowhere(line):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("tb2rl.ros.pilot._tell", write_nowhere)
+    it.pilot.close()
+    assert it.told() == [(0.0, 0.0)] * 9
+
+
+@pytest.fixture
+def no_signal_kills():
+    """Signals that nobody handles end no test; afterwards all is as before."""
+    before = {sign: signal.signal(sign, lambda *_: None) for sign in ENDINGS}
+    yield
+    for sign, handler in before.items():
+        signal.signal(sign, handler)
+
+
+@pytest.mark.parametrize("sign", ENDINGS)
+def test_each_signal_that_ends_the_node_stops_the_wheels(sign, fake_graph, no_signal_kills, monkeypatch):
+    monkeypatch.setattr("tb2rl.ros.drive.join", lambda *_: fake_graph)
+    monkeypatch.setattr("tb2rl.ros.drive.load", lambda *_: None)
+    monkeypatch.setattr("tb2rl.ros.drive.TrainedPolicy", lambda _: Told())
+    monkeypatch.setattr("tb2rl.ros.drive.th.set_num_threads", lambda _: None)
+    monkeypatch.setattr("tb2rl.ros.pilot.Pilot.run", drive_and_signal(sign, fake_graph, Pilot.run))
+    run(parse(["drive", "zoo:maze-loop-ppo"]))
+    said = [(each.linear, each.angular) for each in fake_graph.ends[TOPICS.velocity].said]
+    assert FORWARD in said
+    assert said[-5:] == [(0.0, 0.0)] * 5
+
+
+def drive_and_signal(sign, graph, go_on):
+    """What `Pilot.run` does after it drove for some scans and a signal came; without an end it would go on for ever."""
+
+    def drive(pilot, ending):
+        robot = Robot.__new__(Robot)
+        robot.graph = graph
+        robot.scan(6)
+        os.kill(os.getpid(), sign)
+        assert ending.wait(5.0), "the signal was not heeded"
+        go_on(pilot, ending)
+
+    return drive
 
 
 def test_a_policy_that_fails_ends_the_node(robot):
