@@ -13,7 +13,10 @@ from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
+from tb2rl.drivers.portable.policy_contract import are_usable
+
 BILLION = 1_000_000_000  # [ns] in a second
+_TOLERANCE = 0.1  # of the length of a quaternion: more than its rounding, and less than what is left empty
 
 
 class Dialect(Protocol):
@@ -97,15 +100,9 @@ class Scan:
 
     @classmethod
     def from_ros(cls, message: Any) -> Scan:
-        return cls(
-            *_header(message),
-            message.angle_min,
-            message.angle_increment,
-            message.scan_time,
-            message.range_min,
-            message.range_max,
-            np.array(message.ranges, dtype=float),
-        )
+        sweep = message.angle_min, message.angle_increment, message.scan_time
+        limits = message.range_min, message.range_max
+        return cls(*_header(message), *sweep, *limits, np.array(message.ranges, dtype=float))
 
     def to_ros(self, ros: Dialect) -> Any:
         message = _stamped(ros, self.kind, self.stamp, self.frame)
@@ -130,15 +127,15 @@ class Odometry:
 
     @classmethod
     def from_ros(cls, message: Any) -> Odometry:
-        position, turn = message.pose.pose.position, message.pose.pose.orientation
-        yaw = math.atan2(2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y**2 + turn.z**2))
-        twist = message.twist.twist
-        return cls(
-            *_header(message),
-            message.child_frame_id,
-            (position.x, position.y, yaw),
-            (twist.linear.x, twist.angular.z),
-        )
+        """What a message says; the yaw is NaN if the orientation is no rotation."""
+        position, turn, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
+        pose, speeds = (position.x, position.y, _yaw(turn)), (twist.linear.x, twist.angular.z)
+        return cls(*_header(message), message.child_frame_id, pose, speeds)
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether a robot may drive by its numbers."""
+        return are_usable((*self.pose, *self.twist))
 
     def to_ros(self, ros: Dialect) -> Any:
         message = _stamped(ros, self.kind, self.stamp, self.frame)
@@ -274,6 +271,14 @@ SENSED: frozenset[Any] = frozenset({Scan, Odometry})  # only the newest counts
 def upright(yaw: float) -> tuple[float, float, float, float]:
     """The quaternion x, y, z, w of a turn to the left [rad]."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def _yaw(turn: Any) -> float:
+    """The turn to the left of a quaternion [rad]; NaN if that is none: its length is not about 1."""
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    if not abs(math.hypot(x, y, z, w) - 1.0) <= _TOLERANCE:
+        return math.nan
+    return math.atan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
 
 
 def _stamped(ros: Dialect, kind: str, stamp: int, frame: str) -> Any:

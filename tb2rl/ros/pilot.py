@@ -9,13 +9,14 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
 from tb2rl.drivers import Command, Driver, Finding, Needs
 from tb2rl.drivers import Scan as Turn
 from tb2rl.drivers.portable.driver import DRIVING, DRY_RUN, REACHED
+from tb2rl.drivers.portable.policy_contract import are_usable
 from tb2rl.drivers.portable.preflight import STALE
 from tb2rl.ros.graph import TRIGGER, Graph, Nobody
 from tb2rl.ros.messages import BILLION, Bump, Goal, Odometry, Plan, Report, Scan, Velocity
@@ -32,7 +33,6 @@ _EACH = 1.0  # [s] of wall-clock time between reports
 _ANOTHER = 1e6  # [s] between two clocks of which one counts from the beginning of a simulation
 _STOPS = 10  # times that the wheels are told to stand; then somebody else may drive the robot
 _TIMES = 10_000  # answers that are remembered
-H = TypeVar("H")
 
 
 class Pilot:
@@ -59,13 +59,13 @@ class Pilot:
         self._moved = self._answered = self._reported = self._began = time.monotonic()
         self._command, self._told, self._findings = Command(0.0, 0.0, ""), "", list[Finding]()
         self._goal: Goal | Plan | None = None  # until it is known in which frame the odometry counts
-        self._frame = ""  # of odometry
+        self._frame, self._warned = "", False  # of odometry
         self._took: deque[tuple[float, float]] = deque(maxlen=_TIMES)  # [s] of wall-clock and of processor time
         self._velocity = graph.publisher(topics.velocity, Velocity)
         self._diagnostics = graph.publisher("/diagnostics", Report)
         self._listen(topics)
-        graph.serve("~/start", TRIGGER, self._start)
-        graph.serve("~/stop", TRIGGER, self._stop)
+        graph.serve("~/start", TRIGGER, self._guarded(self._try_to_start))
+        graph.serve("~/stop", TRIGGER, self._guarded(self._stop))
 
     def _listen(self, topics: DriverTopics) -> None:
         graph, guarded = self._graph, self._guarded
@@ -103,15 +103,16 @@ class Pilot:
 
     # ---- what the threads of ROS call
 
-    def _guarded(self, heard: Callable[[H], None]) -> Callable[[H], None]:
-        """One at a time; what goes wrong ends the node, and so stops the wheels."""
+    def _guarded(self, called: Callable[..., Any]) -> Callable[..., Any]:
+        """One at a time; an error ends the node, and so stops the wheels, but not the thread of ROS."""
 
-        def guarded(message: H) -> None:
+        def guarded(*message: Any) -> Any:
             with self._turn:
                 try:
-                    heard(message)
+                    return called(*message)
                 except Exception as error:
                     self._failure = error
+                    return f"the node ends: {error}"
 
         return guarded
 
@@ -137,7 +138,10 @@ class Pilot:
             )
 
     def _see_odometry(self, odometry: Odometry) -> None:
-        if not all(map(math.isfinite, (*odometry.pose, *odometry.twist))):
+        if not odometry.is_usable:
+            if not self._warned:
+                _tell("mind: odometry is ignored if its orientation is no rotation or a number is not finite")
+            self._warned = True
             return
         self._driver.see_odometry(odometry.pose, odometry.twist, odometry.stamp / BILLION)
         self._frame = odometry.frame
@@ -157,23 +161,18 @@ class Pilot:
         elif goal.frame != self._frame:
             what = "goal" if isinstance(goal, Goal) else "plan"
             _tell(f"this {what} is refused: it is in the frame {goal.frame!r}, and the odometry in {self._frame!r}")
-        elif isinstance(goal, Goal) and all(map(math.isfinite, goal.place)):
+        elif isinstance(goal, Goal) and are_usable(goal.place):
             self._driver.set_goal(goal.place)
             _tell(f"the goal is ({goal.place[0]:.2f}, {goal.place[1]:.2f}) in {self._frame!r}")
-        elif isinstance(goal, Plan) and len(goal.points) and np.isfinite(goal.points).all():
+        elif isinstance(goal, Plan) and len(goal.points) and are_usable(goal.points):
             self._driver.set_plan(goal.points)
         else:
             _tell("this goal is refused: it is no place")
 
-    def _start(self) -> str:
-        with self._turn:
-            return self._try_to_start()
-
     def _stop(self) -> str:
-        with self._turn:
-            self._armed = False
-            self._driver.stop()
-            self._ask(self._graph.now())
+        self._armed = False
+        self._driver.stop()
+        self._ask(self._graph.now())
         return ""
 
     # ---- what they and our own thread do in turns

@@ -182,7 +182,7 @@ class RemoteRobot:
             self._turn.notify_all()
 
     def _see_odometry(self, odometry: Odometry) -> None:
-        if all(map(math.isfinite, (*odometry.pose, *odometry.twist))):
+        if odometry.is_usable:  # else it is as good as none
             with self._turn:
                 self._odometry, self._counted_heard = odometry, time.monotonic()
                 self._counted_at = odometry.stamp / BILLION if self._simulated else self._graph.now()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -68,7 +69,10 @@ class Graph2:
             return Nobody()
 
         def hear(message: Any) -> None:
-            heard(kind.from_ros(message))
+            try:
+                heard(kind.from_ros(message))
+            except Exception:  # it would end the thread that hears all topics, the bumper's, too; rospy does the same
+                self._node.get_logger().error(f"a message on {topic} is ignored: {traceback.format_exc()}")
 
         quality = qos_profile_sensor_data if kind in SENSED else _QUEUE
         self._node.create_subscription(_class(kind.kind), topic, hear, quality)

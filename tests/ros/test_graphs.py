@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -156,6 +158,33 @@ def test_frames_lead_from_odometry_to_laser_and_camera(probe, graph):
     assert frames["laser_link"] == frames["camera_rgb_optical_frame"] == "base_footprint"
     where = message["transforms"][0]["transform"]["translation"]
     assert (where["x"], where["y"]) == pytest.approx(START[:2], abs=0.01)
+
+
+CALLBACK = """
+import sys, threading
+from tb2rl.ros.graph import join
+from tb2rl.ros.messages import Odometry
+
+graph, heard, again = join(int(sys.argv[1]), "listener"), [], threading.Event()
+
+def hear(odometry):
+    heard.append(odometry)
+    if len(heard) == 1:
+        raise OverflowError("a number is too large")
+    again.set()
+
+graph.listen("/odom", Odometry, hear)
+print(again.wait(20.0))
+graph.close()
+"""
+
+
+def test_an_error_in_a_callback_does_not_end_the_thread_that_calls_it(simulated, graph):
+    command = [str(graph.python), "-c", CALLBACK, str(graph.version)]
+    env = {**graph.env, "PYTHONPATH": str(Path(tb2rl.__file__).parents[1])}
+    done = subprocess.run(command, env=env, cwd=graph.folder, capture_output=True, text=True, check=False)
+    assert done.stdout == "True\n", done.stderr
+    assert "a number is too large" in done.stderr
 
 
 def test_a_wall_presses_the_bumper(probe, graph):

@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -329,6 +330,51 @@ def test_a_policy_that_fails_ends_the_node(robot):
     it = robot()
     it.policy.act = lambda sensed: 1 / 0
     it.scan(6)
+    with pytest.raises(ZeroDivisionError):
+        it.pilot.run(threading.Event())
+
+
+def odometry_of(position=(1.0, 0.0), quaternion=(0.0, 0.0, 0.0, 1.0), twist=(0.0, 0.0)):
+    """A message of ROS."""
+    new = SimpleNamespace
+    header = new(stamp=new(sec=1, nanosec=0), frame_id="odom")
+    place = new(x=position[0], y=position[1])
+    turn = new(**dict(zip("xyzw", quaternion, strict=True)))
+    speeds = new(linear=new(x=twist[0]), angular=new(z=twist[1]))
+    pose, twist = new(pose=new(position=place, orientation=turn)), new(twist=speeds)
+    return new(header=header, child_frame_id="base", pose=pose, twist=twist)
+
+
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1e200, 1e200), (0.0, 0.0, 0.0, math.nan)])
+def test_an_orientation_that_is_no_rotation_is_no_odometry(quaternion, robot, capsys):
+    it = robot(goal="goal")
+    it.hear("goal", Goal("odom", (4.0, 0.0)))
+    it.scan(6)
+    assert it.told()[-1] == FORWARD
+    for _ in range(6):
+        it.hear("odometry", Odometry.from_ros(odometry_of(quaternion=quaternion)))
+        it.scan(odometry=False)
+    assert it.told()[-1] == (0.0, 0.0)
+    *_, mind, stands = lines(capsys)
+    assert mind == "mind: odometry is ignored if its orientation is no rotation or a number is not finite"
+    assert stands.startswith("it stands: the last odometry is 0.")
+
+
+@pytest.mark.parametrize("message", [{"position": (1e200, 0.0)}, {"twist": (0.1, math.inf)}])
+def test_odometry_of_impossible_numbers_is_not_usable(message):
+    assert not Odometry.from_ros(odometry_of(**message)).is_usable
+
+
+def test_the_yaw_of_a_quaternion_does_not_depend_on_its_length():
+    for yaw in np.linspace(-3.1, 3.1, 9).tolist():
+        rounded = (0.0, 0.0, 1.05 * math.sin(yaw / 2), 1.05 * math.cos(yaw / 2))
+        assert Odometry.from_ros(odometry_of(quaternion=rounded)).pose[2] == pytest.approx(yaw)
+
+
+def test_an_error_in_a_service_ends_the_node_and_no_thread_of_ros(robot, monkeypatch):
+    it = robot(waits=True)
+    monkeypatch.setattr(it.pilot._driver, "preflight", lambda: 1 / 0)
+    assert it.call("start") == "the node ends: division by zero"
     with pytest.raises(ZeroDivisionError):
         it.pilot.run(threading.Event())
 
