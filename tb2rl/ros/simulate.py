@@ -24,6 +24,7 @@ _LATE = 0.1  # [s] of wall-clock time: what was lost beyond is not made up for
 _BREATH = 1e-4  # [s] so that the threads of ROS get to say something while time runs as fast as it can
 _AGAIN = 5.0  # [s] of wall-clock time until the scan is said again that nobody has answered yet, and maybe nobody heard
 _LOOK_UP = 0.2  # [s] of wall-clock time between looks whether anybody is there
+_ALONE = 1.0  # [s] of wall-clock time after which who hears scans, and sends no commands, waits for a scan
 
 
 def run(options: argparse.Namespace) -> None:
@@ -71,7 +72,7 @@ class Server:
         self._simulator, self._graph, self._rate, self._lockstep = simulator, graph, rate, lockstep
         self._turn = threading.Condition()  # whose it is: ours, or that of a thread of ROS
         self._paused = self._answered = self._disturbed = self._commanded = False
-        self._until_scan, self._unanswered, self._due = 0, 0, 0.0
+        self._until_scan, self._unanswered, self._due, self._scan_due = 0, 0, 0.0, 0.0
         self._clock, self._tf = graph.publisher("/clock", Clock), graph.publisher("/tf", Transforms)
         self._scan, self._odometry = graph.publisher(topics.scan, Scan), graph.publisher(topics.odometry, Odometry)
         self._depth, self._bumper = graph.publisher(topics.depth, Image), graph.publisher(topics.bumper, Bump)
@@ -96,6 +97,8 @@ class Server:
                     self._pass_a_tick()
                     pause = self._pause_until_due()
                 else:
+                    if not self._paused:
+                        self._stand_still()
                     self._turn.wait(_LOOK_UP)
                     pause, self._due = 0.0, time.monotonic()
             time.sleep(pause)
@@ -113,7 +116,7 @@ class Server:
 
     def _pass_a_tick(self) -> None:
         self._answered = self._disturbed = False
-        self._say()
+        self._say(with_scan=self._until_scan == 0)
         if self._until_scan == 0:
             if self._lockstep is not None and not self._is_answered(self._lockstep):
                 return
@@ -121,6 +124,19 @@ class Server:
         self._until_scan -= 1
         for bump in self._simulator.advance():
             self._bumper.say(bump)
+
+    def _stand_still(self) -> None:
+        """Publish the present instant again while nobody drives: programs may wait for it before they send a command.
+
+        Scans come later and less often, because each program that joins would answer them.
+        """
+        now = time.monotonic()
+        if not self._scan.connected():
+            self._scan_due = now + _ALONE
+        with_scan = now >= self._scan_due
+        if with_scan:
+            self._scan_due = now + _ALONE
+        self._say(with_scan)
 
     def _is_answered(self, seconds: float) -> bool:
         """Wait for an answer to the scan; False: the scan must be said again."""
@@ -132,20 +148,20 @@ class Server:
                 self._unanswered += 1
                 return True
             if not self._commanded and now > said + _AGAIN:  # who has only just joined can miss one
-                self._say()
+                self._say(with_scan=True)
                 said = now
             self._turn.wait(min(until - now, _LOOK_UP))
             if self._graph.is_over() or not self._somebody_is_there():
                 return False
         return not self._disturbed
 
-    def _say(self) -> None:
+    def _say(self, with_scan: bool) -> None:
         """Publish what the sensors say at this tick; the clock first, for who waits until a stamp has come."""
         simulator = self._simulator
         self._clock.say(simulator.clock())
         self._tf.say(simulator.transforms())
         self._odometry.say(simulator.odometry())
-        if self._until_scan == 0:
+        if with_scan:
             self._show()
             self._scan.say(simulator.scan())
 

@@ -26,9 +26,11 @@ def running(graph, rate=0.0, lockstep=None):
     server = Server(simulator, graph, Topics(), rate, lockstep)
     thread = threading.Thread(target=server.run)
     thread.start()
-    yield simulator
-    graph.over = True
-    thread.join(PATIENCE)
+    try:
+        yield simulator
+    finally:
+        graph.over = True
+        thread.join(PATIENCE)
     server.close()
 
 
@@ -97,6 +99,23 @@ def test_in_lockstep_time_waits_for_somebody_to_be_there_and_for_an_answer_not_f
         fake_graph.ends[SCAN].there = True
         wait_until(lambda: simulator.clock().stamp >= 300_000_000)
     assert int(capsys.readouterr().out.split()[-1]) >= 3
+
+
+def test_in_lockstep_programs_that_wait_before_they_drive_hear_the_present_instant(fake_graph, monkeypatch):
+    monkeypatch.setattr("tb2rl.ros.simulate._LOOK_UP", 0.01)
+    monkeypatch.setattr("tb2rl.ros.simulate._ALONE", 0.1)
+    for topic in (VELOCITY, "/cmd_vel_mux/input/navi", SCAN):
+        fake_graph.publisher(topic, None).there = False
+    with running(fake_graph, lockstep=PATIENCE) as simulator:
+        ends = fake_graph.ends
+        for topic in (ODOMETRY, "/clock", "/tf"):
+            wait_until(lambda topic=topic: len(ends[topic].said) > 2)
+        assert ends[SCAN].said == [], "nobody hears it"
+        ends[SCAN].there = True
+        wait_until(lambda: len(ends[SCAN].said) > 1)
+        assert {message.stamp for topic in (ODOMETRY, "/clock", "/tf", SCAN) for message in ends[topic].said} == {0}
+        ends[VELOCITY].there = True
+        wait_until(lambda: simulator.clock().stamp > 0 or fake_graph.heard[VELOCITY](Velocity(0.5, 0.0)))
 
 
 def test_who_leaves_the_lockstep_stops_it_without_a_scan_unanswered(fake_graph, capsys):
