@@ -35,6 +35,8 @@ finally:
         ("drive zoo:maze-loop-pop", ["unknown zoo policy", "maze-loop-ppo"]),
         ("drive zoo:maze-loop-ppo --ros 3", ["--ros", "1, 2"]),
         ("drive zoo:maze-loop-ppo --speed 0", ["--speed", "above 0"]),
+        ("drive zoo:maze-loop-ppo --speed=-5", ["--speed", "above 0", "-5"]),
+        ("drive zoo:maze-loop-ppo --speed nan", ["--speed", "above 0", "nan"]),
         ("drive zoo:maze-loop-ppo --mounting 0.1,0", ["--mounting", "x,y,yaw", "'0.1,0'"]),
         ("drive zoo:maze-loop-ppo --mounting 0,0,0,inverted", ["--mounting", "upside-down"]),
         ("drive zoo:maze-loop-ppo --mounting 0,0,nan", ["--mounting"]),

@@ -125,7 +125,7 @@ def test_who_is_killed_stops_the_robot_and_who_comes_back_goes_on(graph):
             with drive(graph, "maze-loop-qlearn") as again:
                 wait_for(again, "driving")
                 probe.ask("watched", until="told to move")
-                assert again.stop() == 0
+                assert again.stop(signal.SIGHUP) == 0
                 ended = probe.ask("watched", seconds=1.0)
     assert 0.0 < gone["told to stand"] - gone["told to move"] < 0.6
     assert killed["went on"] < 0.9
