@@ -269,8 +269,8 @@ def _restore(
         first = state.restore(checkpoint.content["training"], algorithm, remembering)
     except InputError as error:
         raise InputError(f"{checkpoint.file}: {error}") from None
-    run.write_config()
     run.forget_evaluations(after=algorithm.num_timesteps)
+    run.write_config()
     return first
 
 

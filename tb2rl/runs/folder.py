@@ -36,6 +36,7 @@ from tb2rl.errors import InputError, UnwritableError, one_line
 from tb2rl.files import read_text, read_yaml, write_text
 from tb2rl.runs.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
+from tb2rl.runs.journal import read_lines
 from tb2rl.runs.normalisation import statistics_of
 from tb2rl.trust import distrusting, nothing_from
 
@@ -176,13 +177,22 @@ class Run:
         """Append an evaluation while training, which says its "timesteps"."""
         with (self.folder / EVALUATIONS).open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(entry) + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
 
     def forget_evaluations(self, after: int) -> None:
-        """Drop the evaluations while training at more than `after` timesteps."""
+        """Drop the evaluations while training at more than `after` timesteps.
+
+        Raises:
+            InputError: If the file with them is damaged elsewhere than at its end.
+        """
         path = self.folder / EVALUATIONS
         if path.is_file():
-            lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-            write_text(path, "".join(line for line in lines if json.loads(line)["timesteps"] <= after))
+            try:
+                kept = [entry for entry in read_lines(path) if entry["timesteps"] <= after]
+            except (LookupError, TypeError):
+                raise InputError(f"{path} is damaged: a line has no timesteps") from None
+            write_text(path, "".join(json.dumps(entry) + "\n" for entry in kept))
 
     def write_evaluation(self, tree: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
         """Put the standard evaluation into the folder.

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, one_line
 from tb2rl.files import write_text
+
+_BLANK = b"\0 \t\r"
 
 
 class Journal:
@@ -24,7 +27,7 @@ class Journal:
         other: In which part of `work` the file was of another one; None: it was not, or there was none.
 
     Raises:
-        InputError: If the file cannot be read or written.
+        InputError: If the file cannot be read or written, or is damaged.
     """
 
     def __init__(self, path: Path | None, work: Mapping[str, Any]) -> None:
@@ -33,7 +36,7 @@ class Journal:
             return
         work = json.loads(json.dumps(work))
         try:
-            before, *entries = _lines(path) or [work]
+            before, *entries = (read_lines(path) if path.is_file() else []) or [work]
             if before == work:
                 self.entries = entries
             else:
@@ -54,15 +57,25 @@ class Journal:
             self.path.unlink(missing_ok=True)
 
 
-def _lines(path: Path) -> list[Any]:
-    """What the lines of a file hold, up to the first that was not written to its end."""
+def read_lines(path: Path) -> list[Any]:
+    """Parse a file of JSON lines, in which a last line that was not written to its end does not count.
+
+    A crash of the machine can leave such a line, or zero bytes in its place.
+
+    Raises:
+        InputError: If another line is not JSON.
+        OSError: If the file cannot be read.
+    """
+    *lines, last = path.read_bytes().split(b"\n")
     found: list[Any] = []
-    if path.is_file():
-        for line in path.read_bytes().splitlines():
+    for number, line in enumerate(lines, 1):
+        if line.strip(_BLANK):
             try:
                 found.append(json.loads(line))
-            except (ValueError, RecursionError):
-                break
+            except (ValueError, RecursionError) as error:
+                raise InputError(one_line(f"{path} is damaged: line {number} is not JSON: {error}")) from None
+    with suppress(ValueError, RecursionError):
+        found.append(json.loads(last))
     return found
 
 

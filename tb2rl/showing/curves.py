@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,8 +16,8 @@ from tensorboard.compat.tensorflow_stub.errors import DataLossError, OutOfRangeE
 from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import PyRecordReader_New
 
 from tb2rl.errors import InputError, one_line
-from tb2rl.files import read_text
 from tb2rl.judging.statistics import bootstrap_interval
+from tb2rl.runs.journal import read_lines
 
 POINTS = 120  # of a drawn curve, at most
 _LOGGED = ("rollout/ep_rew_mean", "rollout/ep_len_mean", "rollout/failure_rate")
@@ -130,8 +129,8 @@ def read_evaluations(file: Path) -> dict[str, Curve]:
     """
     if not file.is_file():
         return {}
+    notes = read_lines(file)
     try:
-        notes = [json.loads(line) for line in read_text(file).splitlines()]
         steps = [float(note["timesteps"]) for note in notes]
         curves = {key: _curve(steps, [float(note[key]) for note in notes]) for key in _NOTED}
         if not all(np.isfinite([*curve.steps, *curve.values]).all() for curve in curves.values()):

@@ -127,6 +127,42 @@ def test_evaluations_while_training_are_noted_and_forgotten(run):
     assert [json.loads(line)["timesteps"] for line in lines] == [50, 100]
 
 
+@pytest.mark.parametrize(
+    "end", [b'{"timesteps": 90, "sc', b"\n", b"\0" * 40, b"  \n\n"], ids=["torn", "blank", "zeros", "blanks"]
+)
+def test_evaluations_whose_last_line_was_not_written_to_its_end_are_forgotten_and_noted_further(end, run):
+    file = run.folder / "evaluations.jsonl"
+    for timesteps in (50, 150):
+        run.note_evaluation({"timesteps": timesteps})
+    file.write_bytes(file.read_bytes() + end)
+    run.forget_evaluations(after=100)
+    run.note_evaluation({"timesteps": 120})
+    assert [json.loads(line) for line in file.read_text().splitlines()] == [{"timesteps": 50}, {"timesteps": 120}]
+
+
+def test_a_last_evaluation_without_a_line_break_stays_apart_from_the_next(run):
+    file = run.folder / "evaluations.jsonl"
+    file.write_text('{"timesteps": 50}')
+    run.forget_evaluations(after=100)
+    run.note_evaluation({"timesteps": 120})
+    assert [json.loads(line)["timesteps"] for line in file.read_text().splitlines()] == [50, 120]
+
+
+@pytest.mark.parametrize("line", ["{", "[]", "{}", '{"timesteps": "x"}'])
+def test_evaluations_that_are_damaged_elsewhere_are_refused_and_stay(line, run, refused):
+    file = run.folder / "evaluations.jsonl"
+    file.write_text(content := f'{line}\n{{"timesteps": 50}}\n')
+    assert f"{file} is damaged" in refused(run.forget_evaluations, after=100)
+    assert file.read_text() == content
+
+
+def test_an_evaluation_is_on_the_disk_once_it_is_noted(run, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append((run.folder / "evaluations.jsonl").read_text()))
+    run.note_evaluation({"timesteps": 50})
+    assert synced == ['{"timesteps": 50}\n']
+
+
 def test_the_standard_evaluation_comes_back(run, refused):
     assert not run.has_evaluation
     assert "python -m tb2rl.evaluate" in refused(run.read_evaluation)

@@ -58,6 +58,15 @@ def test_damaged_notes_are_refused_by_name(content, tmp_path):
         read_evaluations(tmp_path / "evaluations.jsonl")
 
 
+@pytest.mark.parametrize("end", ['{"timesteps": 2, "fail', "\n", "\0" * 40], ids=["torn", "blank", "zeros"])
+def test_a_last_note_that_was_not_written_to_its_end_is_left_out(end, tmp_path):
+    note = '{"timesteps": 1, "failure_free_rate": 0.5, "success_rate": 0.25}\n'
+    (tmp_path / "evaluations.jsonl").write_text(note + end)
+    assert read_evaluations(tmp_path / "evaluations.jsonl")["success_rate"].values.tolist() == [0.25]
+    (tmp_path / "evaluations.jsonl").write_text(end)
+    assert read_evaluations(tmp_path / "evaluations.jsonl") == {}
+
+
 def test_seeds_have_a_mean_and_an_interval_where_all_of_them_have_values():
     first = Curve(np.array([0.0, 10.0, 20.0]), np.array([0.0, 1.0, 2.0]))
     second = Curve(np.array([10.0, 30.0]), np.array([3.0, 5.0]))

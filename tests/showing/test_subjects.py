@@ -127,7 +127,7 @@ def test_a_damaged_event_file_is_refused(damage, seeds, make, tmp_path):
 @pytest.mark.parametrize(
     ("file", "content"),
     [
-        ("evaluations.jsonl", "{"),
+        ("evaluations.jsonl", "{\n"),
         ("evaluations.jsonl", '{"timesteps": 1}\n'),
         ("evaluations.jsonl", "[]\n"),
         ("evaluations.jsonl", '{"timesteps": 1e999, "failure_free_rate": 1, "success_rate": 1}\n'),
