@@ -6,6 +6,7 @@ optimiser's, and would write past an array's end.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from operator import attrgetter
 from pathlib import Path
@@ -19,7 +20,7 @@ from tb2rl.errors import InputError, one_line
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.normalisation import load_statistics
 
-_LARGEST = 1e9  # of any weight
+_LARGEST, _LARGEST_COUNT = 1e9, 1e12  # of any weight, and of any integer, such as the visits of a state
 _SINGLE = ("step", "mu_product")  # of an optimiser, one number for all of a layer's weights
 
 
@@ -52,10 +53,7 @@ def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: 
     """
     try:
         algorithm.num_timesteps = int(content["timesteps"])
-        for array in content["policy"].values():
-            if array.dtype.kind == "f" and not (np.abs(array) < _LARGEST).all():
-                raise ValueError("it holds weights that learning does not lead to")
-        algorithm.policy.load_state_dict(_tensors(content["policy"]))
+        _load(algorithm.policy, content["policy"])
         load_statistics(algorithm, content.get("normalisation"))
         if training := content.get("training"):
             others, tensors = _names(algorithm)
@@ -80,20 +78,44 @@ def _load(target: th.optim.Optimizer | th.nn.Module, state: Mapping[str, Any]) -
             _check_moments(values, parameters[index])
         # The rest of the groups is what the config says; of these, learning changes the learning rate alone.
         rates = [{"lr": float(group["lr"])} for group in state["param_groups"]]
+        if not all(math.isfinite(rate["lr"]) for rate in rates):
+            raise ValueError("the optimiser's learning rate is not finite")
         groups = [group | rate for group, rate in zip(target.state_dict()["param_groups"], rates, strict=True)]
         state = {"state": state["state"], "param_groups": groups}
+    else:
+        for name, tensor in target.state_dict().items():
+            if name in state:  # torch itself names those that are missing or too many
+                _check_numbers(state[name], tensor, f"its {name}")
     target.load_state_dict(_tensors(state))
 
 
 def _check_moments(values: Mapping[str, Any], parameter: th.nn.Parameter) -> None:
-    """Raise a ValueError where what an optimiser remembers of a layer's weights has another shape than they have."""
+    """Raise a ValueError where an optimiser's moments of a layer's weights differ from them in shape or kind."""
     for name, value in values.items():
+        if value is None or (isinstance(value, int | float) and math.isfinite(value)):  # no momentum; a count of steps
+            continue
         shape = () if name in _SINGLE else tuple(parameter.shape)
-        if isinstance(value, np.ndarray) and value.shape != shape:
+        if not isinstance(value, np.ndarray) or value.shape != shape:
             raise ValueError(f"the optimiser's {name} has another shape than the weights")
+        if value.dtype.kind != "f" or not np.isfinite(value).all():
+            raise ValueError(f"the optimiser's {name} has another kind of numbers than the weights, or is not finite")
+
+
+def _check_numbers(array: Any, tensor: th.Tensor, what: str) -> None:
+    """Raise a ValueError unless an array has numbers of the tensor's kind that learning can lead to.
+
+    torch would convert complex numbers to real ones, and integers to floating point, without a word.
+    """
+    if not isinstance(array, np.ndarray) or array.dtype.kind != tensor.detach().cpu().numpy().dtype.kind:
+        raise ValueError(f"{what} has another kind of numbers than the policy")
+    inexact = array.dtype.kind in "fc"
+    magnitudes = np.abs(array if inexact else array.astype(float))  # the least integer has no positive counterpart
+    if not (magnitudes < (_LARGEST if inexact else _LARGEST_COUNT)).all():
+        raise ValueError("it holds weights that learning does not lead to")
 
 
 def _fill(target: th.Tensor, array: np.ndarray) -> None:
+    _check_numbers(array, target, "a tensor beside the policy")
     if array.shape != tuple(target.shape):
         raise ValueError("a tensor beside the policy has another shape")
     with th.no_grad():

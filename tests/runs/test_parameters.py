@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,16 +33,28 @@ NAN, INF = float("nan"), float("inf")
 
 
 @pytest.fixture
-def make_sac(tmp_path, monkeypatch):
-    """A function that makes a small SAC, untrained."""
+def make(tmp_path, monkeypatch):
+    """A function that makes a small algorithm, untrained."""
     (tmp_path / "glide.py").write_text(GLIDE)
     monkeypatch.syspath_prepend(tmp_path)
 
-    def make(seed=0):
-        config = resolve("stable_baselines3:SAC", "glide:Glide", settings={**SMALL, "train.seed": seed})
+    def made(agent, seed=0):
+        config = resolve(agent, "glide:Glide", settings={**SMALL, "train.seed": seed})
         return make_algorithm(config, Spaces.vectorised(config))
 
-    return make
+    return made
+
+
+@pytest.fixture
+def make_sac(make):
+    """A function that makes a small SAC, untrained."""
+    return partial(make, "stable_baselines3:SAC")
+
+
+@pytest.fixture
+def make_crossq(make):
+    """A function that makes a small CrossQ, which counts its steps, untrained."""
+    return partial(make, "sb3_contrib:CrossQ")
 
 
 def as_saved(algorithm, folder, **changes) -> dict:
@@ -90,6 +103,13 @@ def test_tensors_beside_the_policy_must_fit(tensors, make_sac, refused, tmp_path
     assert message.startswith(f"{tmp_path / 'it.safetensors'} does not fit its config")
 
 
+@pytest.mark.parametrize("value", [np.complex64(NAN), np.int64(2**62), np.float32(NAN), np.float32(1e30)])
+def test_tensors_beside_the_policy_must_be_numbers_that_learning_leads_to(value, make_sac, refused, tmp_path):
+    algorithm = make_sac()
+    content = as_saved(algorithm, tmp_path, tensors={"log_ent_coef": np.array([value])})
+    assert "does not fit its config" in refused(load_parameters, algorithm, content, tmp_path / "it.safetensors")
+
+
 # ---- the policy's parameters
 
 
@@ -110,6 +130,25 @@ def test_weights_that_learning_does_not_lead_to_are_refused(value, checkpoint, e
     assert "weights that learning does not lead to" in refused(load, file)
 
 
+@pytest.mark.parametrize("kind", [np.complex64, np.int64, np.int8, np.uint8, bool])
+def test_weights_of_another_kind_are_refused(kind, checkpoint, edited, refused, tmp_path):
+    def spoiled(policy):
+        name = next(name for name, array in policy.items() if array.dtype.kind == "f" and array.size)
+        return {**policy, name: policy[name].astype(kind)}
+
+    file = edited(checkpoint, tmp_path / "policy.safetensors", "policy", spoiled)
+    assert "has another kind of numbers than the policy" in refused(load, file)
+
+
+@pytest.mark.parametrize("value", [2**62, -(2**63)])
+def test_counts_that_learning_does_not_lead_to_are_refused(value, make_crossq, refused, tmp_path):
+    algorithm = make_crossq()
+    content = as_saved(algorithm, tmp_path)
+    steps = next(array for array in content["policy"].values() if array.dtype.kind == "i")
+    steps[...] = value
+    assert "weights that learning does not lead to" in refused(load_parameters, algorithm, content, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("pairs", "q", "visits"),
     [
@@ -119,6 +158,7 @@ def test_weights_that_learning_does_not_lead_to_are_refused(value, checkpoint, e
         ([4, 3], [0.0, 0.0], [1, 1]),
         ([3, 4], [0.0], [1, 1]),
         ([3], [0.0], [-1]),
+        ([3], [0.0], [2**62]),
         ([[3]], [[0.0]], [[1]]),
     ],
 )
@@ -140,6 +180,13 @@ def test_a_table_is_not_written_outside(pairs, q, visits, runs, edited, refused,
         ("state/0/exp_avg_sq", lambda array: array.ravel()),
         ("state/0/exp_avg", lambda _: np.zeros(0, np.float32)),
         ("state/0/step", lambda _: np.zeros(5, np.float32)),
+        ("state/0/step", lambda _: np.array(NAN, np.float32)),
+        ("state/0/exp_avg", lambda array: array.astype(np.complex64)),
+        ("state/0/exp_avg", lambda array: array.astype(np.int64) + 2**62),
+        ("state/0/exp_avg", lambda array: np.full_like(array, INF)),
+        ("state/0/exp_avg", lambda array: array.tolist()),
+        ("state/0/exp_avg", lambda _: "x"),
+        ("param_groups/0/lr", NAN),
         ("state", lambda state: {**state, 99: state[0]}),
         ("state", lambda _: [1]),
         ("param_groups", lambda _: []),
