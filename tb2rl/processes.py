@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import connection, spawn
+from multiprocessing import connection, forkserver, resource_tracker, spawn
 from typing import Any
 
 # Imported once, in the server that new processes are forked from.
@@ -24,7 +25,23 @@ def process_context() -> Any:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
+    resource_tracker.ensure_running()  # the server would start it, and that unblocks SIGINT
+    with _blocked(signal.SIGINT, signal.SIGHUP):
+        forkserver.ensure_running()
     return context
+
+
+@contextmanager
+def _blocked(*numbers: int) -> Iterator[None]:
+    """Block these signals in this thread, and for ever in processes that start during the block.
+
+    A terminal sends them to every process, and the one that started the others decides what they mean.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from tb2rl.runs.algorithm import check_device, check_learns
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import load
 from tb2rl.showing.table import print_evaluation
+from tb2rl.signals import ending_signals
 
 LOG = "log.txt"  # in the run folder: what a training said that nobody watched
 
@@ -50,15 +52,25 @@ def train_seeds(config: Config, seeds: Sequence[int], folder: Path, where: Where
         flush=True,
     )
     summaries: dict[int, Mapping[str, Any]] = {}
+    came: list[int] = []  # signals
     try:
-        for job, summary in run_jobs(jobs, where, worlds_of_files(config.task.world)):
-            summaries[seeds[jobs.index(job)]] = summary
-            said = f"{100 * summary['success_rate']:.1f} % success, {summary['mean_distance']:.1f} m"
-            print(f"{job.name}: {said}, trained {summary['timesteps']} steps in {summary['seconds']:.0f} s", flush=True)
+        with ending_signals(partial(_interrupt, came)):
+            for job, summary in run_jobs(jobs, where, worlds_of_files(config.task.world)):
+                summaries[seeds[jobs.index(job)]] = summary
+                said = f"{100 * summary['success_rate']:.1f} % success, {summary['mean_distance']:.1f} m"
+                took = f"trained {summary['timesteps']} steps in {summary['seconds']:.0f} s"
+                print(f"{job.name}: {said}, {took}", flush=True)
     except KeyboardInterrupt:
         print(f"\nstopped; {len(summaries)} of {len(seeds)} seeds are done, in {folder}", flush=True)
-        raise
+        raise SystemExit(128 + came[0]) from None
     _print_seeds({seed: summaries[seed] for seed in seeds}, folder)
+
+
+def _interrupt(came: list[int], number: int) -> None:
+    if not came:
+        print("\nstopping: each training saves a checkpoint for --resume; Ctrl-C again stops at once", flush=True)
+    came.append(number)
+    raise KeyboardInterrupt
 
 
 def _job(config: Config, folder: Path, verbose: int) -> Job:
@@ -80,6 +92,8 @@ def train_and_evaluate(worlds: Mapping[str, Any] | None, folder: Path, config: C
     said = StringIO()
     with redirect_stdout(said), redirect_stderr(said):
         training = train_config(config, folder, verbose=verbose, place=Path(name))
+        if training.interrupted:
+            raise KeyboardInterrupt
         say_trained(training)
         evaluation = evaluate(load(folder))
         summary = print_evaluation(evaluation, f"{name} in {config.scene.place}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from functools import partial
 from pathlib import Path
@@ -92,8 +93,14 @@ def _say_resumed(folder: Path) -> None:
 
 
 def _finish(training: Training, options: argparse.Namespace) -> None:
-    """Say how a training went, and evaluate it unless it was interrupted."""
+    """Say how a training went, and evaluate it unless it was interrupted.
+
+    Raises:
+        SystemExit: If another signal than Ctrl-C ended it, with the status that a shell counts for it.
+    """
     say_trained(training)
+    if training.interrupted not in (0, signal.SIGINT):
+        raise SystemExit(128 + training.interrupted)
     if options.no_evaluation or training.interrupted:
         return
     run = training.run

@@ -6,9 +6,10 @@ import multiprocessing
 import os
 import shutil
 import threading
+import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from typing import Any
@@ -20,6 +21,7 @@ from tb2rl.errors import InputError
 from tb2rl.jobs.job import AGAIN, ONE_THREAD, Job, Outcome, attempt
 from tb2rl.processes import end_with_parent, main_hidden
 
+_GRACE = 30.0  # [s] for a job to end well: a rollout can be long
 _CONTEXT = multiprocessing.get_context("spawn")  # anew: how many threads it has is decided before anything is imported
 
 
@@ -71,8 +73,13 @@ class Processes:
         self.start(job)
 
     def close(self) -> None:
-        """End the processes, whatever they do."""
-        for worker in [*self._idle, *(worker for worker, _ in self._busy.values())]:
+        """End the processes; a training in one may save a checkpoint first, see `StopOnInterrupt`."""
+        workers = [*self._idle, *(worker for worker, _ in self._busy.values())]
+        for worker in workers:
+            worker.process.terminate()
+        until = time.monotonic() + _GRACE
+        for worker in workers:
+            worker.process.join(max(0.0, until - time.monotonic()))
             worker.end()
 
 
@@ -115,9 +122,7 @@ def _serve(jobs: Connection, shared: bytes) -> None:
         os.setsid()  # Ctrl-C is for the process that asked
     tqdm.set_lock(threading.RLock())  # in place of a semaphore, which a process that is killed leaves behind
     known = cloudpickle.loads(shared)
-    while True:
-        try:
+    with suppress(EOFError, KeyboardInterrupt):  # no more jobs; a training that was asked to end
+        while True:
             call, folder = jobs.recv()
-        except EOFError:
-            return
-        jobs.send(attempt(call, known, folder))
+            jobs.send(attempt(call, known, folder))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from types import FrameType
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from tb2rl.runs.config import TrainSettings
 from tb2rl.runs.folder import Run
 from tb2rl.runs.normalisation import driving_policy
 from tb2rl.showing.pictures import draw_paths
+from tb2rl.signals import ending_signals
 
 _PATHS_DRAWN = 5
 _LOGGED = (
@@ -167,26 +166,40 @@ class StopAfterEpisodes(BaseCallback):
 
 
 class StopOnInterrupt(BaseCallback):
-    """The first Ctrl-C ends the training as if its time were up; a second one stops at once."""
+    """Ends the training at Ctrl-C, SIGTERM or SIGHUP, where the next rollout starts; a second one stops at once.
 
-    def __init__(self) -> None:
+    Args:
+        save: Saves a checkpoint where a rollout starts, so that a resumed training is the undisturbed one.
+
+    Attributes:
+        interrupted: The number of the signal that came; 0: none.
+        stopped: Whether the training was stopped before its time was up.
+    """
+
+    def __init__(self, save: Callable[[], object]) -> None:
         super().__init__()
-        self.interrupted = False
+        self.save, self.interrupted, self.stopped = save, 0, False
+        self._handled = ExitStack()
 
     def __enter__(self) -> StopOnInterrupt:
-        if threading.current_thread() is threading.main_thread():  # elsewhere Python takes no signals
-            self._previous = signal.signal(signal.SIGINT, self._on_signal)
+        self._handled.enter_context(ending_signals(self._on_signal))
         return self
 
     def __exit__(self, *_: object) -> None:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, self._previous)
+        self._handled.close()
 
-    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+    def _on_signal(self, number: int) -> None:
         if self.interrupted:
             raise KeyboardInterrupt
-        self.interrupted = True
-        print("\nstopping: this saves the policy; Ctrl-C again stops at once", flush=True)
+        self.interrupted = number
+        with suppress(OSError, RuntimeError):  # nobody reads it, or it comes in the middle of another line
+            print("\nstopping after this rollout: this saves the policy, and a checkpoint for --resume; ", end="")
+            print("Ctrl-C again stops at once", flush=True)
+
+    def _on_rollout_start(self) -> None:
+        if self.interrupted:
+            self.save()
+            self.stopped = True
 
     def _on_step(self) -> bool:
-        return not self.interrupted
+        return not self.stopped

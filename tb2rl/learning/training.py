@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ class Training:
     timesteps: int  # control steps; of a resumed training those since
     seconds: float  # of learning them, evaluations included
     lengths: Sequence[int]  # control steps of each episode
-    interrupted: bool
+    interrupted: int  # the signal that asked it to end; 0: none
     stopped_after: int | None  # control steps since it began, if evaluations stopped it before its time was up
 
 
@@ -185,8 +186,8 @@ def _train(
         if not checkpoint:
             refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
         resources.enter_context(run.lock())
-        statistics, stop = Statistics(), StopOnInterrupt()
-        checkpoints = Checkpoints(run, settings.save_freq, settings.keep)
+        statistics, checkpoints = Statistics(), Checkpoints(run, settings.save_freq, settings.keep)
+        stop = StopOnInterrupt(partial(checkpoints.save, in_rollout=True))
         remembering: list[Any] = [
             statistics,
             checkpoints,
@@ -219,7 +220,7 @@ def _train(
                 left = settings.total_timesteps - done
                 algorithm.learn(left, watching, reset_num_timesteps=checkpoint is None, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
-            if not stop.interrupted:
+            if not stop.stopped:
                 if evaluator and not evaluation.stopped:
                     evaluation.evaluate(progress_bar)
                 checkpoints.save()  # it knows the best score, should more steps be asked

@@ -189,20 +189,17 @@ class Run:
         path = self.folder / EVALUATIONS
         if path.is_file():
             try:
-                kept = [entry for entry in read_lines(path) if entry["timesteps"] <= after]
+                kept = [json.dumps(entry) + "\n" for entry in read_lines(path) if entry["timesteps"] <= after]
             except (LookupError, TypeError):
                 raise InputError(f"{path} is damaged: a line has no timesteps") from None
-            write_text(path, "".join(json.dumps(entry) + "\n" for entry in kept))
+            write_text(path, "".join(kept))
 
     def write_evaluation(self, tree: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-        """Put the standard evaluation into the folder.
+        """Put the standard evaluation into the folder, or raise an `InputError`.
 
         Args:
             tree: Plain values, for `evaluation.json`.
             arrays: By name, or lists of them, for the file beside it.
-
-        Raises:
-            InputError: If it cannot be written.
         """
         with _writing(self.folder / PATHS):
             write_checkpoint(self.folder / PATHS, arrays)

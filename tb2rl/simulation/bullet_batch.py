@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import signal
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -21,6 +20,7 @@ import numpy as np
 
 from tb2rl.errors import InputError
 from tb2rl.processes import main_hidden, process_context, processors
+from tb2rl.signals import ignore_ending_signals
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.simulation.reading import Eye, Reading
 from tb2rl.simulation.setup import Setup
@@ -133,7 +133,7 @@ class BulletBatch:
             pipe.close()  # the process sees the end and leaves
         for process in self._processes:
             process.join(timeout=5)
-            process.terminate()
+            process.kill()
         self._pipes, self._processes = [], []
         self._share.close()
 
@@ -283,7 +283,7 @@ def _unless_failed(answers: list[Any]) -> list[Any]:
 
 def _serve(pipe: Connection, pickled: bytes, memory: Any, part: slice) -> None:
     """The life of another process: answer calls of its share's methods until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the training decides what it means
+    ignore_ending_signals()
     try:
         share = _Share(pickle.loads(pickled), part.stop - part.start)
         share.write_to(np.frombuffer(memory, share.record_type)[part])

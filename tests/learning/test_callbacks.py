@@ -56,7 +56,15 @@ def test_a_full_replay_buffer_is_saved_and_loaded_in_two_seconds(small, monkeypa
     assert max(seconds) <= 2
 
 
-def test_ctrl_c_saves_the_policy_and_ends_well(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [
+        (signal.SIGINT, 0),
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, 129, marks=pytest.mark.slow),
+    ],
+)
+def test_a_signal_to_all_processes_saves_policy_and_checkpoint_and_ends_well(number, status, tmp_path):
     arguments = ["--name", "it", "--total-timesteps", "1000000000", "--n-envs", "2", "--save-freq", "200"]
     evaluating = ["--eval-freq", "100", "--set", "train.eval_episodes=2", "train.eval_steps=5"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": tmp_path}
@@ -69,19 +77,21 @@ def test_ctrl_c_saves_the_policy_and_ends_well(tmp_path):
         assert process.poll() is None, process.stderr.read()
         assert time.monotonic() < deadline
         time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    os.killpg(process.pid, number)  # as a terminal does: to the workers too
     out, error = process.communicate(timeout=60)
-    assert (process.returncode, error) == (0, "")
+    assert (process.returncode, error) == (status, "")
     assert "stopping" in out
-    assert load(folder / "final" / "policy.safetensors").num_timesteps >= 200
+    assert load(folder / "final" / "policy.safetensors").num_timesteps == timesteps(Run.open(folder)) + 2
     assert not (folder / "evaluation.json").exists()
 
 
 def test_a_second_ctrl_c_stops_at_once():
     before = signal.getsignal(signal.SIGINT)
-    with StopOnInterrupt() as stop:
+    with StopOnInterrupt(lambda: None) as stop:
+        stop._on_rollout_start()
         assert stop._on_step()
         signal.raise_signal(signal.SIGINT)
+        stop._on_rollout_start()
         assert not stop._on_step()
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)

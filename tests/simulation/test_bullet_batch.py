@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import multiprocessing
+import os
 import pickle
+import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -196,6 +198,14 @@ def test_a_process_that_is_killed_is_named_in_one_line(make):
     for _ in range(2):
         with pytest.raises(InputError, match="a process with worlds of PyBullet has ended"):
             batch.step(np.zeros((3, 2)), PERIOD)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_that_reaches_every_process_ends_none_of_them(name, make):
+    batch, other = make(SETUP, 4, 2), make(SETUP, 4, 2)
+    begun(batch)
+    os.kill(batch._processes[0].pid, getattr(signal, name))
+    np.testing.assert_equal(drive(batch), drive(other))
 
 
 @pytest.mark.parametrize("processes", [1, 2])

@@ -1,0 +1,50 @@
+"""Signals that ask a program to end: Ctrl-C, the usual one of `kill`, a closed terminal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows: two
+
+
+@contextmanager
+def ending_signals(handler: Callable[[int], None]) -> Iterator[None]:
+    """Call a function with the number of such a signal during the block.
+
+    A hangup that was ignored before, as `nohup` arranges, stays ignored. Only the main thread can receive signals: in
+    another one this does nothing.
+    """
+
+    def handle(number: int, _frame: object) -> None:
+        _drop_lost_terminal()
+        handler(number)
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDING:
+            if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)
+
+
+def ignore_ending_signals() -> None:
+    """Ignore such signals in a process that helps another one: they reach both, and the other one decides."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _drop_lost_terminal() -> None:
+    """Send stdout and stderr nowhere if their terminal is gone, because writing to it would raise an OSError."""
+    for stream in (1, 2):
+        try:
+            os.write(stream, b"")
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
