@@ -40,7 +40,8 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
         arguments: More of the algorithm's own, by name.
 
     Raises:
-        InputError: If its agent does not learn, or its arguments do not fit together.
+        InputError: If its agent does not learn, its arguments do not fit together, or its policy has no parameters
+            that a checkpoint can hold.
     """
     agent = agent_for(config.agent_name, config.scene.observation_space)
     check_learns(config)
@@ -58,6 +59,11 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
             )
     except LIBRARY_ERRORS as error:
         raise refusal(config, str(error)) from None
+    if not isinstance(algorithm.policy, th.nn.Module) or not algorithm.policy.state_dict():
+        raise InputError(
+            f"agent {config.agent_name} cannot be saved: its {type(algorithm.policy).__name__} has no parameters of "
+            "torch, but perhaps of JAX, as the algorithms of SBX; take one of Stable-Baselines3 or sb3-contrib"
+        )
     agree(algorithm)
     return algorithm
 

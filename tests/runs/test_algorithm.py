@@ -8,6 +8,7 @@ import pytest
 import torch as th
 from torch.nn.modules import module
 
+from tb2rl.learning.training import train_config
 from tb2rl.runs.algorithm import MOST_WEIGHTS, Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
 
@@ -56,6 +57,53 @@ def test_an_agent_that_learns_is_not_a_policy_alone(refused):
 
 
 # ---- what is refused
+
+
+ELSEWHERE = """
+import numpy as np
+import torch as th
+from stable_baselines3 import PPO
+from stable_baselines3.common.policies import BasePolicy
+
+class Policy(BasePolicy):
+    "Its weights are arrays of another library than torch, which `state_dict` does not know."
+
+    def _predict(self, observation, deterministic=False):
+        return th.zeros(len(observation), dtype=th.int64)
+
+    def forward(self, observation):
+        nothing = th.zeros(len(observation))
+        return self._predict(observation), nothing[:, None], nothing
+
+    def predict_values(self, observation):
+        return th.zeros(len(observation), 1)
+
+class Elsewhere(PPO):
+    def train(self):
+        self.policy.weights += 1.0
+
+    def _get_torch_save_params(self):
+        return [], []
+
+    def _setup_model(self):
+        super()._setup_model()
+        self.policy = Policy(self.observation_space, self.action_space)
+        self.policy.weights = np.zeros(3)
+"""
+
+
+def test_an_algorithm_without_parameters_that_can_be_saved_is_refused_before_there_is_a_run_folder(
+    refused, tmp_path, monkeypatch
+):
+    (tmp_path / "elsewhere.py").write_text(ELSEWHERE)
+    monkeypatch.syspath_prepend(tmp_path)
+    short = {"train.simulation": "kinematic", "train.total_timesteps": 64, "train.eval_freq": 0, "agent.n_steps": 16}
+    config = resolve("elsewhere:Elsewhere", settings={"task.observation": "raw", "train.n_envs": 4, **short})
+    message = refused(train_config, config, tmp_path / "run")
+    assert "agent elsewhere:Elsewhere" in message
+    assert "Policy has no parameters of torch" in message
+    assert not (tmp_path / "run").exists()
+    assert "no parameters of torch" in refused(make_algorithm, config, Spaces.vectorised(config))  # to load or convert
 
 
 @pytest.mark.parametrize(
