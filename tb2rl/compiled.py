@@ -13,6 +13,7 @@ import atexit
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import threading
 import warnings
@@ -23,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 from numba.core.caching import _CacheLocator
 from numba.core.options import DefaultOptions
 
@@ -58,6 +60,26 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return numba.njit(**{**options, "cache": False})(function)
 
     return decorated
+
+
+def announce_compiling() -> None:
+    """Print a line on stderr, if that is a terminal, before this process compiles the first function."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        event.register("numba:compile", _Announcement())
+
+
+class _Announcement(event.Listener):
+    """Receives numba's event of a compilation, which there is only if no cache has the code."""
+
+    said = False
+
+    def on_start(self, _: event.Event) -> None:
+        if not self.said:
+            print("compiling the simulator, once: about 20 s", file=sys.stderr, flush=True)
+        self.said = True
+
+    def on_end(self, _: event.Event) -> None:
+        pass
 
 
 def _with_cache(function: Callable[..., Any], options: dict[str, Any], earlier: list[Path], warn: bool = False) -> Any:

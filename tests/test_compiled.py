@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -118,3 +119,21 @@ def test_what_calls_a_function_of_a_changed_file_is_compiled_again(site):
     assert [run(), run()] == ["8 0\n", "8 1\n"]
     (site / "tiny.py").write_text(MODULE.replace("2 * x", "3 * x"))
     assert run() == "12 0\n"
+
+
+def test_what_is_compiled_is_said_once_on_a_terminal(site, tmp_path):
+    (site / "tinier.py").write_text(MODULE)
+    program = "from tb2rl.compiled import announce_compiling; announce_compiling(); import tiny, tinier; tiny.twice(4)"
+    path = os.pathsep.join([str(site), str(CHECKOUT)])
+    env = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def said(rest: str) -> str:
+        terminal, theirs = os.openpty()
+        subprocess.run([sys.executable, "-c", program + rest], env=env, stderr=theirs, check=True)
+        os.close(theirs)
+        with suppress(OSError):  # Linux: nothing was written, and nobody will
+            return os.read(terminal, 1000).decode()
+        return ""
+
+    assert said("; tinier.twice(4)").count("compiling") == 1
+    assert said("") == "", "it is in the cache"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tb2rl.commands.policy import chosen_policy
 from tb2rl.commands.robot import chosen_robot
+from tb2rl.compiled import announce_compiling
 from tb2rl.errors import InputError
 from tb2rl.files import write_text
 from tb2rl.judging.evaluation import Evaluation
@@ -20,6 +21,7 @@ from tb2rl.showing.table import print_evaluation
 
 def run(options: argparse.Namespace) -> None:
     """Evaluate a policy, print a table, write JSON."""
+    announce_compiling()
     robot = chosen_robot(options)
     for name, standard in (("episodes", EPISODES if robot is None else 1), ("steps", STEPS), ("seed", SEED)):
         if getattr(options, name) is None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from tb2rl.commands.policy import chosen_policy
 from tb2rl.commands.robot import chosen_robot, parse_goal
+from tb2rl.compiled import announce_compiling
 from tb2rl.envs.scene import Scene
 from tb2rl.errors import InputError, unknown
 from tb2rl.judging.progress import say
@@ -31,6 +32,7 @@ from tb2rl.simulation import judging_simulation
 
 def run(options: argparse.Namespace) -> None:
     """Play, and say how the episodes went."""
+    announce_compiling()
     if options.steps is None:
         options.steps = STEPS
     robot = chosen_robot(options)

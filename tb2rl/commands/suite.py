@@ -11,6 +11,7 @@ from typing import Any
 from tb2rl.commands.evaluate import check_places
 from tb2rl.commands.policy import chosen_policy
 from tb2rl.commands.robot import chosen_robot
+from tb2rl.compiled import announce_compiling
 from tb2rl.errors import InputError
 from tb2rl.files import write_text
 from tb2rl.jobs.where import where_of
@@ -29,6 +30,7 @@ from tb2rl.worlds.suites import Suite, find_suite
 
 def run(options: argparse.Namespace) -> None:
     """Drive a policy through a suite, print a table, write JSON."""
+    announce_compiling()
     check(options)
     suite = find_suite(options.suite[0], Path(options.suite[1]) if options.suite[1:] else None)
     policy, config = chosen_policy(options)

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from tb2rl.commands.seeds import say_trained, train_seeds
+from tb2rl.compiled import announce_compiling
 from tb2rl.errors import InputError
 from tb2rl.jobs.where import where_of
 from tb2rl.judging.evaluator import EPISODES, evaluate
@@ -28,6 +29,7 @@ _MOST_SEEDS = 1000
 
 def run(options: argparse.Namespace) -> None:
     """Train, say where the run is, evaluate."""
+    announce_compiling()
     if options.resume:
         others = {"agent", "task", "preset", "set", "name", "seeds", "on", "workers", *_FLAGS} - {"total_timesteps"}
         if any(getattr(options, name) not in (None, []) for name in others):

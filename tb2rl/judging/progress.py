@@ -11,6 +11,15 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 T = TypeVar("T")
 
 
+class _Bar(tqdm):
+    """A bar whose clock begins with the first thing that is done, because that one may wait for a compilation."""
+
+    def update(self, n: float | None = 1) -> bool | None:
+        if not self.disable and not self.n:
+            self.start_t, self.initial = self._time(), n
+        return super().update(n)
+
+
 def progress(things: Iterable[T] | None, what: str, unit: str, total: int | None = None, shown: bool = True) -> tqdm[T]:
     """A bar that advances with each of the things that are taken from it.
 
@@ -25,7 +34,13 @@ def progress(things: Iterable[T] | None, what: str, unit: str, total: int | None
         The bar: an iterable over `things`, and a context manager that removes it.
     """
     hidden = None if shown else True  # None: tqdm hides the bar where stderr is not a terminal
-    return tqdm(things, desc=what, unit=f" {unit}", total=total, file=sys.stderr, leave=False, disable=hidden)
+    options = {
+        "desc": what,
+        "unit": f" {unit}",
+        "total": total,
+        "smoothing": 0,
+    }  # 0: the mean rate, as things come in lots
+    return _Bar(things, **options, file=sys.stderr, leave=False, disable=hidden)
 
 
 def say(line: Any) -> None:

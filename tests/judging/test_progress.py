@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Callable
 
@@ -49,6 +50,23 @@ def test_a_caller_can_move_the_bar_itself(to_terminal):
         bar.update()
         bar.refresh()
     assert "1/2" in terminal.getvalue()
+
+
+def test_the_remaining_time_does_not_count_what_the_first_thing_waited_for(to_terminal, monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr("tqdm.std.time", lambda: clock[0])
+
+    def things():
+        for seconds in (16.0, *[1.0] * 10):
+            clock[0] += seconds
+            yield None
+
+    terminal = to_terminal()
+    list(progress(things(), "counting", "thing", total=11))
+    drawn = {
+        int(done): remaining for done, remaining in re.findall(r"(\d+)/11 \[\d+:\d+<([\d:?]+)", terminal.getvalue())
+    }
+    assert (drawn[1], drawn[3], drawn[8]) == ("?", "00:08", "00:03")
 
 
 def test_no_bar_is_drawn_where_nobody_asks_for_one(to_terminal):
