@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import multiprocessing
 import multiprocessing.spawn
+import os
 import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -49,3 +51,33 @@ def test_processes_of_a_pool_end_when_what_started_them_is_killed():
     done = subprocess.run([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True, check=False, timeout=60)
     assert done.returncode == -signal.SIGKILL
     assert int(done.stdout) > 0, "all of the output is there: no process holds it open any longer"
+
+
+EARLY = """
+import os, signal, threading, time
+from tb2rl.processes import main_hidden, process_context
+
+def interrupt():
+    for _ in range(30):
+        time.sleep(0.03)
+        os.killpg(0, signal.SIGINT)
+
+signal.signal(signal.SIGINT, lambda *_: None)
+threading.Thread(target=interrupt).start()
+with main_hidden():
+    process = process_context().Process(target=os.getpid)
+    process.start()
+process.join()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is no server")
+def test_an_early_ctrl_c_ends_the_server_of_processes_neither_with_a_traceback_nor_at_all(tmp_path):
+    (tmp_path / "early.py").write_text(EARLY)
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
+    words = [sys.executable, str(tmp_path / "early.py")]
+    done = subprocess.run(
+        words, env=env, capture_output=True, text=True, check=False, start_new_session=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
