@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.folder import Run
 
 DISK_TROUBLES = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
+_WRITER = "_AsyncWriterThread"  # of tensorboard.summary.writer.event_file_writer
 _LIBRARIES = {"stable_baselines3", "sb3_contrib", "torch", "numpy"}
 
 
@@ -28,7 +30,8 @@ def machine_troubles_named(folder: Path) -> Iterator[None]:
         InputError: If that is so.
     """
     try:
-        yield
+        with _writers_quiet():
+            yield
     except OSError as error:
         if error.errno not in DISK_TROUBLES:
             raise
@@ -38,6 +41,23 @@ def machine_troubles_named(folder: Path) -> Iterator[None]:
             "not enough memory: take fewer train.n_envs or task.beams, or a smaller agent.buffer_size, n_steps, "
             "batch_size or train.eval_episodes"
         ) from None
+
+
+@contextmanager
+def _writers_quiet() -> Iterator[None]:
+    """Print no traceback of TensorBoard's writing thread for such an error, because the logger raises it again."""
+    usual = threading.excepthook
+
+    def show(error: threading.ExceptHookArgs) -> None:
+        named = isinstance(error.exc_value, OSError) and error.exc_value.errno in DISK_TROUBLES
+        if not (named and type(error.thread).__name__ == _WRITER):
+            usual(error)
+
+    threading.excepthook = show
+    try:
+        yield
+    finally:
+        threading.excepthook = usual
 
 
 @contextmanager

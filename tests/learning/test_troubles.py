@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import shutil
 import subprocess
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -46,6 +47,18 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_stands(small_disk, small):
     run = Run.open(small_disk / "run")
     assert load(run.folder).num_timesteps == timesteps(run) >= 500
     assert not [file for file in run.folder.rglob(".*") if file.name != ".lock"], "nothing half-written is left"
+
+
+def test_a_full_disk_is_named_in_one_line_where_tensorboard_writes_beside_the_training(small, tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    shown = []
+    monkeypatch.setattr("tensorboard.summary.writer.record_writer.RecordWriter.write", full)
+    monkeypatch.setattr(threading, "excepthook", shown.append)
+    with pytest.raises(InputError, match="No space left"):
+        train_config(small(), tmp_path / "run")
+    assert shown == [], "tracebacks of threads"
 
 
 def test_a_process_with_worlds_that_is_killed_is_named_and_none_is_left(small, tmp_path, monkeypatch):
