@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows: two
 
@@ -33,6 +34,18 @@ def ending_signals(handler: Callable[[int], None]) -> Iterator[None]:
     finally:
         for number, previous in before.items():
             signal.signal(number, previous)
+
+
+def end_program(number: int) -> NoReturn:
+    """End this program as such a signal does, but after its `finally` blocks: a handler for `ending_signals`.
+
+    Raises:
+        KeyboardInterrupt: At Ctrl-C.
+        SystemExit: At another signal, with the status that a shell counts for it.
+    """
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise SystemExit(128 + number)
 
 
 def ignore_ending_signals() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import signal
 import sys
 from io import StringIO
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 import tb2rl.play as play
 from tb2rl import train
+from tb2rl.showing import film
 
 
 @pytest.fixture
@@ -135,3 +137,21 @@ def test_play_says_what_is_wrong(line, named, alone, run, capsys):
     assert message.count("\n") == 1, message
     assert [part for part in named if part not in message] == [], message
     assert sorted(alone.rglob("*")) == before, "it leaves nothing behind"
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_while_it_films_leaves_no_part_of_the_film(name, tmp_path, monkeypatch, capsys):
+    number, pictures = getattr(signal, name), iter(range(1000))
+    before, with_caption = signal.getsignal(number), film.with_caption
+
+    def interrupted(*arguments):
+        if next(pictures) == 3:
+            signal.raise_signal(number)
+        return with_caption(*arguments)
+
+    monkeypatch.setattr(film, "with_caption", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        play.main(["--agent", "random", "--steps", "20", "--video", str(tmp_path / "d.mp4")])
+    assert ended.value.code == 128 + number
+    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(number) is before

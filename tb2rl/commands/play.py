@@ -27,6 +27,7 @@ from tb2rl.showing.keyboard import Teleop
 from tb2rl.showing.recording import record
 from tb2rl.showing.terminal import steer_in_terminal
 from tb2rl.showing.window import Window, has_display, watch
+from tb2rl.signals import end_program, ending_signals
 from tb2rl.simulation import judging_simulation
 
 
@@ -44,12 +45,13 @@ def run(options: argparse.Namespace) -> None:
     policy, config = chosen_policy(options)
     if options.goal is not None and robot is None:
         config = config.with_task(_to_goal(config, options))
-    if options.bag:
-        _record(policy, config, options)
-    elif options.video or not has_display():
-        _film(policy, config, options, robot)
-    else:
-        _show(policy, config, options)
+    with ending_signals(end_program):  # else a part of a film would be left
+        if options.bag:
+            _record(policy, config, options)
+        elif options.video or not has_display():
+            _film(policy, config, options, robot)
+        else:
+            _show(policy, config, options)
 
 
 def check(options: argparse.Namespace) -> None:
