@@ -61,8 +61,8 @@ def make_algorithm(config: Config, env: VecEnv, **arguments: Any) -> BaseAlgorit
         raise refusal(config, str(error)) from None
     if not isinstance(algorithm.policy, th.nn.Module) or not algorithm.policy.state_dict():
         raise InputError(
-            f"agent {config.agent_name} cannot be saved: its {type(algorithm.policy).__name__} has no parameters of "
-            "torch, but perhaps of JAX, as the algorithms of SBX; take one of Stable-Baselines3 or sb3-contrib"
+            f"agent {config.agent_name} cannot be saved: its {type(algorithm.policy).__name__} has no torch parameters "
+            "(those of SBX are JAX's); take an algorithm of Stable-Baselines3 or sb3-contrib"
         )
     agree(algorithm)
     return algorithm
