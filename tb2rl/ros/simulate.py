@@ -71,7 +71,7 @@ class Server:
     def __init__(self, simulator: Simulator, graph: Graph, topics: Topics, rate: float, lockstep: float | None) -> None:
         self._simulator, self._graph, self._rate, self._lockstep = simulator, graph, rate, lockstep
         self._turn = threading.Condition()  # whose it is: ours, or that of a thread of ROS
-        self._paused = self._answered = self._disturbed = self._commanded = False
+        self._paused = self._resumed = self._answered = self._disturbed = self._commanded = False
         self._until_scan, self._unanswered, self._due, self._scan_due = 0, 0, 0.0, 0.0
         self._clock, self._tf = graph.publisher("/clock", Clock), graph.publisher("/tf", Transforms)
         self._scan, self._odometry = graph.publisher(topics.scan, Scan), graph.publisher(topics.odometry, Odometry)
@@ -115,7 +115,8 @@ class Server:
         return self._scan.connected() and any(each.connected() for each in self._commands)
 
     def _pass_a_tick(self) -> None:
-        self._answered = self._disturbed = False
+        self._answered &= self._resumed  # a command since the end of a pause answers the scan that came before it
+        self._resumed = self._disturbed = False
         self._say(with_scan=self._until_scan == 0)
         if self._until_scan == 0:
             if self._lockstep is not None and not self._is_answered(self._lockstep):
@@ -191,6 +192,8 @@ class Server:
 
     def _pause(self, paused: bool) -> None:
         with self._turn:
+            if self._paused and not paused:
+                self._resumed, self._answered = True, False
             self._paused = self._disturbed = paused
             self._turn.notify_all()
 

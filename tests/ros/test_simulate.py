@@ -21,9 +21,10 @@ SCAN, ODOMETRY, VELOCITY = "/kobuki/laser/scan", "/odom", "/cmd_vel"
 
 
 @contextmanager
-def running(graph, rate=0.0, lockstep=None):
+def running(graph, rate=0.0, lockstep=None, before=lambda: None):
     simulator = Simulator(make_scene(Wander(start="fixed"), "raw"), "kinematic", 0, 10.0, lockstep is not None)
     server = Server(simulator, graph, Topics(), rate, lockstep)
+    before()
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
@@ -89,6 +90,18 @@ def test_in_lockstep_no_time_passes_until_a_command_answers_a_scan(fake_graph, c
         wait_until(lambda: len(scans) == 6)
     assert [scan.stamp for scan in scans] == [number * 100_000_000 for number in range(6)]
     assert capsys.readouterr().out.splitlines()[-1] == "scans that no command answered: 0"
+
+
+def test_in_lockstep_a_command_right_after_a_pause_answers_the_scan_before_it(fake_graph):
+    def resume():
+        fake_graph.services["/gazebo/pause_physics"]()
+        fake_graph.services["/gazebo/unpause_physics"]()
+        fake_graph.heard[VELOCITY](Velocity(0.5, 0.0))
+
+    with running(fake_graph, lockstep=PATIENCE, before=resume) as simulator:
+        wait_until(lambda: len(fake_graph.ends[SCAN].said) == 2)
+        time.sleep(0.02)
+        assert simulator.clock().stamp == 100_000_000, "one command, one scan"
 
 
 def test_in_lockstep_time_waits_for_somebody_to_be_there_and_for_an_answer_not_for_ever(fake_graph, capsys):
