@@ -43,7 +43,8 @@ class Graph1:
             answers = False
         if not answers:
             raise InputError(
-                f"no ROS master answers at {where}: start one (roscore), or set ROS_MASTER_URI to where it is"
+                f"no ROS master answers at {where}: start one with `rosmaster --core` or `roscore`, "
+                "or set ROS_MASTER_URI to the address of yours"
             )
         if rospy.is_shutdown():
             raise InputError("rospy joins a graph once in the life of a process: begin another process")

@@ -116,7 +116,9 @@ def test_without_a_master_it_ends_with_one_line_and_asks_for_no_other_ros(graph1
     command = [sys.executable, "-c", IMPORTED, "simulate", "--ros", "1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=nowhere)
     assert done.returncode == 2
-    assert done.stderr.startswith("error: no ROS master answers at http://127.0.0.1:9")
+    assert done.stderr.startswith(
+        "error: no ROS master answers at http://127.0.0.1:9: start one with `rosmaster --core`"
+    )
     assert (done.stderr.count("\n"), done.stdout) == (1, "rospy\n")
 
 
