@@ -36,8 +36,9 @@ SHORTER = {  # what is put behind a command, so that it is over in a moment
     "worlds": "",
 }
 RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
-# They would install something, or never end.
-NOT_TRIED = ("apt-get", "make", "pip", "python3.11", ".", "tensorboard", "git", "cd", "rosmaster", "rosservice", "ros2")
+# They would install something, or never end; then those of ROS and of the tutorial's own environment.
+NOT_TRIED = ("apt-get", "make", "pip", "python3.11", ".", "tensorboard", "git", "cd", "export")
+NOT_TRIED += ("rosmaster", "rosservice", "ros2", "roslaunch", "/usr/bin/python3", "tutorial/bin/pip")
 # They take long, or want a terminal, ROS or a library that may be missing.
 ONLY_READ = {"mlflow", "ros", "--teleop", "--seeds", "--suite", "tb2rl.report", "tb2rl.ros", "tb2rl.tune", "tb2rl.zoo"}
 SAVED = re.compile(r"(?:Save (?:this|it) as|and this as) `([\w.]+)`")

@@ -1,7 +1,7 @@
 """Messages and services that programs of the ROS tutorial import, and Debian does not have, made by genpy.
 
 What two programs must agree on is the order and the types of the fields: a checksum of these (of `gazebo_msgs`, of
-`controller_manager_msgs`) is compared where they meet.
+`controller_manager_msgs`, of the tutorial's `openai_ros`) is compared where they meet.
 """
 
 from __future__ import annotations
@@ -47,7 +47,13 @@ MISSING = {
         ---
         bool ok
         """,
+    "openai_ros/msg/RLExperimentInfo.msg": """
+        int32 episode_number
+        float32 episode_reward
+        """,
 }
+# Python joins a written package with an installed one of the same name, such as the tutorial's openai_ros.
+JOINED = '__path__ = __import__("pkgutil").extend_path(__path__, __name__)\n'
 
 
 def write_packages(folder: Path, definitions: Mapping[str, str] = MISSING) -> None:
@@ -74,7 +80,9 @@ def write_packages(folder: Path, definitions: Mapping[str, str] = MISSING) -> No
             failed = generator.generate_messages(package, [str(Path(scratch, name))], str(out), known)
             assert not failed, "genpy has said why"
             write_modules(str(out))
-            (folder / package / "__init__.py").touch()
+            init = folder / package / "__init__.py"
+            if not init.exists():
+                init.write_text(JOINED, encoding="utf-8")
 
 
 def _write(file: Path, text: str) -> Path:

@@ -16,6 +16,7 @@ from tb2rl.ros.drive import parse_limits, parse_mounting
 from tb2rl.ros.topics import TURTLEBOT2, Topics, parse_topics
 
 MD5 = "97e2057080558ce4730434b5fae75c91"  # of gazebo_msgs/SetPhysicsProperties, wherever it was made
+FIELDS = ["int32", "episode_number", "float32", "episode_reward"]  # of openai_ros/RLExperimentInfo
 IMPORTED = """
 import sys
 from tb2rl.ros.__main__ import main
@@ -130,8 +131,15 @@ def test_what_debian_lacks_is_written_for_programs_of_the_tutorial(graph1, tmp_p
         "from gazebo_msgs.msg import ODEPhysics\n"
         "from gazebo_msgs.srv import SetPhysicsProperties, SetPhysicsPropertiesRequest\n"
         "from controller_manager_msgs.srv import SwitchController\n"
-        "print(SetPhysicsProperties._md5sum)\n"
+        "from openai_ros.msg import RLExperimentInfo\n"
+        "import openai_ros.robot_gazebo_env  # of the tutorial: the written package does not shadow its own\n"
+        "print(SetPhysicsProperties._md5sum, RLExperimentInfo._full_text.split())\n"
     )
-    path = {**graph1.env, "PYTHONPATH": str(tmp_path / "made")}
+    tutorial = tmp_path / "src" / "openai_ros"
+    tutorial.mkdir(parents=True)
+    for module in ("__init__.py", "robot_gazebo_env.py"):
+        (tutorial / module).touch()
+    path = {**graph1.env, "PYTHONPATH": f"{tmp_path / 'made'}:{tmp_path / 'src'}"}
     program = ["/usr/bin/python3", str(tmp_path / "program.py")]
-    assert subprocess.run(program, capture_output=True, text=True, check=True, env=path).stdout.split() == [MD5]
+    done = subprocess.run(program, capture_output=True, text=True, check=False, env=path)
+    assert done.stdout.split(maxsplit=1) == [MD5, f"{FIELDS}\n"], done.stderr

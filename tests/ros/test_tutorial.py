@@ -7,17 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from tb2rl.ros.definitions import MISSING, write_packages
-
 RATE, EPISODES, STEPS = 5, 20, 30
 ACTION = 0.1  # [s] of wall-clock time that an action lasts: there 0.2, and 10 000 steps in place of 30
 ROOM = "walls: [{path: [[-1.5, -1.5], [1.5, -1.5], [1.5, 1.5], [-1.5, 1.5]], closed: true}]\nstart: [0, 0, 0]\n"
-REWARD = {"openai_ros/msg/RLExperimentInfo.msg": "int32 episode_number\nfloat32 episode_reward\n"}
 
 
 @pytest.mark.slow
 def test_the_tutorials_calls_in_its_order_train_twenty_episodes(graph1):
-    write_packages(graph1.folder / "messages", {**MISSING, **REWARD})
+    with graph1.command("ros", "messages", "messages") as written:  # as FROM_ROS.md says
+        assert written.wait() == 0, written.errors
     program = Path(__file__).with_name("tutorial.py")
     (graph1.folder / "room.yaml").write_text(ROOM)
     room = ["--task", "maze", "--set", "task.world=room.yaml"]
