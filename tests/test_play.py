@@ -69,6 +69,12 @@ def test_an_episode_that_failed_is_told_by_its_ending(alone, capsys):
     assert capsys.readouterr().out.startswith("episode 1: out of bounds after ")
 
 
+@pytest.mark.parametrize("policy", ["RUN", "--agent random"])
+def test_the_time_limit_of_the_task_can_be_set(policy, alone, run, capsys):
+    play.main(shlex.split(f"{policy} --set task.episode_steps=2 --video it.gif".replace("RUN", str(run))))
+    assert capsys.readouterr().out.startswith("episode 1: time limit after 2 steps")
+
+
 @pytest.mark.parametrize(("name", "bags"), [("it.bag", ["it-1.bag", "it-2.bag"]), ("it", ["it-1", "it-2"])])
 def test_each_episode_is_a_bag_of_its_own(name, bags, alone, run, capsys):
     pytest.importorskip("rosbags")
@@ -102,6 +108,8 @@ def test_each_episode_is_a_bag_of_its_own(name, bags, alone, run, capsys):
         ("--agent random --episodes 0", ["episodes", "at least 1"]),
         ("--agent random --steps 0", ["steps", "at least 1"]),
         ("--agent random --steps 99999999999", ["episode_steps"]),
+        ("--agent random --steps 2 --set task.episode_steps=3", ["--steps", "task.episode_steps"]),
+        ("--agent random --set task.episode_steps=0", ["task.episode_steps", "greater than or equal to 1"]),
         ("--agent random --seed -1", ["seed"]),
         ("--agent random --seed 99999999999", ["seed", "4294967295"]),
         ("--agent random --speed 0", ["speed", "0.1"]),

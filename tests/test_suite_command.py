@@ -177,6 +177,7 @@ def test_a_journal_that_is_none_is_refused(line, suite, interrupt, tmp_path, cap
         (["--suite", "unseen", "--episodes", "3"], "--episodes does not go with --suite"),
         (["--suite", "unseen", "--steps", "3"], "--steps does not go with --suite"),
         (["--suite", "unseen", "--seed", "3"], "--seed does not go with --suite"),
+        (["--suite", "unseen", "--set", "task.episode_steps=60"], "task.episode_steps does not go with --suite"),
         (["--suite", "unseen", "--goal", "3,2"], "--goal does not go with --suite"),
         (["--suite", "unseen", "--simulation", "ros"], "--simulation does not go with --suite"),
         (["--suite", "unseen", "--top-speed", "0.3"], "go with --simulation ros"),

@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from tb2rl.commands.policy import chosen_policy
+from tb2rl.commands.policy import chosen_policy, chosen_time_limit
 from tb2rl.commands.robot import chosen_robot
 from tb2rl.compiled import announce_compiling
 from tb2rl.errors import InputError
@@ -23,7 +23,8 @@ def run(options: argparse.Namespace) -> None:
     """Evaluate a policy, print a table, write JSON."""
     announce_compiling()
     robot = chosen_robot(options)
-    for name, standard in (("episodes", EPISODES if robot is None else 1), ("steps", STEPS), ("seed", SEED)):
+    options.steps = chosen_time_limit(options, STEPS)
+    for name, standard in (("episodes", EPISODES if robot is None else 1), ("seed", SEED)):
         if getattr(options, name) is None:
             setattr(options, name, standard)
     check(options)

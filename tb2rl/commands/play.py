@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
-from tb2rl.commands.policy import chosen_policy
+from tb2rl.commands.policy import chosen_policy, chosen_time_limit
 from tb2rl.commands.robot import chosen_robot, parse_goal
 from tb2rl.compiled import announce_compiling
 from tb2rl.envs.scene import Scene
@@ -34,8 +34,7 @@ from tb2rl.simulation import judging_simulation
 def run(options: argparse.Namespace) -> None:
     """Play, and say how the episodes went."""
     announce_compiling()
-    if options.steps is None:
-        options.steps = STEPS
+    options.steps = chosen_time_limit(options, STEPS)
     robot = chosen_robot(options)
     check(options)
     if options.teleop:

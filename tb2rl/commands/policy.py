@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tb2rl.errors import InputError
-from tb2rl.judging.rollout import Policy
+from tb2rl.judging.rollout import Policy, time_limit
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
@@ -26,6 +26,12 @@ def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
         return make_baseline(config), config
     policy = load(options.policy, options.trust)
     return policy, config_of(policy).with_task(_task_settings(settings))
+
+
+def chosen_time_limit(options: argparse.Namespace, usual: int) -> int:
+    """Control steps at most in an episode, by `--steps` or `--set task.episode_steps`; see `time_limit`."""
+    settings = parse_settings(options.set)
+    return time_limit(options.steps, {key.removeprefix("task."): value for key, value in settings.items()}, usual)
 
 
 def _task_settings(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from tb2rl.judging.suites import SuiteEvaluation, drives_of, suite_evaluator, su
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run, versions
 from tb2rl.runs.journal import Journal
+from tb2rl.runs.layers import parse_settings
 from tb2rl.runs.loading import policy_digest
 from tb2rl.showing.table import print_suite
 from tb2rl.values import build
@@ -66,6 +67,8 @@ def check(options: argparse.Namespace) -> None:
     for name in ("episodes", "steps", "seed"):
         if getattr(options, name) is not None:
             raise InputError(f"--{name} does not go with --suite: a suite says itself what is driven, and how long")
+    if "task.episode_steps" in parse_settings(options.set):
+        raise InputError("task.episode_steps does not go with --suite: each suite has a time limit")
 
 
 def _about(options: argparse.Namespace) -> dict[str, Any]:

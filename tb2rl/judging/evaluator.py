@@ -31,7 +31,7 @@ from tb2rl.jobs.where import Where
 from tb2rl.judging.evaluation import Episode, Evaluation, episode_of
 from tb2rl.judging.progress import progress as progress_bar
 from tb2rl.judging.robot import evaluate_on_robot
-from tb2rl.judging.rollout import Moment, Policy, roll_out, roll_out_together
+from tb2rl.judging.rollout import Moment, Policy, roll_out, roll_out_together, time_limit
 from tb2rl.judging.spaces import check_observes
 from tb2rl.processes import end_with_parent, main_hidden, process_context, processors
 from tb2rl.ros.robot import RosRobot
@@ -214,11 +214,12 @@ def evaluate(
     *,
     task: str | Task | type[Task] | None = None,
     observation: str | None = None,
+    steps: int | None = None,
     progress: bool = False,
     simulation: RosRobot | str | None = None,
     **conditions: Any,
 ) -> Evaluation:
-    """Evaluate a policy; the standard evaluation unless `conditions` say otherwise.
+    """Evaluate a policy; the standard evaluation unless the settings or `conditions` say otherwise.
 
     Where worlds are generated, it is in test worlds, which no training draws.
 
@@ -229,9 +230,10 @@ def evaluate(
         settings: Changes to the task by name, for example {"world": "circuit"}.
         task: What it is to do: a task's name, "module:Class", a `Task` or its class; in place of `config`.
         observation: How it observes that task, "discrete" or "raw"; None: as its observation space says.
+        steps: Control steps at most in an episode; None: `episode_steps` of the settings, else 1500.
         progress: Whether to draw a bar, where there is a terminal.
         simulation: "ros" or a `RosRobot`: a robot to drive instead; then conditions are those of `evaluate_on_robot`.
-        conditions: Arguments of `Evaluator`: episodes, steps, seed, workers, only.
+        conditions: Arguments of `Evaluator`: episodes, seed, workers, only.
 
     Raises:
         InputError: If there is no such policy, a setting does not fit, or the policy knows other observations or
@@ -239,10 +241,11 @@ def evaluate(
     """
     if isinstance(policy, str | Path):
         policy = load(policy)
+    conditions["steps"] = time_limit(steps, settings or {}, STEPS)
     scene = _scene(policy, config, task, observation, settings or {})
     check_observes(policy, scene)
     if simulation is not None:
-        conditions = {"steps": STEPS, "seed": SEED, **conditions}
+        conditions = {"seed": SEED, **conditions}
         return evaluate_on_robot(getattr(policy, "policy", policy), scene, simulation, progress=progress, **conditions)
     scene = scene.worlds_for("test")
     with Evaluator(scene, **conditions) as evaluator:

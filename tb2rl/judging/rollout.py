@@ -12,7 +12,9 @@ import torch as th
 
 from tb2rl.envs.encodings import stacked
 from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.errors import InputError
 from tb2rl.simulation import Start
+from tb2rl.values import Count, checked
 
 LARGEST_SEED = 2**32 - 1
 
@@ -40,6 +42,24 @@ class Moment:
     movers_before: np.ndarray | None = None
     movers: np.ndarray | None = None
     ranges: np.ndarray | None = None  # along the laser's beams at its end [m], shape (beams,)
+
+
+def time_limit(steps: int | None, settings: Mapping[str, Any], usual: int) -> int:
+    """Control steps at most in an episode.
+
+    Args:
+        steps: The limit that the caller asks for; None: none.
+        settings: Changes to the task by name; `episode_steps` among them is such a limit, too.
+        usual: The limit where neither says one.
+
+    Raises:
+        InputError: If both say one, or that of the settings is not a number of steps.
+    """
+    if "episode_steps" not in settings:
+        return usual if steps is None else steps
+    if steps is not None:
+        raise InputError("--steps (steps=) and task.episode_steps set the same time limit; give one of them")
+    return checked(Count, settings["episode_steps"], "task.episode_steps")
 
 
 def roll_out(env: TurtleBot2Env, policy: Policy, seed: int, **options: Any) -> Iterator[Moment]:

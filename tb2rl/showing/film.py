@@ -16,7 +16,7 @@ from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import replacing
 from tb2rl.judging.progress import progress as progress_bar
-from tb2rl.judging.rollout import LARGEST_SEED, Moment, Policy, roll_out
+from tb2rl.judging.rollout import LARGEST_SEED, Moment, Policy, roll_out, time_limit
 from tb2rl.judging.spaces import check_observes
 from tb2rl.ros.robot import RosRobot, ros_robot
 from tb2rl.runs.config import Config
@@ -80,7 +80,7 @@ def film(
     settings: Mapping[str, Any] | None = None,
     *,
     episodes: int = 1,
-    steps: int = STEPS,
+    steps: int | None = None,
     seed: int = 0,
     camera: str = "above",
     speed: float = 1.0,
@@ -96,7 +96,7 @@ def film(
         config: What it is to do; None: what it was trained to do.
         settings: Changes to the task by name, for example {"world": "circuit"}.
         episodes: How many, one after the other.
-        steps: Control steps at most in an episode.
+        steps: Control steps at most in an episode; None: `episode_steps` of the settings, else 300.
         seed: Of the first episode; the next ones count on.
         camera: "above" or "chase".
         speed: How many times as fast as it happened.
@@ -110,7 +110,7 @@ def film(
     Raises:
         InputError: If anything of this does not fit, or the film cannot be written.
     """
-    path = check_film(path, camera)
+    path, steps = check_film(path, camera), time_limit(steps, settings or {}, STEPS)
     check_numbers(episodes, steps, seed, speed)
     policy, scene = open_scene(policy, config, settings or {}, steps)
     if simulation is None:

@@ -10,7 +10,7 @@ from typing import Any
 from tb2rl.bags.recorded import RecordedEnv
 from tb2rl.bags.recorder import check_bag, open_bag
 from tb2rl.judging.progress import progress as progress_bar
-from tb2rl.judging.rollout import Policy
+from tb2rl.judging.rollout import Policy, time_limit
 from tb2rl.runs.config import Config
 from tb2rl.showing.film import STEPS, Listener, check_numbers, drives, open_scene
 from tb2rl.simulation import judging_simulation
@@ -23,7 +23,7 @@ def record(
     settings: Mapping[str, Any] | None = None,
     *,
     episodes: int = 1,
-    steps: int = STEPS,
+    steps: int | None = None,
     seed: int = 0,
     listener: Listener | None = None,
     progress: bool = False,
@@ -41,6 +41,7 @@ def record(
         InputError: If anything of this does not fit, a bag cannot be written, or `rosbags` is not installed.
     """
     paths = [check_bag(each) for each in _numbered(Path(path), episodes)]
+    steps = time_limit(steps, settings or {}, STEPS)
     check_numbers(episodes, steps, seed)
     policy, scene = open_scene(policy, config, settings or {}, steps)
     env = RecordedEnv(scene, simulation=judging_simulation())

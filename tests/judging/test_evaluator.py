@@ -230,6 +230,12 @@ def test_settings_change_the_task(run):
         evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)
 
 
+def test_the_time_limit_can_be_a_setting(run):
+    assert evaluate(run, settings={"episode_steps": 3}, episodes=1, workers=1).steps == 3
+    with pytest.raises(InputError, match=r"steps=.* and task\.episode_steps set the same time limit"):
+        evaluate(run, settings={"episode_steps": 3}, episodes=1, steps=2)
+
+
 # ---- models that were trained without tb2rl
 
 

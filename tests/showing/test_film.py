@@ -37,6 +37,11 @@ def test_a_film_lasts_as_long_as_the_drive_and_moves(suffix, camera, make, frame
     assert all(abs(before - after).max() > 30 for before, after in pairwise(moving))
 
 
+def test_the_time_limit_can_be_a_setting(make, seconds, tmp_path):
+    path = film(make.policy(), tmp_path / "drive.gif", make.config(), {"episode_steps": 3})
+    assert seconds(path) == pytest.approx(3 * 0.2 + HOLD, abs=0.05)
+
+
 def test_an_mp4_is_what_browsers_and_notebooks_play(make, tmp_path):
     film(make.policy(), tmp_path / "drive.mp4", make.config(), steps=1)
     with av.open(str(tmp_path / "drive.mp4")) as container:
