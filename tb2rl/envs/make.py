@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
+import sys
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import partial
@@ -78,8 +78,9 @@ def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
 
 def make_for_gymnasium(task: str, **arguments: Any) -> TurtleBot2Env:
     """What `gymnasium.make` calls; see `make_env`."""
-    frame: Any = inspect.currentframe()
-    return make_env(task, **_time_limit_named(arguments, _time_limit_asked(frame.f_back.f_locals)))
+    # A local variable of the frame would be a reference cycle, which keeps the environment alive.
+    limit = _time_limit_asked(sys._getframe(1).f_locals)
+    return make_env(task, **_time_limit_named(arguments, limit))
 
 
 make_for_gymnasium.metadata = TurtleBot2Env.metadata  # type: ignore[attr-defined]  # Gymnasium reads the render modes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -38,6 +39,22 @@ def connect(window: bool) -> int:
     client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
     clear(client)
     return client
+
+
+def disconnects(owner: object, client: int) -> weakref.finalize:
+    """Frees a client when it is called, or when the garbage collector takes its owner.
+
+    PyBullet keeps a client, tens of MB, until it is disconnected. A process that was forked does not disconnect it: the
+    client belongs to the process that connected it.
+    """
+    finalizer = weakref.finalize(owner, _disconnect, client, os.getpid())
+    finalizer.atexit = False  # the process ends anyway
+    return finalizer
+
+
+def _disconnect(client: int, process: int) -> None:
+    if process == os.getpid():
+        pybullet.disconnect(client)
 
 
 def clear(client: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tb2rl.errors import InputError
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
-from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect
+from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect, disconnects
 from tb2rl.simulation.camera import look_ahead
 from tb2rl.simulation.crowd import Crowd
 from tb2rl.simulation.odometry import count_wheels, is_exact
@@ -23,7 +23,7 @@ from tb2rl.simulation.start import Start
 from tb2rl.worlds.world import WALL_HEIGHT
 
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
-_OF_THE_CLIENT = {"_client", "_walls", "_body", "_robot", "_wheels", "_duration", "_steps"}
+_OF_THE_CLIENT = {"_client", "_disconnect", "_walls", "_body", "_robot", "_wheels", "_duration", "_steps"}
 _AT_REST = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
@@ -57,6 +57,7 @@ class BulletSimulation:
         """Build the world and the robot in a new PyBullet client."""
         with quiet():
             self._client = connect(self._window)
+            self._disconnect = disconnects(self, self._client)
             try:
                 self._build()
             except InputError:
@@ -77,7 +78,7 @@ class BulletSimulation:
     def __getstate__(self) -> dict[str, Any]:
         if self._window:
             raise InputError("an environment with PyBullet's window cannot be copied")
-        return vars(self).copy()
+        return {name: value for name, value in vars(self).items() if name != "_disconnect"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Drive the same way again, in a client of its own: to read the physics out and write it back would round."""
@@ -229,7 +230,7 @@ class BulletSimulation:
 
     def close(self) -> None:
         if self._client >= 0:
-            pybullet.disconnect(self._client)
+            self._disconnect()
             self._client = -1
 
     # ---- sensors

@@ -1,6 +1,7 @@
 """Copies of environments, and environments sent to a process: each goes its own way."""
 
 import copy
+import gc
 import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
@@ -10,11 +11,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+import tb2rl
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.envs.vector_env import BatchVectorEnv
 from tb2rl.errors import InputError
 from tb2rl.simulation import SIMULATIONS
+from tb2rl.simulation.physics import pybullet
 from tb2rl.tasks.wander import Wander
 
 STEPS = 200
@@ -26,6 +29,14 @@ def env(request):
     env = _made(request.param)
     yield env
     env.close()
+
+
+@pytest.fixture
+def without_gc():
+    """Only the number of references frees what is dropped: there is no reference cycle."""
+    gc.disable()
+    yield
+    gc.enable()
 
 
 def _made(simulation):
@@ -99,6 +110,35 @@ def test_one_with_a_window_is_not_copied(make):
     env.simulation._window = True
     with pytest.raises(InputError, match="window cannot be copied"):
         copy.deepcopy(env)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        tb2rl.make_env,
+        lambda: gym.make("tb2rl:TurtleBot2Maze-v0", render_mode="rgb_array"),
+        lambda: copy.deepcopy(tb2rl.make_env()),
+        lambda: pickle.loads(pickle.dumps(tb2rl.make_env())),
+    ],
+)
+def test_one_that_is_dropped_frees_its_client(made, without_gc):
+    env = made()
+    env.reset(seed=0)
+    env.step(0)
+    client = env.unwrapped.simulation._client
+    assert pybullet.isConnected(client)
+    del env
+    assert not pybullet.isConnected(client)
+
+
+def test_a_forked_process_does_not_disconnect_the_client_of_its_parent(monkeypatch, without_gc):
+    env = tb2rl.make_env()
+    client = env.simulation._client
+    with monkeypatch.context() as forked:
+        forked.setattr("os.getpid", lambda: -1)
+        del env
+    assert pybullet.isConnected(client)
+    pybullet.disconnect(client)
 
 
 @pytest.mark.parametrize("kind", [BatchVecEnv, BatchVectorEnv])
