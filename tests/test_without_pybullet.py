@@ -1,4 +1,4 @@
-"""Where PyBullet is missing, everything in the fast twin works, and no figure passes for one of PyBullet's."""
+"""Where PyBullet is missing or broken, the fast twin does everything, and no figure passes for one of PyBullet's."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+
+import tb2rl
+from tb2rl.errors import InputError
+from tb2rl.simulation import bullet_trouble
 
 CHECKOUT = Path(__file__).parent.parent
 REFUSED = """
@@ -38,12 +42,17 @@ for main, words in ((benchmark.main, ["physics"]), (zoo.main, ["check"])):
 """
 
 
-@pytest.fixture
-def run(tmp_path):
+MISSING = ("sitecustomize.py", "import sys\nsys.modules['pybullet'] = None\n")
+BROKEN = ("pybullet.py", "raise ImportError('pybullet.so: undefined symbol: _ZN7btClockD1Ev\\n')\n")
+UNDEFINED = "is installed, but importing it raises ImportError: pybullet.so: undefined symbol: _ZN7btClockD1Ev"
+
+
+@pytest.fixture(params=[MISSING])
+def run(request, tmp_path):
     """A function that runs Python without PyBullet, in every process that it starts; what was printed, and status."""
     site = tmp_path / "site"
     site.mkdir()
-    (site / "sitecustomize.py").write_text("import sys\nsys.modules['pybullet'] = None\n")
+    (site / request.param[0]).write_text(request.param[1])
     folder = tmp_path / "here"
     folder.mkdir()
 
@@ -78,6 +87,23 @@ def test_what_needs_pybullet_ends_in_one_line_that_says_what_to_install(run):
         assert word in message
         assert "needs PyBullet, which is not installed: pip install pybullet" in message
     assert list(run.folder.iterdir()) == []
+
+
+def test_what_needs_pybullet_says_why_an_installed_one_cannot_be_imported(tmp_path, monkeypatch):
+    (tmp_path / BROKEN[0]).write_text(BROKEN[1])
+    monkeypatch.syspath_prepend(tmp_path)
+    for module in ("pybullet", "tb2rl.simulation.physics"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    monkeypatch.setattr("tb2rl.simulation.bullet_trouble", bullet_trouble.__wrapped__)  # without its cache
+    with pytest.raises(InputError, match=f"'bullet' .* needs PyBullet, which {UNDEFINED}$"):
+        tb2rl.make_env()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", [BROKEN], indirect=True)
+def test_an_evaluation_in_the_place_of_a_broken_pybullet_says_why(run):
+    command = "-m tb2rl.evaluate --agent random --episodes 1 --steps 2 --workers 1"
+    assert f"driven in the fast twin, since PyBullet {UNDEFINED}: these are not" in printed(run(*command.split()))
 
 
 @pytest.mark.slow

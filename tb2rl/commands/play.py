@@ -28,7 +28,7 @@ from tb2rl.showing.recording import record
 from tb2rl.showing.terminal import steer_in_terminal
 from tb2rl.showing.window import Window, has_display, watch
 from tb2rl.signals import end_program, ending_signals
-from tb2rl.simulation import judging_simulation
+from tb2rl.simulation import bullet_trouble
 
 
 def run(options: argparse.Namespace) -> None:
@@ -121,8 +121,9 @@ def _record(policy: Policy, config: Config, options: argparse.Namespace) -> None
 
 
 def _tell_of_twin() -> None:
-    if judging_simulation() != "bullet":
-        print("driven in the fast twin, since PyBullet is not installed")
+    trouble = bullet_trouble()
+    if trouble:
+        print(f"driven in the fast twin, since PyBullet {trouble}")
 
 
 def _tell_of_file(path: Path, size: int) -> None:

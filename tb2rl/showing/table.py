@@ -11,7 +11,7 @@ from rich.table import Table
 
 from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.suite_result import ALL, Figures, SuiteResult
-from tb2rl.simulation import ROS
+from tb2rl.simulation import ROS, bullet_trouble
 
 _MEANS = (("distance", "m"), ("return", ""), ("length", "steps"))  # figures and their units
 _SUITE_COLUMNS = ("", "success", "95 %", "SPL", "time", "m/s", "gap", "failed")
@@ -89,7 +89,9 @@ def _say_if_twin(simulation: str) -> None:
     if simulation == ROS:
         print("driven by a robot with ROS: its way is that of its odometry")
     elif simulation != "bullet":
-        print("driven in the fast twin, since PyBullet is not installed: these are not PyBullet's figures")
+        trouble = bullet_trouble()
+        reason = f", since PyBullet {trouble}" if trouble else ""
+        print(f"driven in the fast twin{reason}: these are not PyBullet's figures")
 
 
 def _rate(summary: dict[str, Any], name: str) -> tuple[str, str]:

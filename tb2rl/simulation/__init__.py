@@ -2,7 +2,7 @@
 
 Everything carries a leading robot axis. `bullet` simulates one robot in PyBullet's physics, the judge of every policy,
 and `bullet_batch` several, in parallel processes; `kinematic` is its fast twin, for thousands, and judges where
-PyBullet is missing. Imported from here: worlds, robots, and what all need.
+PyBullet is missing or broken. Imported from here: worlds, robots, and what all need.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from tb2rl.errors import InputError, unknown
+from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
@@ -29,6 +29,7 @@ __all__ = [
     "Simulation",
     "SimulationOfMany",
     "Start",
+    "bullet_trouble",
     "check_bullet",
     "judging_simulation",
     "simulate",
@@ -38,6 +39,7 @@ __all__ = [
 SIMULATIONS = ("bullet", "kinematic")
 ROS = "ros"  # in the place of one: a robot with ROS, see `tb2rl.ros.robot`
 Judge = Literal["bullet", "kinematic"]  # where a policy was judged, see `judging_simulation`
+_MISSING = "is not installed"  # what `bullet_trouble` says where there is no PyBullet
 
 
 class Simulation(Protocol):
@@ -90,26 +92,34 @@ class SimulationOfMany(Simulation, Protocol):
 @cache
 def judging_simulation() -> Judge:
     """The simulation that evaluations and films drive in: PyBullet's, or the twin where PyBullet cannot be imported."""
+    return "kinematic" if bullet_trouble() else "bullet"
+
+
+@cache
+def bullet_trouble() -> str | None:
+    """The reason why PyBullet cannot be used, to follow its name: "is not installed"; None: it can be used."""
     try:
         import_module("tb2rl.simulation.physics")
-    except ImportError:
-        return "kinematic"
-    return "bullet"
+    except Exception as error:  # a broken installation can raise anything
+        if isinstance(error, ModuleNotFoundError) and error.name == "pybullet":
+            return _MISSING
+        return one_line(f"is installed, but importing it raises {type(error).__name__}: {error}")
+    return None
 
 
 def check_bullet(what: str) -> None:
-    """Raise an `InputError` where PyBullet is missing, which `what` needs."""
-    if judging_simulation() != "bullet":
-        raise InputError(
-            f"{what} needs PyBullet, which is not installed: pip install pybullet (it compiles where there is no wheel)"
-        )
+    """Raise an `InputError` where PyBullet is missing or broken, which `what` needs."""
+    trouble = bullet_trouble()
+    if trouble is not None:
+        cure = ": pip install pybullet (it compiles where there is no wheel)" if trouble == _MISSING else ""
+        raise InputError(f"{what} needs PyBullet, which {trouble}{cure}")
 
 
 def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
     """The simulation of a name, with one robot; only what is asked for is imported.
 
     Raises:
-        InputError: For an unknown name, a window that cannot be, or PyBullet where it is not installed.
+        InputError: For an unknown name, a window that cannot be, or PyBullet where it is missing or broken.
     """
     if name not in SIMULATIONS:
         raise unknown("simulation", name, SIMULATIONS)
@@ -129,7 +139,7 @@ def simulate_many(name: str, setup: Setup, robots: int) -> SimulationOfMany:
     """The simulation of a name, with many robots; only what is asked for is imported.
 
     Raises:
-        InputError: For an unknown name, or PyBullet where it is not installed.
+        InputError: For an unknown name, or PyBullet where it is missing or broken.
     """
     if name not in SIMULATIONS:
         raise unknown("simulation", name, SIMULATIONS)
