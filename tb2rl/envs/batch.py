@@ -25,7 +25,7 @@ class Finals(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a step of all robots came to; a robot whose episode ended is at the start of its next one already."""
+    """What a step of all robots came to."""
 
     observations: Observations
     reward: np.ndarray  # shape (robots,), float64
@@ -76,30 +76,54 @@ class Batch:
         return self._observer.begin(self.reading)
 
     def step(self, actions: np.ndarray) -> Step:
-        """Hold an action of each robot, shape (robots, ...), for a control period."""
+        """`advance`, after which a robot whose episode ended is at the start of its next one already."""
+        step = self.advance(actions)
+        if step.finals is not None:
+            self.begin_again(step.finals.robots, step.observations)
+        return step
+
+    def advance(self, actions: np.ndarray, over: np.ndarray | None = None) -> Step:
+        """Hold an action of each robot for a control period.
+
+        Args:
+            actions: Shape (robots, ...).
+            over: Robots whose episodes ended before and whose step does not count, bool, shape (robots,); None: none.
+        """
         before = self.reading
         commands = self._commander.pass_on(self._actions.commands(actions), before.start.command_latency)
         after = self.simulation.step(commands, self.task.control_period)
         outcome = self.task.judge(before, actions, after)
-        terminated = outcome.terminated
+        reward, terminated = outcome.reward, outcome.terminated
+        if over is not None:
+            reward, terminated = np.where(over, 0.0, reward), terminated & ~over
         self._lengths += 1
-        self._returns += outcome.reward
+        self._returns += reward
         self.distances += self.simulation.moved
         truncated = (self._lengths >= self.task.episode_steps) & ~terminated
+        if over is not None:
+            truncated &= ~over
         observations, finals = self._observer.go_on(after), None
         ended = (terminated | truncated).nonzero()[0]
         if ended.size:
             infos = infos_of(after, ended, self.distances[ended], outcome)
             finals = Finals(ended, rows(observations, ended), infos, self._returns[ended], self._lengths[ended])
-            self._lengths[ended], self._returns[ended], self.distances[ended] = 0, 0.0, 0.0
-            to_go = vars(after).get("to_go")
-            after, first = self.simulation.restart(ended, self._starts(ended), after)
-            if to_go is not None:  # it was asked for, and takes long: of the others it is still the same
-                vars(after)["to_go"] = to_go = to_go.copy()
-                to_go[ended] = first.to_go
-            self._observer.begin_some(ended, first, observations)
         self.reading = after
-        return Step(observations, outcome.reward, terminated, truncated, finals)
+        return Step(observations, reward, terminated, truncated, finals)
+
+    def begin_again(self, robots: np.ndarray, observations: Observations) -> None:
+        """Begin new episodes of some robots.
+
+        Args:
+            robots: Their indices in rising order, shape (n,).
+            observations: The latest of all robots; the rows of these are overwritten, and so are those of the reading.
+        """
+        self._lengths[robots], self._returns[robots], self.distances[robots] = 0, 0.0, 0.0
+        to_go = vars(self.reading).get("to_go")
+        self.reading, first = self.simulation.restart(robots, self._starts(robots), self.reading)
+        if to_go is not None:  # it was asked for, and takes long: of the others it is still the same
+            vars(self.reading)["to_go"] = to_go = to_go.copy()
+            to_go[robots] = first.to_go
+        self._observer.begin_some(robots, first, observations)
 
     def state(self) -> dict[str, Any]:
         """All that the rest of the episodes and later ones depend on, in plain values and arrays."""

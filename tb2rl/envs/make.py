@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.envs.vector_env import BatchVectorEnv
+from tb2rl.envs.vector_env import BatchVectorEnv, find_autoreset_mode
 from tb2rl.errors import InputError, UnknownArgumentError
 from tb2rl.registry import find_task, import_object
 from tb2rl.simulation import ROS
@@ -92,19 +92,21 @@ def make_vector_for_gymnasium(
     observation: str | None = None,
     simulation: str = "bullet",
     max_episode_steps: int | None = None,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     **arguments: Any,
 ) -> VectorEnv:
     """What `gymnasium.make_vec` calls: one batch of the fast twin, or environments in PyBullet one after the other.
 
-    Either begins an episode anew in the step in which the last one ended. Arguments are those of `make_env`.
+    Other arguments than Gymnasium's and `autoreset_mode`, see `BatchVectorEnv`, are those of `make_env`.
     """
+    mode = find_autoreset_mode(autoreset_mode)
     arguments = _time_limit_named(arguments, max_episode_steps)
     if simulation == "kinematic":
         if arguments.pop("render_mode", None) is not None:
             raise InputError("the twin's robots are not drawn when there are many; make one with gymnasium.make")
-        return BatchVectorEnv(_scene(task, observation, arguments), num_envs)
+        return BatchVectorEnv(_scene(task, observation, arguments), num_envs, mode)
     one = partial(make_env, task, observation, simulation=simulation, **arguments)
-    return SyncVectorEnv([one] * num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
+    return SyncVectorEnv([one] * num_envs, autoreset_mode=mode)
 
 
 def _time_limit_asked(call: Mapping[str, Any]) -> int | None:

@@ -60,11 +60,12 @@ def test_other_rewards_of_the_same_episodes(name, make):
     assert not np.array_equal(plain, other)
 
 
+@pytest.mark.parametrize("settings", [{"vectorization_mode": "sync"}, {"autoreset_mode": "NEXT_STEP"}])
 @pytest.mark.parametrize("name", OBSERVATIONS)
-def test_other_observations_of_the_same_episodes(name, make):
-    """Gymnasium has these wrappers only for environments that begin anew a step later: mode "sync" gives them."""
-    wrapped = OBSERVATIONS[name](make(vectorization_mode="sync"))
-    for plain, other in zip(drive(make(vectorization_mode="sync")), drive(wrapped), strict=True):
+def test_other_observations_of_the_same_episodes(name, settings, make):
+    """Gymnasium has these wrappers only for environments that begin anew a step later."""
+    wrapped = OBSERVATIONS[name](make(**settings))
+    for plain, other in zip(drive(make(**settings)), drive(wrapped), strict=True):
         assert wrapped.observation_space.contains(other[0])
         assert np.isfinite(other[0]).all()
         np.testing.assert_array_equal(plain[-1]["pose"], other[-1]["pose"])

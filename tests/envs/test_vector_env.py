@@ -84,6 +84,110 @@ def test_infos_have_the_form_of_gymnasiums_own(make_vec):
     assert len(forms[0]) == 2  # with and without a final step
 
 
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize(
+    ("mode", "found"),
+    [(None, "SAME_STEP"), ("NEXT_STEP", "NEXT_STEP"), ("NextStep", "NEXT_STEP"), (AutoresetMode.DISABLED, "DISABLED")],
+)
+def test_the_mode_of_autoreset_is_an_argument(mode, found, simulation, make_vec):
+    env = make_vec(num_envs=1, simulation=simulation, **({} if mode is None else {"autoreset_mode": mode}))
+    assert env.metadata["autoreset_mode"] is AutoresetMode[found]
+
+
+def episodes_of(env, steps):
+    """What each robot meets, by one rule for all, in its episodes: an entry for each observation."""
+    mode, robots = env.metadata["autoreset_mode"], env.num_envs
+    seen, infos = env.reset(seed=4)
+    episodes = [[[(infos["pose"][i].tolist(), seen[i].tolist(), 0.0, "")]] for i in range(robots)]
+    over = np.zeros(robots, bool)
+    for _ in range(steps):
+        actions = (seen[:, 0] * 100).astype(int) % 3
+        if mode == AutoresetMode.NEXT_STEP:
+            actions[over] = 2  # is ignored
+        seen, rewards, terminated, truncated, infos = env.step(actions)
+        ended = terminated | truncated
+        last = infos["final_info"] if ended.any() and mode == AutoresetMode.SAME_STEP else infos
+        for i in range(robots):
+            if over[i]:
+                assert (rewards[i], ended[i], infos["ended"][i], infos["distance"][i]) == (0.0, False, "", 0.0)
+                episodes[i].append([(infos["pose"][i].tolist(), seen[i].tolist(), 0.0, "")])
+            elif ended[i]:
+                at = infos["final_obs"][i] if last is not infos else seen[i]
+                assert last["ended"][i]
+                episodes[i][-1].append((last["pose"][i].tolist(), at.tolist(), float(rewards[i]), last["ended"][i]))
+            else:
+                episodes[i][-1].append((infos["pose"][i].tolist(), seen[i].tolist(), float(rewards[i]), ""))
+        if mode == AutoresetMode.SAME_STEP:
+            for i in np.flatnonzero(ended):
+                episodes[i].append([(infos["pose"][i].tolist(), seen[i].tolist(), 0.0, "")])
+        elif mode == AutoresetMode.NEXT_STEP:
+            over = ended
+        elif ended.any():
+            before = seen.copy()
+            seen, infos = env.reset(options={"reset_mask": ended})
+            np.testing.assert_array_equal(seen[~ended], before[~ended])
+            np.testing.assert_array_equal(infos["_pose"], ended)
+            for i in np.flatnonzero(ended):
+                episodes[i].append([(infos["pose"][i].tolist(), seen[i].tolist(), 0.0, "")])
+    return episodes
+
+
+def test_robots_meet_the_same_whenever_their_episodes_begin(make_vec):
+    settings = {"num_envs": 20, "simulation": "kinematic", "observation": "raw", "episode_steps": 30}
+    modes = [make_vec(autoreset_mode=mode, **settings) for mode in AutoresetMode]
+    found = [episodes_of(env, 100) for env in modes]
+    for same in zip(*found, strict=True):
+        shortest = min(len(episodes) for episodes in same)
+        assert shortest >= 3
+        complete = [episodes[: shortest - 1] for episodes in same]
+        assert complete[0] == complete[1] == complete[2]
+    endings = {episode[-1][-1] for episodes in found[0] for episode in episodes[:-1]}
+    assert endings == {"crash", "time limit"}
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_every_mode_answers_in_the_form_of_gymnasiums_own(mode, make_vec):
+    settings = {"num_envs": 4, "simulation": "kinematic", "observation": "raw", "episode_steps": 5}
+    ours = make_vec(autoreset_mode=mode, **settings)
+    theirs = make_vec(vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **settings)
+
+    def form(value):
+        if isinstance(value, dict):
+            return {key: form(part) for key, part in sorted(value.items())}
+        return value.dtype, value.shape
+
+    answers = [env.reset(seed=1) for env in (ours, theirs)]
+    for _ in range(18):
+        assert [form(part) for part in answers[0]] == [form(part) for part in answers[1]]
+        ended = answers[0][3] if len(answers[0]) == 5 else np.zeros(4, bool)
+        if mode == AutoresetMode.DISABLED and ended.any():
+            answers = [env.reset(options={"reset_mask": ended.copy()}) for env in (ours, theirs)]
+            continue
+        answers = [env.step(np.ones(4, int)) for env in (ours, theirs)]
+        np.testing.assert_array_equal(answers[0][2:4], answers[1][2:4])  # who turns meets the time limit alone
+
+
+def test_a_disabled_autoreset_waits_for_the_caller(make_vec):
+    env = make_vec(num_envs=3, simulation="kinematic", episode_steps=2, autoreset_mode="Disabled")
+    with pytest.raises(InputError, match="reset_mask needs a reset of all robots first"):
+        env.reset(options={"reset_mask": np.ones(3, bool)})
+    env.reset(seed=0)
+    env.step(np.ones(3, int))
+    kept = env.step(np.ones(3, int))
+    with pytest.raises(InputError, match="the episode of robot 0 is over"):
+        env.step(np.ones(3, int))
+    handed_out = [part.copy() for part in (kept[0], kept[-1]["bumped"], kept[-1]["min_range"], kept[-1]["pose"])]
+    _, infos = env.reset(options={"reset_mask": np.array([True, False, True])})
+    assert (infos["ended"].tolist(), infos["_ended"].tolist()) == (["", None, ""], [True, False, True])
+    after = (kept[0], kept[-1]["bumped"], kept[-1]["min_range"], kept[-1]["pose"])
+    for before, now in zip(handed_out, after, strict=True):
+        np.testing.assert_array_equal(before, now)
+    with pytest.raises(InputError, match="the episode of robot 1 is over"):
+        env.step(np.ones(3, int))
+    env.reset(options={"reset_mask": np.array([False, True, False])})
+    env.step(np.ones(3, int))
+
+
 def test_it_is_the_batch_that_stable_baselines_gets():
     scene = make_scene(Wander(noise=0.01, episode_steps=60), "raw")
     ours, theirs = BatchVectorEnv(scene, 30), BatchVecEnv(scene, 30)
@@ -133,6 +237,8 @@ def test_actions_that_are_none_are_refused(actions, make_vec):
         (lambda make: make(simulation="kinematic").reset(options={"pose": (0, 0, 0)}), "there is no option 'pose'"),
         (lambda make: make(simulation="kinematic", num_envs=0), "num_envs.* greater than or equal to 1"),
         (lambda make: make(simulation="kinematic").step(np.array([0])), "step needs a reset first"),
+        (lambda make: make(simulation="kinematic").reset(options={"reset_mask": [True]}), "reset_mask must be a bool"),
+        (lambda make: make(autoreset_mode="next"), "unknown autoreset_mode 'next'.* NEXT_STEP"),
         (lambda make: make(simulation="gazebo"), "unknown simulation 'gazebo'"),
         (lambda make: make(simulation="kinematic", wordl="loop"), "did you mean 'world'"),
     ],
