@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from functools import partial
 from typing import Any
 
+from gymnasium.envs.registration import EnvSpec, registry
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vector_env import BatchVectorEnv, find_autoreset_mode
+from tb2rl.envs.worlds import absolute_worlds
 from tb2rl.errors import InputError, UnknownArgumentError
-from tb2rl.registry import find_task, import_object
+from tb2rl.registry import TASKS, find_task, import_object, reference_to
 from tb2rl.simulation import ROS
 from tb2rl.tasks import Task
 from tb2rl.values import build, untyped
 
+ENTRY_POINT, VECTOR_ENTRY_POINT = f"{__name__}:make_for_gymnasium", f"{__name__}:make_vector_for_gymnasium"
 _ARGUMENTS = ("observation", "render_mode", "simulation")  # of `make_env`, beside the task's settings
 
 
@@ -47,8 +50,11 @@ def make_env(
     scene = _scene(what, observation, settings)
     if simulation == ROS or not isinstance(simulation, str):
         ros_robot = import_object("tb2rl.ros.robot:ros_robot")  # by its name: that room is above this one
-        return ros_robot(simulation).env(scene, render_mode)
-    return TurtleBot2Env(scene, render_mode, simulation)
+        env = ros_robot(simulation).env(scene, render_mode)
+    else:
+        env = TurtleBot2Env(scene, render_mode, simulation)
+    env.spec = _spec(scene, render_mode, simulation)
+    return env
 
 
 def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> Scene:
@@ -74,6 +80,38 @@ def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
         return build(kind, with_robots_settings(settings, kind), "task")
     now = {field.name: getattr(what, field.name) for field in fields(what)}
     return build(type(what), {**now, **with_robots_settings(settings, type(what), what)}, "task")
+
+
+def _spec(scene: Scene, render_mode: str | None, simulation: Any) -> EnvSpec:
+    """The spec from which `gymnasium.make` makes the environment again, from any folder.
+
+    It is plain, as JSON needs it, unless a function defines the task's class or `simulation` is an object.
+    """
+    task, kind = scene.task, type(scene.task)
+    defaults = {field.name: field.default for field in fields(kind)}
+    usual = {**defaults, **with_robots_settings({"robot": task.robot}, kind), "robot": defaults["robot"]}
+    settings = {name: value for name, value in asdict(task).items() if getattr(task, name) != usual[name]}
+    if "world" in settings:
+        settings["world"] = absolute_worlds(settings["world"])
+    known = {"task": _task_reference(kind), **({"observation": "raw"} if scene.observation == "raw" else {})}
+    ids = [spec.id for spec in registry.values() if spec.entry_point == ENTRY_POINT and spec.kwargs == known]
+    return EnvSpec(
+        ids[0] if ids else f"{kind.__name__}-v0",
+        entry_point=ENTRY_POINT,
+        vector_entry_point=VECTOR_ENTRY_POINT,
+        order_enforce=False,  # the environment does and checks that itself
+        disable_env_checker=True,
+        kwargs={**known, "simulation": simulation, **({"render_mode": render_mode} if render_mode else {}), **settings},
+    )
+
+
+def _task_reference(kind: type[Task]) -> str | type[Task]:
+    """The name of a task's class, or "module:Class", or where that does not mean it the class itself."""
+    try:
+        reference = reference_to(kind)
+    except InputError:
+        return kind
+    return next((name for name, built_in in TASKS.items() if built_in == reference), reference)
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> TurtleBot2Env:

@@ -162,7 +162,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How `gymnasium.make` made it, with the task's time limit."""
+        """The spec from which `gymnasium.make` makes it again, with the task's time limit; see `make_env`."""
         return self._spec
 
     @spec.setter

@@ -1,11 +1,13 @@
 """A dataset of Minari: episodes recorded with their infos, stored, and read back as they were driven."""
 
 import gc
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
+import tb2rl
 from tb2rl.simulation import SIMULATIONS
 
 minari = pytest.importorskip("minari", reason="minari is not installed")
@@ -27,10 +29,17 @@ ABOUT = {
 
 @pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # of Minari's own folder
 @pytest.mark.parametrize("simulation", SIMULATIONS)
-@pytest.mark.parametrize("env_id", ["tb2rl:TurtleBot2Maze-v0", "tb2rl:TurtleBot2MazeRaw-v0"])
-def test_a_dataset_gives_back_what_was_driven(env_id, simulation, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "make",
+    [
+        partial(gym.make, "tb2rl:TurtleBot2Maze-v0", max_episode_steps=12),
+        partial(gym.make, "tb2rl:TurtleBot2MazeRaw-v0", max_episode_steps=12),
+        partial(tb2rl.make_env, "maze", "raw", episode_steps=12),
+    ],
+)
+def test_a_dataset_gives_back_what_was_driven(make, simulation, tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    env = gym.make(env_id, simulation=simulation, max_episode_steps=12)
+    env = make(simulation=simulation)
     collector = minari.DataCollector(env, record_infos=True)
     driven = [drive(collector, seed) for seed in range(3)]
     made = collector.create_dataset("turtlebot2/maze/test-v0", **ABOUT)

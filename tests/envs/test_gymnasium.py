@@ -1,5 +1,7 @@
 """What those who come by `gymnasium.make` find: ids, arguments, the time limit."""
 
+from dataclasses import asdict
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -7,7 +9,9 @@ from gymnasium import spaces
 
 import tb2rl
 from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.worlds import absolute_worlds
 from tb2rl.errors import InputError
+from tb2rl.runs.plain import plain
 from tb2rl.simulation import SIMULATIONS
 
 MAZE = "tb2rl:TurtleBot2Maze-v0"
@@ -24,6 +28,42 @@ def test_an_id_names_the_observation_for_those_who_cannot_pass_arguments(name):
 @pytest.mark.parametrize(("settings", "steps"), [({}, 1500), ({"episode_steps": 70}, 70)])
 def test_the_spec_tells_the_time_limit_of_the_task(settings, steps):
     assert gym.make(MAZE, **settings).spec.max_episode_steps == steps
+
+
+@pytest.mark.parametrize(
+    ("what", "arguments", "env_id"),
+    [
+        ("maze", {"simulation": "kinematic"}, "TurtleBot2Maze-v0"),
+        ("maze", {"observation": "raw", "beams": 9, "world": ["loop", "circuit"]}, "TurtleBot2MazeRaw-v0"),
+        ("navigate", {"robot": "jackal", "episode_steps": 7, "render_mode": "rgb_array"}, "TurtleBot2Navigate-v0"),
+        ("wall", {"world": "mine.yaml", "goal": (0.5, 2)}, "TurtleBot2Wall-v0"),
+        ("tb2rl.tasks.wander:Wander", {"noise": 0.01}, "TurtleBot2Maze-v0"),
+    ],
+)
+def test_the_spec_of_an_environment_makes_it_again(what, arguments, env_id, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("bounds: [-4, -4, 4, 4]\nstart: [0, 0, 0]\n")
+    env = tb2rl.make_env(what, **arguments)
+    world = absolute_worlds(env.task.world)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert env.spec.id == env_id
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    there = {**asdict(env.task), "world": world}
+    assert plain(asdict(again.unwrapped.task)) == plain(there)
+    for one in (env, again):
+        one.reset(seed=3)
+    action = env.action_space.sample()
+    np.testing.assert_array_equal(env.step(action)[4]["pose"], again.step(action)[4]["pose"])
+    assert (again.observation_space, again.action_space) == (env.observation_space, env.action_space)
+    assert (again.render_mode, type(again.unwrapped.simulation)) == (env.render_mode, type(env.simulation))
+    assert again.spec.max_episode_steps == env.spec.max_episode_steps == env.task.episode_steps
+
+
+def test_a_class_of_a_function_has_a_spec_for_this_process(glide):
+    env = tb2rl.make_env(glide, simulation="kinematic")
+    again = gym.make(env.spec)
+    assert (env.spec.id, again.unwrapped.task) == ("Glide-v0", env.task)
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
