@@ -25,8 +25,12 @@ def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
-    """What has a robot with ROS driven in the place of a simulation; see `tb2rl.commands.robot`."""
-    parser.add_argument("--simulation", choices=("ros",), help="drive a robot with ROS: see tb2rl/ros/README.md")
+    """The simulation, or a robot with ROS in its place; see `tb2rl.commands.robot`."""
+    parser.add_argument(
+        "--simulation",
+        choices=("bullet", "kinematic", "ros"),
+        help="bullet (default: PyBullet), its fast twin kinematic, or a robot with ROS: see tb2rl/ros/README.md",
+    )
     parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: drive no faster")
     parser.add_argument(
         "--goal", metavar="X,Y", help="where to get, from where an episode begins [m]; for task navigate"

@@ -15,6 +15,7 @@ from tb2rl.judging.evaluation import kept_evaluation
 from tb2rl.judging.evaluator import SEED
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
+from tb2rl.simulation import SIMULATIONS
 
 work = import_module("tb2rl.commands.evaluate")
 command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
@@ -58,6 +59,19 @@ def test_the_standard_evaluation_lands_in_the_run_folder(run, short, capsys):
         kept_evaluation(Run.open(run))
 
 
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+def test_the_simulation_can_be_chosen_and_one_alone_is_the_standard(simulation, run, short, capsys):
+    command.main([str(run), *short, "--simulation", simulation])
+    standard = simulation == "bullet"
+    assert (run / "evaluation.json").exists() == standard
+    shown = capsys.readouterr().out
+    assert ("driven in the fast twin: these are not PyBullet's figures" in shown) == (not standard)
+    assert ("not written: only the standard evaluation" in shown) == (not standard)
+    if standard:
+        for file in ("evaluation.json", "episodes.safetensors"):
+            (run / file).unlink()
+
+
 @pytest.mark.parametrize(
     "change", [["--episodes", "3"], ["--steps", "4"], ["--seed", "1"], ["--set", "task.world=circuit"]]
 )
@@ -93,7 +107,9 @@ def test_a_policy_is_called_what_the_user_called_it(short, tmp_path, capsys):
         ("--ros 2", ["--ros", "go with --simulation ros"]),
         ("--topics scan=/laser", ["--topics", "go with --simulation ros"]),
         ("--goal 1,2", ["--goal", "--simulation ros", "task.goal"]),
-        ("--simulation bullet", ["--simulation", "ros"]),
+        ("--simulation gazebo", ["--simulation", "ros"]),
+        ("--simulation kinematic --ros 2", ["--ros", "go with --simulation ros"]),
+        ("--simulation kinematic --suite unseen", ["--simulation", "--suite"]),
         ("--simulation ros --workers 2", ["--workers", "one robot"]),
         ("--simulation ros --suite unseen", ["--simulation", "--suite"]),
         ("--simulation ros --topics laser=/scan", ["--topics", "laser", "scan"]),

@@ -12,7 +12,9 @@ import pytest
 
 import tb2rl.play as play
 from tb2rl import train
+from tb2rl.envs import single
 from tb2rl.showing import film
+from tb2rl.simulation import SIMULATIONS
 
 
 @pytest.fixture
@@ -75,6 +77,23 @@ def test_the_time_limit_of_the_task_can_be_set(policy, alone, run, capsys):
     assert capsys.readouterr().out.startswith("episode 1: time limit after 2 steps")
 
 
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("way", ["--video it.gif", "--bag it.bag"])
+def test_the_simulation_can_be_chosen(way, simulation, alone, capsys, monkeypatch):
+    if "bag" in way:
+        pytest.importorskip("rosbags")
+    opened, simulate = [], single.simulate
+
+    def noted(name, *arguments, **named):
+        opened.append(name)
+        return simulate(name, *arguments, **named)
+
+    monkeypatch.setattr(single, "simulate", noted)
+    play.main(shlex.split(f"--agent random --steps 2 {way} --simulation {simulation}"))
+    assert opened == [simulation]
+    assert "twin" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(("name", "bags"), [("it.bag", ["it-1.bag", "it-2.bag"]), ("it", ["it-1", "it-2"])])
 def test_each_episode_is_a_bag_of_its_own(name, bags, alone, run, capsys):
     pytest.importorskip("rosbags")
@@ -128,6 +147,7 @@ def test_each_episode_is_a_bag_of_its_own(name, bags, alone, run, capsys):
         ("--agent random --simulation ros --video it.mp4 --mounting 1,2", ["--mounting", "x,y,yaw", "'1,2'"]),
         ("--agent random --ros 2", ["--ros", "--simulation ros"]),
         ("--teleop --simulation ros", ["--teleop", "ros"]),
+        ("--agent random --simulation gazebo", ["--simulation", "kinematic", "gazebo"]),
         ("--teleop --video it.mp4", ["--video", "--teleop"]),
         ("--teleop --bag it", ["--bag", "--teleop"]),
         ("--teleop --task wal", ["did you mean 'wall'"]),

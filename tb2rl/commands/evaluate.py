@@ -17,6 +17,7 @@ from tb2rl.judging.rollout import LARGEST_SEED
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
 from tb2rl.showing.table import print_evaluation
+from tb2rl.simulation import ROS, judging_simulation
 
 
 def run(options: argparse.Namespace) -> None:
@@ -30,8 +31,8 @@ def run(options: argparse.Namespace) -> None:
     check(options)
     policy, config = chosen_policy(options)
     conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed")}
-    conditions |= {"workers": options.workers} if robot is None else {"simulation": robot}
-    evaluation = evaluate(policy, config, progress=True, **conditions)
+    conditions |= {} if robot else {"workers": options.workers}
+    evaluation = evaluate(policy, config, progress=True, simulation=robot or options.simulation, **conditions)
     name = options.agent or options.policy
     print_evaluation(evaluation, f"{name} in {evaluation.scene.place if robot is None else 'a world with ROS'}")
     _write(evaluation, config, name, options)
@@ -42,9 +43,9 @@ def check(options: argparse.Namespace) -> None:
     check_places(options)
     if options.on is not None:
         raise InputError("--on goes with --suite: a hundred episodes are over sooner than Ray has started")
-    if options.simulation is not None and options.workers is not None:
+    if options.simulation == ROS and options.workers is not None:
         raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
-    if options.goal is not None and options.simulation is None:
+    if options.goal is not None and options.simulation != ROS:
         raise InputError("--goal goes with --simulation ros; else say --set task.goal=[3,2]")
     if min(options.episodes, options.steps) < 1 or not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--episodes and --steps must be at least 1, and --seed from 0 to {LARGEST_SEED}")
@@ -67,7 +68,7 @@ def check_places(options: argparse.Namespace) -> None:
 def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.Namespace) -> None:
     """Put the evaluation into the file that is named, or the standard one into its run folder."""
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not options.set
-    standard = standard and options.simulation is None
+    standard = standard and evaluation.simulation == judging_simulation()
     tree, arrays = evaluation.tree(config, name)
     if options.json:
         try:

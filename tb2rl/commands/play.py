@@ -28,7 +28,7 @@ from tb2rl.showing.recording import record
 from tb2rl.showing.terminal import steer_in_terminal
 from tb2rl.showing.window import Window, has_display, watch
 from tb2rl.signals import end_program, ending_signals
-from tb2rl.simulation import bullet_trouble
+from tb2rl.simulation import ROS, bullet_trouble
 
 
 def run(options: argparse.Namespace) -> None:
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> None:
     check(options)
     if options.teleop:
         config = resolve("random", options.task, settings=parse_settings(options.set))
-        drive_by_keyboard(config.scene, options.seed, options.camera)
+        drive_by_keyboard(config.scene, options.seed, options.camera, options.simulation)
         return
     policy, config = chosen_policy(options)
     if options.goal is not None and robot is None:
@@ -61,11 +61,11 @@ def check(options: argparse.Namespace) -> None:
         )
     if options.policy and options.task:
         raise InputError("--task goes with --agent and --teleop; a policy keeps the task that it was trained at")
-    if options.teleop and options.simulation is not None:
+    if options.teleop and options.simulation == ROS:
         raise InputError("--teleop drives a simulated robot; --simulation ros has a policy drive yours")
     if options.teleop and (options.video or options.bag):
         raise InputError("--video and --bag show a policy; --teleop shows what you drive in the terminal")
-    if options.simulation is not None and not options.video:
+    if options.simulation == ROS and not options.video:
         raise InputError("of a robot with ROS there is a film: name it by --video; a bag records ROS itself (rosbag)")
     if options.video and options.bag:
         raise InputError("take --video and --bag one after the other: with the same --seed it is the same drive")
@@ -97,10 +97,9 @@ def _film(policy: Policy, config: Config, options: argparse.Namespace, robot: Ro
         speed=options.speed,
         listener=_teller(config.scene),
         progress=True,
-        simulation=robot,
+        simulation=robot or options.simulation,
     )
-    if robot is None:
-        _tell_of_twin()
+    _tell_of_twin(options)
     _tell_of_file(path, path.stat().st_size)
 
 
@@ -114,15 +113,16 @@ def _record(policy: Policy, config: Config, options: argparse.Namespace) -> None
         seed=options.seed,
         listener=_teller(config.scene),
         progress=True,
+        simulation=options.simulation,
     )
-    _tell_of_twin()
+    _tell_of_twin(options)
     for bag in bags:
         _tell_of_file(bag, sum(file.stat().st_size for file in [bag, *bag.glob("*")] if file.is_file()))
 
 
-def _tell_of_twin() -> None:
+def _tell_of_twin(options: argparse.Namespace) -> None:
     trouble = bullet_trouble()
-    if trouble:
+    if options.simulation is None and trouble:
         print(f"driven in the fast twin, since PyBullet {trouble}")
 
 
@@ -138,7 +138,7 @@ def _film_name(options: argparse.Namespace) -> str:
 
 
 def _show(policy: Policy, config: Config, options: argparse.Namespace) -> None:
-    policy, env = open_env(policy, config, {}, options.steps)
+    policy, env = open_env(policy, config, {}, options.steps, options.simulation)
     with closing(env), closing(Window(env.scene, options.camera)) as window, suppress(KeyboardInterrupt):
         driven = drives(env, policy, options.episodes, options.seed, _teller(env.scene))
         watch(driven, env.scene.task.control_period, window, options.speed)
@@ -157,11 +157,11 @@ def _teller(scene: Scene) -> Callable[[int, Moment], None]:
     return tell
 
 
-def drive_by_keyboard(scene: Scene, seed: int, camera: str = "above") -> None:
+def drive_by_keyboard(scene: Scene, seed: int, camera: str = "above", simulation: str | None = None) -> None:
     """Let the user drive, in the terminal, and in the window if there is a display."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise InputError("--teleop reads keys from a terminal and draws on it, and here stdin or stdout is not one")
-    with closing(Teleop(scene, seed)) as teleop:
+    with closing(Teleop(scene, seed, simulation)) as teleop:
         if has_display():
             with closing(Window(scene, camera)) as window:
                 steer_in_terminal(teleop, window.show)

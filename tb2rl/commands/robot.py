@@ -11,6 +11,7 @@ from tb2rl.drivers.portable.ending import ending_signals
 from tb2rl.errors import InputError
 from tb2rl.ros.robot import RosRobot, parse_limits, parse_mounting
 from tb2rl.ros.topics import TURTLEBOT2, parse_topics
+from tb2rl.simulation import ROS
 
 
 def parse_goal(text: str) -> tuple[float, float]:
@@ -36,7 +37,7 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     Raises:
         InputError: If one of them does not fit.
     """
-    if options.simulation is None:
+    if options.simulation != ROS:
         if options.ros or options.topics or options.ros_args or options.mounting or options.top_speed is not None:
             raise InputError("--ros, --topics, --mounting, --top-speed and --ros-args go with --simulation ros")
         return None

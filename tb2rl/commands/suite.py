@@ -58,8 +58,9 @@ def run(options: argparse.Namespace) -> None:
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` where options do not go together."""
     check_places(options)
-    if chosen_robot(options) is not None:
-        raise InputError("--simulation does not go with --suite: nobody builds a thousand worlds for a robot")
+    chosen_robot(options)  # refuses options of a robot alone
+    if options.simulation is not None:
+        raise InputError("--simulation does not go with --suite, whose figures are of PyBullet wherever it works")
     if options.goal is not None:
         raise InputError("--goal does not go with --suite: each of its worlds has a goal")
     if len(options.suite) > 2:

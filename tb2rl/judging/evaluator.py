@@ -37,7 +37,7 @@ from tb2rl.processes import end_with_parent, main_hidden, process_context, proce
 from tb2rl.ros.robot import RosRobot
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
-from tb2rl.simulation import Start, judging_simulation
+from tb2rl.simulation import SIMULATIONS, Judge, Start, judging_simulation
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import Task
 
@@ -59,6 +59,7 @@ class Evaluator:
         workers: Processes; None: one for each processor, 1: this one alone.
         each_world: Instead of `episodes`, one in each of the scene's worlds in their order, from the world's start.
         only: Of all these, drive only the first so many; None: all.
+        simulation: "bullet" or "kinematic"; None: see `judging_simulation`.
 
     Raises:
         InputError: If an environment of the scene cannot be opened, for example because of its robot's URDF file.
@@ -73,8 +74,10 @@ class Evaluator:
         workers: int | None = None,
         each_world: bool = False,
         only: int | None = None,
+        simulation: Judge | None = None,
     ) -> None:
-        self.scene, self.seed, self.simulation = scene.changed(episode_steps=steps), seed, judging_simulation()
+        self.scene, self.seed = scene.changed(episode_steps=steps), seed
+        self.simulation = simulation or judging_simulation()
         starts = Start(scene.setup.table) if each_world else _random_starts(scene, episodes, seed)
         self.starts = [Start(row[None]) for row in starts.table[:only]]
         workers = min(workers or processors(), len(self.starts))
@@ -232,7 +235,8 @@ def evaluate(
         observation: How it observes that task, "discrete" or "raw"; None: as its observation space says.
         steps: Control steps at most in an episode; None: `episode_steps` of the settings, else 1500.
         progress: Whether to draw a bar, where there is a terminal.
-        simulation: "ros" or a `RosRobot`: a robot to drive instead; then conditions are those of `evaluate_on_robot`.
+        simulation: "bullet" or "kinematic"; "ros" or a `RosRobot`: a robot to drive instead, and conditions are those
+            of `evaluate_on_robot`; None: PyBullet's physics, or where PyBullet is missing or broken its fast twin.
         conditions: Arguments of `Evaluator`: episodes, seed, workers, only.
 
     Raises:
@@ -244,11 +248,11 @@ def evaluate(
     conditions["steps"] = time_limit(steps, settings or {}, STEPS)
     scene = _scene(policy, config, task, observation, settings or {})
     check_observes(policy, scene)
-    if simulation is not None:
+    if not (simulation is None or simulation in SIMULATIONS):
         conditions = {"seed": SEED, **conditions}
         return evaluate_on_robot(getattr(policy, "policy", policy), scene, simulation, progress=progress, **conditions)
     scene = scene.worlds_for("test")
-    with Evaluator(scene, **conditions) as evaluator:
+    with Evaluator(scene, **conditions, simulation=simulation) as evaluator:  # type: ignore[arg-type]
         return evaluator.run(getattr(policy, "policy", policy), progress)
 
 

@@ -18,7 +18,7 @@ from tb2rl.errors import InputError
 from tb2rl.ros.graph import join
 from tb2rl.ros.remote import RemoteRobot
 from tb2rl.ros.topics import TURTLEBOT2, DriverTopics
-from tb2rl.simulation import ROS
+from tb2rl.simulation import ROS, SIMULATIONS
 from tb2rl.values import build
 
 NAME = "tb2rl_environment"  # of the node
@@ -71,12 +71,12 @@ def ros_robot(simulation: RosRobot | str) -> RosRobot:
     """The robot itself, or a TurtleBot2 with ROS 1 for "ros": what evaluations and films take as `simulation`.
 
     Raises:
-        InputError: For another name: where they simulate, they choose the simulation themselves.
+        InputError: For another name.
     """
     if isinstance(simulation, str):
         if simulation != ROS:
             raise InputError(
-                f"simulation takes {ROS!r} or a RosRobot; without it PyBullet simulates, got {simulation!r}"
+                f"simulation takes {', '.join(map(repr, SIMULATIONS))}, {ROS!r} or a RosRobot, got {simulation!r}"
             )
         return RosRobot()
     return simulation

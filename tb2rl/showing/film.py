@@ -25,7 +25,7 @@ from tb2rl.showing.cameras import CAMERAS
 from tb2rl.showing.caption import with_caption
 from tb2rl.showing.shots import shots
 from tb2rl.showing.writers import WRITERS
-from tb2rl.simulation import judging_simulation
+from tb2rl.simulation import SIMULATIONS, judging_simulation
 
 STEPS = 300  # control steps: a minute
 _AROUND = 1.0  # [m] of the floor around a robot's way
@@ -50,11 +50,15 @@ def open_scene(
 
 
 def open_env(
-    policy: Policy | str | Path, config: Config | None, settings: Mapping[str, Any], steps: int
+    policy: Policy | str | Path,
+    config: Config | None,
+    settings: Mapping[str, Any],
+    steps: int,
+    simulation: str | None = None,
 ) -> tuple[Policy, TurtleBot2Env]:
-    """The same with the environment, see `open_scene`."""
+    """The same with the environment, see `open_scene`; `simulation` None: see `judging_simulation`."""
     policy, scene = open_scene(policy, config, settings, steps)
-    return policy, TurtleBot2Env(scene, simulation=judging_simulation())
+    return policy, TurtleBot2Env(scene, simulation=simulation or judging_simulation())
 
 
 def drives(
@@ -102,7 +106,8 @@ def film(
         speed: How many times as fast as it happened.
         listener: Is called with the number of each episode, from 1, and its last step.
         progress: Whether to draw a bar, where there is a terminal.
-        simulation: "ros" or a `RosRobot`: a robot that drives instead, and is filmed by its odometry and its laser.
+        simulation: "bullet" or "kinematic"; "ros" or a `RosRobot`: a robot that drives instead, and is filmed by its
+            odometry and its laser; None: PyBullet's physics, or where PyBullet is missing or broken its fast twin.
 
     Returns:
         The path.
@@ -114,13 +119,15 @@ def film(
     check_numbers(episodes, steps, seed, speed)
     policy, scene = open_scene(policy, config, settings or {}, steps)
     if simulation is None:
-        env = TurtleBot2Env(scene, simulation=judging_simulation())
+        simulation = judging_simulation()
+    if isinstance(simulation, str) and simulation in SIMULATIONS:
+        env = TurtleBot2Env(scene, simulation=simulation)
     else:
         env = ros_robot(simulation).env(scene)
     bar = progress_bar(None, "filming", "step", total=episodes * steps, shown=progress)
     with closing(env), bar:
         driven = (_counted(moments, bar.update) for moments in drives(env, policy, episodes, seed, listener))
-        if simulation is None:
+        if simulation in SIMULATIONS:
             write_film(path, driven, env.scene, camera, speed)
             return path
         whole = [list(moments) for moments in driven]  # a robot does not wait for pictures

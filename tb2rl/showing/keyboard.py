@@ -24,10 +24,11 @@ class Teleop:
     Args:
         scene: What to drive, where, and at which task.
         seed: Of the start poses.
+        simulation: "bullet" or "kinematic"; None: see `judging_simulation`.
     """
 
-    def __init__(self, scene: Scene, seed: int) -> None:
-        self.scene, self.env = scene, TurtleBot2Env(scene, simulation=judging_simulation())
+    def __init__(self, scene: Scene, seed: int, simulation: str | None = None) -> None:
+        self.scene, self.env = scene, TurtleBot2Env(scene, simulation=simulation or judging_simulation())
         self.command = STILL
         self.news = ""
         self.env.reset(seed=seed)

@@ -27,12 +27,14 @@ def record(
     seed: int = 0,
     listener: Listener | None = None,
     progress: bool = False,
+    simulation: str | None = None,
 ) -> list[Path]:
     """Record a policy at what it was trained to do; what is in a bag: see `tb2rl.bags.recorder`.
 
     Args:
         path: A file .bag for ROS 1, or a folder for ROS 2; of several episodes each has a number behind that name.
         policy, config, settings, episodes, steps, seed, listener, progress: As in `tb2rl.showing.film.film`.
+        simulation: "bullet" or "kinematic"; None: as in `film`.
 
     Returns:
         The bags.
@@ -44,7 +46,7 @@ def record(
     steps = time_limit(steps, settings or {}, STEPS)
     check_numbers(episodes, steps, seed)
     policy, scene = open_scene(policy, config, settings or {}, steps)
-    env = RecordedEnv(scene, simulation=judging_simulation())
+    env = RecordedEnv(scene, simulation=simulation or judging_simulation())
     bar = progress_bar(None, "recording", "step", total=episodes * steps, shown=progress)
     with closing(env), bar:
         for each, moments in zip(paths, drives(env, policy, episodes, seed, listener), strict=True):

@@ -21,6 +21,7 @@ from tb2rl.registry import agent_names, find_agent, find_world
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
+from tb2rl.simulation import SIMULATIONS
 from tb2rl.tasks.wander import Wander
 
 GUIDED = {"dwa", "pursuit", "vfh"}  # only drive to a goal: tests/agents/test_guided.py
@@ -228,6 +229,16 @@ def test_settings_change_the_task(run):
     assert (evaluation.task.world, evaluation.scene.world.name, evaluation.task.noise) == ("circuit", "circuit", 0.1)
     with pytest.raises(InputError, match="did you mean 'world'"):
         evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)
+
+
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+def test_the_simulation_can_be_chosen(simulation, run):
+    assert evaluate(run, simulation=simulation, episodes=1, steps=2, workers=1).simulation == simulation
+
+
+def test_an_unknown_simulation_is_refused(run):
+    with pytest.raises(InputError, match=r"simulation takes .*'kinematic'.* got 'gazebo'"):
+        evaluate(run, simulation="gazebo", episodes=1, steps=2)
 
 
 def test_the_time_limit_can_be_a_setting(run):

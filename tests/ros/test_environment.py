@@ -341,5 +341,5 @@ def test_what_does_not_fit_is_said():
         RosRobot(arguments=("-p", "use_sim_time:=true")).env(scene)
     with pytest.raises(InputError, match="unknown key of topics 'lasers'"):
         RosRobot(topics={"lasers": "/scan"}).env(scene)
-    with pytest.raises(InputError, match="simulation takes 'ros'"):
-        tb2rl.evaluate(*wallfollower(), simulation="kinematic")
+    with pytest.raises(InputError, match=r"simulation takes .*'kinematic', 'ros'"):
+        tb2rl.evaluate(*wallfollower(), simulation="gazebo")
