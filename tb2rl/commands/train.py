@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
         _finish(resume(options.resume, options.total_timesteps, _bar(options), options.verbose, _say_resumed), options)
         return
     config = requested(options)
-    folder = _folder(config, options.name)
+    folder = default_folder(config, options.name)
     where = where_of(options)
     if options.seeds is None:
         if (options.on, options.workers) != (None, None):
@@ -115,10 +115,3 @@ def _finish(training: Training, options: argparse.Namespace) -> None:
 
 def _bar(options: argparse.Namespace) -> bool:
     return not options.no_progress and not options.verbose and sys.stderr.isatty()
-
-
-def _folder(config: Config, name: str | None) -> Path:
-    folder = default_folder(config)
-    if name and (Path(name).name != name or name == ".."):
-        raise InputError(f"--name is the name of a folder, without a path, got {name!r}")
-    return folder.with_name(name) if name else folder

@@ -8,8 +8,10 @@ from dataclasses import asdict, fields
 from functools import partial
 from typing import Any
 
+import gymnasium
 from gymnasium.envs.registration import EnvSpec, registry
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.wrappers import HumanRendering
 
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.single import TurtleBot2Env
@@ -17,7 +19,7 @@ from tb2rl.envs.vector_env import BatchVectorEnv, find_autoreset_mode
 from tb2rl.envs.worlds import absolute_worlds
 from tb2rl.errors import InputError, UnknownArgumentError
 from tb2rl.registry import TASKS, find_task, import_object, reference_to
-from tb2rl.simulation import ROS
+from tb2rl.simulation import ROS, check_display
 from tb2rl.tasks import Task
 from tb2rl.values import build, untyped
 
@@ -114,11 +116,15 @@ def _task_reference(kind: type[Task]) -> str | type[Task]:
     return next((name for name, built_in in TASKS.items() if built_in == reference), reference)
 
 
-def make_for_gymnasium(task: str, **arguments: Any) -> TurtleBot2Env:
-    """What `gymnasium.make` calls; see `make_env`."""
+def make_for_gymnasium(task: str, **arguments: Any) -> gymnasium.Env:
+    """What `gymnasium.make` calls; see `make_env`. The window of the twin, seen from above, is Gymnasium's own."""
     # A local variable of the frame would be a reference cycle, which keeps the environment alive.
     limit = _time_limit_asked(sys._getframe(1).f_locals)
-    return make_env(task, **_time_limit_named(arguments, limit))
+    arguments = _time_limit_named(arguments, limit)
+    if (arguments.get("render_mode"), arguments.get("simulation")) != ("human", "kinematic"):
+        return make_env(task, **arguments)
+    check_display()
+    return HumanRendering(make_env(task, **{**arguments, "render_mode": "rgb_array"}))
 
 
 make_for_gymnasium.metadata = TurtleBot2Env.metadata  # type: ignore[attr-defined]  # Gymnasium reads the render modes

@@ -50,6 +50,7 @@ def train(
     preset: str | None = None,
     settings: Mapping[str, Any] | None = None,
     folder: str | Path | None = None,
+    name: str | None = None,
     progress_bar: bool = False,
     verbose: int = 0,
     **train_settings: Any,
@@ -62,7 +63,8 @@ def train(
             for a run that is to be loaded anywhere else, save the class in a file.
         preset: The name of a file in `configs`, or the path of one.
         settings: Single settings by dotted key, such as {"task.world": "circuit"}.
-        folder: The run folder; None: `runs/<task>/<agent>/<date and time>`.
+        folder: The run folder; None: `runs/<task>/<agent>/<name>`.
+        name: Of the run folder there; None: date and time.
         progress_bar: Whether to show the rate and the remaining time.
         verbose: 1: a line for each episode.
         train_settings: Fields of `tb2rl.runs.config.TrainSettings`, such as total_timesteps, seed or n_envs.
@@ -73,9 +75,11 @@ def train(
     Raises:
         InputError: For anything in the arguments that does not fit.
     """
+    if folder is not None and name is not None:
+        raise InputError("name= is for a run folder in runs/TASK/AGENT; give either it or folder=")
     given = {f"train.{key}": value for key, value in train_settings.items()}
     config = resolve(agent, task, preset, {**(settings or {}), **given})
-    return load(train_config(config, folder or default_folder(config), progress_bar, verbose).run.folder)
+    return load(train_config(config, folder or default_folder(config, name), progress_bar, verbose).run.folder)
 
 
 @dataclass(frozen=True)
@@ -275,9 +279,17 @@ def _restore(
     return first
 
 
-def default_folder(config: Config) -> Path:
-    """`runs/<task>/<agent>/<date and time>`, with a number where that is taken."""
+def default_folder(config: Config, name: str | None = None) -> Path:
+    """`runs/<task>/<agent>/<name>`; without a name date and time, with a number where that is taken.
+
+    Raises:
+        InputError: If the name is a path.
+    """
     folder = Path("runs") / _file_name(config.task_name) / _file_name(config.agent_name)
+    if name:
+        if Path(name).name != name or name == "..":
+            raise InputError(f"--name (name=) is the name of a folder, without a path, got {name!r}")
+        return folder / name
     name = datetime.now().strftime("%Y%m%d-%H%M%S")
     names = [name, *(f"{name}-{i}" for i in range(2, 1000))]
     return next(folder / name for name in names if not (folder / name).exists())

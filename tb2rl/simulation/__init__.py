@@ -7,6 +7,8 @@ PyBullet is missing or broken. Imported from here: worlds, robots, and what all 
 
 from __future__ import annotations
 
+import os
+import sys
 from functools import cache
 from importlib import import_module
 from typing import Any, Literal, Protocol
@@ -31,6 +33,7 @@ __all__ = [
     "Start",
     "bullet_trouble",
     "check_bullet",
+    "check_display",
     "judging_simulation",
     "simulate",
     "simulate_many",
@@ -115,6 +118,12 @@ def check_bullet(what: str) -> None:
         raise InputError(f"{what} needs PyBullet, which {trouble}{cure}")
 
 
+def check_display() -> None:
+    """Raise an `InputError` if there is no display for a window; only on Linux a variable tells."""
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise InputError("render_mode 'human' opens a window, and there is no display; use 'rgb_array'")
+
+
 def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
     """The simulation of a name, with one robot; only what is asked for is imported.
 
@@ -129,7 +138,10 @@ def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
 
         return BulletSimulation(setup, window)
     if window:
-        raise InputError("render_mode 'human' shows PyBullet's window, and simulation 'kinematic' has none")
+        raise InputError(
+            "render_mode 'human' shows PyBullet's window, and simulation 'kinematic' has none; use 'rgb_array', or "
+            "gymnasium.make, which shows that in a window"
+        )
     from tb2rl.simulation.kinematic import KinematicSimulation
 
     return KinematicSimulation(setup)

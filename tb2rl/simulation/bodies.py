@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ import numpy as np
 
 from tb2rl.errors import InputError
 from tb2rl.robots import Robot
+from tb2rl.simulation import check_display
 from tb2rl.simulation.physics import pybullet
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
@@ -34,8 +34,8 @@ def connect(window: bool) -> int:
     Raises:
         InputError: If there is no display for a window.
     """
-    if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise InputError("render_mode 'human' opens a window, and there is no display; use 'rgb_array'")
+    if window:
+        check_display()
     client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
     clear(client)
     return client

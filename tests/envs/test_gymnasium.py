@@ -1,5 +1,6 @@
 """What those who come by `gymnasium.make` find: ids, arguments, the time limit."""
 
+import sys
 from dataclasses import asdict
 
 import gymnasium as gym
@@ -89,6 +90,26 @@ def test_an_unknown_argument_is_a_type_error_in_the_words_of_python(make):
         make(frameskip=4)
     with pytest.raises(InputError, match="did you mean 'world'"):
         make(wordl="loop")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
+@pytest.mark.parametrize("simulation", SIMULATIONS)
+def test_a_window_without_a_display_is_refused(simulation, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(InputError, match="there is no display; use 'rgb_array'"):
+        gym.make(MAZE, simulation=simulation, render_mode="human")
+
+
+def test_gymnasium_shows_the_twin_in_a_window(monkeypatch, drive):
+    pytest.importorskip("pygame", reason="pygame is not installed (gymnasium[classic-control])")
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make(MAZE, simulation="kinematic", render_mode="human")
+    for made in (env, gym.make(env.spec)):
+        made.reset(seed=0)
+        drive(made, [0, 1])
+        assert (made.render_mode, made.unwrapped.render_mode) == ("human", "rgb_array")
+        made.close()
 
 
 def test_the_twin_offers_the_window_to_nobody():

@@ -190,6 +190,16 @@ def test_runs_without_a_name_do_not_collide(tmp_path, monkeypatch):
     assert {str(folder.parent) for folder in folders} == {"runs/wall/A2C"}
 
 
+def test_a_run_can_have_a_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    train(name="mine", **{**BARE, "total_timesteps": 8}, simulation="kinematic")
+    assert (tmp_path / "runs/maze/qlearn/mine/config.yaml").is_file()
+    with pytest.raises(InputError, match=r"name of a folder, without a path, got '\.\./x'"):
+        train(name="../x")
+    with pytest.raises(InputError, match="either it or folder="):
+        train(name="x", folder="y")
+
+
 def test_an_existing_folder_is_left_alone(small, tmp_path):
     run = training.train_config(small(), tmp_path / "run").run
     before = {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()}
