@@ -23,6 +23,7 @@ Fraction = Annotated[float, Ge(0), Le(1)]
 Count = Annotated[int, Ge(1), Le(2**31 - 1)]
 CountOrZero = Annotated[int, Ge(0), Le(2**31 - 1)]
 Point = tuple[float, float]
+MOST_WORLDS = 10_000  # of a task; to read or to generate so many takes 15 to 20 s
 
 
 def _three(value: Any) -> Any:
@@ -91,6 +92,8 @@ def _worlds(value: Any) -> Any:
     entries = value if isinstance(value, list | tuple) else [value]
     if not entries:
         raise ValueError("must name at least one world")
+    if len(entries) > MOST_WORLDS:
+        raise ValueError(f"must name at most {MOST_WORLDS} worlds, not {len(entries)}")
     for entry in entries:
         if not isinstance(_no_object(entry), str | Mapping):
             raise ValueError("must be a name, a list of names, or a generator: {generator: clutter, difficulty: 0.5}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from tb2rl.errors import InputError, one_line, unknown
 from tb2rl.files import is_path
 from tb2rl.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
-from tb2rl.values import build
+from tb2rl.values import MOST_WORLDS, build
 from tb2rl.worlds import Import, World
 from tb2rl.worlds.generators import GENERATORS, Generated, Purpose, generate
 
@@ -38,6 +38,7 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     if isinstance(setting, Mapping):
         return _generated(build(Generated, setting, "task.world"), purpose)
     if not isinstance(setting, str):
+        _check_number(setting)
         return tuple(world for entry in setting for world in find_worlds(entry, purpose))
     if _is_folder(setting):
         return tuple(map(find_world, _files_in(setting)))
@@ -46,6 +47,24 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     if ":" not in setting and not is_path(setting) and setting not in world_names():
         raise unknown("world", setting, [*world_names(), *_generators()])
     return (find_world(setting),)
+
+
+def _check_number(entries: Iterable[Any]) -> None:
+    """Raise an `InputError` before any world is read if the entries of a list are too many worlds in sum."""
+    number = 0
+    for entry in entries:
+        number += _number(entry)
+        if number > MOST_WORLDS:
+            raise InputError(f"task.world is more than {MOST_WORLDS} worlds; name fewer")
+
+
+def _number(entry: Any) -> int:
+    """The number of worlds of an entry of a list."""
+    if isinstance(entry, Mapping):
+        return 1 if "file" in entry else build(Generated, entry, "task.world").worlds
+    if _is_folder(entry):
+        return len(_files_in(entry))
+    return Generated.worlds if entry in _generators() else 1
 
 
 def worlds_of_files(setting: Any) -> dict[str, tuple[World, ...]]:
@@ -150,4 +169,6 @@ def _files_in(folder: str) -> list[str]:
         raise InputError(
             one_line(f"there is no world in the folder {folder}; files of worlds end in {', '.join(endings)}")
         )
+    if len(files) > MOST_WORLDS:
+        raise InputError(one_line(f"there are more than {MOST_WORLDS} worlds in the folder {folder}; name fewer"))
     return sorted(map(str, files))

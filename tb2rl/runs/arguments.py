@@ -156,7 +156,9 @@ def _network_class(reference: str, where: str) -> type:
         raise InputError(one_line(f"{where}: {error}")) from None
     if not (isinstance(found, type) and issubclass(found, th.nn.Module | th.optim.Optimizer)):
         raise InputError(one_line(f"{where}: {reference!r} is neither a torch module nor an optimiser"))
-    if issubclass(found, th.nn.Module) and found.forward is th.nn.Module.forward:
+    lacking = th.nn.Module.forward
+    # A ScriptModule has no attribute `forward` before it is made.
+    if issubclass(found, th.nn.Module) and getattr(found, "forward", lacking) is lacking:
         raise InputError(f"{where}: {reference} has no forward of its own")
     return found
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from tb2rl.envs.scene import with_robots_settings
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, one_line
 from tb2rl.files import find_file, parse_yaml, read_yaml, top_folder
 from tb2rl.registry import find_agent, find_task, reference_to
 from tb2rl.runs.arguments import is_schedule
@@ -95,7 +95,7 @@ def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
         key, equals, value = pair.partition("=")
         if not equals:
             raise InputError(f"--set takes KEY=VALUE, for example task.world=circuit, got {pair!r}")
-        settings[key.strip()] = parse_yaml(value, f"--set {key}: {value!r}")
+        settings[key.strip()] = parse_yaml(value, one_line(f"--set {key}: {value!r}", 100))
     return settings
 
 

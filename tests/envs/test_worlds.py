@@ -154,6 +154,10 @@ WRONG = [
     ({"difficulty": 0.5}, "task.world: must name its generator"),
     ({"generator": None}, "task.world: must name its generator"),
     ([], "task.world: must name at least one world, got []"),
+    (["loop"] * 100_000, "task.world: must name at most 10000 worlds, not 100000, got ['loop', 'loop'"),
+    ({"generator": "maze", "worlds": 100_000}, "task.world.worlds: Input should be less than or equal to 10000"),
+    ([{"generator": "maze", "worlds": 6000}, {"generator": "rooms", "worlds": 4000}, "loop"], "more than 10000 worlds"),
+    (["rooms"] * 20, "task.world is more than 10000 worlds; name fewer"),
     ([["loop"]], "task.world: must be a name, a list of names, or a generator"),
     (3, "task.world: must be a name, a list of names, or a generator"),
     (None, "task.world: must be a name, a list of names, or a generator"),
@@ -182,6 +186,19 @@ def test_what_does_not_fit_is_said_in_one_line(setting, words, forest):
             make()
         assert words in str(error.value)
         assert "\n" not in str(error.value)
+
+
+def test_too_many_worlds_are_refused_before_one_is_read(tmp_path, monkeypatch):
+    (tmp_path / "a.txt").write_text("S G")
+    (tmp_path / "b.txt").write_text("S G")
+    monkeypatch.setattr("tb2rl.envs.worlds.MOST_WORLDS", 3)
+    monkeypatch.setattr("tb2rl.envs.worlds.find_world", lambda *_: pytest.fail("a world is read"))
+    for setting in (["loop", "loop", str(tmp_path)], [str(tmp_path)] * 2, ["loop"] * 4, [{"file": "loop"}] * 4):
+        with pytest.raises(InputError, match="more than 3 worlds"):
+            find_worlds(setting)
+    monkeypatch.setattr("tb2rl.envs.worlds.MOST_WORLDS", 1)
+    with pytest.raises(InputError, match="more than 1 worlds in the folder"):
+        find_worlds(str(tmp_path))
 
 
 def test_an_empty_folder_holds_no_world(tmp_path):

@@ -53,6 +53,7 @@ def test_what_a_signature_knows_is_taken(agent, arguments):
         (PPO, {"policy_kwargs": {"activation_fn": "os:system"}}, ["activation_fn", "neither a torch module"]),
         (PPO, {"policy_kwargs": {"activation_fn": "torch:load"}}, ["activation_fn", "neither a torch module"]),
         (PPO, {"policy_kwargs": {"activation_fn": "torch.nn:Module"}}, ["activation_fn", "no forward of its own"]),
+        (PPO, {"policy_kwargs": {"activation_fn": "torch.jit:ScriptModule"}}, ["activation_fn", "no forward of its"]),
         (
             PPO,
             {"policy_kwargs": {"features_extractor_class": NEARNESS, "features_extractor_kwargs": {"midle": 1}}},

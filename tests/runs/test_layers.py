@@ -124,6 +124,20 @@ def test_what_is_not_a_setting_is_refused(pair, refused):
     assert "a.b" in refused(parse_settings, [pair])
 
 
+@pytest.mark.parametrize(
+    "value",
+    [
+        "9" * 5000, "0x" + "f" * 5000, "1" + ":59" * 3000, "!!int ''", "!!int _", "!!int [1]", "!!float ''",
+        "!!float _", "!!bool maybe", "!!timestamp maybe", "!!timestamp 2001-99-01", "!!binary é", "!!set 3",
+        "!!omap [1]", "!!python/name:os.mkdir",
+    ],
+)  # fmt: skip
+def test_a_value_that_does_not_fit_its_tag_is_refused_wherever_it_stands(value, refused, tmp_path):
+    assert "is not YAML" in refused(parse_settings, [f"agent.gamma={value}"])
+    (tmp_path / "mine.yaml").write_text(f"agent: {value}", encoding="utf-8")
+    refused(resolve, preset=str(tmp_path / "mine.yaml"))
+
+
 @pytest.mark.parametrize("value", ["1.0e-3", "1e-3", "0.001"])
 def test_a_number_is_a_number_however_it_is_written(value):
     settings = parse_settings([f"agent.gamma={value}", f"task.noise={value}"])

@@ -15,7 +15,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from tb2rl.errors import InputError
-from tb2rl.values import ASCENDING, PAIR, Fraction
+from tb2rl.values import ASCENDING, MOST_WORLDS, PAIR, Fraction
 from tb2rl.worlds.generators.enclosure import Size
 from tb2rl.worlds.world import World
 
@@ -35,7 +35,7 @@ class Generated:
     """A generator and its settings, as `task.world` takes them."""
 
     generator: str  # a name, or "module:function"
-    worlds: Annotated[int, Ge(1), Le(100_000)] = 512  # for each purpose
+    worlds: Annotated[int, Ge(1), Le(MOST_WORLDS)] = 512  # for each purpose
     difficulty: Span = (0.0, 1.0)  # from 0 to 1, or a range that each world's is drawn from
     seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
     size: tuple[Side, Side] = (8.0, 8.0)  # [m] of the floor
