@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import functools
+import io
 import os
 import select
 import sys
@@ -59,11 +60,13 @@ class ArgumentParser(argparse.ArgumentParser):
 def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
     """Let a command's `main` report wrong input, or a file it cannot use, as one line on stderr with status 2.
 
-    Where the reader of its output goes away (`| head`), it ends without a word.
+    Where the reader of its output goes away (`| head`), it ends without a word. What the encoding of the terminal lacks
+    is printed escaped, and what goes to a stream that was closed from the start (`2>&-`) is dropped.
     """
 
     @functools.wraps(main)
     def guarded(arguments: list[str] | None = None) -> None:
+        _repair_streams()
         try:
             with _warnings_in_a_line():
                 _reporting(main, arguments)
@@ -86,10 +89,33 @@ def _reporting(main: Callable[[list[str] | None], None], arguments: list[str] | 
         if error.filename is None:  # not about a file
             raise
         _stop(f"error: {error.strerror}: {error.filename}")
+    except UnicodeEncodeError as error:
+        if error.object.isprintable():
+            raise
+        _stop(f"error: the name {one_line(ascii(error.object), 200)} is not text in {error.encoding}; use another one")
     except KeyboardInterrupt:
         raise SystemExit(130) from None  # as the shell counts it: 128 + SIGINT
     finally:
         print(end="", flush=True)  # here, where a reader that left can be noticed, not when the interpreter ends
+
+
+def _repair_streams() -> None:
+    """Let any text be printed, and open the streams that were closed when Python started, which are None."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:
+            _open_descriptor(number)
+            setattr(sys, name, open(os.devnull, "w" if number else "r"))  # noqa: SIM115, PTH123 (until the end)
+        elif number and isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _open_descriptor(number: int) -> None:
+    """Take a free number of a standard stream, or the next file gets it, and what libraries print."""
+    try:
+        os.fstat(number)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_RDWR), number)
 
 
 @contextmanager

@@ -1,7 +1,9 @@
-"""How a command ends: when its reader goes away, and when a pipe of its own breaks."""
+"""How a command ends: a reader that goes away, a broken pipe of its own, and streams that take no such text."""
 
 from __future__ import annotations
 
+import os
+import shlex
 import subprocess
 import sys
 
@@ -48,3 +50,53 @@ def test_a_pipe_of_our_own_that_breaks_is_a_bug_and_shows_as_one():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "Traceback" in done.stderr
+
+
+# ---- streams that cannot take what is printed, and names that are not text
+
+NAMES = "print('\\udcff \\xb1'); print('\\udcff \\xb1', file=sys.stderr)"
+STREAMS = {
+    "utf-8:strict": ("\\udcff ±\n", "\\udcff ±\n"),
+    "ascii": ("\\udcff \\xb1\n", "\\udcff \\xb1\n"),
+    "ascii:surrogateescape": ("\\udcff \\xb1\n", "\\udcff \\xb1\n"),
+}
+
+
+def run_in_shell(code: str, redirection: str, **environment: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-c", "import sys\n" + COMMAND.format(code)]
+    return subprocess.run(
+        f"{shlex.join(command)} {redirection}",
+        shell=True,
+        capture_output=True,
+        encoding="utf-8",
+        env={**os.environ, **environment},
+    )
+
+
+@pytest.mark.parametrize("encoding", STREAMS)
+def test_what_the_encoding_of_the_terminal_lacks_is_printed_escaped(encoding):
+    done = run_in_shell(NAMES, "", PYTHONIOENCODING=encoding)
+    assert (done.returncode, done.stdout, done.stderr) == (0, *STREAMS[encoding])
+
+
+@pytest.mark.parametrize(
+    ("redirection", "said"), [("2>&-", ("out\n", "")), (">&-", ("", "err\n")), (">&- 2>&- <&-", ("", ""))]
+)
+def test_a_stream_that_was_closed_from_the_start_takes_what_is_printed_and_shows_it_nowhere(redirection, said):
+    code = "print('out'); print('err', file=sys.stderr); assert not sys.stderr.isatty() and not sys.stdin.isatty()"
+    done = run_in_shell(code, redirection)
+    assert (done.returncode, done.stdout, done.stderr) == (0, *said)
+    assert run_in_shell("raise InputError('wrong')", redirection).returncode == 2
+
+
+def test_no_file_takes_the_place_of_a_closed_stream(tmp_path):
+    code = f"file = open({str(tmp_path / 'file')!r}, 'w'); import os; os.write(2, b'said by a library'); file.close()"
+    assert run_in_shell(code, "2>&-").returncode == 0
+    assert (tmp_path / "file").read_text() == ""
+
+
+def test_a_name_that_is_not_text_ends_in_one_line_where_text_is_needed():
+    done = run_in_shell(r"'runs/\udcff'.encode()", "")
+    said = "error: the name 'runs/\\udcff' is not text in utf-8; use another one\n"
+    assert (done.returncode, done.stderr) == (2, said)
+    assert "Traceback" in run_in_shell(r"'\xfc'.encode('ascii')", "").stderr, "a bug shows as one"

@@ -61,7 +61,13 @@ def test_without_the_evaluation_there_is_none(folder):
 
 
 @pytest.mark.parametrize(
-    "wrong", [["--agent", "random"], ["--name", "taken"], ["--agent", "ppo", "--set", "agent.batch_size=1"]]
+    "wrong",
+    [
+        ["--agent", "random"],
+        ["--name", "taken"],
+        ["--name", "\udcff"],
+        ["--agent", "ppo", "--set", "agent.batch_size=1"],
+    ],
 )
 def test_only_a_training_that_begins_names_its_run_folder(wrong, folder, capsys):
     folder.with_name("taken").mkdir(parents=True)

@@ -283,12 +283,12 @@ def default_folder(config: Config, name: str | None = None) -> Path:
     """`runs/<task>/<agent>/<name>`; without a name date and time, with a number where that is taken.
 
     Raises:
-        InputError: If the name is a path.
+        InputError: If the name is a path, or not printable.
     """
     folder = Path("runs") / _file_name(config.task_name) / _file_name(config.agent_name)
     if name:
-        if Path(name).name != name or name == "..":
-            raise InputError(f"--name (name=) is the name of a folder, without a path, got {name!r}")
+        if Path(name).name != name or name == ".." or not name.isprintable():
+            raise InputError(f"--name (name=) is the name of a folder, of printable text without a path, got {name!r}")
         return folder / name
     name = datetime.now().strftime("%Y%m%d-%H%M%S")
     names = [name, *(f"{name}-{i}" for i in range(2, 1000))]

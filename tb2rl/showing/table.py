@@ -23,7 +23,8 @@ _SUITE_CAPTION = (
 
 def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
     """Print the table of an evaluation and return its summary."""
-    summary = evaluation.summary()
+    summary, console = evaluation.summary(), Console()
+    spread = "±" if console.encoding.startswith("utf") else "+/-"
     table = Table(title=title, title_justify="left")
     table.add_column(f"{summary['episodes']} episodes of at most {evaluation.steps} steps")
     table.add_column("value", justify="right")
@@ -32,11 +33,11 @@ def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
     if evaluation.task.goal_task:
         table.add_row("goal reached", *_rate(summary, "success"))
     for name, unit in _MEANS:
-        table.add_row(name, f"{summary[f'mean_{name}']:.1f}", f"± {summary[f'std_{name}']:.1f} {unit}".rstrip())
+        table.add_row(name, f"{summary[f'mean_{name}']:.1f}", f"{spread} {summary[f'std_{name}']:.1f} {unit}".rstrip())
     table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
     table.add_row("visited", f"{summary['median_squares']:g}", "squares of 1 m (median)")
     table.add_row("endings", "", _endings(summary["endings"]))
-    Console().print(table)
+    console.print(table)
     _say_if_twin(evaluation.simulation)
     return summary
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from io import BytesIO, TextIOWrapper
+
 from tb2rl.showing.table import print_evaluation
 from tb2rl.tasks.reach_goal import ReachGoal
 
@@ -33,3 +35,11 @@ def test_the_table_has_the_figures_of_the_evaluation(make, capsys):
 def test_without_a_goal_no_line_tells_how_often_it_was_reached(make, capsys):
     print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")
     assert "goal" not in capsys.readouterr().out
+
+
+def test_a_terminal_without_the_sign_of_plus_and_minus_gets_it_in_ascii(make, monkeypatch):
+    stream = TextIOWrapper(BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", stream)
+    print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")
+    stream.flush()
+    assert "+/- 0.0 m" in stream.buffer.getvalue().decode("ascii")
