@@ -50,6 +50,11 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> InputError:
     return InputError(f"unknown {kind} {one_line(repr(name), 200)};{suggestion} known: {', '.join(known)}")
 
 
+def install_extra(extra: str) -> str:
+    """The command that installs an extra of `pyproject.toml`, for a message; tb2rl is installed from its checkout."""
+    return f'pip install -c constraints.txt -e ".[{extra}]" (in the checkout of tb2rl)'
+
+
 class ArgumentParser(argparse.ArgumentParser):
     """One that reports a wrong argument as an `InputError`."""
 

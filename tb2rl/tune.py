@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 
-from tb2rl.errors import ArgumentParser, InputError, command
+from tb2rl.errors import ArgumentParser, InputError, command, install_extra
 from tb2rl.jobs.where import add_where
 from tb2rl.registry import agent_names, task_names
 
@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
     except ModuleNotFoundError as error:
         if error.name != "optuna":
             raise
-        raise InputError('tune needs Optuna: pip install "tb2rl[tune]"') from None
+        raise InputError(f"tune needs Optuna: {install_extra('tune')}") from None
     run(options)
 
 

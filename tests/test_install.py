@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from tb2rl.errors import install_extra
+
 CHECKOUT = Path(__file__).parent.parent
 USE = """
 import tb2rl
@@ -199,3 +201,13 @@ def test_a_checkout_works_without_an_install():
     assert use(IDS, CHECKOUT) == ["10 (7,)"]
     where, *_ = use(USE, CHECKOUT)
     assert Path(where).parent == CHECKOUT / "tb2rl"
+
+
+def test_messages_and_pages_install_extras_from_the_checkout():
+    """No index has tb2rl, so `pip install "tb2rl[ray]"` would end in an error."""
+    files = [file for kind in ("*.py", "*.md") for file in [*CHECKOUT.glob(kind), *(CHECKOUT / "tb2rl").rglob(kind)]]
+    text = "\n".join(file.read_text(encoding="utf-8") for file in files)
+    extras = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert "tb2rl[" not in text
+    assert set(re.findall(r"install_extra\(['\"](\w+)['\"]\)", text)) <= extras.keys()
+    assert 'pip install -c constraints.txt -e ".[ray]"' in install_extra("ray")

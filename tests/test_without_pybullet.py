@@ -83,7 +83,9 @@ def test_what_needs_pybullet_ends_in_one_line_that_says_what_to_install(run):
     lines = [*done.stdout.splitlines(), *done.stderr.splitlines()]
     messages = [line for line in lines if line != "2"]
     assert (len(messages), lines.count("2"), done.returncode) == (6, 2, 0), lines
-    for message, word in zip(messages, ("'bullet'", "a training", "chase", "window", "physics", "zoo"), strict=True):
+    for message, word in zip(
+        messages, ('simulation="kinematic"', "a training", "chase", "window", "physics", "zoo"), strict=True
+    ):
         assert word in message
         assert "needs PyBullet, which is not installed: pip install pybullet" in message
     assert list(run.folder.iterdir()) == []

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import shlex
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from tb2rl.registry import find_world, world_names
+from tb2rl.worlds import World
 from tb2rl.worlds.__main__ import main
+from tb2rl.worlds.description import write_description
 
 NARROW = "cell: 0.3\ndrawing: |\n  ###########\n  #....#....#\n  #.S.......#\n  #....#....#\n  ###########\n"
 POLE = (
@@ -61,6 +64,14 @@ def test_it_checks_what_a_robot_can_reach(folder, capsys):
     assert doors.startswith("1 door is narrower than the robot: 0.300 m at (1.6")
     assert "1 part of the floor cannot be reached, behind ways that are too narrow: 1.1 m2" in parts
     assert len(said("check narrow.yaml --robot turtlebot3", capsys)) == 2
+
+
+def test_the_width_of_a_door_is_told_from_that_of_the_robot(folder, capsys):
+    boxes = [(1.6, 0.286, 0.1, 0.572, 0.0), (1.6, 1.214, 0.1, 0.572, 0.0)]  # with 0.356 m between them
+    world = World.from_shapes("door", boxes, start=(0.7, 0.75, 0.0), bounds=(0.0, 0.0, 3.3, 1.5))
+    write_description(world, Path("door.yaml"))
+    (line,) = [line for line in said("check door.yaml", capsys) if "narrower" in line]
+    assert line.startswith("1 door is narrower than the robot: 0.3559 m (the robot needs 0.3560 m) at (1.6")
 
 
 def test_it_says_whether_the_goal_can_be_reached(folder, capsys):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.errors import InputError, install_extra, one_line, unknown
 
 
 @dataclass(frozen=True)
@@ -122,5 +122,5 @@ def rosbags_library() -> Any:
         import rosbags.rosbag2
         import rosbags.typesys
     except ImportError:
-        raise InputError("bags take the extra `bags` (pip install 'tb2rl[bags]')") from None
+        raise InputError(f"bags take the extra `bags`: {install_extra('bags')}") from None
     return rosbags

@@ -18,7 +18,7 @@ from tb2rl.registry import find_robot, find_world, world_names
 from tb2rl.robots import Robot
 from tb2rl.values import Worlds, checked
 from tb2rl.worlds import World
-from tb2rl.worlds.access import Access, find_access
+from tb2rl.worlds.access import Access, Door, find_access
 from tb2rl.worlds.description import write_description
 from tb2rl.worlds.formats.maps import write_map
 from tb2rl.worlds.generators import GENERATORS, Generated, generate
@@ -91,7 +91,7 @@ def _findings(access: Access, world: World, robot: Robot) -> list[str]:
     areas = f"{access.reached:.1f} of {access.floor:.1f} m2"
     lines = [f"{size} reaches {share:.0%} of the floor, {areas}, from {_at(world.start)}"]
     if access.doors:
-        doors = [f"{door.width:.3f} m at {_at(door.place)}" for door in access.doors]
+        doors = [f"{_width(door, robot)} at {_at(door.place)}" for door in access.doors]
         are = "door is" if len(doors) == 1 else "doors are"
         lines.append(f"{len(doors)} {are} narrower than the robot: {_listed(doors)}")
     for closed, why in ((False, "behind ways that are too narrow"), (True, "closed on all sides")):
@@ -102,6 +102,12 @@ def _findings(access: Access, world: World, robot: Robot) -> list[str]:
     if world.goal is not None:
         lines.append(f"the goal {_at(world.goal)} can{'' if access.goal_reached else 'not'} be reached")
     return lines
+
+
+def _width(door: Door, robot: Robot) -> str:
+    """The width of a door, in tenths of a millimetre where it looks like that of the robot."""
+    found, needed = f"{door.width:.3f}", f"{2 * robot.radius:.3f}"
+    return f"{found} m" if found != needed else f"{door.width:.4f} m (the robot needs {2 * robot.radius:.4f} m)"
 
 
 def _listed(things: list[str]) -> str:

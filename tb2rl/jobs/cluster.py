@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.errors import InputError, install_extra, one_line
 from tb2rl.jobs.cargo import packed, unpacked
 from tb2rl.jobs.job import AGAIN, ONE_THREAD, Job, Outcome, attempt, files_in, write_files
 from tb2rl.processes import processors
@@ -92,7 +92,7 @@ def _connected(address: str | None, count: int | None) -> Any:
     try:
         import ray
     except ModuleNotFoundError:
-        raise InputError('--on ray needs Ray: pip install "tb2rl[ray]"') from None
+        raise InputError(f"--on ray needs Ray: {install_extra('ray')}") from None
     if ray.is_initialized():
         return ray
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.logger import Image, KVWriter, Logger
 
-from tb2rl.errors import InputError, UnwritableError, one_line, unknown
+from tb2rl.errors import InputError, UnwritableError, install_extra, one_line, unknown
 from tb2rl.files import read_text, write_text
 from tb2rl.learning.callbacks import StopOnInterrupt
 from tb2rl.registry import import_object
@@ -163,7 +163,7 @@ def find_tracker(name: str) -> type[Tracker]:
 
 def _missing(name: str, error: ModuleNotFoundError) -> InputError:
     missing = "" if error.name == name else f" (there is no {error.name})"
-    return InputError(f'train.track: {name} needs {_LIBRARIES[name]}{missing}: pip install "tb2rl[{name}]"')
+    return InputError(f"train.track: {name} needs {_LIBRARIES[name]}{missing}: {install_extra(name)}")
 
 
 def find_trackers(names: Sequence[str], folder: Path | None = None) -> list[type[Tracker]]:

@@ -10,11 +10,11 @@ from functools import cache
 from threading import Event, Thread
 from typing import Any
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.errors import InputError, install_extra, one_line
 from tb2rl.ros.graph import SET_PHYSICS, End, H, Nobody, Publisher, find_kind
 from tb2rl.ros.messages import BILLION, RARE, SENSED, Image, Message, Scan
 
-_INSTALL = "source your installation of ROS 2, or: pip install 'tb2rl[ros2]'"
+_INSTALL = f"source your installation of ROS 2, or: {install_extra('ros2')}"
 
 try:
     import rclpy

@@ -169,7 +169,8 @@ class Run:
         for file in (*places, *self.checkpoints):
             if file.is_file():
                 return file
-        raise InputError(f"{self.folder} holds no checkpoint yet")
+        stopped = "if its training has ended, it ended before the first: remove the folder, and train again"
+        raise InputError(f"{self.folder} holds no checkpoint yet; {stopped}")
 
     # ---- evaluations, as plain values
 
@@ -222,6 +223,7 @@ class Run:
             InputError: If there is none, or its files are damaged.
         """
         if not self.has_evaluation:
+            _ = self.policy_file  # a run without a policy cannot be evaluated, and says so
             raise InputError(f"{self.folder} has no standard evaluation: run `python -m tb2rl.evaluate {self.folder}`")
         file = self.folder / EVALUATION
         try:

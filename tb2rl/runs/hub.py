@@ -14,7 +14,7 @@ from logging import CRITICAL
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.errors import InputError, install_extra, one_line
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, SHARED
 
 HUB = "hf:"
@@ -83,7 +83,7 @@ def library() -> Any:
         import huggingface_hub.errors
         import huggingface_hub.utils
     except ImportError:
-        raise InputError("the hub takes the extra `hub`: pip install 'tb2rl[hub]'") from None
+        raise InputError(f"the hub takes the extra `hub`: {install_extra('hub')}") from None
     return huggingface_hub
 
 

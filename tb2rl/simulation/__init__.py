@@ -41,6 +41,7 @@ __all__ = [
 
 SIMULATIONS = ("bullet", "kinematic")
 ROS = "ros"  # in the place of one: a robot with ROS, see `tb2rl.ros.robot`
+_BULLET = 'simulation="bullet" (the other one is its fast twin, simulation="kinematic")'
 Judge = Literal["bullet", "kinematic"]  # where a policy was judged, see `judging_simulation`
 _MISSING = "is not installed"  # what `bullet_trouble` says where there is no PyBullet
 
@@ -133,7 +134,7 @@ def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
     if name not in SIMULATIONS:
         raise unknown("simulation", name, SIMULATIONS)
     if name == "bullet":
-        check_bullet("simulation 'bullet' (unlike its fast twin 'kinematic')")
+        check_bullet(_BULLET)
         from tb2rl.simulation.bullet import BulletSimulation
 
         return BulletSimulation(setup, window)
@@ -156,7 +157,7 @@ def simulate_many(name: str, setup: Setup, robots: int) -> SimulationOfMany:
     if name not in SIMULATIONS:
         raise unknown("simulation", name, SIMULATIONS)
     if name == "bullet":
-        check_bullet("simulation 'bullet' (unlike its fast twin 'kinematic')")
+        check_bullet(_BULLET)
         from tb2rl.simulation.bullet_batch import BulletBatch
 
         return BulletBatch(setup, robots)

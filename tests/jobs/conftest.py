@@ -74,6 +74,6 @@ def make_job():
 @pytest.fixture(scope="module")
 def ray():
     """Ray, which ends with the tests of a module."""
-    module = pytest.importorskip("ray", reason="Ray is not installed: pip install 'tb2rl[ray]'")
+    module = pytest.importorskip("ray", reason="Ray is not installed (extra: ray)")
     yield module
     module.shutdown()

@@ -10,7 +10,7 @@ from textwrap import dedent
 import pytest
 
 from tb2rl.commands.seeds import train_seeds
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, install_extra
 from tb2rl.jobs.where import Where
 from tb2rl.learning.trackers import run_name, runs_folder
 from tb2rl.learning.training import resume, train_config
@@ -182,7 +182,7 @@ def test_a_library_that_is_missing_is_named(name, library, small, tmp_path, monk
     hide(monkeypatch, name)
     with pytest.raises(InputError) as error:
         train_config(small(track=[name]), tmp_path / "run")
-    assert str(error.value) == f'train.track: {name} needs {library}: pip install "tb2rl[{name}]"'
+    assert str(error.value) == f"train.track: {name} needs {library}: {install_extra(name)}"
     assert list(tmp_path.iterdir()) == []
 
 

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 import pytest
 
 from tb2rl.drivers import Limits, Mounting
+from tb2rl.errors import install_extra
 from tb2rl.ros.__main__ import main
 from tb2rl.ros.debian import _MessageFinder
 from tb2rl.ros.drive import parse_limits, parse_mounting
@@ -80,7 +81,7 @@ def test_without_rospy_the_line_says_how_to_install_it(tmp_path, monkeypatch, ca
 def test_without_rclpy_the_line_says_how_to_install_it(capsys):
     if find_spec("rclpy"):
         pytest.skip("this Python has rclpy")
-    assert_refused("simulate --ros 2", ["rclpy", "pip install 'tb2rl[ros2]'"], capsys)
+    assert_refused("simulate --ros 2", ["rclpy", install_extra("ros2")], capsys)
 
 
 def test_topics_have_the_tutorials_names_unless_others_are_given():

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tb2rl import convert, report
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, install_extra
 from tb2rl.files import top_folder
 from tb2rl.runs import hub as module
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
@@ -218,7 +218,7 @@ def test_what_the_hub_refuses_is_one_line(status, code, named, hub, refused):
 
 def test_without_the_library_the_extra_is_named(refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    assert refused(load, "hf:ada/maze") == "the hub takes the extra `hub`: pip install 'tb2rl[hub]'"
+    assert refused(load, "hf:ada/maze") == f"the hub takes the extra `hub`: {install_extra('hub')}"
 
 
 def test_nothing_is_asked_of_the_hub_for_other_policies(hub):

@@ -106,7 +106,9 @@ def test_a_folder_that_is_not_a_run_is_refused(config, refused, tmp_path):
 
 def test_a_run_without_a_checkpoint_yet_says_so(refused, tmp_path):
     Run.create(tmp_path / "run", resolve())
-    assert "no checkpoint yet" in refused(load, tmp_path / "run")
+    said = "holds no checkpoint yet; if its training has ended, it ended before the first: remove the folder, and train"
+    assert said in refused(load, tmp_path / "run")
+    assert said in refused(Run.open(tmp_path / "run").read_evaluation), "it does not send anybody to evaluate"
 
 
 # ---- checkpoints whose content does not fit

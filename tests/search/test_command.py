@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from tb2rl.commands import tune as tune_command
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, install_extra
 from tb2rl.judging.evaluator import Evaluator, evaluate
 from tb2rl.search import judging
 from tb2rl.search.storage import open_study
@@ -112,7 +112,7 @@ def test_without_optuna_it_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "optuna", None)
     with pytest.raises(SystemExit):
         main([])
-    assert capsys.readouterr().err == 'error: tune needs Optuna: pip install "tb2rl[tune]"\n'
+    assert capsys.readouterr().err == f"error: tune needs Optuna: {install_extra('tune')}\n"
 
 
 def test_training_imports_neither_optuna_nor_ray():

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
+from tb2rl.errors import install_extra
 from tb2rl.worlds.formats.markup import LARGEST_NUMBER, read_limited, read_xml
 from tb2rl.worlds.formats.slices import STRAIGHT, Side, Slice
 
@@ -44,7 +45,7 @@ def load_mesh(path: Path) -> Any:
         if ending == ".dae":
             import collada  # noqa: F401 (trimesh reads these with it)
     except ImportError:
-        raise MeshError("meshes that take the extra `meshes` (pip install 'tb2rl[meshes]')") from None
+        raise MeshError(f"meshes that take the extra `meshes`: {install_extra('meshes')}") from None
     # Our own parser refuses entities, before another one would expand them.
     metres = _metres(read_xml(path)) if ending == ".dae" else 1.0
     content = read_limited(path)
