@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tb2rl.commands import worlds
 from tb2rl.registry import find_world, world_names
 from tb2rl.worlds import World
 from tb2rl.worlds.__main__ import main
 from tb2rl.worlds.description import write_description
+from tb2rl.worlds.generators import FAMILIES
 
 NARROW = "cell: 0.3\ndrawing: |\n  ###########\n  #....#....#\n  #.S.......#\n  #....#....#\n  ###########\n"
 POLE = (
@@ -55,6 +57,14 @@ def test_it_draws_one_world_or_a_sheet_of_many(worlds, tiles, folder, capsys):
     picture = np.asarray(Image.open("seen.png"))
     assert min(picture.shape[:2]) >= 600
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3
+
+
+def test_the_sheet_of_a_generator_has_every_family(folder, monkeypatch):
+    monkeypatch.setattr(worlds, "sheet", lambda pictures, titles, columns: drawn.extend(titles) or pictures[0])
+    monkeypatch.setattr(worlds, "draw_plan", lambda *_: np.zeros((2, 2, 3), np.uint8))
+    drawn: list[str] = []
+    main(["draw", "mixed", "-o", "mixed.png"])
+    assert {title.split()[0] for title in drawn} == {maker.__name__ for maker in FAMILIES}
 
 
 def test_it_checks_what_a_robot_can_reach(folder, capsys):

@@ -50,6 +50,9 @@ def _compare(options: argparse.Namespace) -> None:
     """Hold two folders of runs against each other, say which is better, write the page."""
     if len(options.runs) != 2 or options.topics or options.world:
         raise InputError("--compare takes two folders of runs, and nothing of bags")
+    ones, others = ({folder.resolve() for folder in run_folders([reference])} for reference in options.runs)
+    if ones & others:
+        raise InputError(f"--compare takes different runs, and {min(ones & others)} is on both sides")
     out = _page_file(options)
     one, other = (read_side(reference, options.trust) for reference in options.runs)
     measures = compare(one, other)

@@ -25,7 +25,7 @@ from tb2rl.worlds.generators import GENERATORS, Generated, generate
 from tb2rl.worlds.readers import files_of
 
 _DRAWN = 64  # worlds on a sheet
-_DIFFICULTIES, _EACH = (0.0, 0.25, 0.5, 0.75, 1.0), 4  # columns of a generator's sheet, and worlds in each
+_DIFFICULTIES, _EACH = (0.0, 0.25, 0.5, 0.75, 1.0), 4  # columns of a generator's sheet, and worlds in each, or more
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff")  # Pillow knows more that fail
 _SHOWN = 8  # parts and doors that are named one by one
 
@@ -168,9 +168,9 @@ def _is_generator(name: str) -> bool:
 
 def _by_difficulty(name: str) -> list[World]:
     """Some worlds of a generator, for a sheet with a column for each difficulty."""
-    columns = []
+    columns, each = [], max(_EACH, len(GENERATORS[name]))  # one world of each family at least
     for difficulty in _DIFFICULTIES:
-        settings = Generated(name, worlds=_EACH, difficulty=(difficulty, difficulty))
+        settings = Generated(name, worlds=each, difficulty=(difficulty, difficulty))
         worlds = generate(settings, GENERATORS[name], "training")
         columns.append([replace(world, name=f"{world.name}, {difficulty:g}") for world in worlds])
     return [world for row in zip(*columns, strict=True) for world in row]

@@ -42,6 +42,7 @@ class Episode:
     goal: tuple[float, float] | None = None  # x, y [m]; None: the task has none
 
 
+_MEANS = (("distance", "m"), ("return", ""), ("length", "steps"))  # figures and their units
 _ARRAYS = ("path", "actions")
 _FIGURES = tuple(field.name for field in fields(Episode) if field.name not in _ARRAYS)
 
@@ -61,6 +62,12 @@ class Evaluation:
     scene: Scene
     seed: int
     simulation: str = "bullet"
+
+    def __repr__(self) -> str:
+        """The table of `rows`, which a notebook and `print` show."""
+        rows = [(f"{len(self.episodes)} episodes of at most {self.steps} steps", "value", ""), *self.rows()]
+        first, second = (max(len(row[column]) for row in rows) for column in (0, 1))
+        return "\n".join(f"{name:{first}}  {value:>{second}}  {more}".rstrip() for name, value, more in rows)
 
     @property
     def task(self) -> Task:
@@ -93,6 +100,23 @@ class Evaluation:
             "median_squares": float(np.median([_squares(path) for path in self._each("path")])),
             "endings": dict(sorted(Counter(self._each("ended")).items())),
         }
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """The figures of `summary` in words: name, value, and unit with spread or interval."""
+        summary = self.summary()
+        rows = [("failure-free", *_rate_in_words(summary, "failure_free"))]
+        if self.task.goal_task:
+            rows.append(("goal reached", *_rate_in_words(summary, "success")))
+        for name, unit in _MEANS:
+            spread = f"± {summary[f'std_{name}']:.1f} {unit}".rstrip()
+            rows.append((name, f"{summary[f'mean_{name}']:.1f}", spread))
+        endings = ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items())
+        return [
+            *rows,
+            ("speed", f"{summary['mean_speed']:.3f}", "m/s"),
+            ("visited", f"{summary['median_squares']:g}", "squares of 1 m (median)"),
+            ("endings", "", endings),
+        ]
 
     @property
     def score(self) -> tuple[float, float]:
@@ -166,6 +190,11 @@ def smallest_type(space: spaces.Space) -> np.dtype:
 def _rate(name: str, counted: Sequence[bool]) -> dict[str, Any]:
     interval = wilson_interval(sum(counted), len(counted))
     return {f"{name}_rate": float(np.mean(counted)), f"{name}_interval": interval}
+
+
+def _rate_in_words(summary: Mapping[str, Any], name: str) -> tuple[str, str]:
+    low, high = summary[f"{name}_interval"]
+    return f"{100 * summary[f'{name}_rate']:.1f} %", f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
 
 
 def _mean(name: str, values: Sequence[float]) -> dict[str, float]:

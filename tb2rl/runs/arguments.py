@@ -60,6 +60,11 @@ def _networks_for(observation_space: spaces.Space) -> tuple[str, ...]:
     return ("Mlp",)
 
 
+def argument_names(agent: Agent) -> set[str]:
+    """The settings of an agent: the arguments that users give to its algorithm (or policy, if it does not learn)."""
+    return _known(import_object(agent.algorithm or agent.policy), _GIVEN_BY_TRAIN)
+
+
 def check_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """The arguments of an agent's algorithm (of its policy, if it does not learn), held against the signatures.
 
@@ -127,9 +132,7 @@ def _schedule(value: Mapping[str, Any], where: str) -> LinearSchedule:
 
 def _fitting(kind: Any, arguments: Mapping[str, Any], where: str, given: set[str]) -> dict[str, Any]:
     """The arguments of a class, held against its constructor's signature; those in `given` are not for users."""
-    constructor = kind.__init__
-    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    known = {name for name, it in inspect.signature(constructor).parameters.items() if it.kind in by_name} - given
+    constructor, known = kind.__init__, _known(kind, given)
     fitting: dict[str, Any] = {}
     for key, value in arguments.items():
         if key not in known:
@@ -147,6 +150,12 @@ def _fitting(kind: Any, arguments: Mapping[str, Any], where: str, given: set[str
         else:
             fitting[key] = checked(wanted, value, f"{where}.{key}")
     return fitting
+
+
+def _known(kind: Any, given: set[str]) -> set[str]:
+    """The names of the arguments of a class, without those in `given`."""
+    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return {name for name, it in inspect.signature(kind.__init__).parameters.items() if it.kind in by_name} - given
 
 
 def _network_class(reference: str, where: str) -> type:

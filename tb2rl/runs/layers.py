@@ -7,16 +7,17 @@ the fast twin (`configs/kinematic/AGENT.yaml`) and at this task (`configs/tasks/
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 from tb2rl.envs.scene import with_robots_settings
 from tb2rl.errors import InputError, one_line
 from tb2rl.files import find_file, parse_yaml, read_yaml, top_folder
 from tb2rl.registry import find_agent, find_task, reference_to
-from tb2rl.runs.arguments import is_schedule
-from tb2rl.runs.config import Config, config_from
-from tb2rl.runs.plain import check_plain, check_sections
+from tb2rl.runs.arguments import argument_names, is_schedule
+from tb2rl.runs.config import Config, TrainSettings, config_from
+from tb2rl.runs.plain import SECTIONS, check_plain, check_sections
 from tb2rl.tasks import Task
 
 DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
@@ -40,7 +41,7 @@ def resolve(
         InputError: For any name, key or value that does not fit.
     """
     chosen = _preset(preset) if preset else {}
-    single = _nest(settings or {})
+    single = _nest(_in_sections(settings or {}, agent, task, chosen))
     for layer in (chosen, single):
         check_plain(layer, "")
     agent = reference_to(agent) if isinstance(agent, type) else agent
@@ -114,7 +115,7 @@ def _nest(settings: Mapping[str, Any]) -> dict[str, Any]:
     for dotted, value in settings.items():
         *path, key = dotted.split(".")
         if not path:
-            raise InputError(f"setting {dotted!r} needs its section: agent.{dotted}, task.{dotted} or train.{dotted}")
+            raise _without_section(dotted, SECTIONS)
         branch = tree
         for name in path:
             branch = branch.setdefault(name, {})
@@ -122,6 +123,31 @@ def _nest(settings: Mapping[str, Any]) -> dict[str, Any]:
                 raise InputError(f"setting {dotted!r} and another one give {'.'.join(path)} twice")
         branch[key] = value
     return check_sections(tree, "the settings")
+
+
+def _in_sections(
+    settings: Mapping[str, Any], agent: str | type | None, task: str | type[Task] | None, chosen: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """The settings, if each begins with its section; the error names the sections that have a setting of this name."""
+    for key in settings:
+        if "." not in key:
+            agent = agent or _first("name", {}, chosen, "agent") or DEFAULT_AGENT
+            task = task or _first("name", {}, chosen, "task") or DEFAULT_TASK
+            known = {
+                "agent": {
+                    "name",
+                    *argument_names(find_agent(reference_to(agent) if isinstance(agent, type) else agent)),
+                },
+                "task": {"name", "observation", *(each.name for each in fields(find_task(task)))},
+                "train": {each.name for each in fields(TrainSettings)},
+            }
+            raise _without_section(key, [section for section in SECTIONS if key in known[section]] or SECTIONS)
+    return settings
+
+
+def _without_section(key: str, sections: Sequence[str]) -> InputError:
+    *others, last = (f"{section}.{key}" for section in sections)
+    return InputError(f"setting {key!r} needs its section: {' or '.join(filter(None, [', '.join(others), last]))}")
 
 
 def _first(key: str, single: Mapping[str, Any], chosen: Mapping[str, Any], section: str) -> str | None:

@@ -13,7 +13,6 @@ from tb2rl.judging.evaluation import Evaluation
 from tb2rl.judging.suite_result import ALL, Figures, SuiteResult
 from tb2rl.simulation import ROS, bullet_trouble
 
-_MEANS = (("distance", "m"), ("return", ""), ("length", "steps"))  # figures and their units
 _SUITE_COLUMNS = ("", "success", "95 %", "SPL", "time", "m/s", "gap", "failed")
 _SUITE_CAPTION = (
     "time: to the goal, over what the shortest way takes at top speed; gap: the least from hull to obstacle [m]; "
@@ -23,23 +22,16 @@ _SUITE_CAPTION = (
 
 def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
     """Print the table of an evaluation and return its summary."""
-    summary, console = evaluation.summary(), Console()
-    spread = "±" if console.encoding.startswith("utf") else "+/-"
+    console = Console()
     table = Table(title=title, title_justify="left")
-    table.add_column(f"{summary['episodes']} episodes of at most {evaluation.steps} steps")
+    table.add_column(f"{len(evaluation.episodes)} episodes of at most {evaluation.steps} steps")
     table.add_column("value", justify="right")
     table.add_column("", justify="left")
-    table.add_row("failure-free", *_rate(summary, "failure_free"))
-    if evaluation.task.goal_task:
-        table.add_row("goal reached", *_rate(summary, "success"))
-    for name, unit in _MEANS:
-        table.add_row(name, f"{summary[f'mean_{name}']:.1f}", f"{spread} {summary[f'std_{name}']:.1f} {unit}".rstrip())
-    table.add_row("speed", f"{summary['mean_speed']:.3f}", "m/s")
-    table.add_row("visited", f"{summary['median_squares']:g}", "squares of 1 m (median)")
-    table.add_row("endings", "", _endings(summary["endings"]))
+    for *cells, more in evaluation.rows():
+        table.add_row(*cells, more if console.encoding.startswith("utf") else more.replace("±", "+/-"))
     console.print(table)
     _say_if_twin(evaluation.simulation)
-    return summary
+    return evaluation.summary()
 
 
 def print_suite(result: SuiteResult) -> None:
@@ -93,8 +85,3 @@ def _say_if_twin(simulation: str) -> None:
         trouble = bullet_trouble()
         reason = f", since PyBullet {trouble}" if trouble else ""
         print(f"driven in the fast twin{reason}: these are not PyBullet's figures")
-
-
-def _rate(summary: dict[str, Any], name: str) -> tuple[str, str]:
-    low, high = summary[f"{name}_interval"]
-    return f"{100 * summary[f'{name}_rate']:.1f} %", f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"

@@ -42,6 +42,16 @@ def test_the_summary_counts_what_happened(make_episode):
     assert evaluation.score == (0.5, 0.0)
 
 
+def test_an_evaluation_is_printed_as_a_table_without_its_arrays(make_episode):
+    evaluation = Evaluation([make_episode(length=2)] * 4, make_scene(Wander(episode_steps=7), "raw"), 0)
+    header, first, *_, endings = str(evaluation).splitlines()
+    assert repr(evaluation) == str(evaluation)
+    assert " ".join(header.split()) == "4 episodes of at most 7 steps value"
+    assert first.split()[:2] == ["failure-free", f"{100 * evaluation.summary()['failure_free_rate']:.1f}"]
+    assert endings.split()[0] == "endings"
+    assert "array" not in str(evaluation)
+
+
 def test_the_squares_that_the_median_episode_visits_tell_driving_from_circling(make_episode):
     around = 2 * np.pi * np.arange(100) / 20
     circling = np.stack([0.5 + 0.4 * np.cos(around), -0.5 + 0.4 * np.sin(around)], axis=1)  # in the square (0, -1)

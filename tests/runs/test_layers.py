@@ -210,3 +210,18 @@ def test_no_agent_ignores_a_setting(agent, refused):
 def test_a_preset_file_that_does_not_fit_is_refused(content, refused, tmp_path: Path):
     (tmp_path / "mine.yaml").write_text(content)
     refused(resolve, preset=str(tmp_path / "mine.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("key", "named"),
+    [
+        ("world", "task.world"),
+        ("gamma", "agent.gamma"),
+        ("observation", "task.observation"),
+        ("n_envs", "train.n_envs"),
+        ("name", "agent.name or task.name"),
+        ("robots", "agent.robots, task.robots or train.robots"),
+    ],
+)
+def test_a_setting_without_its_section_is_refused_with_the_sections_that_have_it(key, named, refused):
+    assert refused(resolve, settings={key: 1}) == f"setting {key!r} needs its section: {named}"

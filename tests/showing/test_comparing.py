@@ -70,3 +70,7 @@ def test_what_cannot_be_compared_is_refused(runs, tmp_path, capsys):
         with pytest.raises(SystemExit, match="2"):
             report(["--compare", *words])
         assert "--compare takes two folders of runs" in capsys.readouterr().err
+    for words in ([one, one], [one, f"{one}/."]):
+        with pytest.raises(SystemExit):
+            report(["--compare", *words])
+        assert "--compare takes different runs, and " in capsys.readouterr().err
