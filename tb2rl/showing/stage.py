@@ -15,7 +15,7 @@ import numpy as np
 from tb2rl.pictures.above import GOAL_RADIUS
 from tb2rl.showing.floor import EYE, FIELD_OF_VIEW, TARGET, draw_floor
 from tb2rl.simulation import Setup
-from tb2rl.simulation.bodies import add_floor, add_robot, add_walls, connect
+from tb2rl.simulation.bodies import RobotBody, add_floor, add_robot, add_walls, connect
 from tb2rl.simulation.camera import take_picture
 from tb2rl.simulation.crowd import MoverBodies
 from tb2rl.simulation.physics import pybullet, quiet
@@ -44,7 +44,9 @@ class Stage:
             self._walls = add_walls(self._client, self._worlds[0])
             self._robot = add_robot(self._client, setup.robot)
             self._movers = MoverBodies(self._client)
+        self._shell = -1
         if window:
+            self._shell = _coloured_shell(self._client, self._robot)
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
             self._look_at_all(setup.worlds[0].bounds)
         else:  # the renderer spends most of its time on a floor; `draw_floor` takes a tenth of it
@@ -69,6 +71,10 @@ class Stage:
     def place(self, pose: np.ndarray, movers: np.ndarray | None = None) -> None:
         """Put the robot at a pose (3,), and movers where their outlines are, see `Reading.movers`, (movers, 6)."""
         self._robot.place(pose)
+        if self._shell >= 0:
+            x, y, yaw = map(float, pose)
+            turned = pybullet.getQuaternionFromEuler((0.0, 0.0, yaw))
+            pybullet.resetBasePositionAndOrientation(self._shell, (x, y, 0.0), turned, self._client)
         self._movers.place(np.empty((0, 6)) if movers is None else movers)
 
     def follow(self) -> None:
@@ -113,6 +119,48 @@ class Stage:
         return pybullet.createMultiBody(
             0.0, baseVisualShapeIndex=disc, basePosition=(*goal, 0.005), physicsClientId=self._client
         )
+
+
+def _coloured_shell(client: int, robot: RobotBody) -> int:
+    """A body that looks like the robot, with a link for each visual shape, and hides the robot itself.
+
+    PyBullet's window gives all shapes of a link one colour, that of the last one; a robot's fixed links are merged.
+    -1: the robot has shapes of other kinds, such as meshes, and shows itself.
+    """
+    robot.place(np.zeros(3))
+    shapes, places, turns = [], [], []
+    for _, link, kind, sizes, _, place, turn, colour, *_ in pybullet.getVisualShapeData(
+        robot.body, physicsClientId=client
+    ):
+        sides = {
+            pybullet.GEOM_BOX: {"halfExtents": [side / 2 for side in sizes]},
+            pybullet.GEOM_CYLINDER: {"length": sizes[0], "radius": sizes[1]},
+            pybullet.GEOM_SPHERE: {"radius": sizes[0]},
+        }
+        if kind not in sides:
+            return -1
+        if link >= 0:
+            frame = pybullet.getLinkState(robot.body, link, physicsClientId=client)[4:6]
+            place, turn = pybullet.multiplyTransforms(*frame, place, turn)
+        shapes.append(pybullet.createVisualShape(kind, rgbaColor=colour, physicsClientId=client, **sides[kind]))
+        places.append(place)
+        turns.append(turn)
+    for link in range(-1, pybullet.getNumJoints(robot.body, client)):
+        pybullet.changeVisualShape(robot.body, link, rgbaColor=(0.0, 0.0, 0.0, 0.0), physicsClientId=client)
+    count = len(shapes)
+    return pybullet.createMultiBody(
+        linkMasses=[0.0] * count,
+        linkCollisionShapeIndices=[-1] * count,
+        linkVisualShapeIndices=shapes,
+        linkPositions=places,
+        linkOrientations=turns,
+        linkInertialFramePositions=[(0.0, 0.0, 0.0)] * count,
+        linkInertialFrameOrientations=[(0.0, 0.0, 0.0, 1.0)] * count,
+        linkParentIndices=[0] * count,
+        linkJointTypes=[pybullet.JOINT_FIXED] * count,
+        linkJointAxis=[(0.0, 0.0, 1.0)] * count,
+        physicsClientId=client,
+    )
 
 
 def show(connection: Connection, setup: Setup, follow: bool) -> None:

@@ -13,7 +13,8 @@ import pytest
 
 from tb2rl.registry import find_world
 from tb2rl.showing.floor import draw_floor
-from tb2rl.showing.stage import Stage
+from tb2rl.showing.stage import Stage, _coloured_shell
+from tb2rl.simulation.physics import pybullet
 
 SIDES = 160, 90  # [px]
 NO_GOAL = np.full(2, np.nan)
@@ -40,6 +41,19 @@ def test_the_robot_stands_before_the_camera_wherever_it_is_put(stage):
         assert picture[62, 80].max() < 90, "the robot"
         assert picture[88, 80].min() > 180, "the floor"
     assert (pictures[0] != pictures[1]).any()
+
+
+def test_the_window_has_a_link_for_each_shape_of_the_robot_so_that_each_has_its_colour(stage):
+    """The window gives a link one colour; the camera's renderer does not, and sees no difference."""
+    pose = (1.0, 0.5, 0.7)
+    before, shapes = seen(stage, 0, NO_GOAL, pose), pybullet.getVisualShapeData(stage._robot.body, 0, stage._client)
+    stage._shell = _coloured_shell(stage._client, stage._robot)
+    assert pybullet.getNumJoints(stage._shell, stage._client) == len(shapes) == 14
+    assert len({shape[7] for shape in shapes}) > 2
+    assert (abs(seen(stage, 0, NO_GOAL, pose) - before) > 8).mean() < 0.002, "edges, by the rounding of places"
+    pybullet.removeBody(stage._shell, stage._client)
+    stage._shell = -1
+    assert seen(stage, 0, NO_GOAL, pose)[62, 80].max() > 90, "the robot itself is hidden"
 
 
 def test_a_goal_is_a_green_disc_that_comes_moves_and_goes(stage):
