@@ -146,6 +146,7 @@ def test_train_says_what_is_wrong(line, named, place, capsys):
         ("--agent wallfollower --set task.beams=3", ["5 beams", "got 3"]),
         ("--agent wallfollower --set task.observation=discrete", ["wallfollower", "raw"]),
         ("--agent random --episodes 0", ["--episodes", "at least 1"]),
+        ("--agent random --episodes 2147483648", ["--episodes", "from 1 to 100000"]),
         ("--agent random --episodes few", ["--episodes", "'few'"]),
         ("--agent random --steps 0", ["--steps", "at least 1"]),
         ("--agent random --workers 0", ["--workers", "at least 1"]),

@@ -19,6 +19,8 @@ from tb2rl.runs.folder import Run
 from tb2rl.showing.table import print_evaluation
 from tb2rl.simulation import ROS, judging_simulation
 
+_MOST_EPISODES = 100_000  # as of train.eval_episodes
+
 
 def run(options: argparse.Namespace) -> None:
     """Evaluate a policy, print a table, write JSON."""
@@ -47,8 +49,9 @@ def check(options: argparse.Namespace) -> None:
         raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
     if options.goal is not None and options.simulation != ROS:
         raise InputError("--goal goes with --simulation ros; else say --set task.goal=[3,2]")
-    if min(options.episodes, options.steps) < 1 or not 0 <= options.seed <= LARGEST_SEED:
-        raise InputError(f"--episodes and --steps must be at least 1, and --seed from 0 to {LARGEST_SEED}")
+    if not 1 <= options.episodes <= _MOST_EPISODES or options.steps < 1 or not 0 <= options.seed <= LARGEST_SEED:
+        counts = f"--episodes must be from 1 to {_MOST_EPISODES}, --steps at least 1"
+        raise InputError(f"{counts}, and --seed from 0 to {LARGEST_SEED}")
 
 
 def check_places(options: argparse.Namespace) -> None:
