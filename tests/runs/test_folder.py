@@ -165,6 +165,9 @@ def test_an_evaluation_is_on_the_disk_once_it_is_noted(run, monkeypatch):
 
 def test_the_standard_evaluation_comes_back(run, refused):
     assert not run.has_evaluation
+    assert "no checkpoint yet" in refused(run.read_evaluation), "there is nothing to evaluate"
+    (run.folder / "final").mkdir()
+    (run.folder / "final" / "policy.safetensors").touch()
     assert "python -m tb2rl.evaluate" in refused(run.read_evaluation)
     run.write_evaluation({"success_rate": 0.5, "each": [{"length": 3}]}, {"path": [np.zeros((4, 2)), np.ones((1, 2))]})
     assert run.has_evaluation
