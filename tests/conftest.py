@@ -9,6 +9,7 @@ import math
 import os
 import re
 import shutil
+import signal
 import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,6 +29,11 @@ from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import Reading, Setup, Start
 from tb2rl.worlds import World
 from tb2rl.worlds.suites import Suite
+
+# Tests send these; whatever starts pytest in the background (nohup, a shell's &) lets it and its children ignore them.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP"):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.0, 9.0))
 

@@ -97,7 +97,7 @@ def test_what_needs_pybullet_says_why_an_installed_one_cannot_be_imported(tmp_pa
     for module in ("pybullet", "tb2rl.simulation.physics"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setattr("tb2rl.simulation.bullet_trouble", bullet_trouble.__wrapped__)  # without its cache
-    with pytest.raises(InputError, match=f"'bullet' .* needs PyBullet, which {UNDEFINED}$"):
+    with pytest.raises(InputError, match=f'simulation="bullet" .* needs PyBullet, which {UNDEFINED}$'):
         tb2rl.make_env()
 
 

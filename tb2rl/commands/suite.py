@@ -20,10 +20,11 @@ from tb2rl.judging.spaces import check_observes
 from tb2rl.judging.suite_result import Drive, SuiteResult
 from tb2rl.judging.suites import SuiteEvaluation, drives_of, suite_evaluator, suite_scene
 from tb2rl.runs.config import Config
-from tb2rl.runs.folder import Run, versions
+from tb2rl.runs.folder import Run
 from tb2rl.runs.journal import Journal
 from tb2rl.runs.layers import parse_settings
 from tb2rl.runs.loading import policy_digest
+from tb2rl.runs.versions import versions
 from tb2rl.showing.table import print_suite
 from tb2rl.values import build
 from tb2rl.worlds.suites import Suite, find_suite

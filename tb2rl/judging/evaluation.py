@@ -17,7 +17,8 @@ from tb2rl.judging.rollout import Moment
 from tb2rl.judging.statistics import wilson_interval
 from tb2rl.robots.robot import RADIUS
 from tb2rl.runs.config import Config, config_from
-from tb2rl.runs.folder import EVALUATION, Run, versions
+from tb2rl.runs.folder import EVALUATION, Run
+from tb2rl.runs.versions import versions
 from tb2rl.simulation import Judge
 from tb2rl.tasks import Task
 from tb2rl.values import Count, NonNegative, checked, type_with_checks

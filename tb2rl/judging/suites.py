@@ -22,9 +22,9 @@ from tb2rl.judging.suite_result import ALL, Drive, Figures, NamedDrive, SuiteRes
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.config import Config, config_from
-from tb2rl.runs.folder import versions
 from tb2rl.runs.hub import HUB
 from tb2rl.runs.loading import load, policy_digest
+from tb2rl.runs.versions import versions
 from tb2rl.simulation import Judge
 from tb2rl.tasks import TIME_LIMIT
 from tb2rl.worlds.suites import Suite, find_suite

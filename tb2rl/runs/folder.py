@@ -18,16 +18,13 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import torch as th
 import yaml
 from filelock import FileLock, Timeout
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -38,13 +35,13 @@ from tb2rl.runs.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.journal import read_lines
 from tb2rl.runs.normalisation import statistics_of
+from tb2rl.runs.versions import versions
 from tb2rl.trust import distrusting, nothing_from
 
 CONFIG, SHARED = "config.yaml", "config.json"  # the second is that of a run folder which somebody shared
 EVALUATIONS = "evaluations.jsonl"
 EVALUATION, PATHS = "evaluation.json", f"episodes{SUFFIX}"  # files of the standard evaluation
 _SUITE = "suite-{}.json"
-_PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
 
 
 @dataclass(frozen=True)
@@ -196,11 +193,14 @@ class Run:
             write_text(path, "".join(kept))
 
     def write_evaluation(self, tree: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-        """Put the standard evaluation into the folder, or raise an `InputError`.
+        """Put the standard evaluation into the folder.
 
         Args:
             tree: Plain values, for `evaluation.json`.
             arrays: By name, or lists of them, for the file beside it.
+
+        Raises:
+            InputError: If it cannot be written.
         """
         with _writing(self.folder / PATHS):
             write_checkpoint(self.folder / PATHS, arrays)
@@ -288,16 +288,3 @@ def _writing(what: object) -> Iterator[None]:
         yield
     except OSError as error:
         raise UnwritableError(f"cannot write {what}: {error.strerror or error}") from None
-
-
-def versions() -> dict[str, str]:
-    """The versions of what a result depends on; torch's names its build, which the package's metadata may omit."""
-    packages = {package: _version(package) for package in _PACKAGES}
-    return {"python": platform.python_version(), **packages, "torch": str(th.__version__)}
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:  # tb2rl in a checkout, PyBullet where it has no wheel
-        return "not installed"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from tb2rl.bags.recorder import BEGIN, check_bag, open_bag
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, install_extra
 
 highlevel = pytest.importorskip("rosbags.highlevel")
 STRAY = {"variation": "strong", "noise": 0.01}  # odometry is not the truth
@@ -167,5 +168,5 @@ def test_a_path_that_cannot_be_a_bag_is_refused(name, words, tmp_path):
 
 def test_without_the_library_one_line_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
-    with pytest.raises(InputError, match=r"pip install 'tb2rl\[bags\]'"):
+    with pytest.raises(InputError, match=re.escape(install_extra("bags"))):
         check_bag(tmp_path / "drive.bag")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.errors import InputError, install_extra
 from tb2rl.jobs.where import Where, add_where, where_of
 
 
@@ -39,5 +40,5 @@ def test_what_it_cannot_say(words):
 
 def test_without_ray_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r'--on ray needs Ray: pip install "tb2rl\[ray\]"'):
+    with pytest.raises(InputError, match=re.escape(f"--on ray needs Ray: {install_extra('ray')}")):
         Where(ray=True).open(None)

@@ -194,7 +194,7 @@ def test_a_run_can_have_a_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     train(name="mine", **{**BARE, "total_timesteps": 8}, simulation="kinematic")
     assert (tmp_path / "runs/maze/qlearn/mine/config.yaml").is_file()
-    with pytest.raises(InputError, match=r"name of a folder, without a path, got '\.\./x'"):
+    with pytest.raises(InputError, match=r"name of a folder, of printable text without a path, got '\.\./x'"):
         train(name="../x")
     with pytest.raises(InputError, match="either it or folder="):
         train(name="x", folder="y")

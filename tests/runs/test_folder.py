@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import yaml
 
-from tb2rl.runs.folder import Run, versions
+from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
+from tb2rl.runs.versions import versions
 
 
 @pytest.fixture
