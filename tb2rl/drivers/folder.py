@@ -30,6 +30,11 @@ licence.
 
 from __future__ import annotations
 
+import signal
+
+if __name__ == "__main__":  # a KeyboardInterrupt can get lost in the imports below; this ends the program at once
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 '''
 
 
@@ -67,7 +72,7 @@ def program() -> str:
     bodies = [
         f"\n\n# ---- {name} ----\n\n{_without_imports(_source(name), imports)}\n" for name in _in_order("main", [])
     ]
-    plain = [f"import {module}" for module, names in sorted(imports.items()) if not names]
+    plain = [f"import {module}" for module, names in sorted(imports.items()) if not names and module != "signal"]
     some = [f"from {module} import {', '.join(sorted(names))}" for module, names in sorted(imports.items()) if names]
     return _FIRST + "\n".join([*plain, *some, ""]) + "".join(bodies)
 

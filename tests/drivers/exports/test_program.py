@@ -183,6 +183,8 @@ def end(folder, ending, reads=True, pause=0.0, last=b""):
     with subprocess.Popen(command, cwd=folder, **pipes) as process:
         feeder = threading.Thread(target=feed, args=(process.stdin, stopped, last))
         feeder.start()
+        watchdog = threading.Timer(60.0, process.kill)  # a lost signal is a failure, and not a test without an end
+        watchdog.start()
         output = b"".join(process.stdout.readline() for _ in range(3)) if reads else b""
         time.sleep(pause)
         if ending:
@@ -191,6 +193,7 @@ def end(folder, ending, reads=True, pause=0.0, last=b""):
             stopped.set()
         output += process.stdout.read()
         process.wait()
+        watchdog.cancel()
         feeder.join()
     return process.returncode, output
 
