@@ -13,8 +13,8 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
-from tb2rl.compiled import UNCOUNTED, njit
-from tb2rl.errors import InputError
+from tb2rl.core.compiled import UNCOUNTED, njit
+from tb2rl.core.errors import InputError
 from tb2rl.robots.vehicle import Vehicle
 
 STRAIGHT = 1e-3  # [1/m] arcs that bend less count as straight

@@ -12,8 +12,8 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import Schedule
 
-from tb2rl.compiled import njit
-from tb2rl.errors import InputError
+from tb2rl.core.compiled import njit
+from tb2rl.core.errors import InputError
 
 LARGEST = 50_000_000  # values in a table; 800 MB with their visits
 

@@ -9,10 +9,10 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.agents._guided import TURTLEBOT2, Guided, Seen, free_way, way_out
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
+from tb2rl.core.values import NonNegative, Positive
 from tb2rl.registry import Agent
 from tb2rl.robots.vehicle import Vehicle
-from tb2rl.values import NonNegative, Positive
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.dwa:DWA", observation="raw", only=True)
 

@@ -19,8 +19,8 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
 from tb2rl.agents._qtable import QTable, update_table
+from tb2rl.core.values import Fraction
 from tb2rl.registry import Agent
-from tb2rl.values import Fraction
 
 AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True, actions="named")
 

@@ -22,11 +22,11 @@ if (Path(__file__).parent.parent / "pyproject.toml").is_file():
     __path__.append(str(Path(__file__).parent.parent))
 
 if TYPE_CHECKING:
+    from tb2rl.core.errors import InputError
     from tb2rl.envs.make import make_env
-    from tb2rl.errors import InputError
-    from tb2rl.judging.evaluator import evaluate
-    from tb2rl.learning.training import train
+    from tb2rl.evaluation.evaluator import evaluate
     from tb2rl.runs.loading import load
+    from tb2rl.training.training import train
 
     __version__: str
 
@@ -54,11 +54,11 @@ for _id, _arguments in GYM_IDS.items():
     )
 
 _HOMES = {
-    "InputError": "errors",
-    "evaluate": "judging.evaluator",
+    "InputError": "core.errors",
+    "evaluate": "evaluation.evaluator",
     "load": "runs.loading",
     "make_env": "envs.make",
-    "train": "learning.training",
+    "train": "training.training",
 }
 
 

@@ -7,7 +7,7 @@ import sys
 from importlib import import_module
 
 import tb2rl
-from tb2rl.errors import ArgumentParser, command, unknown
+from tb2rl.core.errors import ArgumentParser, command, unknown
 
 COMMANDS = {
     "train": "tb2rl.train",
@@ -19,7 +19,7 @@ COMMANDS = {
     "convert": "tb2rl.convert",
     "export": "tb2rl.export",
     "worlds": "tb2rl.worlds.__main__",
-    "ros": "tb2rl.ros.__main__",
+    "ros": "tb2rl.ros",
     "warm": "tb2rl.warm",
     "zoo": "tb2rl.zoo.__main__",
 }

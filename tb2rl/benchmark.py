@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tb2rl.errors import ArgumentParser, command
+from tb2rl.core.errors import ArgumentParser, command
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tb2rl.errors import ArgumentParser, command
+from tb2rl.core.errors import ArgumentParser, command
 from tb2rl.policy_arguments import add_policy_arguments, add_robot_arguments
 
 

@@ -29,7 +29,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulation",
         choices=("bullet", "kinematic", "ros"),
-        help="bullet (default: PyBullet), its fast twin kinematic, or a robot with ROS: see tb2rl/ros/README.md",
+        help="bullet (default: PyBullet), its fast twin kinematic, or a robot with ROS: see tb2rl/deploy/ros/README.md",
     )
     parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: drive no faster")
     parser.add_argument(
@@ -60,5 +60,5 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:
-    """What lets a policy that somebody shared name any module, see `tb2rl.trust`."""
+    """What lets a policy that somebody shared name any module, see `tb2rl.core.trust`."""
     parser.add_argument("--trust", action="store_true", help="import any module that a shared policy names")

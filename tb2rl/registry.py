@@ -17,9 +17,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.files import find_file, top_folder
-from tb2rl.trust import check_module
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.files import find_file, top_folder
+from tb2rl.core.trust import check_module
 
 if TYPE_CHECKING:
     from tb2rl.robots import Robot
@@ -216,8 +216,8 @@ def import_object(reference: str) -> Any:
     """What "module:Name" refers to.
 
     Raises:
-        InputError: If there is no such module or name, or a stranger named it (`tb2rl.trust`); what goes wrong inside a
-            module shows as it is.
+        InputError: If there is no such module or name, or a stranger named it (`tb2rl.core.trust`); what goes wrong
+            inside a module shows as it is.
     """
     check_module(reference)
     module_name, _, attribute = reference.partition(":")

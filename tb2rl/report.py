@@ -26,7 +26,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tb2rl.errors import ArgumentParser, command
+from tb2rl.core.errors import ArgumentParser, command
 from tb2rl.policy_arguments import add_trust
 
 

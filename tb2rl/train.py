@@ -15,8 +15,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tb2rl.errors import ArgumentParser, command
-from tb2rl.jobs.where import add_where
+from tb2rl.core.errors import ArgumentParser, command
+from tb2rl.execution.where import add_where
 from tb2rl.registry import agent_names, task_names
 
 

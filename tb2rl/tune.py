@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import argparse
 
-from tb2rl.errors import ArgumentParser, InputError, command, install_extra
-from tb2rl.jobs.where import add_where
+from tb2rl.core.errors import ArgumentParser, InputError, command, install_extra
+from tb2rl.execution.where import add_where
 from tb2rl.registry import agent_names, task_names
 
 
@@ -27,7 +27,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="what is not searched"
     )
-    parser.add_argument("--space", metavar="FILE", help="what is searched (default: configs/search/AGENT.yaml)")
+    parser.add_argument("--space", metavar="FILE", help="what is searched (default: configs/tuning/AGENT.yaml)")
     parser.add_argument("--trials", type=int, default=30, help="of the whole study (default: 30)")
     parser.add_argument("--minutes", type=float, help="time for trials; what still runs then is dropped")
     parser.add_argument("--seeds", type=int, default=2, help="trainings a trial (default: 2)")

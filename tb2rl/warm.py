@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tb2rl.errors import ArgumentParser, command
+from tb2rl.core.errors import ArgumentParser, command
 
 
 @command
@@ -20,10 +20,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Do a little of all that needs compiled code: train in the twin, evaluate, film."""
     ArgumentParser(prog="python -m tb2rl.warm", description=(__doc__ or "").splitlines()[0]).parse_args(arguments)
     from tb2rl.envs.make import make_env  # only now: it imports what takes seconds
-    from tb2rl.learning.training import train
     from tb2rl.runs.algorithm import make_baseline
     from tb2rl.runs.layers import resolve
-    from tb2rl.showing.film import film
+    from tb2rl.training.training import train
+    from tb2rl.viz.film import film
     from tb2rl.worlds import World
 
     with TemporaryDirectory() as folder:

@@ -13,7 +13,7 @@ from tb2rl.commands import benchmark as work
 from tb2rl.commands import rates
 from tb2rl.commands.benchmark import PARTS, learners
 from tb2rl.commands.rates import Figure
-from tb2rl.processes import processors
+from tb2rl.core.processes import processors
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.threads import THREADS

@@ -240,7 +240,7 @@ def test_it_prints_without_its_controls_and_within_the_sheet(open_page):
 
 
 def test_films_of_a_suite_are_shown_and_fit_the_window(browser, small_suite, tmp_path, monkeypatch):
-    for module in ("tb2rl.commands.suite", "tb2rl.judging.suites"):
+    for module in ("tb2rl.commands.suite", "tb2rl.evaluation.suites"):
         monkeypatch.setattr(f"{module}.find_suite", lambda name, path: small_suite(name))
     result, file = str(tmp_path / "it.json"), tmp_path / "it.html"
     what = ["--agent", "random", "--task", "navigate", "--set", "task.world=loop", "--suite", "unseen"]

@@ -13,10 +13,10 @@ import pytest
 
 from tb2rl import train
 from tb2rl.commands.benchmark import PARTS
-from tb2rl.judging import evaluator
+from tb2rl.evaluation import evaluator
 from tb2rl.registry import agent_names, task_names
-from tb2rl.showing import film
-from tb2rl.showing.cameras import CAMERAS
+from tb2rl.viz import film
+from tb2rl.viz.cameras import CAMERAS
 
 NAMES = (
     "train",
@@ -26,7 +26,7 @@ NAMES = (
     "benchmark",
     "convert",
     "warm",
-    "ros.__main__",
+    "ros",
     "zoo.__main__",
     "export",
 )

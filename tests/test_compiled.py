@@ -12,14 +12,14 @@ import pytest
 
 CHECKOUT = Path(__file__).parent.parent
 MODULE = """
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 
 @njit(cache=True)
 def twice(x):
     return 2 * x
 """
 CALLER = """
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 from tiny import twice
 
 @njit(cache=True)
@@ -123,7 +123,7 @@ def test_what_calls_a_function_of_a_changed_file_is_compiled_again(site):
 
 def test_what_is_compiled_is_said_once_on_a_terminal(site, tmp_path):
     (site / "tinier.py").write_text(MODULE)
-    program = "from tb2rl.compiled import announce_compiling; announce_compiling(); import tiny, tinier; tiny.twice(4)"
+    program = "from tb2rl.core import compiled; compiled.announce_compiling(); import tiny, tinier; tiny.twice(4)"
     path = os.pathsep.join([str(site), str(CHECKOUT)])
     env = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 

@@ -13,8 +13,8 @@ from stable_baselines3 import DQN, PPO, SAC
 from torch import nn
 
 from tb2rl import convert, load, make_env
-from tb2rl.learning.training import train_config
 from tb2rl.runs.layers import resolve
+from tb2rl.training.training import train_config
 
 TINY = {"train.simulation": "kinematic", "train.n_envs": 2, "train.total_timesteps": 64, "train.eval_freq": 0}
 

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-COMMAND = "from tb2rl.errors import InputError, command\n@command\ndef main(arguments):\n    {}\nmain()\n"
+COMMAND = "from tb2rl.core.errors import InputError, command\n@command\ndef main(arguments):\n    {}\nmain()\n"
 ENDS = {
     "a long output": "for i in range(100_000): print(i)",
     "a short one, which waits in the buffer": "print('one line')",

@@ -10,9 +10,9 @@ from io import StringIO
 import pytest
 
 from tb2rl import evaluate, load, train
-from tb2rl.errors import InputError
-from tb2rl.judging.evaluation import kept_evaluation
-from tb2rl.judging.evaluator import SEED
+from tb2rl.core.errors import InputError
+from tb2rl.evaluation.evaluation import kept_evaluation
+from tb2rl.evaluation.evaluator import SEED
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
 from tb2rl.simulation import SIMULATIONS

@@ -104,7 +104,7 @@ def test_bad_input_is_one_line(line, words, tmp_path, monkeypatch, capsys):
 
 def test_without_onnx_it_says_what_to_install(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    monkeypatch.delitem(sys.modules, "tb2rl.drivers.graph", raising=False)
+    monkeypatch.delitem(sys.modules, "tb2rl.deploy.graph", raising=False)
     assert "pip install onnx" in refusal(["zoo:maze-loop-dqn", str(tmp_path / "policy.onnx")], capsys)
     assert list(tmp_path.iterdir()) == []
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from tb2rl.errors import install_extra
+from tb2rl.core.errors import install_extra
 
 CHECKOUT = Path(__file__).parent.parent
 USE = """
 import tb2rl
-from tb2rl.files import top_folder
+from tb2rl.core.files import top_folder
 from tb2rl.registry import (
     agent_names, find_agent, find_robot, find_task, find_world, robot_names, task_names, world_names,
 )
@@ -129,8 +129,8 @@ def test_a_wheel_has_everything_that_the_checkout_has(installed, tmp_path):
     assert {
         "py.typed",
         "robots/turtlebot2.urdf",
-        "showing/page.html",
-        "drivers/folder.md",
+        "viz/page.html",
+        "deploy/folder.md",
         "configs/worlds/loop.yaml",
     } <= there
     modules = {str(file.relative_to(CHECKOUT / "tb2rl")) for file in (CHECKOUT / "tb2rl").rglob("*.py")}
@@ -151,7 +151,7 @@ def test_the_installed_command_runs_and_gymnasium_knows_the_ids(installed, tmp_p
 
 @pytest.mark.slow
 def test_an_installed_report_finds_its_template(installed, tmp_path):
-    code = "from tb2rl.showing import page; page.template('page.html')"
+    code = "from tb2rl.viz import page; page.template('page.html')"
     assert run([installed, "-I", "-c", code], tmp_path) == []
 
 

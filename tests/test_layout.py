@@ -18,7 +18,7 @@ CHECKOUT = Path(__file__).parent.parent
 MODULES = [*(CHECKOUT / "tb2rl").rglob("*.py"), *(CHECKOUT / "agents").glob("*.py"), *(CHECKOUT / "zoo").glob("*.py")]
 ROOMS = sorted(file.parent for file in (CHECKOUT / "tb2rl").glob("*/__init__.py"))
 DOORS = ("agents", "configs", "zoo", "tb2rl/worlds", "tb2rl/robots", "tb2rl/tasks", "tb2rl/sensors")
-FOR_AGENTS = {"tb2rl.registry", "tb2rl.values", "tb2rl.compiled", "tb2rl.errors", "tb2rl.robots.vehicle"}
+FOR_AGENTS = {"tb2rl.registry", "tb2rl.core.values", "tb2rl.core.compiled", "tb2rl.core.errors", "tb2rl.robots.vehicle"}
 
 
 def lines(module: Path) -> int:
@@ -92,7 +92,7 @@ def test_a_world_is_loaded_by_its_name_in_one_module():
 def test_which_endings_count_as_failed_only_tasks_say():
     assert {name for name in mentioning(r"""["']crash["']""") if not name.startswith("tb2rl/tasks/")} <= {
         "tb2rl/envs/single.py",  # the table of `info`
-        "tb2rl/judging/evaluation.py",  # a comment
+        "tb2rl/evaluation/evaluation.py",  # a comment
     }
 
 

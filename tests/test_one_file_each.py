@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.judging.evaluator import evaluate
-from tb2rl.learning.training import resume, train_config
+from tb2rl.evaluation.evaluator import evaluate
 from tb2rl.report import main as report
 from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
-from tb2rl.showing.film import film
+from tb2rl.training.training import resume, train_config
+from tb2rl.viz.film import film
 
 FILES = {
     "blocks.py": """

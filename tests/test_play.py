@@ -13,8 +13,8 @@ import pytest
 import tb2rl.play as play
 from tb2rl import train
 from tb2rl.envs import single
-from tb2rl.showing import film
 from tb2rl.simulation import SIMULATIONS
+from tb2rl.viz import film
 
 
 @pytest.fixture

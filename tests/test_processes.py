@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from tb2rl.processes import main_hidden, process_context
+from tb2rl.core.processes import main_hidden, process_context
 
 KILLED = """
 import os, signal
 from concurrent.futures import ProcessPoolExecutor
-from tb2rl.processes import end_with_parent, main_hidden, process_context
+from tb2rl.core.processes import end_with_parent, main_hidden, process_context
 with main_hidden():
     pool = ProcessPoolExecutor(1, process_context(), initializer=end_with_parent)
     print(pool.submit(os.getpid).result(), flush=True)
@@ -55,7 +55,7 @@ def test_processes_of_a_pool_end_when_what_started_them_is_killed():
 
 EARLY = """
 import os, signal, threading, time
-from tb2rl.processes import main_hidden, process_context
+from tb2rl.core.processes import main_hidden, process_context
 
 def interrupt():
     for _ in range(30):

@@ -19,7 +19,7 @@ DOORS = (
     "agents",
     "configs",
     "tb2rl/robots",
-    "tb2rl/ros",
+    "tb2rl/deploy/ros",
     "tb2rl/sensors",
     "tb2rl/tasks",
     "tb2rl/worlds",
@@ -107,7 +107,7 @@ def save_files(page: str, folder: Path) -> None:
             (folder / block.file).write_text(block.text, encoding="utf-8")
 
 
-@pytest.mark.filterwarnings("ignore::tb2rl.errors.WorldWarning")
+@pytest.mark.filterwarnings("ignore::tb2rl.core.errors.WorldWarning")
 @pytest.mark.parametrize(
     "page",
     [pytest.param(page, marks=[pytest.mark.slow] * (page == "configs/README.md")) for page in PAGES if commands(page)],

@@ -9,7 +9,7 @@ import pytest
 
 from tb2rl import load, train
 from tb2rl.commands.benchmark import learners
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.registry import (
     Agent,
     agent_names,

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from tb2rl import load, make_env
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import is_path
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.errors import InputError
-from tb2rl.files import is_path
 from tb2rl.registry import find_world, world_names
 from tb2rl.runs.loading import config_of
 

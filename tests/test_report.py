@@ -14,9 +14,9 @@ import pytest
 
 from tb2rl import report, train
 from tb2rl.commands import report as work
-from tb2rl.judging import suites
+from tb2rl.evaluation import suites
 from tb2rl.runs.folder import EVALUATION
-from tb2rl.showing import subjects
+from tb2rl.viz import subjects
 
 
 @pytest.fixture(scope="module")

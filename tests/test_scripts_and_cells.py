@@ -11,7 +11,7 @@ from textwrap import dedent
 import pytest
 
 from tb2rl import load, train
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.registry import import_object
 from tb2rl.runs.layers import resolve
 

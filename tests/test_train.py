@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 from tb2rl import load
-from tb2rl.errors import InputError
-from tb2rl.learning.statistics import tutorial_scores
+from tb2rl.core.errors import InputError
+from tb2rl.training.statistics import tutorial_scores
 
 work, seeds_work = import_module("tb2rl.commands.train"), import_module("tb2rl.commands.seeds")
 command = import_module("tb2rl.train")  # `from tb2rl import train` is the function

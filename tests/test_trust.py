@@ -8,13 +8,13 @@ from importlib import import_module
 
 import pytest
 
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import top_folder
+from tb2rl.core.trust import distrusting, nothing_from
 from tb2rl.envs.worlds import files_named
-from tb2rl.errors import InputError
-from tb2rl.files import top_folder
-from tb2rl.learning.training import resume
 from tb2rl.registry import find_task, import_object
 from tb2rl.runs.loading import load
-from tb2rl.trust import distrusting, nothing_from
+from tb2rl.training.training import resume
 
 TASK = """
 from pathlib import Path

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 import tb2rl
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.simulation import bullet_trouble
 
 CHECKOUT = Path(__file__).parent.parent
 REFUSED = """
 import tb2rl
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 
 def refusal(function, *arguments, **named):
     try:
@@ -26,8 +26,8 @@ def refusal(function, *arguments, **named):
         print(error)
 
 from tb2rl import benchmark
-from tb2rl.showing.film import film
-from tb2rl.showing.window import Window
+from tb2rl.viz.film import film
+from tb2rl.viz.window import Window
 from tb2rl.zoo import __main__ as zoo
 
 refusal(tb2rl.make_env)

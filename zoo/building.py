@@ -13,15 +13,15 @@ from typing import Any
 from PIL import Image
 
 from tb2rl.commands.seeds import train_and_evaluate
-from tb2rl.files import read_text, write_text
-from tb2rl.jobs.job import Job, files_in, write_files
-from tb2rl.jobs.running import run_jobs
-from tb2rl.jobs.where import Where
-from tb2rl.judging.evaluation import Evaluation, kept_evaluation
-from tb2rl.judging.evaluator import evaluate
-from tb2rl.learning.training import default_folder
+from tb2rl.core.files import read_text, write_text
+from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
+from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.execution.job import Job, files_in, write_files
+from tb2rl.execution.running import run_jobs
+from tb2rl.execution.where import Where
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
-from tb2rl.showing.pictures import draw_paths
+from tb2rl.training.training import default_folder
+from tb2rl.viz.pictures import draw_paths
 from tb2rl.zoo.entry import ELSEWHERE, WORLDS, Entry
 
 _DRAWN = 30  # episodes in a picture, and all that failed

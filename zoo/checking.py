@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tb2rl.files import read_text
-from tb2rl.judging.evaluator import evaluate
-from tb2rl.judging.progress import say
-from tb2rl.judging.statistics import wilson_interval
+from tb2rl.core.files import read_text
+from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.progress import say
+from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.zoo.cards import card, percent
 from tb2rl.zoo.entry import Entry
 

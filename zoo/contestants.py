@@ -11,11 +11,11 @@ from functools import cached_property
 from pathlib import Path
 
 from tb2rl.commands.policy import chosen_policy
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import write_text
 from tb2rl.evaluate import main as evaluate
 from tb2rl.evaluate import parse
-from tb2rl.files import write_text
-from tb2rl.judging.suite_result import SuiteSummary, kept_result, kept_summary
+from tb2rl.evaluation.suite_result import SuiteSummary, kept_result, kept_summary
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.loading import policy_digest
 from tb2rl.worlds.suites import SUITES, Suite

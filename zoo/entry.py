@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.commands.train import requested
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.files import read_text, read_yaml, top_folder
 from tb2rl.envs.worlds import are_generated
-from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.files import read_text, read_yaml, top_folder
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.simulation.variation import varied

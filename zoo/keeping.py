@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 
-from tb2rl.errors import InputError
-from tb2rl.files import read_text, write_text
-from tb2rl.jobs.where import Where, where_of
-from tb2rl.judging.evaluator import EPISODES
-from tb2rl.judging.progress import progress, say
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import read_text, write_text
+from tb2rl.evaluation.evaluator import EPISODES
+from tb2rl.evaluation.progress import progress, say
+from tb2rl.execution.where import Where, where_of
 from tb2rl.simulation import check_bullet
 from tb2rl.worlds.suites import Suite, find_suite
 from tb2rl.zoo.building import build

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 
-from tb2rl.judging.suite_result import ALL, Figures, SuiteSummary
+from tb2rl.evaluation.suite_result import ALL, Figures, SuiteSummary
 from tb2rl.worlds.suites import SUITES
 from tb2rl.zoo.contestants import Contestant
 

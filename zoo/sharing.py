@@ -16,16 +16,16 @@ from typing import Any
 from jinja2 import UndefinedError
 
 import tb2rl
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import read_text, write_text
+from tb2rl.core.trust import distrusting
 from tb2rl.envs.worlds import files_named
-from tb2rl.errors import InputError
-from tb2rl.files import read_text, write_text
-from tb2rl.judging.evaluation import kept_evaluation
+from tb2rl.evaluation.evaluation import kept_evaluation
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, SHARED, Run
 from tb2rl.runs.hub import HUB, POLICY, errors_named, library, parsed
 from tb2rl.runs.loading import checkpoint_file
-from tb2rl.trust import distrusting
 from tb2rl.zoo.building import PICTURE, draw
 from tb2rl.zoo.cards import template
 

@@ -17,16 +17,16 @@ from rich.console import Console
 from rich.table import Table
 
 from tb2rl.commands.rates import Figure, measure_physics, measure_twin
-from tb2rl.errors import InputError, unknown
-from tb2rl.files import write_text
-from tb2rl.judging.evaluator import PASSED, evaluate
-from tb2rl.learning.training import Training, train_config
-from tb2rl.processes import processors
+from tb2rl.core.errors import InputError, unknown
+from tb2rl.core.files import write_text
+from tb2rl.core.processes import processors
+from tb2rl.evaluation.evaluator import PASSED, evaluate
 from tb2rl.registry import Agent, agent_names, find_agent
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.simulation import SIMULATIONS, check_bullet
+from tb2rl.training.training import Training, train_config
 
 _STEPS = 50_000  # of a training in PyBullet whose rate is measured
 

@@ -8,16 +8,16 @@ from pathlib import Path
 
 from tb2rl.commands.policy import chosen_policy, chosen_time_limit
 from tb2rl.commands.robot import chosen_robot
-from tb2rl.compiled import announce_compiling
-from tb2rl.errors import InputError
-from tb2rl.files import write_text
-from tb2rl.judging.evaluation import Evaluation
-from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, evaluate
-from tb2rl.judging.rollout import LARGEST_SEED
+from tb2rl.core.compiled import announce_compiling
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import write_text
+from tb2rl.evaluation.evaluation import Evaluation
+from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, evaluate
+from tb2rl.evaluation.rollout import LARGEST_SEED
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
-from tb2rl.showing.table import print_evaluation
 from tb2rl.simulation import ROS, judging_simulation
+from tb2rl.viz.table import print_evaluation
 
 _MOST_EPISODES = 100_000  # as of train.eval_episodes
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.drivers.description import describe, needs_of
-from tb2rl.drivers.folder import write_folder
-from tb2rl.drivers.network import OBSERVATION, in_a_row, network_of, parts_of
-from tb2rl.drivers.portable.network import Network
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import replacing
+from tb2rl.deploy.description import describe, needs_of
+from tb2rl.deploy.folder import write_folder
+from tb2rl.deploy.network import OBSERVATION, in_a_row, network_of, parts_of
+from tb2rl.deploy.portable.network import Network
 from tb2rl.envs.encodings import has_images, stacked
-from tb2rl.errors import InputError
-from tb2rl.files import replacing
 from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.loading import config_of, load
 
@@ -25,7 +25,7 @@ _NEAR, _APART = 1e-4, 0.05  # actions as near as that are alike; a share of them
 
 
 def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
-    """Write a policy as an ONNX file, see `tb2rl.drivers.graph`.
+    """Write a policy as an ONNX file, see `tb2rl.deploy.graph`.
 
     Raises:
         InputError: If there is no such policy, it cannot be exported, or onnx is not installed.
@@ -36,7 +36,7 @@ def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
     try:
         from onnx.reference import ReferenceEvaluator
 
-        from tb2rl.drivers.graph import graph_of
+        from tb2rl.deploy.graph import graph_of
     except ImportError:
         raise InputError("an .onnx file needs onnx, which is not installed: pip install onnx") from None
     policy = _loaded(reference, trust)
@@ -58,7 +58,7 @@ def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
 
 
 def export_folder(reference: str | Path, folder: Path, trust: bool = False) -> None:
-    """Write a policy as a folder for a robot, see `tb2rl.drivers.folder`.
+    """Write a policy as a folder for a robot, see `tb2rl.deploy.folder`.
 
     Raises:
         InputError: If there is no such policy, or it cannot be exported.

@@ -11,24 +11,24 @@ from typing import Any
 
 from tb2rl.commands.policy import chosen_policy, chosen_time_limit
 from tb2rl.commands.robot import chosen_robot, parse_goal
-from tb2rl.compiled import announce_compiling
+from tb2rl.core.compiled import announce_compiling
+from tb2rl.core.errors import InputError, unknown
+from tb2rl.core.signals import end_program, ending_signals
+from tb2rl.deploy.ros.robot import RosRobot
 from tb2rl.envs.scene import Scene
-from tb2rl.errors import InputError, unknown
-from tb2rl.judging.progress import say
-from tb2rl.judging.rollout import Moment, Policy
-from tb2rl.ros.robot import RosRobot
+from tb2rl.evaluation.progress import say
+from tb2rl.evaluation.rollout import Moment, Policy
 from tb2rl.runs.checkpoint import SUFFIX
 from tb2rl.runs.config import Config
 from tb2rl.runs.hub import HUB
 from tb2rl.runs.layers import parse_settings, resolve
-from tb2rl.showing.cameras import CAMERAS
-from tb2rl.showing.film import STEPS, check_film, check_numbers, drives, film, open_env
-from tb2rl.showing.keyboard import Teleop
-from tb2rl.showing.recording import record
-from tb2rl.showing.terminal import steer_in_terminal
-from tb2rl.showing.window import Window, has_display, watch
-from tb2rl.signals import end_program, ending_signals
 from tb2rl.simulation import ROS, bullet_trouble
+from tb2rl.viz.cameras import CAMERAS
+from tb2rl.viz.film import STEPS, check_film, check_numbers, drives, film, open_env
+from tb2rl.viz.keyboard import Teleop
+from tb2rl.viz.recording import record
+from tb2rl.viz.terminal import steer_in_terminal
+from tb2rl.viz.window import Window, has_display, watch
 
 
 def run(options: argparse.Namespace) -> None:

@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from tb2rl.errors import InputError
-from tb2rl.judging.rollout import Policy, time_limit
+from tb2rl.core.errors import InputError
+from tb2rl.evaluation.rollout import Policy, time_limit
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve

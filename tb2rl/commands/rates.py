@@ -10,10 +10,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from tb2rl.core.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.processes import main_hidden, process_context, processors
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.tasks.wander import Wander
 

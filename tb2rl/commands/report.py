@@ -6,21 +6,21 @@ import argparse
 import os
 from pathlib import Path
 
-from tb2rl.bags.reading import is_bag, read_drive
-from tb2rl.bags.topics import parse_topics
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import parse_yaml, write_text
+from tb2rl.core.values import Worlds, checked
+from tb2rl.deploy.bags.reading import is_bag, read_drive
+from tb2rl.deploy.bags.topics import parse_topics
 from tb2rl.envs.worlds import find_worlds
-from tb2rl.errors import InputError
-from tb2rl.files import parse_yaml, write_text
-from tb2rl.judging.progress import progress as progress_bar
-from tb2rl.judging.reliable import Estimate
-from tb2rl.judging.suite_result import kept_result
-from tb2rl.showing.comparing import compare, comparison_page, read_side
-from tb2rl.showing.drives import DriveSection, drive_section
-from tb2rl.showing.groups import grouped
-from tb2rl.showing.page import page
-from tb2rl.showing.subjects import names_of, read_subject, run_folders
-from tb2rl.showing.suites import result_files, suite_section
-from tb2rl.values import Worlds, checked
+from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.reliable import Estimate
+from tb2rl.evaluation.suite_result import kept_result
+from tb2rl.viz.comparing import compare, comparison_page, read_side
+from tb2rl.viz.drives import DriveSection, drive_section
+from tb2rl.viz.groups import grouped
+from tb2rl.viz.page import page
+from tb2rl.viz.subjects import names_of, read_subject, run_folders
+from tb2rl.viz.suites import result_files, suite_section
 
 
 def run(options: argparse.Namespace) -> None:

@@ -7,10 +7,10 @@ import math
 import signal
 from dataclasses import asdict
 
-from tb2rl.drivers.portable.ending import ending_signals
-from tb2rl.errors import InputError
-from tb2rl.ros.robot import RosRobot, parse_limits, parse_mounting
-from tb2rl.ros.topics import TURTLEBOT2, parse_topics
+from tb2rl.core.errors import InputError
+from tb2rl.deploy.portable.ending import ending_signals
+from tb2rl.deploy.ros.robot import RosRobot, parse_limits, parse_mounting
+from tb2rl.deploy.ros.topics import TURTLEBOT2, parse_topics
 from tb2rl.simulation import ROS
 
 

@@ -11,21 +11,21 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from tb2rl.core.files import write_text
+from tb2rl.core.signals import ending_signals
 from tb2rl.envs.worlds import carry, worlds_of_files
-from tb2rl.files import write_text
-from tb2rl.jobs.job import Job
-from tb2rl.jobs.running import run_jobs
-from tb2rl.jobs.where import Where
-from tb2rl.judging.evaluator import PASSED, evaluate
-from tb2rl.judging.statistics import bootstrap_interval
-from tb2rl.learning.statistics import tutorial_scores
-from tb2rl.learning.trackers import check_trackers
-from tb2rl.learning.training import Training, stopped_early, train_config
+from tb2rl.evaluation.evaluator import PASSED, evaluate
+from tb2rl.evaluation.statistics import bootstrap_interval
+from tb2rl.execution.job import Job
+from tb2rl.execution.running import run_jobs
+from tb2rl.execution.where import Where
 from tb2rl.runs.algorithm import check_device, check_learns
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import load
-from tb2rl.showing.table import print_evaluation
-from tb2rl.signals import ending_signals
+from tb2rl.training.statistics import tutorial_scores
+from tb2rl.training.trackers import check_trackers
+from tb2rl.training.training import Training, stopped_early, train_config
+from tb2rl.viz.table import print_evaluation
 
 LOG = "log.txt"  # in the run folder: what a training said that nobody watched
 

@@ -11,22 +11,22 @@ from typing import Any
 from tb2rl.commands.evaluate import check_places
 from tb2rl.commands.policy import chosen_policy
 from tb2rl.commands.robot import chosen_robot
-from tb2rl.compiled import announce_compiling
-from tb2rl.errors import InputError
-from tb2rl.files import write_text
-from tb2rl.jobs.where import where_of
-from tb2rl.judging.progress import progress
-from tb2rl.judging.spaces import check_observes
-from tb2rl.judging.suite_result import Drive, SuiteResult
-from tb2rl.judging.suites import SuiteEvaluation, drives_of, suite_evaluator, suite_scene
+from tb2rl.core.compiled import announce_compiling
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import write_text
+from tb2rl.core.values import build
+from tb2rl.evaluation.progress import progress
+from tb2rl.evaluation.spaces import check_observes
+from tb2rl.evaluation.suite_result import Drive, SuiteResult
+from tb2rl.evaluation.suites import SuiteEvaluation, drives_of, suite_evaluator, suite_scene
+from tb2rl.execution.where import where_of
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
 from tb2rl.runs.journal import Journal
 from tb2rl.runs.layers import parse_settings
 from tb2rl.runs.loading import policy_digest
 from tb2rl.runs.versions import versions
-from tb2rl.showing.table import print_suite
-from tb2rl.values import build
+from tb2rl.viz.table import print_suite
 from tb2rl.worlds.suites import Suite, find_suite
 
 

@@ -9,16 +9,16 @@ from functools import partial
 from pathlib import Path
 
 from tb2rl.commands.seeds import say_trained, train_seeds
-from tb2rl.compiled import announce_compiling
-from tb2rl.errors import InputError
-from tb2rl.jobs.where import where_of
-from tb2rl.judging.evaluator import EPISODES, evaluate
-from tb2rl.learning.training import Training, default_folder, resume, train_config
+from tb2rl.core.compiled import announce_compiling
+from tb2rl.core.errors import InputError
+from tb2rl.evaluation.evaluator import EPISODES, evaluate
+from tb2rl.execution.where import where_of
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
-from tb2rl.showing.table import print_evaluation
 from tb2rl.simulation import judging_simulation
+from tb2rl.training.training import Training, default_folder, resume, train_config
+from tb2rl.viz.table import print_evaluation
 
 _FLAGS = (
     "total_timesteps", "episodes", "seed", "simulation", "n_envs", "device", "eval_freq", "save_freq", "keep",

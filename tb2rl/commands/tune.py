@@ -11,21 +11,21 @@ from typing import Any
 from optuna import Study
 from optuna.trial import FrozenTrial
 
-from tb2rl.errors import InputError
-from tb2rl.jobs.where import Where, where_of
-from tb2rl.learning.trackers import check_trackers
-from tb2rl.processes import processors
+from tb2rl.core.errors import InputError
+from tb2rl.core.processes import processors
+from tb2rl.core.values import build
+from tb2rl.execution.where import Where, where_of
 from tb2rl.runs.algorithm import check_learns
 from tb2rl.runs.layers import as_preset, parse_settings, resolve
-from tb2rl.search.elsewhere import run_elsewhere
-from tb2rl.search.judging import JUDGED, Comparison, Judgement, best_of, compare, judge
-from tb2rl.search.page import write_page, write_preset
-from tb2rl.search.space import check_space, find_space, space_from, without_fixed
-from tb2rl.search.storage import open_study, storage_url
-from tb2rl.search.study import Plan, Search
-from tb2rl.search.trials import best_trials, counts, drop_lost
-from tb2rl.search.workers import run_workers
-from tb2rl.values import build
+from tb2rl.training.trackers import check_trackers
+from tb2rl.tuning.elsewhere import run_elsewhere
+from tb2rl.tuning.judging import JUDGED, Comparison, Judgement, best_of, compare, judge
+from tb2rl.tuning.page import write_page, write_preset
+from tb2rl.tuning.space import check_space, find_space, space_from, without_fixed
+from tb2rl.tuning.storage import open_study, storage_url
+from tb2rl.tuning.study import Plan, Search
+from tb2rl.tuning.trials import best_trials, counts, drop_lost
+from tb2rl.tuning.workers import run_workers
 
 _NAME = re.compile(r"[\w-][\w.-]*")
 _MOST = 100_000  # of trials, and of anything else that is counted

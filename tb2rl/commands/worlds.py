@@ -10,13 +10,13 @@ from typing import Any
 
 from PIL import Image
 
+from tb2rl.core.errors import InputError, one_line
+from tb2rl.core.files import parse_yaml, replacing
+from tb2rl.core.values import Worlds, checked
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
-from tb2rl.errors import InputError, one_line
-from tb2rl.files import parse_yaml, replacing
-from tb2rl.pictures.plan import draw_plan, sheet
 from tb2rl.registry import find_robot, find_world, world_names
+from tb2rl.rendering.plan import draw_plan, sheet
 from tb2rl.robots import Robot
-from tb2rl.values import Worlds, checked
 from tb2rl.worlds import World
 from tb2rl.worlds.access import Access, Door, find_access
 from tb2rl.worlds.description import write_description

@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.preprocessing import is_image_space
 
-from tb2rl.compiled import njit
-from tb2rl.errors import InputError
+from tb2rl.core.compiled import njit
+from tb2rl.core.errors import InputError
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Reading

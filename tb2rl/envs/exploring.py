@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 from tb2rl.envs.memory import Memory
 from tb2rl.simulation import Reading, Setup
 from tb2rl.simulation.setup import BOUNDS

@@ -7,7 +7,7 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 
 NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import Encoding, Numbers, Observations, numbers_of, put_rows, rows
 from tb2rl.envs.latency import Delay
 from tb2rl.envs.memory import Memory
-from tb2rl.errors import InputError
 from tb2rl.simulation import Reading
 
 

@@ -13,15 +13,15 @@ from gymnasium.envs.registration import EnvSpec, registry
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import HumanRendering
 
+from tb2rl.core.errors import InputError, UnknownArgumentError
+from tb2rl.core.values import build, untyped
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vector_env import BatchVectorEnv, find_autoreset_mode
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.errors import InputError, UnknownArgumentError
 from tb2rl.registry import TASKS, find_task, import_object, reference_to
 from tb2rl.simulation import ROS, check_display
 from tb2rl.tasks import Task
-from tb2rl.values import build, untyped
 
 ENTRY_POINT, VECTOR_ENTRY_POINT = f"{__name__}:make_for_gymnasium", f"{__name__}:make_vector_for_gymnasium"
 _ARGUMENTS = ("observation", "render_mode", "simulation")  # of `make_env`, beside the task's settings
@@ -41,7 +41,7 @@ def make_env(
         observation: "discrete" or "raw"; None: the policy's, else "discrete".
         render_mode: None, "rgb_array" or "human", see `TurtleBot2Env`.
         simulation: "bullet" (PyBullet's physics), "kinematic" (its fast twin) or "ros" (a robot with ROS 1, yours or
-            Gazebo's); for other topics, say, or ROS 2 a `tb2rl.ros.robot.RosRobot`.
+            Gazebo's); for other topics, say, or ROS 2 a `tb2rl.deploy.ros.robot.RosRobot`.
         settings: Fields of the task to set, for example `world="circuit"`; a world or a robot of one's own by its
             name, "module:WORLD".
 
@@ -51,7 +51,7 @@ def make_env(
     """
     scene = _scene(what, observation, settings)
     if simulation == ROS or not isinstance(simulation, str):
-        ros_robot = import_object("tb2rl.ros.robot:ros_robot")  # by its name: that room is above this one
+        ros_robot = import_object("tb2rl.deploy.ros.robot:ros_robot")  # by its name: that room is above this one
         env = ros_robot(simulation).env(scene, render_mode)
     else:
         env = TurtleBot2Env(scene, render_mode, simulation)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from tb2rl.core.errors import InputError, one_line
 from tb2rl.envs.observed import observed_sensors
-from tb2rl.errors import InputError, one_line
 from tb2rl.sensors import Sensor
 from tb2rl.simulation import Reading, Setup, Start
 from tb2rl.simulation.streams import GeneratorDraws

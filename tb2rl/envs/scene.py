@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from tb2rl.core.errors import InputError, unknown
 from tb2rl.envs.commander import Commander
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
 from tb2rl.envs.exploring import Explorer
@@ -18,7 +19,6 @@ from tb2rl.envs.memory import Memory
 from tb2rl.envs.rehearsal import rehearse
 from tb2rl.envs.trail import Trail
 from tb2rl.envs.worlds import are_generated, find_worlds, place_of
-from tb2rl.errors import InputError, unknown
 from tb2rl.registry import find_robot
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors import Sensor

@@ -11,14 +11,14 @@ import numpy as np
 from annotated_types import Ge, Lt
 from gymnasium.envs.registration import EnvSpec
 
+from tb2rl.core.errors import InputError, unknown
+from tb2rl.core.values import Pose, checked
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
-from tb2rl.errors import InputError, unknown
 from tb2rl.simulation import Reading, Setup, Simulation, Start, simulate
 from tb2rl.simulation.setup import GOAL, POSE, WAY
 from tb2rl.simulation.streams import GeneratorDraws
 from tb2rl.tasks import TIME_LIMIT, Ending
-from tb2rl.values import Pose, checked
 
 _RENDER_MODES = ("rgb_array", "human")
 
@@ -118,7 +118,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         """The picture of the moment, seen from above, shape (height, width, 3), uint8; None for the window."""
         if self.render_mode != "rgb_array" or self.reading is None:
             return None
-        from tb2rl.pictures.above import WorldPicture  # drawing is not needed to train
+        from tb2rl.rendering.above import WorldPicture  # drawing is not needed to train
 
         scene, reading = self.scene, self.reading
         world = scene.setup.worlds[int(reading.start.world[0])]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.envs.memory import Memory
 from tb2rl.simulation import Reading
 

@@ -11,11 +11,11 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.values import Count, checked
 from tb2rl.envs.batch import Batch, Finals, Step
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
-from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.values import Count, checked
 
 
 class BatchVectorEnv(VectorEnv[Any, Any, Any]):

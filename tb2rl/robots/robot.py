@@ -17,8 +17,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import Strict
 
-from tb2rl.errors import InputError
-from tb2rl.values import build
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import build
 
 # The columns of a robot's parameters, which the compiled kernels read: one row for each robot.
 RADIUS, WHEEL_SEPARATION, MAX_SPEED, MAX_TURN_RATE, WHEEL_ACCELERATION, WHEEL_COUPLING = range(6)

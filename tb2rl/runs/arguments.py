@@ -1,7 +1,7 @@
 """The arguments of other people's algorithms: held against their signatures, and made from their YAML form.
 
 Names and types are checked here. Which numbers make sense is for the algorithm to say; `tb2rl.runs.algorithm` and
-`tb2rl.learning.troubles` turn what it says into one line.
+`tb2rl.training.troubles` turn what it says into one line.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.utils import LinearSchedule
 
-from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.values import build, checked
 from tb2rl.registry import ANY_POLICY, Agent, find_agent, import_object
-from tb2rl.values import build, checked
 
 LIBRARY_ERRORS = (  # what torch, numpy and Stable-Baselines3 raise for values of the right type that do not fit
     ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, RuntimeError, TypeError,

@@ -18,8 +18,8 @@ import torch as th
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from tb2rl.errors import InputError, one_line
-from tb2rl.files import replacing
+from tb2rl.core.errors import InputError, one_line
+from tb2rl.core.files import replacing
 
 FORMAT = 2
 SUFFIX = ".safetensors"

@@ -29,14 +29,14 @@ import yaml
 from filelock import FileLock, Timeout
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.errors import InputError, UnwritableError, one_line
-from tb2rl.files import read_text, read_yaml, write_text
+from tb2rl.core.errors import InputError, UnwritableError, one_line
+from tb2rl.core.files import read_text, read_yaml, write_text
+from tb2rl.core.trust import distrusting, nothing_from
 from tb2rl.runs.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.journal import read_lines
 from tb2rl.runs.normalisation import statistics_of
 from tb2rl.runs.versions import versions
-from tb2rl.trust import distrusting, nothing_from
 
 CONFIG, SHARED = "config.yaml", "config.json"  # the second is that of a run folder which somebody shared
 EVALUATIONS = "evaluations.jsonl"
@@ -266,7 +266,7 @@ def _read_json(file: Path) -> Any:
 
 @contextmanager
 def imports_limited(folder: Path | None, trust: bool) -> Iterator[None]:
-    """Read the config of a run: nothing in its folder is imported, nor what a stranger names, see `tb2rl.trust`.
+    """Read the config of a run: nothing in its folder is imported, nor what a stranger names, see `tb2rl.core.trust`.
 
     Args:
         folder: Of the run; None: a config from elsewhere, which has no such limits.

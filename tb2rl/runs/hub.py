@@ -14,7 +14,7 @@ from logging import CRITICAL
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from tb2rl.errors import InputError, install_extra, one_line
+from tb2rl.core.errors import InputError, install_extra, one_line
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, SHARED
 
 HUB = "hf:"

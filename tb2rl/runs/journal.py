@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tb2rl.errors import InputError, one_line
-from tb2rl.files import write_text
+from tb2rl.core.errors import InputError, one_line
+from tb2rl.core.files import write_text
 
 _BLANK = b"\0 \t\r"
 

@@ -1,7 +1,7 @@
 """How a policy comes back from a run folder, a checkpoint, the zoo or the hub.
 
 A checkpoint holds arrays and plain values only: the algorithm is rebuilt from its config through the registry, which
-imports the modules that the config names; for one that somebody shared, see `tb2rl.trust`.
+imports the modules that the config names; for one that somebody shared, see `tb2rl.core.trust`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.errors import InputError, one_line, unknown
-from tb2rl.files import top_folder
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.files import top_folder
+from tb2rl.core.trust import distrusting
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.checkpoint import read_checkpoint
@@ -24,7 +25,6 @@ from tb2rl.runs.folder import CONFIG, SHARED, Run, imports_limited, is_shared, r
 from tb2rl.runs.hub import HUB, POLICY, downloaded, name_of
 from tb2rl.runs.normalisation import driving_policy
 from tb2rl.runs.parameters import load_parameters
-from tb2rl.trust import distrusting
 
 
 def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:

@@ -20,9 +20,9 @@ from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import NUMBERS
 from tb2rl.envs.features import Nearness
-from tb2rl.errors import InputError
 from tb2rl.runs.config import TrainSettings
 
 _LARGEST = 1e12  # of any mean or variance

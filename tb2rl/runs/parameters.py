@@ -16,7 +16,7 @@ import numpy as np
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.core.errors import InputError, one_line
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.normalisation import load_statistics
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.core.errors import InputError, one_line, unknown
 
 SECTIONS = ("agent", "task", "train")
 _LARGEST = 1e12  # of any number

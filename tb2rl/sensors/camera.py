@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from tb2rl import robots
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading, Setup
 from tb2rl.worlds.world import WALL_HEIGHT

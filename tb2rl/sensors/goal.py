@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from tb2rl.core.values import Edges
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading
-from tb2rl.values import Edges
 
 DISTANCE_EDGES: Edges = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
 BEARING_EDGES: Edges = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from tb2rl.core.values import Edges
 from tb2rl.robots import Laser
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading, Setup
-from tb2rl.values import Edges
 
 
 class LaserRanges(Sensor):

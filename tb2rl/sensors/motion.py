@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Le
 
+from tb2rl.core.values import Edges
 from tb2rl.robots import Robot
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading, Setup
-from tb2rl.values import Edges
 
 
 class _Motion(Sensor):

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from tb2rl.compiled import UNCOUNTED, njit
-from tb2rl.errors import InputError
+from tb2rl.core.compiled import UNCOUNTED, njit
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import Edges, NonNegative
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading, Setup
-from tb2rl.values import Edges, NonNegative
 
 
 class FreePaths(Sensor):

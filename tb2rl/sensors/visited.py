@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Le
 
+from tb2rl.core.values import Positive
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading
-from tb2rl.values import Positive
 
 _MOST = 10.0  # [s]
 _APART = 0.5  # of the distance: so near to a place counts as there

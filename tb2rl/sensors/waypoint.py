@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Le
 
+from tb2rl.core.values import Edges, Positive
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import Reading
-from tb2rl.values import Edges, Positive
 
 REACH = 1.5  # [m]
 Reach = Annotated[Positive, Le(100)]  # a way is followed step by step

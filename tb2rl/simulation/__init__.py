@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from tb2rl.errors import InputError, one_line, unknown
+from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.simulation.reading import Reading
 from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 SIMULATIONS = ("bullet", "kinematic")
-ROS = "ros"  # in the place of one: a robot with ROS, see `tb2rl.ros.robot`
+ROS = "ros"  # in the place of one: a robot with ROS, see `tb2rl.deploy.ros.robot`
 _BULLET = 'simulation="bullet" (the other one is its fast twin, simulation="kinematic")'
 Judge = Literal["bullet", "kinematic"]  # where a policy was judged, see `judging_simulation`
 _MISSING = "is not installed"  # what `bullet_trouble` says where there is no PyBullet

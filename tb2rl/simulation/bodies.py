@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.robots import Robot
 from tb2rl.simulation import check_display
 from tb2rl.simulation.physics import pybullet

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
 from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect, disconnects
 from tb2rl.simulation.camera import look_ahead

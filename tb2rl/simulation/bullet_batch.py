@@ -18,9 +18,9 @@ from typing import Any, NoReturn
 import cloudpickle
 import numpy as np
 
-from tb2rl.errors import InputError
-from tb2rl.processes import main_hidden, process_context, processors
-from tb2rl.signals import ignore_ending_signals
+from tb2rl.core.errors import InputError
+from tb2rl.core.processes import main_hidden, process_context, processors
+from tb2rl.core.signals import ignore_ending_signals
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.simulation.reading import Eye, Reading
 from tb2rl.simulation.setup import Setup

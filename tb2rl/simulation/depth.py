@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 from tb2rl.robots import Camera
 from tb2rl.simulation.outlines import cast_all_at_movers
 from tb2rl.worlds.geometry import cast_many

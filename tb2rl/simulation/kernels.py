@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.robots import robot
 from tb2rl.simulation.outlines import cast_at_movers
 from tb2rl.simulation.setup import (

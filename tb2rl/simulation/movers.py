@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 from tb2rl.simulation.outlines import COS, LENGTH, OUTLINE, SIN, WIDTH, X, Y, gap_to, reach_of
 from tb2rl.simulation.setup import CROWD, POSE, Setup
 from tb2rl.simulation.start import Start

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.worlds.grid import PARALLEL
 
 X, Y, COS, SIN = range(4)  # [m, m] and the direction that a box looks in

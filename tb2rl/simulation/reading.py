@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.simulation.outlines import towards
 from tb2rl.simulation.setup import Setup
 from tb2rl.simulation.start import Start

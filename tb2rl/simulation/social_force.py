@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 
 GAMMA, LAMBDA, N_TURN, N_SLOW = 0.35, 2.0, 2.0, 3.0  # as in the article
 

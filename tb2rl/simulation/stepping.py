@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kernels import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
 from tb2rl.simulation.outlines import LENGTH, X, Y, reach_of
 from tb2rl.simulation.setup import PHYSICS_RATE, POSE, WHEEL, WORLD

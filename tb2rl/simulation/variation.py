@@ -14,7 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Le
 
-from tb2rl.errors import InputError, unknown
+from tb2rl.core.errors import InputError, unknown
+from tb2rl.core.values import ASCENDING, PAIR, Fraction, NonNegative, build
 from tb2rl.robots.robot import WHEEL_ACCELERATION, WHEEL_COUPLING, WHEEL_SEPARATION
 from tb2rl.simulation.setup import (
     BELIEVED_SEPARATION,
@@ -33,7 +34,6 @@ from tb2rl.simulation.setup import (
 )
 from tb2rl.simulation.start import Start
 from tb2rl.simulation.streams import Draws
-from tb2rl.values import ASCENDING, PAIR, Fraction, NonNegative, build
 
 # Each is a range that a number is drawn from, evenly; a number alone stands for itself.
 _Share = Annotated[float, Ge(0.5), Le(2)]

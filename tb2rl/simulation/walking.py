@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kernels import RADIUS
 from tb2rl.simulation.outlines import COS, LENGTH, SIN, X, Y, gap_to, reach_of
 from tb2rl.simulation.setup import BOUNDS

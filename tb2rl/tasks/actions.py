@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from gymnasium import spaces
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.core.errors import InputError, one_line
 from tb2rl.robots import Robot
 
 Command = tuple[float, float]  # v [m/s], w [rad/s]

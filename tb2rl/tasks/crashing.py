@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tb2rl.core.values import NonNegative
 from tb2rl.robots.robot import RADIUS
 from tb2rl.simulation import Reading
 from tb2rl.tasks.task import Task
-from tb2rl.values import NonNegative
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from tb2rl.core.values import NonNegative, Positive
 from tb2rl.simulation import Reading
 from tb2rl.tasks.actions import Velocities
 from tb2rl.tasks.crashing import Crashing
 from tb2rl.tasks.outcome import Outcome, crash_endings
-from tb2rl.values import NonNegative, Positive
 
 _HALF = 0.3  # [rad/s] where half of `turn_cost` is lost; in a circle of 2 m around its middle, at full speed
 

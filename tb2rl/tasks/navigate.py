@@ -9,7 +9,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import Count, NonNegative, Point, Positive, Worlds
 from tb2rl.robots import Robot
 from tb2rl.robots.robot import RADIUS
 from tb2rl.sensors import Sensor
@@ -21,7 +22,6 @@ from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.actions import Actions, Commands, Velocities
 from tb2rl.tasks.outcome import Outcome, crash_endings
 from tb2rl.tasks.task import Beams, Clearance, Period, Task
-from tb2rl.values import Count, NonNegative, Point, Positive, Worlds
 from tb2rl.worlds import World
 from tb2rl.worlds.ways import GOALS, OWN, shortest_way
 

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from tb2rl.core.values import Edges, Point, Positive, Worlds
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.goal import BEARING_EDGES, DISTANCE_EDGES, GoalBearing, GoalDistance
 from tb2rl.simulation import Draws, Reading, Setup, Start
 from tb2rl.tasks.outcome import Outcome
 from tb2rl.tasks.wander import Wander
-from tb2rl.values import Edges, Point, Positive, Worlds
 from tb2rl.worlds.world import Bounds
 
 

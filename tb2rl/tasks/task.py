@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
+from tb2rl.core.values import Count, Edges, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
 from tb2rl.robots import Robot
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
@@ -19,7 +20,6 @@ from tb2rl.simulation.setup import CROWD
 from tb2rl.simulation.variation import Variation, find_variation
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
-from tb2rl.values import Count, Edges, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
 from tb2rl.worlds import World
 
 Beams = Annotated[int, Ge(1), Le(100_000)]

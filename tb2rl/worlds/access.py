@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from tb2rl.values import Point
+from tb2rl.core.values import Point
 from tb2rl.worlds.world import World
 
 _FINE = 5e-4  # [m] by which posts are simpler than they are drawn elsewhere: thousands of them take seconds

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import yaml
 from annotated_types import MinLen
 
-from tb2rl.errors import InputError
-from tb2rl.files import write_text
-from tb2rl.values import Point, Pose, Positive, build
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import write_text
+from tb2rl.core.values import Point, Pose, Positive, build
 from tb2rl.worlds.drawing import read_drawing
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.movers import said_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tb2rl.errors import InputError
-from tb2rl.values import Pose
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import Pose
 from tb2rl.worlds.world import BoxShape
 
 MOST_SQUARES = 2**18  # 512 x 512: a second to read, if every other one is a wall

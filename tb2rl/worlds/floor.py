@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tb2rl.compiled import njit
-from tb2rl.errors import InputError
+from tb2rl.core.compiled import njit
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.world import World
 
 SIDE = 0.1  # [m] of a square; so two that touch, each 0.18 m from all walls, have 0.17 m between them

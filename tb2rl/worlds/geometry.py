@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.worlds.grid import PARALLEL, clearance_in_grid, first_hit
 from tb2rl.worlds.index import BOXES, BOXES_END, COLUMNS, POSTS, POSTS_END, index_of
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.worlds.index import CELLS, COLUMNS, ROWS, SIDE, X, Y, cell_of
 
 PARALLEL = 1e-12  # direction components below this count as parallel to a side; avoids 0 / 0

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 
 FEW = 100  # obstacles; up to here the plain loops are faster, with 36 beams
 _ENTRIES = 32  # for each obstacle, at most: obstacles that cover many cells, or each other, get larger cells

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 
 _BEYOND = 3.0  # times as long as it is, off all ways, where only rounding gets to
 

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Le, Len
 
-from tb2rl.errors import InputError, one_line
-from tb2rl.values import ASCENDING, PAIR, Point, build
+from tb2rl.core.errors import InputError, one_line
+from tb2rl.core.values import ASCENDING, PAIR, Point, build
 
 MOST = 50  # in one world: each is held against each other, and against every beam
 _Number = Annotated[int, Ge(0), Le(MOST)]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tb2rl.compiled import njit
+from tb2rl.core.compiled import njit
 from tb2rl.worlds.floor import SIDE, Floor
 from tb2rl.worlds.world import World
 

@@ -9,8 +9,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import cast
 
-from tb2rl.errors import InputError
-from tb2rl.files import parse_yaml, read_text
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import parse_yaml, read_text
 from tb2rl.worlds.description import world_from
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.formats.maps import is_map, read_map

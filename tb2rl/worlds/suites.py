@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tb2rl.errors import InputError, unknown
+from tb2rl.core.errors import InputError, unknown
 from tb2rl.worlds.formats.barn import read_barn
 from tb2rl.worlds.generators import FAMILIES, Generated, generate, generator_of
 from tb2rl.worlds.places import Places

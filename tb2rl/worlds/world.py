@@ -15,8 +15,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from tb2rl.errors import InputError, one_line
-from tb2rl.values import Point, Pose
+from tb2rl.core.errors import InputError, one_line
+from tb2rl.core.values import Point, Pose
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
 from tb2rl.worlds.index import Index, index_of
 from tb2rl.worlds.movers import Movers, find_movers

@@ -9,9 +9,9 @@ from tb2rl import evaluate
 from tb2rl.agents.dwa import DWA
 from tb2rl.agents.pursuit import Pursuit
 from tb2rl.agents.vfh import VFH
+from tb2rl.core.errors import InputError
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.robots.vehicle import Vehicle
 from tb2rl.runs.algorithm import make_baseline

@@ -10,8 +10,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from tb2rl.agents.qlearn import QLearning, update_table
+from tb2rl.core.errors import InputError
 from tb2rl.envs.make import make_env
-from tb2rl.errors import InputError
 from tb2rl.runs.layers import resolve
 
 

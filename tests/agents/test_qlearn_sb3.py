@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tb2rl.agents.qlearn import QLearning, QTable
-from tb2rl.processes import process_context
+from tb2rl.core.processes import process_context
 
 
 def test_sb3s_callbacks_evaluate_checkpoint_and_stop(tmp_path, drive):

@@ -4,10 +4,10 @@ import shutil
 
 import pytest
 
-from tb2rl.errors import UnwritableError
-from tb2rl.learning.training import resume, train_config
+from tb2rl.core.errors import UnwritableError
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
+from tb2rl.training.training import resume, train_config
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")  # of the library
 TRAIN = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "save_freq": 64, "keep": 9, "eval_freq": 64}

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from tb2rl.errors import UnwritableError
-from tb2rl.learning.training import resume, train_config
+from tb2rl.core.errors import UnwritableError
 from tb2rl.runs.layers import resolve
+from tb2rl.training.training import resume, train_config
 
 wandb = pytest.importorskip("wandb", reason="wandb is not installed")
 

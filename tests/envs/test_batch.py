@@ -12,7 +12,7 @@ from tb2rl.envs.encodings import rows
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.judging.evaluator import Evaluator
+from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.runs.loading import config_of
 from tb2rl.simulation import SIMULATIONS, Start

@@ -10,8 +10,8 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import tb2rl
+from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import BEAMS
-from tb2rl.errors import InputError
 from tb2rl.registry import robot_names, world_names
 from tb2rl.sensors.names import SENSORS
 from tb2rl.simulation import SIMULATIONS

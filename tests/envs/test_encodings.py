@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import read_yaml, top_folder
+from tb2rl.core.values import build
 from tb2rl.envs.encodings import BEAMS, Numbers, encode, ranges_to_bins
 from tb2rl.envs.scene import make_scene
-from tb2rl.errors import InputError
-from tb2rl.files import read_yaml, top_folder
 from tb2rl.registry import find_task, task_names
 from tb2rl.robots import Laser
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
-from tb2rl.values import build
 
 INF, NAN = math.inf, math.nan
 

@@ -14,17 +14,17 @@ from gymnasium.wrappers import FrameStackObservation
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 from stable_baselines3.common.vec_env import VecFrameStack
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.features import Nearness
 from tb2rl.envs.frames import stacked_space
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.envs.vector_env import BatchVectorEnv
-from tb2rl.errors import InputError
-from tb2rl.showing.action_map import action_map
 from tb2rl.simulation import SIMULATIONS
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
+from tb2rl.viz.action_map import action_map
 
 FRAMES, ROBOTS = 3, 5
 SETTINGS = {"episode_steps": 7, "noise": 0.01}

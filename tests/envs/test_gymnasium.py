@@ -9,9 +9,9 @@ import pytest
 from gymnasium import spaces
 
 import tb2rl
+from tb2rl.core.errors import InputError
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.errors import InputError
 from tb2rl.runs.plain import plain
 from tb2rl.simulation import SIMULATIONS
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tb2rl import make_env
+from tb2rl.core.errors import InputError
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.errors import InputError
 from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.sensors import Sensor

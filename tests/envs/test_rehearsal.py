@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tb2rl import make_env
+from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
-from tb2rl.errors import InputError
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.goal import GoalDistance
 from tb2rl.simulation import Start

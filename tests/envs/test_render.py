@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.errors import InputError
 from tb2rl.simulation import Start
 from tb2rl.tasks.wander import Wander
 

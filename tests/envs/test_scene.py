@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import BEAMS
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 from tb2rl.runs.layers import resolve

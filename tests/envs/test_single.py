@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tb2rl import make_env
+from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.errors import InputError
 from tb2rl.simulation import SIMULATIONS, Start
 from tb2rl.simulation.setup import COLUMNS
 from tb2rl.tasks.wander import Wander

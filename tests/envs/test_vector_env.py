@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.envs.vector_env import BatchVectorEnv
-from tb2rl.errors import InputError
 from tb2rl.simulation import SIMULATIONS
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.tasks.wander import Wander

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import tb2rl
+from tb2rl.core.errors import InputError
 from tb2rl.envs.batch import Batch
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
-from tb2rl.errors import InputError
-from tb2rl.judging.evaluator import Evaluator
+from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.registry import find_world
 from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import parse_settings, resolve

@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tb2rl.errors import InputError
-from tb2rl.files import read_yaml, top_folder
+from tb2rl.core.errors import InputError
+from tb2rl.core.files import read_yaml, top_folder
 from tb2rl.registry import find_robot, robot_names
 from tb2rl.robots import Laser
 from tb2rl.robots import robot as columns

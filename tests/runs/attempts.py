@@ -18,10 +18,10 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from tb2rl.errors import InputError
-from tb2rl.learning.training import train_config
+from tb2rl.core.errors import InputError
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.training.training import train_config
 
 STEPS = 8
 MEMORY = 4 * 2**30  # [bytes] of address space that the cases of a process may take

@@ -16,11 +16,11 @@ from typing import Any
 
 import pytest
 
-from tb2rl.errors import InputError
-from tb2rl.learning.training import train_config
+from tb2rl.core.errors import InputError
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
+from tb2rl.training.training import train_config
 
 AGENTS = {
     "qlearn": {"task.edges": [0.7, 1.0]},

@@ -8,9 +8,9 @@ import pytest
 import torch as th
 from torch.nn.modules import module
 
-from tb2rl.learning.training import train_config
 from tb2rl.runs.algorithm import MOST_WEIGHTS, Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
+from tb2rl.training.training import train_config
 
 SB3 = "stable_baselines3"
 

@@ -16,8 +16,8 @@ import yaml
 from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.features import Nearness
-from tb2rl.errors import InputError
 from tb2rl.registry import TASKS, find_agent, find_task, import_object
 from tb2rl.runs.arguments import check_arguments
 from tb2rl.runs.config import TrainSettings

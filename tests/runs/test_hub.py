@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tb2rl import convert, report
-from tb2rl.errors import InputError, install_extra
-from tb2rl.files import top_folder
+from tb2rl.core.errors import InputError, install_extra
+from tb2rl.core.files import top_folder
 from tb2rl.runs import hub as module
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.runs.folder import Run

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tb2rl.files import top_folder
+from tb2rl.core.files import top_folder
 from tb2rl.registry import agent_names, task_names
 from tb2rl.runs.config import TrainSettings
 from tb2rl.runs.layers import parse_settings, resolve
@@ -90,7 +90,7 @@ def test_one_key_of_policy_kwargs_leaves_the_others():
     assert changed == {**kwargs, "net_arch": [8]}
 
 
-PRESETS = sorted(file for file in CONFIGS.rglob("*.yaml") if file.parent.name != "search")  # those are tests/search's
+PRESETS = sorted(file for file in CONFIGS.rglob("*.yaml") if file.parent.name != "tuning")  # those are tests/tuning's
 
 
 @pytest.mark.parametrize("file", PRESETS, ids=lambda file: str(file.relative_to(CONFIGS)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tb2rl.learning.training import train_config
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
+from tb2rl.training.training import train_config
 
 SETTINGS = {
     "agent.n_steps": 16,

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch as th
 
-from tb2rl.learning.training import resume
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.runs.parameters import load_parameters, parameters_of
+from tb2rl.training.training import resume
 
 GLIDE = """
 from tb2rl.tasks import Outcome, Task, Velocities

@@ -28,9 +28,9 @@ import pytest
 import torch as th
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from tb2rl.learning.training import resume
 from tb2rl.runs.folder import Run
 from tb2rl.runs.loading import load
+from tb2rl.training.training import resume
 
 PROGRAM = Path(__file__).with_name("strangers")
 LARGE = 600  # files with damage at random

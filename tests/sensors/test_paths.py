@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.robots import Laser
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.sensors.paths import FreePaths

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.registry import find_world
 from tb2rl.robots.robot import RADIUS
 from tb2rl.robots.turtlebot2 import ROBOT

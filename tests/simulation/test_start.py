@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import SIMULATIONS, Reading, Start, simulate
 

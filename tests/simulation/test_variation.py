@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import SIMULATIONS, Start, simulate
 from tb2rl.simulation.kinematic import KinematicSimulation

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
 from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 from tb2rl.tasks import Commands, Velocities

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from tb2rl.core.errors import InputError
 from tb2rl.envs.make import make_env, make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.errors import InputError
 from tb2rl.simulation import Start
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.streams import GeneratorDraws

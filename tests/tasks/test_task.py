@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from tb2rl import make_env
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import build
 from tb2rl.registry import find_robot, find_task, find_world, task_names
 from tb2rl.robots.robot import WHEEL_ACCELERATION
 from tb2rl.simulation.setup import BOUNDS, CROWD, GOAL, POSE, WORLD
 from tb2rl.simulation.streams import GeneratorDraws, StreamDraws
 from tb2rl.tasks import Commands
 from tb2rl.tasks.wander import Wander
-from tb2rl.values import build
 from tb2rl.worlds.movers import find_movers
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.access import find_access
 from tb2rl.worlds.world import World
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.description import world_from
 
 EMPTY = {"start": [0, 0, 0], "bounds": [-5, -5, 5, 5]}

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import build
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.values import build
 from tb2rl.worlds.floor import SIDE, Floor
 from tb2rl.worlds.generators import FAMILIES, GENERATORS, Generated, generate, solvable
 from tb2rl.worlds.generators.lattice import neighbours, spanning_tree

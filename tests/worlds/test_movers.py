@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.registry import find_world
 from tb2rl.worlds.description import world_from, write_description
 from tb2rl.worlds.movers import Movers, find_movers

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.registry import find_world
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds import Import, World
 from tb2rl.worlds.readers import READERS, read_world
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds.generators import FAMILIES, GENERATORS, Generated, Purpose, generate, generator_of
 from tb2rl.worlds.suites import LEAST_WAY, RADIUS, Suite, barn, find_suite, unseen

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.registry import find_world, world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.judging.evaluator import EPISODES, SEED, STEPS, evaluate
-from tb2rl.judging.statistics import wilson_interval
+from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, evaluate
+from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.registry import world_names
 from tb2rl.runs.config import config_from
 from tb2rl.worlds.generators import GENERATORS

@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 import tb2rl
-from tb2rl.files import top_folder
-from tb2rl.learning.training import train_config
+from tb2rl.core.files import top_folder
 from tb2rl.runs.layers import resolve
+from tb2rl.training.training import train_config
 from tb2rl.zoo.entry import entries
 from tb2rl.zoo.sharing import card, environment_id
 

@@ -13,7 +13,7 @@ import pytest
 
 from tb2rl.commands import seeds as training
 from tb2rl.commands import suite as command
-from tb2rl.judging.suite_result import kept_result, kept_summary
+from tb2rl.evaluation.suite_result import kept_result, kept_summary
 from tb2rl.registry import find_agent
 from tb2rl.runs import loading
 from tb2rl.runs.folder import Run

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.core.errors import InputError, one_line
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.formats.sdf import read_sdf
 from tb2rl.worlds.world import World

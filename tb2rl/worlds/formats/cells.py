@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tb2rl.values import Pose
+from tb2rl.core.values import Pose
 from tb2rl.worlds.world import BoxShape, World
 
 

@@ -12,8 +12,8 @@ import shapely
 from pydantic import BeforeValidator
 from shapely.geometry.base import BaseGeometry
 
-from tb2rl.errors import InputError, WorldWarning
-from tb2rl.values import Pose, Positive
+from tb2rl.core.errors import InputError, WorldWarning
+from tb2rl.core.values import Pose, Positive
 from tb2rl.worlds.world import Bounds, BoxShape, PostShape, World
 
 _FLOOR = 5.0  # [m] on each side of the origin: the rectangle of a world in which nothing stands

@@ -18,9 +18,9 @@ import yaml
 from annotated_types import Ge, Le, MinLen
 from PIL import Image
 
-from tb2rl.errors import InputError, WorldWarning, one_line
-from tb2rl.files import replacing, write_text
-from tb2rl.values import Fraction, Pose, Positive, build
+from tb2rl.core.errors import InputError, WorldWarning, one_line
+from tb2rl.core.files import replacing, write_text
+from tb2rl.core.values import Fraction, Pose, Positive, build
 from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
 from tb2rl.worlds.formats.imports import Goal, Import, finished
 from tb2rl.worlds.world import World

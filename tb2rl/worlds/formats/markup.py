@@ -10,7 +10,7 @@ from typing import NoReturn
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.core.errors import InputError, one_line
 
 LARGEST_FILE = 8 * 2**20  # [bytes] a world of BARN has 0.7 MB
 _LONG_TAG = re.compile(rb"<[^<>]{50000}")  # a million attributes take seconds

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
-from tb2rl.errors import install_extra
+from tb2rl.core.errors import install_extra
 from tb2rl.worlds.formats.markup import LARGEST_NUMBER, read_limited, read_xml
 from tb2rl.worlds.formats.slices import STRAIGHT, Side, Slice
 

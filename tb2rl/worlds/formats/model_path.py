@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import unquote
 
-from tb2rl.errors import InputError, one_line
+from tb2rl.core.errors import InputError, one_line
 from tb2rl.worlds.formats.markup import read_xml, text_of
 
 VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")

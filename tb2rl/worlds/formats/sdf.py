@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.formats.imports import Import, Losses, finished
 from tb2rl.worlds.formats.markup import name_of, read_xml, text_of
 from tb2rl.worlds.formats.model_path import ModelPath, is_remote, model_file

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.formats.imports import Losses
 from tb2rl.worlds.formats.markup import numbers, sizes, text_of
 from tb2rl.worlds.formats.meshes import MeshError, cut, load_mesh

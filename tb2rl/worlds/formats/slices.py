@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.formats.cells import merge_cells
 from tb2rl.worlds.world import BoxShape, PostShape
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.floor import SIDE, Floor
 from tb2rl.worlds.world import BoxShape, PostShape, World
 

@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Le
 
-from tb2rl.errors import InputError
-from tb2rl.values import ASCENDING, MOST_WORLDS, PAIR, Fraction
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import ASCENDING, MOST_WORLDS, PAIR, Fraction
 from tb2rl.worlds.generators.enclosure import Size
 from tb2rl.worlds.world import World
 

@@ -25,9 +25,9 @@ from damage import damage
 from pickles import pickles
 from surgery import Case, agents, checkpoint_of
 
-from tb2rl.errors import InputError
-from tb2rl.learning.training import resume
+from tb2rl.core.errors import InputError
 from tb2rl.runs.loading import load
+from tb2rl.training.training import resume
 
 MEMORY = 2 * 2**30  # [bytes] of address space that a file may cost on top of a process that has loaded good ones
 LONGEST = 10  # [s] that a file may take

@@ -6,7 +6,7 @@ import warnings
 
 import pytest
 
-from tb2rl.errors import WorldWarning
+from tb2rl.core.errors import WorldWarning
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.readers import read_world
 

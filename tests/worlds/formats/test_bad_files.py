@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.readers import read_world
 
@@ -187,7 +187,7 @@ def posts():
     return "".join(SOLID.format(pose=f"{k % 70} {k // 70} 0 0 0 0", shape=shape) for k in range(5000))
 
 
-@pytest.mark.filterwarnings("ignore::tb2rl.errors.WorldWarning")
+@pytest.mark.filterwarnings("ignore::tb2rl.core.errors.WorldWarning")
 @pytest.mark.parametrize("inside", [deletions, states, frames, posts])
 def test_a_world_of_thousands_of_parts_is_read_within_two_seconds(inside, write):
     path = write("large.world", world(inside()))

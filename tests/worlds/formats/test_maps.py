@@ -12,7 +12,7 @@ import pytest
 import shapely
 from PIL import Image
 
-from tb2rl.errors import InputError, WorldWarning
+from tb2rl.core.errors import InputError, WorldWarning
 from tb2rl.registry import find_world, world_names
 from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
 from tb2rl.worlds.formats.imports import Import

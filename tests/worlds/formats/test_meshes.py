@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.errors import install_extra
+from tb2rl.core.errors import install_extra
 
 SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.errors import InputError
+from tb2rl.core.errors import InputError
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.readers import read_world
 

@@ -1,0 +1,47 @@
+"""ROS 1 as Debian packages it, for a virtual environment: it stands in a folder of its own that pip does not know."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+from tb2rl.core.errors import InputError
+
+PACKAGES = Path("/usr/lib/python3/dist-packages")  # of Debian's own Python, by its policy
+INSTALL = (
+    "apt-get install --no-install-recommends python3-rospy python3-sensor-msgs python3-nav-msgs python3-geometry-msgs "
+    "python3-std-srvs python3-tf2-msgs python3-diagnostic-msgs"
+)
+
+
+def find_rospy() -> None:
+    """Make rospy importable, with the messages of ROS 1: those of ROS 2 have the same names, and may be here, too.
+
+    Raises:
+        InputError: If it is not installed.
+    """
+    spec = find_spec("rospy")
+    if spec is None and not (PACKAGES / "rospy").is_dir():
+        raise InputError(f"--ros 1 needs rospy, which is not installed; on Debian and Ubuntu: {INSTALL}")
+    home = PACKAGES if spec is None or spec.origin is None else Path(spec.origin).parent.parent
+    if spec is None:
+        sys.path.append(str(home))  # at the end: what pip installed comes first
+    if not any(isinstance(finder, _MessageFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _MessageFinder(home))
+
+
+class _MessageFinder:
+    """Finds packages of messages where rospy is, before others of their names."""
+
+    def __init__(self, home: Path) -> None:
+        self._home = str(home)
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """See `importlib.abc.MetaPathFinder`."""
+        return PathFinder.find_spec(name, [self._home]) if name.endswith(("_msgs", "_srvs")) else None

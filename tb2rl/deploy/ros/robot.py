@@ -1,0 +1,140 @@
+"""A robot with ROS as an environment: `make_env(policy, simulation="ros")`, or with a `RosRobot` for what is not usual.
+
+Its episodes begin where the robot stands, on a floor that knows no walls: x ahead, y to the left. A policy that plans
+its way on a map needs one: there they begin at the start of the task's world.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import build
+from tb2rl.deploy import Limits, Mounting
+from tb2rl.deploy.ros.graph import join
+from tb2rl.deploy.ros.remote import RemoteRobot
+from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics
+from tb2rl.deploy.trained import floor, needs_in
+from tb2rl.envs.scene import Scene
+from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.simulation import ROS, SIMULATIONS
+
+NAME = "tb2rl_environment"  # of the node
+_UPSIDE_DOWN = "upside-down"
+
+
+@dataclass(frozen=True)
+class RosRobot:
+    """Where a robot is, and what there is to know of it.
+
+    Attributes:
+        ros: Which ROS, 1 or 2.
+        topics: Other names than a TurtleBot2's, by the keys of `tb2rl.deploy.ros.topics.DriverTopics`.
+        mounting: Where its scanner is.
+        limits: What it is to do at most.
+        goal: Where to get, at a task with goals: x, y [m] ahead and to the left of where an episode begins, or on the
+            map of a policy that plans its way on one; None: what `task.goal` says.
+        arguments: What follows `--ros-args` on a command line; for ROS 2.
+    """
+
+    ros: int = 1
+    topics: Mapping[str, str] = field(default_factory=dict)
+    mounting: Mounting = field(default_factory=Mounting)
+    limits: Limits = field(default_factory=Limits)
+    goal: tuple[float, float] | None = None
+    arguments: tuple[str, ...] = ()
+
+    def env(self, scene: Scene, render_mode: str | None = None) -> TurtleBot2Env:
+        """The environment, in the graph of ROS; there is one at a time.
+
+        Raises:
+            InputError: If this ROS is not installed, or what the scene's task needs is not to be had of a robot.
+        """
+        if self.ros not in TURTLEBOT2:
+            raise InputError(f"there is ROS 1 and ROS 2, got {self.ros!r}")
+        if self.arguments and self.ros == 1:
+            raise InputError("--ros-args is for --ros 2")
+        topics = build(DriverTopics, {**asdict(TURTLEBOT2[self.ros]), **self.topics}, "topics")
+        scene = robot_scene(scene, self.goal)
+        graph = join(self.ros, NAME, self.arguments)
+        try:
+            robot = RemoteRobot(scene.setup, needs_in(scene), graph, topics, self.mounting, self.limits)
+        except BaseException:
+            graph.close()
+            raise
+        return TurtleBot2Env(scene, render_mode, robot)
+
+
+def ros_robot(simulation: RosRobot | str) -> RosRobot:
+    """The robot itself, or a TurtleBot2 with ROS 1 for "ros": what evaluations and films take as `simulation`.
+
+    Raises:
+        InputError: For another name.
+    """
+    if isinstance(simulation, str):
+        if simulation != ROS:
+            raise InputError(
+                f"simulation takes {', '.join(map(repr, SIMULATIONS))}, {ROS!r} or a RosRobot, got {simulation!r}"
+            )
+        return RosRobot()
+    return simulation
+
+
+def robot_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:
+    """A scene as a robot has it, which comes as it is, and whose world nobody knows.
+
+    Args:
+        scene: What the policy was trained at.
+        goal: See `RosRobot`.
+
+    Raises:
+        InputError: If a policy cannot do there what it does in the scene.
+    """
+    task, planned = scene.task, needs_in(scene).goal == "plan"
+    worlds = scene.setup.worlds
+    if planned and len(worlds) > 1:
+        raise InputError(f"a way is planned on one map, and {scene.place} are {len(worlds)}: name yours by task.world")
+    if goal is not None and not hasattr(task, "goal"):
+        raise InputError("a goal goes with a task that has one, such as navigate")
+    goal = goal or getattr(task, "goal", None)
+    if task.goal_task and goal is None and not (planned and worlds[0].goal):
+        raise InputError("say where to get, such as --goal 3,0.5: m ahead and to the left of where the robot begins")
+    if not planned:
+        worlds = (floor((0.0, 0.0), goal or (0.0, 0.0)),)
+    worlds = tuple(replace(world, movers=()) for world in worlds)
+    goals = {} if goal is None else {"goal": goal}
+    return scene.in_worlds(worlds, start="fixed", variation="none", movers=None, noise=0.0, **goals)
+
+
+def parse_mounting(text: str) -> Mounting:
+    """Where the scanner is, as the command line has it: "x,y,yaw" or "x,y,yaw,upside-down".
+
+    Raises:
+        InputError: If it is not that.
+    """
+    *numbers, last = text.split(",")
+    upside_down = last == _UPSIDE_DOWN
+    try:
+        x, y, yaw = map(float, numbers if upside_down else [*numbers, last])
+    except ValueError:
+        x = y = yaw = math.nan
+    if not all(map(math.isfinite, (x, y, yaw))):
+        raise InputError(
+            f"--mounting takes x,y,yaw or x,y,yaw,{_UPSIDE_DOWN} in m and rad, such as 0.1,0,3.14159, got {text!r}"
+        )
+    return Mounting(x, y, yaw, upside_down)
+
+
+def parse_limits(speed: float | None, option: str = "--speed") -> Limits:
+    """The speed [m/s] that the robot is to keep to; None: what the policy drives.
+
+    Raises:
+        InputError: If it is no speed.
+    """
+    if speed is None:
+        return Limits()
+    if not 0.0 < speed < math.inf:
+        raise InputError(f"{option} takes m/s above 0, got {speed:g}")
+    return Limits(speed=speed)

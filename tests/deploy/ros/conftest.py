@@ -1,0 +1,320 @@
+"""Real graphs of ROS 1 and ROS 2 for tests, on this machine's loopback alone, and programs that join them.
+
+    def test_it(graph):                                     # once in ROS 1, once in ROS 2
+        with graph.start("simulate", "--rate", "5") as simulated, graph.probe() as probe:
+            probe.listen("/odom", "nav_msgs/Odometry")
+            (odometry,) = probe.take("/odom")
+
+A program is a process of its own, as on a robot: `start` gives one of `python -m tb2rl.ros`, once it has said its first
+line. ROS 1 is Debian's (see `.ci/run`), ROS 2 that of `make ros`, or what this Python has. Without them the tests are
+skipped, and say what is missing. `FakeGraph` is one of plain Python.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tb2rl.deploy.ros.debian import PACKAGES
+from tb2rl.deploy.ros.messages import Heard, Message
+
+CHECKOUT = Path(__file__).parent.parent.parent
+DEBIANS_PYTHON = "/usr/bin/python3"
+PATIENCE = 300.0  # [s] for a process to begin or to end: the machine may be busy
+
+
+class Process:
+    """A program whose lines are read as they come."""
+
+    def __init__(self, command: list[str], env: dict[str, str], folder: Path) -> None:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        self._process = subprocess.Popen(command, env=env, cwd=folder, text=True, bufsize=1, **pipes)
+        self.lines: list[str] = []  # of its stdout
+        self.errors: list[str] = []  # of its stderr
+        self._readers = [
+            threading.Thread(target=self._read, args=pair, daemon=True)
+            for pair in ((self._process.stdout, self.lines), (self._process.stderr, self.errors))
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self, stream: Any, lines: list[str]) -> None:
+        lines.extend(line.rstrip("\n") for line in stream)
+
+    def say(self, line: str) -> None:
+        """Write a line to its stdin."""
+        self._process.stdin.write(f"{line}\n")
+
+    def wait_for_line(self, number: int, seconds: float = PATIENCE) -> str:
+        """Line `number` of its stdout, once it is there."""
+        until = time.monotonic() + seconds
+        while len(self.lines) <= number:
+            ended = self._process.poll()
+            assert ended is None or len(self.lines) > number, f"ended with {ended}: {self.lines} {self.errors}"
+            assert time.monotonic() < until, f"no line {number}: {self.lines} {self.errors}"
+            time.sleep(0.01)
+        return self.lines[number]
+
+    def wait(self, seconds: float = PATIENCE) -> int:
+        """Its exit status, once it has ended by itself and all its lines are read."""
+        status = self._process.wait(seconds)
+        for reader in self._readers:
+            reader.join()
+        return status
+
+    def stop(self, sign: signal.Signals = signal.SIGINT) -> int:
+        """End it by a signal: its exit status."""
+        self._process.send_signal(sign)
+        return self.wait()
+
+    def close(self) -> None:
+        """Kill it, if it still runs."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self.wait()
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+            stream.close()
+
+
+class Probe(Process):
+    """A node of its own that does what `tests/deploy/ros/probe.py` can: `probe.take("/odom", count=3)`."""
+
+    def ask(self, what: str, **arguments: Any) -> Any:
+        """One of its methods: what that returns."""
+        self.say(json.dumps([what, arguments]))
+        self._asked += 1
+        return json.loads(self.wait_for_line(self._asked))
+
+    def begin(self) -> None:
+        self._asked = 0
+        assert json.loads(self.wait_for_line(0)) == "ready"
+
+    def listen(self, topic: str, kind: str) -> None:
+        self.ask("listen", topic=topic, kind=kind)
+
+    def take(self, topic: str, count: int = 1, fresh: bool = True) -> list[dict[str, Any]]:
+        return self.ask("take", topic=topic, count=count, fresh=fresh)
+
+    def drive(self, linear: float, angular: float = 0.0, topic: str = "/cmd_vel") -> None:
+        self.ask("drive", topic=topic, linear=linear, angular=angular)
+
+    def call(self, service: str) -> None:
+        self.ask("call", service=service)
+
+
+class RosGraph:
+    """One graph: what its processes need to join it.
+
+    Args:
+        version: 1 or 2.
+        folder: For logs, and to work in.
+        variables: Of the environment, that join this graph.
+    """
+
+    def __init__(self, version: int, folder: Path, variables: dict[str, str]) -> None:
+        self.version, self.folder = version, folder
+        logs = {"ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / "log")}
+        self.env = {**clean_environment(), **variables, **logs}
+        self.python = sys.executable if version == 1 else ros2_python()  # what has both tb2rl and this ROS
+
+    @contextmanager
+    def start(self, what: str, *arguments: str) -> Iterator[Process]:
+        """`python -m tb2rl.ros` with some arguments, once it has said its first line."""
+        with self.command("ros", what, "--ros", str(self.version), *arguments) as process:
+            process.wait_for_line(0)
+            yield process
+
+    @contextmanager
+    def command(self, name: str, *arguments: str) -> Iterator[Process]:
+        """`python -m tb2rl.NAME` with some arguments."""
+        command = [str(self.python), "-m", f"tb2rl.{name}", *arguments]
+        process = Process(command, {**self.env, "PYTHONPATH": self._path(CHECKOUT)}, self.folder)
+        try:
+            yield process
+        finally:
+            process.close()
+
+    @contextmanager
+    def probe(self) -> Iterator[Probe]:
+        """A node that a test tells what to do."""
+        python = DEBIANS_PYTHON if self.version == 1 else str(self.python)
+        command = [python, str(Path(__file__).with_name("probe.py")), str(self.version)]
+        process = Probe(command, {**self.env, "PYTHONPATH": self._path()}, self.folder)
+        try:
+            process.begin()
+            yield process
+        finally:
+            process.close()
+
+    def run(self, program: Path, *arguments: str) -> list[str]:
+        """A program of ROS 1 that knows nothing of ours, until it ends: the lines of its stdout."""
+        command = [DEBIANS_PYTHON, str(program), *arguments]
+        process = Process(command, {**self.env, "PYTHONPATH": self._path()}, self.folder)
+        try:
+            assert process.wait(10 * PATIENCE) == 0, process.errors
+            return process.lines
+        finally:
+            process.close()
+
+    def _path(self, *more: Path) -> str:
+        return os.pathsep.join(map(str, [*more, self.folder / "messages"]))  # of ROS 1, if a test wrote any
+
+
+@contextmanager
+def ros1(folder: Path) -> Iterator[RosGraph]:
+    """A master on a free port."""
+    folder.mkdir(exist_ok=True)
+    port = free_port()
+    variables = {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
+    graph = RosGraph(1, folder, variables)
+    master = Process([rosmaster(), "--core", "-p", str(port)], graph.env, folder)
+    try:
+        wait_for_port(port, master)
+        yield graph
+    finally:
+        master.close()
+
+
+@contextmanager
+def ros2(folder: Path) -> Iterator[RosGraph]:
+    """A domain of its own."""
+    folder.mkdir(exist_ok=True)
+    domain = str(1 + os.getpid() % 100)  # 101 is the largest that needs no ports that Linux gives to others
+    yield RosGraph(2, folder, {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+
+
+def clean_environment() -> dict[str, str]:
+    """Ours, without what says which ROS and which Python packages a shell is set up for."""
+    ours = ("ROS", "RMW", "AMENT", "CMAKE_PREFIX", "PYTHONPATH", "PYTHONHOME")
+    return {name: value for name, value in os.environ.items() if not name.startswith(ours)}
+
+
+def rosmaster() -> str:
+    """The master's program."""
+    return shutil.which("rosmaster") or "rosmaster"
+
+
+def ros2_python() -> Path | None:
+    """A Python that has rclpy, and tb2rl; None: there is none."""
+    made = CHECKOUT / ".venv-ros2" / "bin" / "python"
+    if made.exists():
+        return made
+    return Path(sys.executable) if find_spec("rclpy") else None
+
+
+def skip_without(version: int) -> None:
+    """Skip the test where this ROS is not installed."""
+    if version == 1 and not ((PACKAGES / "rospy").is_dir() and shutil.which("rosmaster")):
+        pytest.skip("ROS 1 is not installed: apt-get install python3-rospy python3-rosmaster ... (see .ci/run)")
+    if version == 2 and ros2_python() is None:
+        pytest.skip("ROS 2 is not installed: make ros")
+
+
+def free_port() -> int:
+    """A port of the loopback that nobody listens at."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+def wait_for_port(port: int, server: Process) -> None:
+    """Until somebody listens there."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            with socket.create_connection(("127.0.0.1", port), timeout=1.0):
+                return
+        except OSError:
+            assert time.monotonic() < until, f"nobody listens at {port}: {server.errors}"
+            time.sleep(0.05)
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["ros1", "ros2"])
+def graph(request, tmp_path_factory):
+    """A graph of ROS 1, then one of ROS 2."""
+    yield from _graph(request.param, tmp_path_factory.mktemp("graph"))
+
+
+@pytest.fixture(scope="module")
+def graph1(tmp_path_factory):
+    """A graph of ROS 1."""
+    yield from _graph(1, tmp_path_factory.mktemp("graph"))
+
+
+def _graph(version: int, folder: Path) -> Iterator[RosGraph]:
+    skip_without(version)
+    with (ros1 if version == 1 else ros2)(folder) as graph:
+        yield graph
+
+
+class FakeEnd:
+    """An end of a topic that somebody is at the other end of, unless a test says else."""
+
+    def __init__(self) -> None:
+        self.there, self.said = True, list[Message]()
+
+    def connected(self) -> bool:
+        return self.there
+
+    def say(self, message: Message) -> None:
+        self.said.append(message)
+
+
+class FakeGraph:
+    """See `tb2rl.deploy.ros.graph.Graph`: it keeps what is published, and a test calls what listens and what serves."""
+
+    def __init__(self) -> None:
+        self.ends: dict[str, FakeEnd] = {}
+        self.heard: dict[str, Callable[[Any], None]] = {}
+        self.services: dict[str, Callable[[], str | None]] = {}  # ours, and those of others
+        self.over, self.time, self.simulated = False, 0.0, False
+
+    def publisher(self, topic: str, kind: type[Message]) -> FakeEnd:
+        return self.ends.setdefault(topic, FakeEnd())
+
+    def listen(self, topic: str, kind: type[Heard], heard: Callable[[Any], None]) -> FakeEnd:
+        self.heard[topic] = heard
+        return self.ends.setdefault(topic, FakeEnd())
+
+    def serve(self, service: str, kind: str, called: Callable[[], str | None]) -> None:
+        self.services[service] = called
+
+    def call(self, service: str, kind: str) -> bool:
+        if service in self.services:
+            self.services[service]()
+        return service in self.services
+
+    def now(self) -> float:
+        return self.time
+
+    def time_is_simulated(self) -> bool:
+        return self.simulated
+
+    def keep_time(self) -> None:
+        self.keeps_time = True
+
+    def is_over(self) -> bool:
+        return self.over
+
+    def close(self) -> None:
+        self.over = True
+
+
+@pytest.fixture
+def fake_graph() -> FakeGraph:
+    """A `FakeGraph`."""
+    return FakeGraph()

@@ -1,0 +1,131 @@
+"""Policies and tasks to judge: a driver with one action, and tasks that are special in one way each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tb2rl import train
+from tb2rl.evaluation.evaluation import Episode, Evaluation
+from tb2rl.sensors import Sensor
+from tb2rl.tasks import Outcome, Task, Velocities
+from tb2rl.tasks.wander import Wander
+
+
+class _Ahead:
+    """Takes the same action all the time, the first one: forward."""
+
+    def __init__(self) -> None:
+        self.observations: list = []
+
+    def predict(self, observation, *, deterministic=False):
+        self.observations.append(observation)
+        return np.int64(0), None
+
+
+@dataclass(frozen=True)
+class Cruise(Task):
+    """Any speeds within a range."""
+
+    actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
+
+    def judge(self, before, action, after):
+        return Outcome(after.twist[:, 0], failed={"bump": after.bumped})
+
+
+@dataclass(frozen=True)
+class Northward(Wander):
+    """Every episode begins with a look along y, and has a goal of its own."""
+
+    goal_task = True
+
+    def begin(self, setup, draws):
+        start = super().begin(setup, draws)
+        start.pose[:, 2] = math.pi / 2
+        start.goal[:] = draws.uniform(2)
+        return start
+
+    def judge(self, before, action, after):
+        outcome = super().judge(before, action, after)
+        return replace(outcome, succeeded={"goal": np.zeros(len(outcome.reward), dtype=bool)})
+
+
+class _Picture(Sensor):
+    """Grey where the way is free."""
+
+    name, shape = "picture", (1, 36, 36)
+
+    def read(self, reading):
+        rows = np.arange(36)[:, None] < 12 * np.minimum(reading.ranges, 3.0)[:, None, :]
+        return (255 * rows[:, None]).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Pictured(Wander):
+    """Observes an image beside its laser's ranges."""
+
+    def sensors(self, setup):
+        return (*super().sensors(setup), _Picture())
+
+
+def _outcomes(evaluation: Evaluation) -> list[tuple]:
+    """All that happened, to compare to the bit."""
+    return [
+        (e.start, e.ended, e.failed, e.length, e.distance, e.episode_return, e.path.tolist(), e.actions.tolist())
+        for e in evaluation.episodes
+    ]
+
+
+def _episode(ended="time limit", success=True, length=0, distance=1.0, total=0.0, failed=None) -> Episode:
+    """An episode that was not driven; a crash counts as failed, other endings as `failed` says."""
+    failed = ended == "crash" if failed is None else failed
+    path, actions = np.zeros((length + 1, 2), np.float32), np.zeros(length, np.uint8)
+    return Episode((0.0, 0.0, 0.0), ended, failed, success, failed, length, distance, total, path, actions)
+
+
+@pytest.fixture
+def ahead():
+    """A policy that drives forward and remembers what it observed."""
+    return _Ahead()
+
+
+@pytest.fixture
+def outcomes():
+    """The function `_outcomes`."""
+    return _outcomes
+
+
+@pytest.fixture
+def make_episode():
+    """The function `_episode`."""
+    return _episode
+
+
+@pytest.fixture
+def cruise() -> type[Task]:
+    """A task with continuous actions."""
+    return Cruise
+
+
+@pytest.fixture
+def northward() -> type[Task]:
+    """A task with a start of its own."""
+    return Northward
+
+
+@pytest.fixture
+def pictured() -> type[Task]:
+    """A task whose observations are mappings."""
+    return Pictured
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A run folder with a policy that knows next to nothing."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    train("qlearn", total_timesteps=100, n_envs=1, eval_freq=0, save_freq=0, folder=folder)
+    return folder

@@ -1,0 +1,98 @@
+"""The file of a suite's result: it comes back as it was, and one that is another is refused by name."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+
+import pytest
+
+from tb2rl.core.errors import InputError
+from tb2rl.evaluation.suite_result import Figures, NamedDrive, SuiteResult, SuiteSummary, kept_result, kept_summary
+
+FIGURES = Figures(1, 0.0, (0.0, 0.8), 1.0, 0.0, 0.0, None, 0.2, None, 0.0, {"bump": 1})
+DRIVE = NamedDrive(0, "bump", False, True, 5.0, 4.5, 1.0, 0.0, name="rooms 0", family="rooms")
+CONFIG = {"agent": {"name": "dwa"}, "task": {"name": "navigate", "robot": "turtlebot2"}, "train": {}}
+SUMMARY = SuiteSummary("unseen", "abc", "kinematic", "agent dwa", None, {"all": FIGURES}, CONFIG, {"numpy": "2"})
+RESULT = SuiteResult(**vars(SUMMARY), suite_path="/somewhere/of/mine", each=(DRIVE,))
+
+
+def test_a_result_comes_back_as_it_was(tmp_path):
+    file = tmp_path / "it.json"
+    file.write_text(json.dumps(asdict(RESULT), allow_nan=False))
+    assert kept_result(file) == RESULT
+    assert RESULT.title == "agent dwa, turtlebot2, fast twin: suite unseen"
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        (
+            {"movers": [{"people": 3}, {"boxes": 1}, {"people": 1}, {"posts": 2, "presence": 0.5}]},
+            "among 4 people and 1 box and 2 posts in 50% of the episodes, ",
+        ),
+        ({"variation": "strong"}, "strong variation, "),
+        ({"variation": {"preset": "mild"}, "movers": {"people": 1}}, "among 1 person, mild variation, "),
+        ({"variation": {"noise": 0.1}}, "variation of noise, "),
+        ({"variation": "none", "guide": "plan", "planner": "seen"}, "guide plan (planner seen), "),
+    ],
+)
+def test_a_title_says_under_what_conditions_it_drove(task, said):
+    driven = replace(SUMMARY, config={**CONFIG, "task": {**CONFIG["task"], **task}})
+    assert driven.title == f"agent dwa, {said}turtlebot2, fast twin: suite unseen"
+
+
+def test_a_summary_is_small_names_no_place_and_comes_back_as_it_was(tmp_path):
+    assert RESULT.summary == SUMMARY
+    file = tmp_path / "it.json"
+    file.write_text(json.dumps(asdict(RESULT.summary), allow_nan=False))
+    assert "somewhere" not in file.read_text()
+    assert kept_summary(file) == SUMMARY
+    file.write_text(json.dumps(asdict(RESULT)))
+    with pytest.raises(InputError, match=r"it\.json is not the summary of a suite: .*'suite_path'"):
+        kept_summary(file)
+
+
+@pytest.mark.parametrize(
+    ("task", "guide"),
+    [
+        ({}, ""),
+        ({"guide": "goal", "planner": "known"}, "goal"),
+        ({"guide": "plan", "planner": "seen"}, "plan (planner seen)"),
+    ],
+)
+def test_a_summary_says_what_guided(task, guide):
+    assert replace(SUMMARY, config={**CONFIG, "task": task}).guide == guide
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"each": []}, "result.each"),
+        ({"each": [asdict(DRIVE) | {"world": 1}]}, "one world after the other"),
+        ({"each": [asdict(DRIVE) | {"time": "long"}]}, "result.each.0.time"),
+        ({"figures": {"rooms": asdict(FIGURES)}}, "the figures of all worlds"),
+        ({"figures": {"all": asdict(FIGURES) | {"spl": 7}}}, "result.figures.all.spl"),
+        ({"figures": {"all": asdict(FIGURES) | {"mean_speed": float("nan")}}}, "result.figures.all.mean_speed"),
+        ({"figures": {"all": asdict(FIGURES) | {"mean_speed": 10**400}}}, "result.figures.all.mean_speed"),
+        ({"simulation": "gazebo"}, "result.simulation"),
+        ({"config": {"task": 3}}, "result.config.task"),
+        ({"episodes": 100}, "unknown key of result 'episodes'"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(changes, named, tmp_path):
+    check_refused(json.dumps(asdict(RESULT) | changes), named, tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "no JSON", "[]", "7", "[" * 100_000, '{"suite": "unseen"}'])
+def test_what_is_no_result_is_refused(text, tmp_path):
+    check_refused(text, "", tmp_path)
+
+
+def check_refused(text: str, named: str, tmp_path) -> None:
+    file = tmp_path / "it.json"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"it\.json is not the result of a suite: .*") as refused:
+        kept_result(file)
+    assert named in str(refused.value)
+    assert "\n" not in str(refused.value)

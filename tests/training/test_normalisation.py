@@ -1,0 +1,198 @@
+"""Normalised trainings: what they learn from, and policies that take observations as they are, wherever they drive."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import re
+from contextlib import closing
+
+import cloudpickle
+import numpy as np
+import pytest
+import stable_baselines3
+import torch as th
+from stable_baselines3.common.vec_env import VecNormalize
+
+from tb2rl import evaluate, load, make_env
+from tb2rl.commands.convert import export_policy
+from tb2rl.core.errors import InputError
+from tb2rl.evaluation.evaluator import TRAINING_SEED
+from tb2rl.evaluation.twin import TwinEvaluator
+from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
+from tb2rl.runs.layers import parse_settings
+from tb2rl.runs.normalisation import driving_policy
+from tb2rl.training.environments import make_vec_env
+from tb2rl.training.training import resume, train_config
+from tb2rl.viz.action_map import action_map
+from tb2rl.viz.film import film
+
+SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw"}
+ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2, **SMALL}
+OFF_POLICY = {"agent.learning_starts": 32, "agent.buffer_size": 200, "agent.batch_size": 16, **SMALL}
+BOTH = {"norm_obs": True, "norm_reward": True}
+TRAININGS = {
+    "PPO": ("stable_baselines3:PPO", "maze", ON_POLICY),
+    "PPO, frames": ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.frames": 3}),
+    "PPO, an image beside": ("stable_baselines3:PPO", "my_tasks:Pictured", {**ON_POLICY, "task.frames": 2}),
+    "SAC": ("stable_baselines3:SAC", "my_tasks:Glide", {**OFF_POLICY, "train.eval_simulation": "bullet"}),
+    "DQN, an image beside": ("stable_baselines3:DQN", "my_tasks:Pictured", OFF_POLICY),
+    "RecurrentPPO": (
+        "sb3_contrib:RecurrentPPO",
+        "my_tasks:Glide",
+        {**ON_POLICY, "agent.policy_kwargs.lstm_hidden_size": 8},
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=TRAININGS)
+def run(request, small, tmp_path_factory):
+    """A short training of each kind, normalised, with evaluations on the way."""
+    agent, task, settings = TRAININGS[request.param]
+    evaluations = {"eval_freq": 64, "eval_episodes": 2, "eval_steps": 15}
+    config = small(agent, task, settings, episode_steps=20, **evaluations, **BOTH)
+    return train_config(config, tmp_path_factory.mktemp("normalised") / "run").run
+
+
+def observations_of(policy, steps=12):
+    """What one robot observes on a drive, as the environment gives it."""
+    env = make_env(policy, simulation="kinematic")
+    seen = [env.reset(seed=1)[0]]
+    env.action_space.seed(1)
+    seen += [env.step(env.action_space.sample())[0] for _ in range(steps)]
+    env.close()
+    return seen
+
+
+def test_a_loaded_policy_normalises_as_the_environments_of_its_training_did(run):
+    file = run.policy_file
+    policy, content = load(file), read_checkpoint(file)
+    theirs = make_algorithm(run.config, Spaces.vectorised(run.config))
+    theirs.policy.load_state_dict({key: th.from_numpy(value) for key, value in content["policy"].items()})
+    env = theirs.get_vec_normalize_env()
+    assert isinstance(env, VecNormalize)
+    for name, saved in content["normalisation"]["observations"].items():
+        met = env.obs_rms[name] if isinstance(env.obs_rms, dict) else env.obs_rms
+        met.mean, met.var = saved["mean"], saved["var"]
+        assert saved["count"] > 60
+    ways = [policy.predict, policy.policy.predict]
+    once = pickle.loads(cloudpickle.dumps(policy.policy))
+    ways += [once.predict, pickle.loads(cloudpickle.dumps(once)).predict, copy.deepcopy(once).predict]
+    for observation in observations_of(policy):
+        wanted = theirs.predict(env.normalize_obs(observation), deterministic=True)[0]
+        for predict in ways:
+            np.testing.assert_array_equal(predict(observation, deterministic=True)[0], wanted)
+
+
+def test_evaluations_while_training_are_those_of_the_loaded_policy(run):
+    lines = (run.folder / "evaluations.jsonl").read_text().splitlines()
+    noted = [line for line in map(json.loads, lines) if line["best"]][-1]
+    policy = load(run.folder / "best" / "policy.safetensors")
+    if run.config.train.eval_simulation == "kinematic":
+        with TwinEvaluator(run.config.scene, 2, 15, TRAINING_SEED) as evaluator:
+            here = evaluator.run(policy.policy)
+    else:  # the training's were in other processes
+        here = evaluate(policy, episodes=2, steps=15, seed=TRAINING_SEED, workers=1)
+    summary = json.loads(json.dumps(here.summary()))
+    assert {name: noted[name] for name in summary} == summary
+    assert policy.num_timesteps == noted["timesteps"]
+
+
+@pytest.mark.parametrize("run", ["PPO, frames", "RecurrentPPO"], indirect=True)
+def test_a_map_of_actions_and_a_film_take_a_normalised_policy(run, tmp_path):
+    policy = load(run.folder)
+    assert action_map(policy, run.config.scene).actions.max() >= 0
+    assert film(policy, tmp_path / "it.gif", steps=3, episodes=1).is_file()
+
+
+def test_returns_are_discounted_as_the_agent_does_and_logged_as_they_are(small):
+    settings = {**ON_POLICY, "agent.gamma": 0.5}
+    config = small("stable_baselines3:PPO", "maze", settings, episode_steps=4, reward_scale=0.5, **BOTH)
+    with closing(make_vec_env(config)) as inner:
+        env = make_algorithm(config, inner).get_vec_normalize_env()
+        assert (env.gamma, env.norm_obs, env.norm_reward, env.training) == (0.5, True, True, True)
+        env.seed(0)
+        env.reset()
+        total = np.zeros(4)
+        for _ in range(4):
+            _, rewards, _, infos = env.step(np.zeros(4, int))
+            assert not np.allclose(rewards, env.get_original_reward())
+            total += env.get_original_reward() / 0.5
+        assert [info["episode"]["r"] for info in infos] == total.tolist()
+
+
+def test_the_scale_of_the_reward_makes_no_difference_where_rewards_are_normalised(small, tmp_path):
+    weights = []
+    for scale in (1.0, 0.25):
+        config = small("stable_baselines3:PPO", settings=ON_POLICY, reward_scale=scale, norm_reward=True)
+        policy = load(train_config(config, tmp_path / str(scale)).run.folder).policy
+        weights.append(th.cat([parameter.flatten() for parameter in policy.parameters()]))
+    th.testing.assert_close(*weights, rtol=1e-3, atol=1e-4)
+    plain = load(train_config(small("stable_baselines3:PPO", settings=ON_POLICY), tmp_path / "plain").run.folder).policy
+    assert not th.allclose(weights[0], th.cat([parameter.flatten() for parameter in plain.parameters()]), atol=1e-3)
+
+
+def test_a_table_can_have_its_rewards_normalised(small, tmp_path):
+    runs = [train_config(small(norm_reward=norm), tmp_path / str(norm)).run for norm in (True, False)]
+    assert read_checkpoint(runs[0].policy_file)["normalisation"].keys() == {"observations", "rewards"}
+    largest = [float(load(run.folder).policy.q.abs().max()) for run in runs]
+    assert 0.0 < largest[0] < largest[1] / 10
+
+
+def test_a_policy_that_normalises_nothing_is_the_one_that_it_was(small, tmp_path):
+    folder = train_config(small(), tmp_path / "run").run.folder
+    algorithm = load(folder)
+    assert driving_policy(algorithm) is algorithm.policy
+    assert algorithm.get_vec_normalize_env() is None
+    assert read_checkpoint(folder / "final" / "policy.safetensors")["normalisation"] == {}
+
+
+@pytest.mark.parametrize(
+    ("agent", "task", "settings"),
+    [
+        ("qlearn", "maze", {}),
+        ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.observation": "discrete"}),
+        ("stable_baselines3:PPO", "my_tasks:OnlyPicture", ON_POLICY),
+    ],
+    ids=["table", "classes", "image"],
+)
+def test_classes_and_images_are_not_normalised(agent, task, settings, small, tmp_path):
+    config = small(agent, task, settings, norm_obs=True)
+    with pytest.raises(InputError, match=r"train\.norm_obs normalises numbers, and here classes or images") as refused:
+        train_config(config, tmp_path / "run")
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_nearness_is_refused_and_what_the_message_says_works(small, tmp_path):
+    settings = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 1}
+    with pytest.raises(InputError, match="Nearness, which reads metres") as refused:
+        train_config(small("ppo", settings=settings, norm_obs=True), tmp_path / "refused")
+    advice = parse_settings(re.findall(r"agent\.\S+=\S+", str(refused.value)))
+    assert len(advice) == 2
+    train_config(small("ppo", settings=settings | advice, norm_obs=True), tmp_path / "run")
+
+
+@pytest.mark.parametrize("run", ["PPO, an image beside"], indirect=True)
+def test_a_zip_for_stable_baselines3_comes_with_its_statistics(run, tmp_path):
+    policy = load(run.folder)
+    files = export_policy(run.folder, tmp_path / "it.zip")
+    assert files == [tmp_path / "it.zip", tmp_path / "it-vecnormalize.pkl"]
+    theirs = stable_baselines3.PPO.load(files[0])
+    env = VecNormalize.load(files[1], Spaces.vectorised(run.config))
+    assert not env.training
+    for observation in observations_of(policy):
+        wanted = theirs.predict(env.normalize_obs(observation), deterministic=True)[0]
+        np.testing.assert_array_equal(policy.predict(observation, deterministic=True)[0], wanted)
+
+
+@pytest.mark.parametrize("lie", [float("nan"), float("inf")])
+def test_returns_that_are_not_finite_are_refused(lie, small, tmp_path):
+    run = train_config(small("stable_baselines3:PPO", settings=ON_POLICY, **BOTH), tmp_path / "run").run
+    content = read_checkpoint(run.checkpoints[0])
+    content["training"]["environments"]["returns"] += lie
+    write_checkpoint(run.checkpoints[0], content)
+    with pytest.raises(InputError, match="returns are not finite"):
+        resume(run.folder, 256)

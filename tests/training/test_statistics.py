@@ -1,0 +1,87 @@
+"""Figures of a training: in TensorBoard, and as the lines that the ROS tutorial prints."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from tensorboard.backend.event_processing.data_provider import MultiplexerDataProvider
+from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
+from tensorboard.context import RequestContext
+from tensorboard.plugins import base_plugin
+from tensorboard.plugins.hparams.backend_context import Context
+from tensorboard.plugins.hparams.metadata import SESSION_START_INFO_TAG, parse_session_start_info_plugin_data
+
+from tb2rl.training.statistics import Statistics, tutorial_scores
+from tb2rl.training.training import train_config
+
+ENDINGS = {  # settings with which all episodes of a task end in one way, and whether it counts as failed
+    "crash": ("maze", {"task.crash_range": 3.0}, 1.0),
+    "out of bounds": ("wall", {"task.bounds": [90.0, 90.0, 91.0, 91.0]}, 1.0),
+    "goal": ("wall", {"task.goal_tolerance": 90.0, "task.crash_range": 0.0}, 0.0),
+    "time limit": ("maze", {"train.episode_steps": 2, "task.start_clearance": 0.8}, 0.0),
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_the_task_says_which_endings_count_as_failed(ending, small, scalars, tmp_path):
+    task, settings, rate = ENDINGS[ending]
+    run = train_config(small(task=task, settings=settings), tmp_path / "run").run
+    assert {value for _, value in scalars(run, "rollout/failure_rate")} == {rate}
+
+
+def test_the_distance_is_the_mean_of_the_latest_episodes(small, scalars, tmp_path):
+    settings = {"train.episode_steps": 2, "task.start_clearance": 0.8, "agent.exploration_initial_eps": 0.0}
+    settings |= {"task.turn_speed": 0.5, "task.turn_rate": 1.0e-9}  # whatever it does, it drives
+    run = train_config(small(settings=settings, n_envs=2, total_timesteps=8), tmp_path / "run").run
+    (_, distance), *_ = scalars(run, "rollout/distance_mean")
+    assert 0.1 < distance < 0.2  # [m] two steps of 0.2 s at 0.5 m/s at most, from rest
+
+
+def columns(folder: Path) -> dict[str, set[str]]:
+    """The table of hyper-parameters as TensorBoard's backend makes it of a folder: its columns, and each run's."""
+    events = EventMultiplexer().AddRunsFromDirectory(str(folder))
+    events.Reload()
+    context = Context(base_plugin.TBContext(data_provider=MultiplexerDataProvider(events, str(folder))))
+    request = RequestContext()
+    runs = context.hparams_metadata(request, "")
+    table = context.experiment_from_metadata(request, "", True, runs, [])
+    starts = {run: parse_session_start_info_plugin_data(tags[SESSION_START_INFO_TAG]) for run, tags in runs.items()}
+    each = {run.partition("/")[0]: set(start.hparams) for run, start in starts.items()}
+    return {**each, "columns": {info.name for info in table.hparam_infos},
+            "figures": {info.name.tag for info in table.metric_infos}}  # fmt: skip
+
+
+def test_the_hyperparameters_of_several_agents_have_columns_side_by_side(small, tmp_path):
+    for agent, settings in {"qlearn": {"agent.update": "textbook"}, "dqn": {"agent.tau": 1.0}}.items():
+        train_config(small(agent, settings=settings, total_timesteps=400), tmp_path / agent)
+    seen = columns(tmp_path)
+    assert "agent.update" in seen["qlearn"] - seen["dqn"]
+    assert "agent.tau" in seen["dqn"] - seen["qlearn"]
+    assert seen["columns"] == seen["qlearn"] | seen["dqn"]
+    assert "rollout/failure_rate" in seen["figures"]
+
+
+def test_statistics_go_on_with_what_they_remember():
+    seen = {"failed": [True, False], "distances": [1.5, 2.0], "lengths": [3, 4]}
+    one, other = Statistics(), Statistics()
+    one.restore(seen)
+    other.restore(one.state())
+    assert {name: list(values) for name, values in other.state().items()} == seen
+
+
+@pytest.mark.parametrize("agent", ["qlearn", "dqn", "ppo"])
+def test_verbose_prints_a_line_for_each_episode(agent, small, tmp_path, capsys):
+    settings = {"agent.n_steps": 16, "agent.batch_size": 32} if agent == "ppo" else {}
+    done = train_config(small(agent, settings=settings, total_timesteps=400), tmp_path / "run", verbose=1)
+    pattern = r"^EP: (\d+) - \[alpha: \S+ - gamma: \S+.*\] - Reward: (-?\d+) - Steps: (\d+) - Time: 0:00:\d\d$"
+    lines = re.findall(pattern, capsys.readouterr().out, re.MULTILINE)
+    assert [int(number) for number, _, _ in lines] == list(range(1, len(done.lengths) + 1)) != []
+    assert [int(steps) for _, _, steps in lines] == done.lengths
+
+
+def test_the_scores_are_the_mean_length_and_the_mean_of_the_100_longest():
+    assert tutorial_scores(range(1, 201)) == "overall score: 100.5 steps, best 100 score: 150.5 steps"
+    assert tutorial_scores([3, 5]) == "overall score: 4.0 steps, best 2 score: 4.0 steps"
+    assert tutorial_scores([]) == "no episode ended"

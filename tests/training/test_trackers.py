@@ -1,0 +1,244 @@
+"""Trackers: what one of a user's own gets of a training, and which names of trackers are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from textwrap import dedent
+
+import pytest
+
+from tb2rl.commands.seeds import train_seeds
+from tb2rl.core.errors import InputError, install_extra
+from tb2rl.execution.where import Where
+from tb2rl.runs.folder import Run
+from tb2rl.runs.loading import load
+from tb2rl.train import main
+from tb2rl.training.trackers import run_name, runs_folder
+from tb2rl.training.training import resume, train_config
+
+MINE = """
+    import json
+
+    from tb2rl.core.errors import UnwritableError
+    from tb2rl.training.trackers import Tracker
+
+    class Lines(Tracker):
+        "A line for each lot, beside the run."
+        def __init__(self, training):
+            super().__init__(training)
+            self.say(begun=training.name, settings=dict(training.settings), again=self.id)
+
+        def track(self, step, figures, pictures):
+            self.say(step=step, figures=figures, pictures={key: picture.shape for key, picture in pictures.items()})
+            self.remember("mine", step)
+
+        def close(self):
+            self.say(ended=self.ended)
+
+        def say(self, **line):
+            with open(f"{self.training.folder}.lines", "a") as file:
+                file.write(json.dumps(line) + "\\n")
+
+    class Stops(Lines):
+        "Ctrl-C, or an error, in the middle."
+        def track(self, step, figures, pictures):
+            super().track(step, figures, pictures)
+            if step >= 128:
+                raise {"stop": KeyboardInterrupt, "fail": ZeroDivisionError}[self.training.folder.name]
+
+    class Evaluation(Lines):
+        "Called as something else of a run folder is."
+
+    class Full(Lines):
+        "Cannot write after the first lot, nor be closed."
+        def track(self, step, figures, pictures):
+            super().track(step, figures, pictures)
+            raise UnwritableError("train.track: the disk is full")
+
+        def close(self):
+            super().close()
+            raise UnwritableError("train.track: the disk is still full")
+
+    class Closed(Lines):
+        "Cannot begin."
+        def __init__(self, training):
+            raise UnwritableError("train.track: there is no disk")
+
+    class Nothing:
+        pass
+
+    class Unfinished(Tracker):
+        pass
+    """
+LOGGED = {"eval_freq": 64, "eval_episodes": 2, "eval_steps": 8, "episode_steps": 8}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def my_trackers(tmp_path_factory):
+    """The module `my_trackers`."""
+    folder = tmp_path_factory.mktemp("modules")
+    (folder / "my_trackers.py").write_text(dedent(MINE))
+    sys.path.insert(0, str(folder))
+    yield
+    sys.path.remove(str(folder))
+
+
+def lines(folder) -> list[dict]:
+    return [json.loads(line) for line in folder.with_name(f"{folder.name}.lines").read_text().splitlines()]
+
+
+def test_a_tracker_of_a_users_own_gets_what_tensorboard_gets(small, scalars, tmp_path):
+    folder = tmp_path / "runs" / "maze" / "qlearn" / "mine"
+    run = train_config(small(track=["my_trackers:Lines"], **LOGGED), folder).run
+    begun, *lots, last = lines(folder)
+    assert (begun["begun"], begun["again"], last) == ("maze/qlearn/mine", None, {"ended": "finished"})
+    settings = begun["settings"]
+    assert (settings["agent.name"], settings["train.total_timesteps"]) == ("qlearn", 128)
+    assert settings["train.track"] == "['my_trackers:Lines']"
+    for tag in ("eval/score", "rollout/failure_rate", "rollout/ep_rew_mean"):
+        seen = [(lot["step"], pytest.approx(lot["figures"][tag])) for lot in lots if tag in lot["figures"]]
+        assert scalars(run, tag) == seen != []
+    assert not any("time/total_timesteps" in lot["figures"] for lot in lots)  # the step itself
+    pictured = [(lot["step"], lot["pictures"]["eval/paths"][2]) for lot in lots if lot["pictures"]]
+    assert pictured == [(64, 3), (128, 3)]
+
+
+def test_a_resumed_training_goes_on_with_its_trackers_and_tells_no_step_twice(small, killed, tmp_path):
+    config = small(track=["my_trackers:Lines"], save_freq=64, keep=9, **LOGGED | {"eval_freq": 32})
+    whole = train_config(config, tmp_path / "whole").run
+    folder = killed(whole, tmp_path / "run").folder
+    (folder / "tracker-my_trackers.Lines.json").write_text('{"id": "mine", "step": 100}\n')
+    resume(folder)
+    begun, *lots, last = lines(folder)
+    assert (begun["again"], last) == ("mine", {"ended": "finished"})
+    all_steps = [lot["step"] for lot in lines(whole.folder)[1:-1]]
+    assert any(64 < step <= 100 for step in all_steps)  # these had arrived before it was killed
+    assert [lot["step"] for lot in lots] == [step for step in all_steps if step > 100] != []
+
+
+def test_a_training_outlives_a_tracker_that_cannot_write(small, tmp_path, capsys):
+    config = small(track=["my_trackers:Full", "my_trackers:Evaluation"], **LOGGED)
+    training = train_config(config, tmp_path / "run")
+    assert load(training.run.folder / "final" / "policy.safetensors").num_timesteps == training.timesteps == 128
+    warnings = capsys.readouterr().err.splitlines()
+    assert warnings == ["warning: train.track: the disk is full; the training goes on without it"]
+    assert lines(tmp_path / "run")[-2:] == [{"ended": "finished"}] * 2  # the other one is closed, too
+    assert not training.run.has_evaluation
+    train_config(small(track=["my_trackers:Full"], **LOGGED), tmp_path / "alone")
+    assert sum("step" in line for line in lines(tmp_path / "alone")) == 1, "it is not asked again"
+
+
+def test_a_training_whose_tracker_cannot_begin_leaves_nothing(small, tmp_path):
+    for _ in range(2):
+        with pytest.raises(InputError, match="there is no disk"):
+            train_config(small(track=["my_trackers:Closed"]), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("memory", ["{", "[]", '{"id": "../x", "step": 1}', '{"id": "x", "step": null}', '{"id": 1}'])
+def test_a_damaged_memory_is_named(memory, small, killed, tmp_path):
+    whole = train_config(small(track=["my_trackers:Lines"], save_freq=64, keep=9, **LOGGED), tmp_path / "whole").run
+    folder = killed(whole, tmp_path / "run").folder
+    (folder / "tracker-my_trackers.Lines.json").write_text(memory)
+    with pytest.raises(InputError, match=r"tracker-my_trackers\.Lines\.json is damaged"):
+        resume(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "ended"), [("stop", KeyboardInterrupt, "interrupted"), ("fail", ZeroDivisionError, "failed")]
+)
+def test_a_tracker_is_told_how_the_training_ended(name, error, ended, small, tmp_path):
+    with pytest.raises(error):
+        train_config(small(track=["my_trackers:Stops"], **LOGGED), tmp_path / name)
+    assert lines(tmp_path / name)[-1] == {"ended": ended}
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("mflow", "unknown tracker in train.track: 'mflow'; did you mean 'mlflow'?"),
+        ("my_trackers:Missing", "train.track: cannot import"),
+        ("no_such_module:Lines", "there is no module 'no_such_module'"),
+        ("my_trackers:Nothing", "is not a class derived from tb2rl.training.trackers.Tracker"),
+        ("my_trackers:Unfinished", "Tracker with track"),
+        ("os:system", "is not a class"),
+        ("stable_baselines3.common.logger:CSVOutputFormat", "is not a class derived"),
+    ],
+)
+def test_what_is_no_tracker_is_refused_before_anything_is_made(name, said, small, tmp_path):
+    for train_it in (train_config, lambda config, folder: train_seeds(config, [0], folder, Where())):
+        with pytest.raises(InputError) as error:
+            train_it(small(track=[name]), tmp_path / "run")
+        assert said in str(error.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "library"), [("mlflow", "MLflow"), ("wandb", "Weights & Biases")])
+def test_a_library_that_is_missing_is_named(name, library, small, tmp_path, monkeypatch):
+    for module in (name, f"tb2rl.training.{name}_tracker"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    hide(monkeypatch, name)
+    with pytest.raises(InputError) as error:
+        train_config(small(track=[name]), tmp_path / "run")
+    assert str(error.value) == f"train.track: {name} needs {library}: {install_extra(name)}"
+    assert list(tmp_path.iterdir()) == []
+
+
+def hide(monkeypatch, library: str) -> None:
+    """Let Python not find a library, whether it is installed or not."""
+
+    class Hidden:
+        @staticmethod
+        def find_spec(name, path=None, target=None):
+            if name == library:
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+    monkeypatch.setattr(sys, "meta_path", [Hidden, *sys.meta_path])
+
+
+def test_a_run_folder_imports_no_tracker_that_lies_in_it(small, killed, tmp_path, monkeypatch):
+    whole = train_config(small(save_freq=64, keep=9, track=["my_trackers:Lines"]), tmp_path / "whole").run
+    folder = killed(whole, tmp_path / "run").folder
+    shutil.copy(sys.modules["my_trackers"].__file__, folder / "my_trackers.py")
+    monkeypatch.delitem(sys.modules, "my_trackers")
+    monkeypatch.syspath_prepend(folder)
+    with pytest.raises(InputError, match="nothing is imported from a run folder"):
+        resume(folder)
+    assert Run.open(folder).config.train.track == ("my_trackers:Lines",)  # to look at it imports nothing
+
+
+@pytest.mark.parametrize("store", ["", "sqlite:///mlflow.db", "file:///tmp/mlruns", "/tmp/mlruns", "./mlruns"])
+def test_a_cluster_needs_a_server_for_mlflow(store, small, tmp_path, monkeypatch):
+    pytest.importorskip("mlflow", reason="mlflow is not installed")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", store)
+    with pytest.raises(InputError, match="--on ray, mlflow needs a server for all machines: set MLFLOW_TRACKING_URI"):
+        train_seeds(small(track=["mlflow"]), [0], tmp_path / "run", Where(ray=True))
+
+
+def test_the_command_line_names_trackers(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    counts = {"--total-timesteps": "64", "--n-envs": "4", "--eval-freq": "0", "--save-freq": "0"}
+    short = ["--simulation", "kinematic", *(word for pair in counts.items() for word in pair)]
+    track = ["--track", "my_trackers:Lines", "--name", "mine"]
+    main([*short, *track, "--no-evaluation", "--no-progress"])
+    assert lines(tmp_path / "runs/maze/qlearn/mine")[-1] == {"ended": "finished"}
+    main([*short, *track[:-1], "seeds", "--seeds", "0,1"])
+    for seed in (0, 1):
+        begun, *_, last = lines(tmp_path / f"runs/maze/qlearn/seeds/seed-{seed}")
+        assert (begun["begun"], last) == (f"maze/qlearn/seeds/seed-{seed}", {"ended": "finished"})
+
+
+def test_one_name_stands_for_a_list_and_none_comes_twice(small):
+    assert small(settings={"train.track": "wandb"}).train.track == ("wandb",)
+    with pytest.raises(InputError, match=r"train\.track: must be different names"):
+        small(track=["wandb", "wandb"])
+
+
+def test_a_run_is_called_by_its_path_in_runs_or_by_what_it_is(small, tmp_path):
+    config = small("dqn", "my_tasks:Pictured")
+    assert run_name(config, tmp_path / "elsewhere") == "Pictured/dqn/elsewhere"
+    assert run_name(config, tmp_path / "runs" / "maze" / "dqn" / "a" / "seed-0") == "maze/dqn/a/seed-0"
+    assert runs_folder(tmp_path / "runs" / "maze" / "dqn" / "a") == tmp_path / "runs"
+    assert runs_folder(tmp_path / "elsewhere") == tmp_path

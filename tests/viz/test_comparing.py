@@ -1,0 +1,76 @@
+"""Two folders of runs against each other: what is read, what is refused, and the page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tb2rl.core.errors import InputError
+from tb2rl.report import main as report
+from tb2rl.runs.folder import Run
+from tb2rl.runs.layers import resolve
+from tb2rl.viz import comparing
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    """A function that makes a folder of runs whose standard evaluations have these shares of good episodes."""
+
+    def kept(run):
+        figures = json.loads((run.folder / "figures.json").read_text())
+        return SimpleNamespace(good_rate=figures["good"], summary=lambda: {"mean_speed": figures["speed"]})
+
+    def make(name, rates, **settings):
+        config = resolve("qlearn", "maze", settings=settings)
+        for seed, rate in enumerate(rates):
+            seeded = replace(config, train=replace(config.train, seed=seed))
+            run = Run.create(tmp_path / name / f"seed-{seed}", seeded)
+            (run.folder / "figures.json").write_text(json.dumps({"good": rate, "speed": 0.25 + seed / 1000}))
+        return str(tmp_path / name)
+
+    monkeypatch.setattr(comparing, "kept_evaluation", kept)
+    monkeypatch.chdir(tmp_path)
+    return make
+
+
+def test_the_page_says_which_is_better_and_draws_both(runs, tmp_path, capsys):
+    good, bad = runs("<good>", np.linspace(0.9, 1.0, 10)), runs("bad", np.linspace(0.2, 0.4, 10))
+    report(["--compare", good, bad])
+    said = capsys.readouterr().out
+    assert f"{good} is better than {bad}" in said
+    assert "Good episodes: 95.0 % (" in said
+    assert "Speed, as a share of the fastest command's: 50.9 % (" in said
+    assert f"do not tell {good} and {bad} apart" in said, "they are equally fast"
+    page = (tmp_path / "report.html").read_text()
+    assert "&lt;good&gt;" in page
+    assert "<good>" not in page
+    assert page.count("profile-0") == 2
+    assert "maze in loop: 10 and 10 runs" in page
+    assert "100.0\u202f% <small>100.0\u202f% to 100.0\u202f%</small>" in page, "the probability of improvement"
+
+
+def test_too_few_seeds_are_said_in_words(runs, capsys):
+    report(["--compare", runs("a", [0.9, 1.0]), runs("b", [0.1] * 10)])
+    assert "Too few seeds to tell: 2 seeds where at least 5 are needed" in capsys.readouterr().out
+
+
+def test_what_cannot_be_compared_is_refused(runs, tmp_path, capsys):
+    one, other = runs("one", [0.5] * 5), runs("other", [0.5] * 5, **{"task.world": "circuit"})
+    with pytest.raises(InputError, match="the same tasks and worlds, not maze in loop with maze in circuit"):
+        comparing.compare(comparing.read_side(one), comparing.read_side(other))
+    Run.create(tmp_path / "one" / "again", resolve("qlearn", "maze"))
+    (tmp_path / "one" / "again" / "figures.json").write_text('{"good": 1, "speed": 1}')
+    with pytest.raises(InputError, match="has two runs of seed 0"):
+        comparing.read_side(one)
+    for words in ([one], [one, other, other], [one, other, "--world", "loop"]):
+        with pytest.raises(SystemExit, match="2"):
+            report(["--compare", *words])
+        assert "--compare takes two folders of runs" in capsys.readouterr().err
+    for words in ([one, one], [one, f"{one}/."]):
+        with pytest.raises(SystemExit):
+            report(["--compare", *words])
+        assert "--compare takes different runs, and " in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""Pictures of paths mark where episodes began, where the failed ones ended, and the goal of a task that has one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tb2rl.rendering.colours import FAILED, GOAL, PATH, START
+from tb2rl.simulation import Start
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.wander import Wander
+from tb2rl.viz.pictures import draw_paths, goal_of
+
+PATHS = [np.array([(0.0, 1.0), (1.0, 2.0), (1.5, 2.0)]), np.array([(0.0, -2.0), (2.0, -2.0)])]
+
+
+def centres(scene, picture: np.ndarray, colour: str) -> tuple[float, float] | None:
+    """Middle of what has the colour, x, y [m]; None for a colour that is not there."""
+    wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    rows, columns = np.nonzero((np.abs(picture.astype(int) - wanted) < 12).all(axis=2))
+    if not len(rows):
+        return None
+    x0, _, x1, y1 = scene.world.bounds
+    scale = picture.shape[1] / (x1 - x0 + 0.6)
+    left, right, top, bottom = columns.min(), columns.max() + 1, rows.min(), rows.max() + 1
+    return (left + right) / 2 / scale + x0 - 0.3, y1 + 0.3 - (top + bottom) / 2 / scale
+
+
+@pytest.fixture
+def driven(make):
+    """A function that gives episodes along `PATHS`, or others, in worlds: those that failed as `failed` says."""
+
+    def of(failed=(False, False), worlds=(0, 0), paths=PATHS, goal=None):
+        episodes = [
+            make.episode(path, np.zeros(len(path) - 1, int), failed=f) for path, f in zip(paths, failed, strict=True)
+        ]
+        return [replace(each, world=world, goal=goal) for each, world in zip(episodes, worlds, strict=True)]
+
+    return of
+
+
+@pytest.mark.parametrize("failed", [(True, False), (False, True)])
+def test_the_ends_of_failed_episodes_are_marked(failed, make, driven):
+    scene = make.config("wall").scene
+    picture = draw_paths(scene, driven(failed))
+    assert centres(scene, picture, FAILED) == pytest.approx(PATHS[failed.index(True)][-1], abs=0.02)
+    assert centres(scene, picture, START) == pytest.approx((0.0, -0.5), abs=0.02), "between the two starts"
+    assert centres(scene, picture, GOAL) == pytest.approx((5.0, 0.0), abs=0.02)
+    assert centres(scene, picture, PATH) is not None
+
+
+def test_without_failures_nothing_is_marked_as_such(make, driven):
+    scene = make.config("wall").scene
+    assert centres(scene, draw_paths(scene, driven()), FAILED) is None
+
+
+def test_a_goal_of_its_own_is_that_of_the_episode(make, driven):
+    scene = make.config("navigate", world="wall").scene
+    assert centres(scene, draw_paths(scene, driven()), GOAL) is None, "an evaluation that does not say where"
+    picture = draw_paths(scene, driven(goal=(2.0, 1.0)))
+    assert centres(scene, picture, GOAL) == pytest.approx((2.0, 1.0), abs=0.02)
+
+
+def test_a_task_without_a_goal_shows_none_though_its_world_has_one(make, driven):
+    scene = make.config("maze", world="wall").scene
+    assert centres(scene, draw_paths(scene, driven()), GOAL) is None
+    start = Start.proposed(scene.setup, 2)
+    assert np.isnan(goal_of(Wander(), start)).all()
+    assert goal_of(ReachGoal(), start).tolist() == [5.0, 0.0]
+
+
+def test_paths_in_several_worlds_are_drawn_in_theirs(make, driven):
+    scene = make.config("maze", world=["loop", "wall", "circuit"]).scene
+    episodes = driven([True] * 3, [2, 1, 2], [*PATHS, PATHS[0]])
+    pictures = [draw_paths(scene, [episode]) for episode in episodes[:2]]
+    together = draw_paths(scene, episodes)
+    (high, wide, _), (low, narrow, _) = (picture.shape for picture in pictures)
+    assert together.shape == (max(high, low), wide + narrow, 3)
+    assert (together[:high, :wide] == pictures[0]).all()
+    assert (together[:low, wide:] == pictures[1]).all()
+
+
+def test_many_worlds_stand_in_rows_half_as_large(make, driven):
+    scene = make.config("maze", world=["loop", "wall"] * 4).scene
+    episodes = driven([True] * 8, range(8), PATHS[:1] * 8)
+    pictures = [draw_paths(scene, [episode]) for episode in episodes]
+    together = draw_paths(scene, episodes)
+    wide = sum(picture.shape[1] // 2 for picture in pictures[:6])
+    assert together.shape == (2 * max(len(picture) // 2 for picture in pictures), wide, 3)
+    low = pictures[7].shape[0] // 2
+    begin, end = pictures[6].shape[1] // 2, (pictures[6].shape[1] + pictures[7].shape[1]) // 2
+    last = together[len(together) // 2 :][:low, begin:end]
+    seen = pictures[7].reshape(low, 2, -1, 2, 3).mean(axis=(1, 3))
+    assert np.abs(last - seen).max() <= 1, "the last world is the second of the second row"
+    assert (together[len(together) // 2 :, end:] == 255).all()

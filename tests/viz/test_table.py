@@ -1,0 +1,45 @@
+"""The table of an evaluation in the terminal: its figures, and the goal only where there is one."""
+
+from __future__ import annotations
+
+from io import BytesIO, TextIOWrapper
+
+from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.viz.table import print_evaluation
+
+
+def cells(text: str) -> list[str]:
+    return [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
+
+
+def test_the_table_has_the_figures_of_the_evaluation(make, capsys):
+    path = [(0.0, 2.0)] * 3
+    episodes = [make.episode(path, [0, 0], "out of bounds", True), make.episode(path, [0, 0], "goal", False)]
+    evaluation = make.evaluation(episodes, ReachGoal(episode_steps=7))
+    assert print_evaluation(evaluation, "mine in wall") == evaluation.summary()
+    lines = cells(capsys.readouterr().out)
+    assert lines[0] == "mine in wall"
+    assert any(line.startswith("┃ 2 episodes of at most 7 steps") for line in lines)
+    for line in (
+        "failure-free 50.0 % 95 % interval 9.5 to 90.5 %",
+        "goal reached 50.0 % 95 % interval 9.5 to 90.5 %",
+        "distance 123.4 ± 0.0 m",
+        "return 5.0 ± 0.0",
+        "length 2.0 ± 0.0 steps",
+        "visited 1 squares of 1 m (median)",
+        "endings goal 1, out of bounds 1",
+    ):
+        assert line in lines
+
+
+def test_without_a_goal_no_line_tells_how_often_it_was_reached(make, capsys):
+    print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")
+    assert "goal" not in capsys.readouterr().out
+
+
+def test_a_terminal_without_the_sign_of_plus_and_minus_gets_it_in_ascii(make, monkeypatch):
+    stream = TextIOWrapper(BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", stream)
+    print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")
+    stream.flush()
+    assert "+/- 0.0 m" in stream.buffer.getvalue().decode("ascii")

@@ -1,0 +1,101 @@
+"""The window keeps time, ends with the drive or with the user, and says in one line why it does not open."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+import tb2rl.play as play
+from tb2rl.simulation import Start
+from tb2rl.viz.cameras import CAMERAS
+from tb2rl.viz.window import Window, has_display
+
+STEPS = 10
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
+@pytest.mark.parametrize(("display", "expected"), [(":0", True), ("", False), (None, False)])
+def test_a_display_is_what_the_environment_names(display, expected, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    if display is not None:
+        monkeypatch.setenv("DISPLAY", display)
+    assert has_display() == expected
+
+
+@pytest.fixture
+def screen(monkeypatch):
+    """A function that starts an X server with a display of its own."""
+    if not shutil.which("Xvfb"):
+        pytest.skip("a window needs a display, and there is no Xvfb to make one")
+    servers = []
+
+    def start(*arguments: str) -> subprocess.Popen:
+        read, write = os.pipe()
+        command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "800x600x24", *arguments]
+        servers.append(subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL))
+        os.close(write)
+        with os.fdopen(read) as answer:
+            monkeypatch.setenv("DISPLAY", f":{answer.readline().strip()}")
+        return servers[-1]
+
+    yield start
+    for server in servers:
+        server.terminate()
+        server.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_the_window_shows_the_drive_in_its_own_time(screen, camera, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    screen()
+    began = time.monotonic()
+    play.main(["--agent", "wallfollower", "--task", "wall", "--steps", str(STEPS), "--camera", camera])
+    assert STEPS * 0.2 < time.monotonic() - began < 60
+    assert capsys.readouterr().out.startswith("episode 1: time limit after 10 steps (2.0 s)")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_window_shows_poses_until_its_display_is_gone(screen, make):
+    server = screen()
+    scene = make.config("wall").scene
+    start = Start.proposed(scene.setup, 1)
+    with closing(Window(scene)) as window:
+        assert window.show(start, np.zeros(3))
+        server.terminate()
+        until = time.monotonic() + 30
+        while window.show(start, np.zeros(3)):
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+
+@pytest.mark.slow
+def test_a_window_that_is_closed_ends_the_drive_quietly(screen):
+    server = screen()
+    arguments = [sys.executable, "-m", "tb2rl.play", "--agent", "wallfollower", "--steps", "10", "--episodes", "1000"]
+    playing = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert playing.stdout.readline().startswith("episode 1")
+    server.terminate()  # takes the window along
+    out, _ = playing.communicate(timeout=60)
+    assert playing.returncode == 0
+    assert [line for line in out.splitlines() if not line.startswith("episode ")] == []
+
+
+@pytest.mark.slow
+def test_a_window_that_cannot_open_is_one_line(screen, capsys):
+    screen("-extension", "GLX")
+    with pytest.raises(SystemExit) as stopped:
+        play.main(["--agent", "wallfollower"])
+    message = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert message.count("\n") == 1
+    assert "OpenGL" in message
+    assert "--video" in message
