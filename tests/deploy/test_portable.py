@@ -12,7 +12,7 @@ import pytest
 
 import tb2rl
 
-PORTABLE = Path(tb2rl.__file__).parent / "drivers" / "portable"
+PORTABLE = Path(tb2rl.__file__).parent / "deploy" / "portable"
 MODULES = sorted(PORTABLE.glob("*.py"))
 
 
