@@ -33,10 +33,10 @@ class Seen:
     """What the robots observe now; x is ahead and y to the left.
 
     Attributes:
-        points: What the beams have hit, x, y [m], shape (robots, beams, 2).
-        target: Where to get to, x, y [m], shape (robots, 2).
-        speed: Forward [m/s], shape (robots,).
-        turn: To the left [rad/s], shape (robots,).
+        points: What the beams have hit, x, y [m], shape (num_envs, beams, 2).
+        target: Where to get to, x, y [m], shape (num_envs, 2).
+        speed: Forward [m/s], shape (num_envs,).
+        turn: To the left [rad/s], shape (num_envs,).
     """
 
     points: np.ndarray
@@ -51,7 +51,7 @@ class Guided(BasePolicy):
     The target is the waypoint of the plan (guide: plan), or the goal itself (guide: goal). `drive` says how.
 
     Args:
-        observation_space: `tb2rl.envs.encodings.Numbers` of task `navigate`.
+        observation_space: `tb2rl.envs.encodings.SensorBox` of task `navigate`.
         action_space: v and w, from -1 to 1.
         vehicle: What drives; action -1 means to stand.
 
@@ -67,7 +67,7 @@ class Guided(BasePolicy):
         self._columns = columns = _Columns(observation_space, name)
         if not isinstance(action_space, spaces.Box) or not isinstance(observation_space, spaces.Box):
             raise InputError(f"{name} sets speeds, so it needs task.named_actions=false")
-        self.fastest, self.turn_rate = vehicle.fastest, vehicle.turn_rate
+        self.max_speed, self.turn_rate = vehicle.max_speed, vehicle.turn_rate
         self.radius, self.period = vehicle.radius, vehicle.period
         beams, directions = len(columns.laser), vehicle.directions
         angles = np.linspace(-math.pi / 2, math.pi / 2, beams) if directions is None else np.asarray(directions)
@@ -77,11 +77,11 @@ class Guided(BasePolicy):
 
     @abstractmethod
     def drive(self, seen: Seen) -> np.ndarray:
-        """The speeds v [m/s] and w [rad/s], shape (robots, 2)."""
+        """The speeds v [m/s] and w [rad/s], shape (num_envs, 2)."""
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         commands = self.drive(self._seen(observation.cpu().numpy().astype(float)))
-        shares = np.column_stack([2.0 * commands[:, 0] / self.fastest - 1.0, commands[:, 1] / self.turn_rate])
+        shares = np.column_stack([2.0 * commands[:, 0] / self.max_speed - 1.0, commands[:, 1] / self.turn_rate])
         return th.from_numpy(np.clip(shares, -1.0, 1.0).astype(np.float32))
 
     def _seen(self, numbers: np.ndarray) -> Seen:
@@ -103,7 +103,7 @@ class _Columns:
 
     def __init__(self, space: spaces.Space, who: str) -> None:
         self._names: Sequence[str] = getattr(space, "names", ())
-        self._first = len(self._names) - len(self._names) // getattr(space, "frames", 1)
+        self._first = len(self._names) - len(self._names) // getattr(space, "frame_stack", 1)
         waypoint, direction, distance = map(self._of, ("waypoint", "goal direction", "goal distance"))
         speed, turn = self._of("forward speed"), self._of("turn rate")
         if not (waypoint or (direction and distance)):

@@ -28,10 +28,10 @@ def update_table(
         q: Action values, shape (states, actions); changed in place.
         averages: Running ones of them, same shape, the first ones counting alike; changed in place. It may be `q`.
         visits: Updates of each pair so far, same shape; changed in place.
-        states, actions: The pairs to update, shape (robots,).
-        targets_of: States after the step, shape (robots,).
-        terminated: Whether the future ends there, shape (robots,), bool.
-        rewards: Shape (robots,).
+        states, actions: The pairs to update, shape (num_envs,).
+        targets_of: States after the step, shape (num_envs,).
+        terminated: Whether the future ends there, shape (num_envs,), bool.
+        rewards: Shape (num_envs,).
         plain_first: Whether the first visit of a pair stores the plain reward, as the tutorial does.
         share: Of a new value in its average.
     """
@@ -74,7 +74,7 @@ class QTable(BasePolicy):
         states, actions = math.prod(self.shape), int(action_space.n)
         if states * actions > LARGEST:
             raise InputError(
-                f"a table of {states} states is too large; take fewer task.beams, task.edges or task.frames"
+                f"a table of {states} states is too large; take fewer task.beams, task.range_bins or task.frame_stack"
             )
         self.q = th.nn.Parameter(th.full((states, actions), initial_value, dtype=th.float64), requires_grad=False)
         self.visits = th.nn.Parameter(th.zeros((states, actions), dtype=th.int64), requires_grad=False)
@@ -121,7 +121,7 @@ class QTable(BasePolicy):
                 values.fill_(initial).view(-1)[pairs] = tried
 
     def states(self, observations: np.ndarray) -> np.ndarray:
-        """The row of the table of each observation, shape (robots,)."""
+        """The row of the table of each observation, shape (num_envs,)."""
         columns = np.asarray(observations).reshape(-1, len(self.shape)).T
         return np.ravel_multi_index(tuple(columns), self.shape)
 

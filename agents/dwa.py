@@ -24,7 +24,7 @@ _CLEAR = 1.0  # [m] longer free ways count alike
 class _Limits(NamedTuple):
     """What the robot can do, in metres, seconds and radians; see `DWA`."""
 
-    fastest: float
+    max_speed: float
     turn_rate: float
     acceleration: float
     turn_acceleration: float
@@ -81,7 +81,7 @@ class DWA(Guided):
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, vehicle, **kwargs)
-        speeds = self.fastest, self.turn_rate, acceleration, turn_acceleration
+        speeds = self.max_speed, self.turn_rate, acceleration, turn_acceleration
         self._limits = _Limits(*speeds, self.period, horizon, self.radius, gap)
         self._weights = _Weights(heading, clearance, speed, progress)
 
@@ -93,19 +93,19 @@ class DWA(Guided):
 
 @njit(cache=True, **UNCOUNTED)
 def _choose(points, targets, speeds, turns, limits, weights, commands):
-    """Write the best speeds into `commands`, zeros of shape (robots, 2); the first four are those of `Seen`."""
+    """Write the best speeds into `commands`, zeros of shape (num_envs, 2); the first four are those of `Seen`."""
     for robot in range(points.shape[0]):
         side = way_out(points[robot], targets[robot], speeds[robot], turns[robot], limits.radius, limits.gap)
         if side:
             commands[robot, 1] = side * limits.turn_rate
             continue
-        slowest, fastest = _window(speeds[robot], limits.acceleration * limits.period, 0.0, limits.fastest)
+        slowest, max_speed = _window(speeds[robot], limits.acceleration * limits.period, 0.0, limits.max_speed)
         right, left = _window(
             turns[robot], limits.turn_acceleration * limits.period, -limits.turn_rate, limits.turn_rate
         )
         best = -math.inf
         for i in range(SPEEDS):
-            v = slowest + (fastest - slowest) * i / (SPEEDS - 1)
+            v = slowest + (max_speed - slowest) * i / (SPEEDS - 1)
             for j in range(TURNS):
                 w = right + (left - right) * j / (TURNS - 1)
                 value = _value(points[robot], targets[robot], v, w, limits, weights)
@@ -124,7 +124,7 @@ def _value(points, target, v, w, limits, weights):
     """The objective for one robot at speeds v, w; -inf: from these it could not stop in time."""
     free = math.inf
     if v > 1e-3:
-        enough = max(_CLEAR, limits.fastest * limits.horizon)
+        enough = max(_CLEAR, limits.max_speed * limits.horizon)
         free = free_way(points, w / v, limits.radius, limits.gap, enough)
         if v * limits.period + v * v / (2.0 * limits.acceleration) > free:
             return -math.inf
@@ -136,8 +136,8 @@ def _value(points, target, v, w, limits, weights):
     return (
         weights.heading * heading
         + weights.clearance * min(free / _CLEAR, 1.0)
-        + weights.speed * v / limits.fastest
-        + weights.progress * closer / (limits.fastest * limits.horizon)
+        + weights.speed * v / limits.max_speed
+        + weights.progress * closer / (limits.max_speed * limits.horizon)
     )
 
 

@@ -79,7 +79,7 @@ class Pursuit(Guided):
         late = self.braking * self.period  # it begins to brake a period from now
         v = np.sqrt(late**2 + 2.0 * self.braking * free) - late
         v = np.minimum(v, self.turn_rate / np.maximum(np.abs(curvature), 1e-6))
-        v = np.minimum(v, self.fastest)
+        v = np.minimum(v, self.max_speed)
         return v, v * curvature
 
 
@@ -89,10 +89,10 @@ def _take_arcs(points, look, bends, radius, gap, curvatures, free):
 
     Args:
         points: See `tb2rl.agents._guided.Seen`.
-        look: How far they should be free [m], shape (robots,).
+        look: How far they should be free [m], shape (num_envs,).
         bends, radius, gap: See `Pursuit`.
-        curvatures: Of the arcs to the targets [1/m], shape (robots,); changed in place.
-        free: Written: their free ways [m], shape (robots,).
+        curvatures: Of the arcs to the targets [1/m], shape (num_envs,); changed in place.
+        free: Written: their free ways [m], shape (num_envs,).
     """
     for robot in range(points.shape[0]):
         wanted, free[robot] = curvatures[robot], -1.0

@@ -215,15 +215,15 @@ class QLearning(BaseAlgorithm):
     def _choose(self, states: np.ndarray) -> np.ndarray:
         """Actions that explore; the best of equal values at random."""
         values = self._values[states]
-        explores = self._rng.random(len(states)) < self.exploration_rate
+        maps_online = self._rng.random(len(states)) < self.exploration_rate
         if self.exploration == "noisy_values":
-            width = np.abs(values).max(axis=1) * explores
+            width = np.abs(values).max(axis=1) * maps_online
             values = values + width[:, None] * (self._rng.random(values.shape) - 0.5)
         ties = values == values.max(axis=1, keepdims=True)
         best = (ties * self._rng.random(values.shape)).argmax(axis=1)
         if self.exploration == "noisy_values":
             return best
-        return np.where(explores, self._rng.integers(values.shape[1], size=len(states)), best)
+        return np.where(maps_online, self._rng.integers(values.shape[1], size=len(states)), best)
 
     def _explore_less(self, started: int) -> None:
         """Move epsilon on after a step in which `started` episodes began."""

@@ -15,8 +15,8 @@ class RandomPolicy(BasePolicy):
     """Each action as likely as any other, from torch's random stream; it has no greedy mode."""
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        robots = len(next(iter(observation.values())) if isinstance(observation, dict) else observation)
+        num_envs = len(next(iter(observation.values())) if isinstance(observation, dict) else observation)
         if isinstance(self.action_space, spaces.Discrete):
-            return th.randint(int(self.action_space.n), (robots,))
+            return th.randint(int(self.action_space.n), (num_envs,))
         low, high = th.as_tensor(self.action_space.low), th.as_tensor(self.action_space.high)
-        return low + (high - low) * th.rand((robots, *self.action_space.shape))
+        return low + (high - low) * th.rand((num_envs, *self.action_space.shape))

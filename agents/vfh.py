@@ -85,12 +85,12 @@ class VFH(Guided):
         free = np.full((len(seen.points), SECTORS), math.inf)
         _measure(seen.points, self.room, free)
         direction = self._directions(free, seen)
-        v = np.minimum(np.sqrt(2.0 * self.braking * free[:, SECTORS // 2]), self.fastest)
+        v = np.minimum(np.sqrt(2.0 * self.braking * free[:, SECTORS // 2]), self.max_speed)
         v *= np.clip(1.0 - np.abs(direction) / self.spin, 0.0, 1.0)
         return np.column_stack([v, np.clip(self.gain * direction, -self.turn_rate, self.turn_rate)])
 
     def _directions(self, free: np.ndarray, seen: Seen) -> np.ndarray:
-        """Where to turn [rad], shape (robots,), for the free way in each sector [m], shape (robots, SECTORS)."""
+        """Where to turn [rad], shape (num_envs,), for the free way in each sector [m], shape (num_envs, SECTORS)."""
         away = np.hypot(*seen.target.T) - self.room
         is_open = free >= np.clip(away, _LEAST, max(self.window, _LEAST))[:, None]
         on_the_spot = (np.abs(seen.speed) < STANDING) & (np.abs(seen.turn) > TURNING)
@@ -102,7 +102,7 @@ class VFH(Guided):
 
 @njit(cache=True, **UNCOUNTED)
 def _measure(points, room, free):
-    """Shorten the free ways [m], shape (robots, SECTORS), to where a circle touches `points` (robots, beams, 2).
+    """Shorten the free ways [m], shape (num_envs, SECTORS), to where a circle touches `points` (num_envs, beams, 2).
 
     Args:
         points: See `tb2rl.agents._guided.Seen`.
@@ -127,12 +127,12 @@ def _choose(is_open, valley, targets, previous, sides, costs, directions):
     """Write the cheapest candidate of each robot; where there is none, a turn on the spot.
 
     Args:
-        is_open: Whether each sector is, shape (robots, SECTORS).
+        is_open: Whether each sector is, shape (num_envs, SECTORS).
         valley: Sectors of a wide one.
-        targets, previous: Directions of the target, and that chosen before [rad], shape (robots,).
-        sides: 1 or -1: only candidates to the left or to the right; 0: all, shape (robots,).
+        targets, previous: Directions of the target, and that chosen before [rad], shape (num_envs,).
+        sides: 1 or -1: only candidates to the left or to the right; 0: all, shape (num_envs,).
         costs: `_Costs`.
-        directions: Where to turn [rad], shape (robots,).
+        directions: Where to turn [rad], shape (num_envs,).
     """
     for robot in range(is_open.shape[0]):
         target, best = targets[robot], math.inf

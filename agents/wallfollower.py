@@ -22,7 +22,8 @@ class WallFollower(BasePolicy):
     """Two beams on the right give the angle and the distance of the wall there, looked ahead by a bit.
 
     Args:
-        observation_space: `tb2rl.envs.encodings.Numbers`: first the laser's ranges, at least five beams from -90 to +90
+        observation_space: `tb2rl.envs.encodings.SensorBox`: first the laser's ranges, at least five beams from -90 to
+        +90
             degrees.
         action_space: Forward, left, right, and whatever else; or v and w, of which -1 is to stand and 0 straight on.
         side: Distance to keep from the wall [m], give or take `tolerance`.
@@ -46,8 +47,8 @@ class WallFollower(BasePolicy):
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
-        self._frames = getattr(observation_space, "frames", 1)
-        beams = sum(name == "laser" for name in getattr(observation_space, "names", ())) // self._frames
+        self._frame_stack = getattr(observation_space, "frame_stack", 1)
+        beams = sum(name == "laser" for name in getattr(observation_space, "names", ())) // self._frame_stack
         if beams < 5:
             raise InputError(f"the wall follower needs at least 5 beams over 180 degrees, got {beams}")
         self.side, self.ahead, self.guard = side, ahead, guard
@@ -58,7 +59,7 @@ class WallFollower(BasePolicy):
         self._right, self._front, self._left = angles < -25.0, angles.abs() <= 25.0, angles > 25.0
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        latest = observation[:, -observation.shape[1] // self._frames :]
+        latest = observation[:, -observation.shape[1] // self._frame_stack :]
         observation = latest[:, : len(self._front)]
         abeam, oblique = observation[:, 0], observation[:, self._oblique]
         # The angle of the wall from two sides of a triangle and the angle between them.

@@ -36,14 +36,14 @@ def main(arguments: list[str] | None = None) -> None:
             "eval_steps": 2,
         }
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), **short)
-        for movers in (None, {"people": 1, "boxes": 1}):
-            film(policy, Path(folder, "film.gif"), settings={"movers": movers}, steps=2)
+        for dynamic_obstacles in (None, {"people": 1, "boxes": 1}):
+            film(policy, Path(folder, "film.gif"), settings={"dynamic_obstacles": dynamic_obstacles}, steps=2)
     sensors = ["laser", "camera", "free_paths", "visited"]
-    env = make_env("maze", "raw", simulation="kinematic", observe=sensors, movers={"people": 1})
+    env = make_env("maze", "raw", simulation="kinematic", observe=sensors, dynamic_obstacles={"people": 1})
     env.reset()
     env.step(0)
     for agent in ("pursuit", "dwa", "vfh"):
-        config = resolve(agent, "navigate", settings={**worlds, "task.guide": "plan", "task.planner": "seen"})
+        config = resolve(agent, "navigate", settings={**worlds, "task.guide": "plan", "task.map": "online"})
         env = make_env(config.task, "raw", simulation="kinematic")
         action, _ = make_baseline(config).predict(env.reset()[0])
         env.step(action)

@@ -26,7 +26,7 @@ from tb2rl.commands import suite as suite_command
 from tb2rl.registry import find_world
 from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.worlds import World
 from tb2rl.worlds.suites import Suite
 
@@ -38,10 +38,10 @@ if hasattr(signal, "SIGHUP"):
 FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.0, 9.0))
 
 
-def _setup(*worlds: World | str, robot: Robot = ROBOT, **laser) -> Setup:
+def _spec(*worlds: World | str, robot: Robot = ROBOT, **laser) -> SimulationSpec:
     """The robot in some worlds (an open floor if none is given); `laser` changes fields of its laser."""
     found = tuple(find_world(world) if isinstance(world, str) else world for world in worlds)
-    return Setup(robot, replace(robot.laser, **laser), found or (FLOOR,))
+    return SimulationSpec(robot, replace(robot.laser, **laser), found or (FLOOR,))
 
 
 def _reading(
@@ -54,30 +54,31 @@ def _reading(
     goal=(math.nan, math.nan),
     bounds=(-9.0, -9.0, 9.0, 9.0),
     **others,
-) -> Reading:
+) -> RobotState:
     """A reading of as many robots as the longest argument has; a single value is the same for all.
 
     `others` are further fields of the reading, at rest if they are left out.
-    `ranges` are (robots, beams) or (beams,); without them each robot has three beams, the middle one of `nearest` [m].
+    `ranges` are (num_envs, beams) or (beams,); without them each robot has three beams, the middle one of `nearest`
+    [m].
     """
     pose, twist = np.atleast_2d(np.array(pose, float)), np.atleast_2d(np.array(twist, float))
     ranges = None if ranges is None else np.atleast_2d(np.array(ranges, float))
-    robots = max(len(pose), len(twist), np.size(nearest), np.size(bumped), 0 if ranges is None else len(ranges))
+    num_envs = max(len(pose), len(twist), np.size(nearest), np.size(bumped), 0 if ranges is None else len(ranges))
     if ranges is None:
-        ranges = np.full((robots, 3), math.inf)
+        ranges = np.full((num_envs, 3), math.inf)
         ranges[:, 1] = nearest
-    start = Start.proposed(_setup(), robots)
+    start = InitialState.default(_spec(), num_envs)
     start.goal[:], start.bounds[:] = goal, bounds
-    pose = np.broadcast_to(pose, (robots, 3))
-    twist = np.broadcast_to(twist, (robots, 2))
-    at_rest = {"odometry_twist": twist, "command": np.zeros((robots, 2)), "acceleration": np.zeros(robots)}
-    return Reading(
+    pose = np.broadcast_to(pose, (num_envs, 3))
+    twist = np.broadcast_to(twist, (num_envs, 2))
+    at_rest = {"odometry_twist": twist, "command": np.zeros((num_envs, 2)), "acceleration": np.zeros(num_envs)}
+    return RobotState(
         pose=pose,
         twist=twist,
-        odometry=pose if odometry is None else np.broadcast_to(np.array(odometry, float), (robots, 3)),
-        ranges=np.broadcast_to(ranges, (robots, ranges.shape[1])),
-        bumped=np.broadcast_to(np.array(bumped), robots),
-        start=start,
+        odometry=pose if odometry is None else np.broadcast_to(np.array(odometry, float), (num_envs, 3)),
+        ranges=np.broadcast_to(ranges, (num_envs, ranges.shape[1])),
+        bumped=np.broadcast_to(np.array(bumped), num_envs),
+        initial_state=start,
         **(at_rest | others),
     )
 
@@ -94,8 +95,8 @@ def _small_suite(name: str = "unseen", last: float = 1.0) -> Suite:
 
 @pytest.fixture
 def make_setup():
-    """The function `_setup`."""
-    return _setup
+    """The function `_spec`."""
+    return _spec
 
 
 @pytest.fixture
@@ -174,8 +175,8 @@ class Guest:
 
     def run(self, command: Sequence[str], **variables: str) -> subprocess.CompletedProcess[str]:
         """Run a command as this user: with a home that cannot be, and `scratch` for temporary files."""
-        reading = ["--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search"]
-        user = ["setpriv", f"--reuid={_NOBODY}", f"--regid={_NOBODY}", "--clear-groups", *reading]
+        robot_state = ["--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search"]
+        user = ["setpriv", f"--reuid={_NOBODY}", f"--regid={_NOBODY}", "--clear-groups", *robot_state]
         ours = ("NUMBA", "TB2RL", "XDG", "PYTEST")
         kept = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
         env = {**kept, "HOME": "/nonexistent", "TMPDIR": str(self.scratch), "PYTHONDONTWRITEBYTECODE": "1", **variables}

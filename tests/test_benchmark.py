@@ -14,7 +14,7 @@ from tb2rl.commands import rates
 from tb2rl.commands.benchmark import PARTS, learners
 from tb2rl.commands.rates import Figure
 from tb2rl.core.processes import processors
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.threads import THREADS
 
@@ -35,8 +35,8 @@ def test_the_table_has_a_figure_for_everything(brief, tmp_path, capsys):
     assert "processors" in tree["machine"]
     assert 1 < values["PyBullet, 6 beams: step / bare stepping"] < 3
     assert values["PyBullet, 6 beams: bare stepping in it"] > 0.05  # [ms]
-    for robots in (1, 100):
-        assert values[f"twin, {robots} robots, 6 beams: step / bare kernel"] > 1
+    for num_envs in (1, 100):
+        assert values[f"twin, {num_envs} robots, 6 beams: step / bare kernel"] > 1
     assert values["twin, 100 robots, 6 beams: step"] > values["PyBullet, 6 beams: step"]
     together, alone = "PyBullet, 2 environments in parallel processes", values["PyBullet, one environment alone"]
     shares = [value for name, value in values.items() if name.startswith("PyBullet, 2 in parallel / (")]
@@ -85,9 +85,9 @@ def test_bad_input_is_refused_before_anything_is_measured(line, named, capsys, t
 
 @pytest.mark.skipif(THREADS < 2, reason="one processor has nothing to share")
 def test_threads_share_the_work_of_a_batch(make_setup):
-    setup, rng = make_setup("loop", beams=36), np.random.default_rng(0)
-    simulation, start = KinematicSimulation(setup, 4096), Start.proposed(setup, 4096)
-    start.pose[:] = setup.worlds[0].random_poses(rng, 4096, 0.6)
+    spec, rng = make_setup("loop", beams=36), np.random.default_rng(0)
+    simulation, start = KinematicSimulation(spec, 4096), InitialState.default(spec, 4096)
+    start.pose[:] = spec.worlds[0].random_poses(rng, 4096, 0.6)
     simulation.reset(start, rng)
     commands = np.tile([0.05, 1.0], (4096, 1))
     simulation.step(commands, 0.2)  # starts the threads

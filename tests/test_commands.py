@@ -96,7 +96,7 @@ def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
         ("--set train.eval_steps=two", ["train.eval_steps", "integer", "'two'"]),
         ("--set task.observation=raw", ["qlearn", "discrete", "'raw'"]),
         ("--set task.beam_indices=[99]", ["task.beam_indices", "99", "beams"]),
-        ("--set 'task.edges=[2, 1]'", ["task.edges", "increase"]),
+        ("--set 'task.range_bins=[2, 1]'", ["task.range_bins", "increase"]),
         ("--set task.robot=turtelbot2", ["unknown robot", "did you mean 'turtlebot2'"]),
         ("--set task.maze=loop", ["unknown key of task 'maze'", "world"]),
         ("--set task.world=lop", ["did you mean 'loop'", "circuit"]),

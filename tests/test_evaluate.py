@@ -88,10 +88,10 @@ def test_json_goes_to_the_file_that_is_named_and_only_there(run, short, tmp_path
 
 
 def test_settings_change_the_task_of_a_policy(run, short, tmp_path, capsys):
-    changes = ["--set", "task.world=circuit", "task.noise=0.1", "--set", "task.forward_speed=0.1"]
+    changes = ["--set", "task.world=circuit", "task.laser_noise=0.1", "--set", "task.forward_speed=0.1"]
     command.main([str(run), *short, "--json", str(tmp_path / "it.json"), *changes])
     task = json.loads((tmp_path / "it.json").read_text())["config"]["task"]
-    assert (task["world"], task["noise"], task["forward_speed"]) == ("circuit", 0.1, 0.1)
+    assert (task["world"], task["laser_noise"], task["forward_speed"]) == ("circuit", 0.1, 0.1)
     assert "in circuit" in " ".join(capsys.readouterr().out.split()), "the title breaks where the folder's name is long"
 
 

@@ -41,7 +41,7 @@ FILES = {
         class Cruise(Task):
             actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
 
-            def judge(self, before, action, after):
+            def outcome(self, before, action, after):
                 driven = np.hypot(*(after.pose - before.pose)[:, :2].T)
                 return Outcome(10 * driven - 5 * after.bumped, failed={"bump": after.bumped})
         """,
@@ -57,7 +57,7 @@ FILES = {
         class Compass(Sensor):
             name, unit = "compass", "rad"
             low, high = -math.pi, math.pi
-            edges = (-1.5, 0.0, 1.5)
+            bins = (-1.5, 0.0, 1.5)
 
             def read(self, reading):
                 return reading.pose[:, 2:]
@@ -65,7 +65,7 @@ FILES = {
         class Speeds(Sensor):
             name, unit, shape = "speeds", "m/s", (2,)
             low, high = -1.0, 1.0
-            edges = (0.1,)
+            bins = (0.1,)
 
             def read(self, reading):
                 return reading.twist
@@ -205,7 +205,7 @@ def test_a_baseline_is_evaluated_and_filmed(mine):
     config = resolve("straight:AGENT", "maze")
     policy = make_baseline(config)
     evaluation = evaluate(policy, config, episodes=2, steps=60, workers=1)
-    assert {episode.ended for episode in evaluation.episodes} == {"crash"}
+    assert {episode.ended for episode in evaluation.episodes} == {"collision"}
     assert all((episode.actions == 0).all() for episode in evaluation.episodes)
     assert film(policy, mine / "film.gif", config, steps=5).stat().st_size > 1000
 

@@ -37,8 +37,8 @@ MINE = """
         def sensors(self, setup):
             return (*super().sensors(setup), Speed())
 
-        def judge(self, before, action, after):
-            outcome = super().judge(before, action, after)
+        def outcome(self, before, action, after):
+            outcome = super().outcome(before, action, after)
             outcome.reward[:] = self.hurry * after.twist[:, 0]
             return outcome
 

@@ -80,7 +80,7 @@ def test_the_result_of_a_policy_at_its_own_task_lands_in_its_run_folder(run, sui
 
 
 def test_at_another_task_it_does_not(run, suite, capsys):
-    command.main([str(run), *suite, "--workers", "1", "--set", "task.noise=0.1"])
+    command.main([str(run), *suite, "--workers", "1", "--set", "task.laser_noise=0.1"])
     assert list(run.glob("suite*")) == []
     assert "not kept: only a run folder" in capsys.readouterr().out
 
@@ -137,7 +137,7 @@ def test_what_was_kept_of_another_policy_task_or_suite_does_not_count(
 
     assert begun([*RANDOM, *suite, *file]) == [0, 1]
     assert begun(here) == [0, 1], "another policy"
-    assert begun([*here, "--set", "task.noise=0.1"]) == [0, 1], "another task"
+    assert begun([*here, "--set", "task.laser_noise=0.1"]) == [0, 1], "another task"
     assert begun(here) == [0, 1]
     place = str(Run.open(folder).policy_file.relative_to(folder).with_suffix(""))
     Run.open(folder).save(load(folder), place, more=1)

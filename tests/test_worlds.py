@@ -95,7 +95,7 @@ def test_what_it_converts_to_a_world_of_ours_is_the_same_world(name, folder, cap
     before, after = find_world(name), find_world("mine.yaml")
     assert np.allclose(after.boxes, before.boxes, atol=1e-12)
     assert np.allclose(after.posts, before.posts, atol=1e-12)
-    assert (after.start, after.goal) == (before.start, before.goal)
+    assert (after.initial_state, after.goal) == (before.initial_state, before.goal)
     assert (after.bounds, after.description) == (before.bounds, before.description)
 
 

@@ -19,7 +19,7 @@ from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.simulation.variation import varied
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import parse as parse_training
-from tb2rl.worlds.movers import among
+from tb2rl.worlds.dynamic_obstacles import among
 from tb2rl.zoo.contestants import Contestant
 
 MAZES = ("loop", "circuit", "round", "maze")  # the closed ones: in `wall` a robot that drives away is safe
@@ -68,7 +68,7 @@ class Entry:
     @property
     def conditions(self) -> str:
         """What guides it and what makes it harder: "guide plan, among 8 people, mild variation"; "": nothing does."""
-        guide, moves = getattr(self.config.task, "guide", ""), among(self.config.scene.setup.movers)
+        guide, moves = getattr(self.config.task, "guide", ""), among(self.config.scene.spec.dynamic_obstacles)
         return ", ".join(filter(None, (guide and f"guide {guide}", moves, varied(self.config.task.variation))))
 
     @cached_property
@@ -139,7 +139,7 @@ class Entry:
         """The share of good episodes that the zoo promises."""
         if self.config.observation == "discrete":
             return PROMISED_TABULAR
-        if self.config.scene.setup.movers:
+        if self.config.scene.spec.dynamic_obstacles:
             return PROMISED_AMONG_PEOPLE
         return PROMISED_WITHOUT_PLAN if getattr(self.config.task, "guide", "") == "goal" else PROMISED
 
@@ -153,7 +153,7 @@ class Entry:
     @property
     def speed_share(self) -> float:
         """Mean speed over that of the fastest command, which no driver can exceed."""
-        return self.figures["mean_speed"] / self.config.scene.actions.fastest
+        return self.figures["mean_speed"] / self.config.scene.actions.max_speed
 
     @property
     def trained(self) -> int:

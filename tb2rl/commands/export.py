@@ -48,8 +48,8 @@ def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
     memory = {given.name: given.type.tensor_type.shape.dim[2].dim_value for given in model.graph.input[len(parts) :]}
 
     def act(observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        robots = len(next(iter(observations.values())))
-        empty = {name: np.zeros((1, robots, units), np.float32) for name, units in memory.items()}
+        num_envs = len(next(iter(observations.values())))
+        empty = {name: np.zeros((1, num_envs, units), np.float32) for name, units in memory.items()}
         return graph.run(["action"], {**observations, **empty})[0]
 
     _check_acts_the_same(act, policy)

@@ -166,4 +166,4 @@ def drive_by_keyboard(scene: Scene, seed: int, camera: str = "above", simulation
             with closing(Window(scene, camera)) as window:
                 steer_in_terminal(teleop, window.show)
         else:
-            steer_in_terminal(teleop, lambda start, pose, movers: True)
+            steer_in_terminal(teleop, lambda start, pose, dynamic_obstacles: True)

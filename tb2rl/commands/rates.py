@@ -126,24 +126,24 @@ def _rate_alone(seed: int) -> float:
 
 def measure_twin(seconds: float) -> list[Figure]:
     """The fast twin for every number of robots and beams."""
-    return [figure for beams in BEAMS for robots in ROBOTS for figure in measure_batch(robots, beams, seconds / 5)]
+    return [figure for beams in BEAMS for num_envs in ROBOTS for figure in measure_batch(num_envs, beams, seconds / 5)]
 
 
-def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
+def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
     """The VecEnv's own step, everything included, and the twin's compiled kernel alone over the same commands."""
     scene = make_scene(Wander(beams=beams), "raw")
-    env = BatchVecEnv(scene, robots)
+    env = BatchVecEnv(scene, num_envs)
     env.seed(0)
     env.reset()
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
     assert isinstance(simulation, KinematicSimulation)
-    numbers = [np.empty(shape) for shape in ((robots, 2), (robots, 2), robots, robots)]
-    results = *numbers, np.empty(robots, dtype=bool), np.empty(robots), np.empty((robots, beams))
+    numbers = [np.empty(shape) for shape in ((num_envs, 2), (num_envs, 2), num_envs, num_envs)]
+    results = *numbers, np.empty(num_envs, dtype=bool), np.empty(num_envs), np.empty((num_envs, beams))
     whole: list[float] = []
     bare: list[float] = []
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or len(whole) < 3:  # the first ones start the threads
-        action = rng.integers(len(scene.actions.names), size=robots)
+        action = rng.integers(len(scene.actions.names), size=num_envs)
         commands, state = scene.actions.commands(action), simulation.state()
         start = time.perf_counter()
         env.step(action)
@@ -151,9 +151,9 @@ def measure_batch(robots: int, beams: int, seconds: float) -> list[Figure]:
         simulation.advance(state["poses"], state["rims"], commands, period, *results)
         whole.append(between - start)
         bare.append(time.perf_counter() - between)
-    name = f"twin, {robots} robots, {beams} beams"
+    name = f"twin, {num_envs} robots, {beams} beams"
     return [
-        Figure(f"{name}: step", robots / float(np.mean(whole[2:])), "robot-steps/s"),
+        Figure(f"{name}: step", num_envs / float(np.mean(whole[2:])), "robot-steps/s"),
         Figure(f"{name}: step / bare kernel", float(np.mean(whole[2:]) / np.mean(bare[2:])), "ratio"),
     ]
 

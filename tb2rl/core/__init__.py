@@ -1,3 +1,4 @@
 """What every room needs: errors, values, files, trust, compiled code, processes and signals.
 
-Imports no other room."""
+Imports no other room.
+"""

@@ -70,7 +70,7 @@ def _listed(value: Any) -> Any:
 
 PAIR, ASCENDING = BeforeValidator(_pair), AfterValidator(_ascending)  # of a range, which a number can stand for
 Names = Annotated[tuple[str, ...], Len(0, 100), BeforeValidator(_listed), AfterValidator(_different)]  # or one alone
-Edges = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_increasing)]  # borders of classes
+Bins = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_increasing)]  # borders of classes
 
 
 def _sensors(value: Any) -> Any:
@@ -116,7 +116,7 @@ def _movers(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-Moved = Annotated[Any, BeforeValidator(_movers)]  # what it means: see `tb2rl.worlds.movers`
+Moved = Annotated[Any, BeforeValidator(_movers)]  # what it means: see `tb2rl.worlds.dynamic_obstacles`
 Varied = Annotated[Any, BeforeValidator(_variation)]  # what it means: see `tb2rl.simulation.variation`
 Arguments = dict[str, Any]
 Observed = Annotated[tuple[str | dict[str, Arguments | None], ...], Len(1, 100), BeforeValidator(_sensors)]

@@ -32,7 +32,7 @@ _ARGUMENTS: Mapping[type[Sensor], tuple[str, ...]] = {  # what `portable/encodin
     GoalDirection: (),
     GoalDistance: (),
     LaserRanges: (),
-    LastAction: ("fastest", "reads_commands"),
+    LastAction: ("max_speeds", "reads_commands"),
     TurnRate: (),
     Visited: ("around", "near"),
     Waypoint: (),
@@ -57,7 +57,7 @@ def describe(config: Config, name: str) -> dict[str, Any]:
         "agent": config.agent_name,
         "task": config.task_name,
         "tb2rl": tb2rl.__version__,
-        "observation": {"mode": config.observation, "frames": config.task.frames, "sensors": sensors},
+        "observation": {"mode": config.observation, "frame_stack": config.task.frame_stack, "sensors": sensors},
         "actions": _actions(config),
     }
 
@@ -76,13 +76,13 @@ def needs_of(policy: BaseAlgorithm, config: Config) -> dict[str, Any]:
                 "policy.onnx, which begins at the observation, and make that yourself"
             )
     needs = TrainedPolicy(policy, config).needs
-    if config.task.explores:  # it draws no map there
+    if config.task.maps_online:  # it draws no map there
         needs = replace(needs, goal="plan")
     return {**asdict(needs), "beams": needs.beams.tolist()}
 
 
 def _sensor(sensor: Sensor) -> dict[str, Any]:
-    facts = {name: getattr(sensor, name) for name in ("name", "unit", "shape", "low", "high", "edges")}
+    facts = {name: getattr(sensor, name) for name in ("name", "unit", "shape", "low", "high", "bins")}
     arguments = {name: np.asarray(getattr(sensor, name)).tolist() for name in _ARGUMENTS.get(type(sensor), ())}
     return {**facts, **arguments}
 

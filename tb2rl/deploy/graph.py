@@ -28,8 +28,8 @@ def graph_of(
 ) -> onnx.ModelProto:
     """The graph of a policy.
 
-    Its inputs are the parts of the observation as `predict` takes them, shape (robots, ...); its outputs "action", as
-    `predict` gives it, and "command": v [m/s] and w [rad/s], shape (robots, 2). A policy with a memory also takes
+    Its inputs are the parts of the observation as `predict` takes them, shape (num_envs, ...); its outputs "action", as
+    `predict` gives it, and "command": v [m/s] and w [rad/s], shape (num_envs, 2). A policy with a memory also takes
     "hidden_0" and "cell_0", which are zeros where an episode begins, and gives what they are next as "hidden_0_next"
     and "cell_0_next", shape (1, robots, units); a second layer of memory is number 1.
 
@@ -93,7 +93,7 @@ class _Graph:
         return value
 
     def memory(self, values: str, size: int, *weights: np.ndarray) -> str:
-        """Add an LSTM, whose memory comes in and goes out; returns the name of what it says (robots, size)."""
+        """Add an LSTM, whose memory comes in and goes out; returns the name of what it says (num_envs, size)."""
         shape, number = (1, ROBOTS, size), self._memories
         past = [self._input(f"{name}_{number}", _FLOAT, shape) for name in ("hidden", "cell")]
         sequence = self.add("Unsqueeze", values, np.array([0]))  # of one step

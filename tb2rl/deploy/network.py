@@ -19,7 +19,7 @@ from torch import nn
 
 from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import NUMBERS
-from tb2rl.envs.features import NEAREST, Nearness
+from tb2rl.envs.features import NEAREST, InverseRange
 from tb2rl.runs.normalisation import statistics_of
 
 OBSERVATION = "observation"  # the name of an observation that has no parts
@@ -202,7 +202,7 @@ _MODULES: dict[type, Callable[[Any], list[Layer]]] = {
     nn.Hardtanh: lambda module: [_layer("clip", low=np.float32(module.min_val), high=np.float32(module.max_val))],
     FlattenExtractor: lambda module: [_layer("flatten")],
     NatureCNN: lambda module: [*_layers_of(module.cnn), *_layers_of(module.linear)],
-    Nearness: _nearness,
+    InverseRange: _nearness,
 }
 
 

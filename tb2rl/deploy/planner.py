@@ -11,11 +11,11 @@ from tb2rl.core.errors import InputError
 from tb2rl.deploy.portable.policy_contract import Point, Pose
 from tb2rl.envs.worlds import find_worlds
 from tb2rl.worlds import World
-from tb2rl.worlds.ways import OWN, Ways, shortest_way
+from tb2rl.worlds.goal_paths import OWN, GoalPaths, shortest_way
 
 
 class WorldPlanner:
-    """Knows the shortest way from anywhere in a world to a goal, as task `navigate` does with `planner: known`.
+    """Knows the shortest way from anywhere in a world to a goal, as task `navigate` does with `map: known`.
 
     The way to a new goal is found when it is first asked for, which takes from milliseconds to seconds in a large map.
 
@@ -32,26 +32,26 @@ class WorldPlanner:
         self._world = world if isinstance(world, World) else find_worlds(world)[0]
         self._radius, self.origin = radius, origin
         self._goal: Point | None = None
-        self._ways: Ways | None = None  # to that goal; None: there is none
+        self._paths: GoalPaths | None = None  # to that goal; None: there is none
 
-    def ahead(self, pose: Pose, goal: Point, reach: float) -> Point | None:
+    def lookahead_point(self, pose: Pose, goal: Point, lookahead: float) -> Point | None:
         """See `tb2rl.deploy.Planner`."""
         there = self._in_world((*goal, 0.0))[:2]
         here = self._in_world(pose)
         if there != self._goal:
-            self._goal, self._ways = there, self._ways_to(there, here)
-        if self._ways is None:
+            self._goal, self._paths = there, self._ways_to(there, here)
+        if self._paths is None:
             return None
         only = np.zeros(1, dtype=int)
-        return self._in_odometry(self._ways.ahead(only, only + OWN, np.array([here]), reach)[0])
+        return self._in_odometry(self._paths.lookahead_point(only, only + OWN, np.array([here]), lookahead)[0])
 
-    def _ways_to(self, goal: Point, here: Pose) -> Ways | None:
+    def _ways_to(self, goal: Point, here: Pose) -> GoalPaths | None:
         try:
             world = self._world.with_places(here, (*goal, 0.0))
             found = shortest_way(world, self._radius) < math.inf
         except InputError:  # the goal is outside of the world, or inside an obstacle
             return None
-        return Ways((world,), self._radius) if found else None
+        return GoalPaths((world,), self._radius) if found else None
 
     def _in_world(self, pose: Pose) -> Pose:
         x, y, yaw = self.origin

@@ -11,13 +11,13 @@ from gymnasium import spaces
 
 from tb2rl.deploy.portable.policy_contract import Needs, Sensed, Speeds
 from tb2rl.deploy.senses import find_senses
-from tb2rl.envs.commander import Commander
+from tb2rl.envs.command_delay import CommandDelay
 from tb2rl.envs.encodings import rows
-from tb2rl.envs.frames import Observer
+from tb2rl.envs.observation_pipeline import ObservationPipeline
 from tb2rl.envs.scene import Scene
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
-from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.tasks import Actions
 from tb2rl.worlds import World
 
@@ -28,7 +28,7 @@ _NEAR = 0.3  # [m] that counts as at the goal, for tasks that name no `goal_radi
 class TrainedPolicy:
     """What `tb2rl.load` loads, with the observations and actions of its training; a `tb2rl.deploy.Policy`.
 
-    A task with `planner: seen` draws its map of what the robot sees; for one with `planner: known`, the driver needs a
+    A task with `map: online` draws its map of what the robot sees; for one with `map: known`, the driver needs a
     plan or a planner. Goals are in the odometry frame, and the odometry is taken for where the robot is.
 
     Args:
@@ -45,24 +45,24 @@ class TrainedPolicy:
         scene = (config or config_of(policy)).scene
         self.needs = needs_in(scene)
         self._policy, self._scene = getattr(policy, "policy", policy), scene
-        self._setup = Setup(scene.robot, scene.laser, (floor(),))
+        self._spec = SimulationSpec(scene.robot, scene.laser, (floor(),))
         self._begin_with = Sensed(np.full(len(self.needs.beams), np.inf), goal=(2.0, 0.0), waypoint=(1.0, 0.0))
         self._warm_up()
 
     def begin(self) -> None:
         """Forget the last episode."""
-        self._observer: Observer | None = None
+        self._observation_pipeline: ObservationPipeline | None = None
         self._memory: Any = None
         self._speed = 0.0
 
     def act(self, sensed: Sensed) -> Speeds:
         """The greedy command for the next control step."""
-        if self._observer is None:
-            self._observer, self._start = self._episode(sensed)
-            observations = self._observer.begin(self._reading(sensed))
+        if self._observation_pipeline is None:
+            self._observation_pipeline, self._initial_state = self._episode(sensed)
+            observations = self._observation_pipeline.begin(self._reading(sensed))
         else:
-            self._commander.pass_on(np.array([sensed.command], dtype=float), np.zeros(1))
-            observations = self._observer.go_on(self._reading(sensed))
+            self._command_delay.push(np.array([sensed.command], dtype=float), np.zeros(1))
+            observations = self._observation_pipeline.go_on(self._reading(sensed))
         remembered = {} if self._memory is None else {"state": self._memory}
         action, self._memory = self._policy.predict(rows(observations, 0), deterministic=True, **remembered)
         v, w = self._scene.actions.commands(self._scene.actions.checked(action))[0].tolist()
@@ -75,22 +75,24 @@ class TrainedPolicy:
             self.act(self._begin_with)
         self.begin()
 
-    def _episode(self, sensed: Sensed) -> tuple[Observer, Start]:
-        scene, setup = self._scene, self._setup
-        if scene.task.explores:
-            setup = Setup(scene.robot, scene.laser, (floor(sensed.pose[:2], sensed.goal or sensed.pose[:2]),))
-        self._commander = Commander(0, scene.commands_read)
-        memories = [*scene.memories(setup), self._commander]
-        observer = Observer(scene.encoding, scene.observation_space, scene.task.frames, memories=memories)
-        return observer, Start.proposed(setup, 1)
+    def _episode(self, sensed: Sensed) -> tuple[ObservationPipeline, InitialState]:
+        scene, spec = self._scene, self._spec
+        if scene.task.maps_online:
+            spec = SimulationSpec(scene.robot, scene.laser, (floor(sensed.pose[:2], sensed.goal or sensed.pose[:2]),))
+        self._command_delay = CommandDelay(0, scene.commands_read)
+        episode_states = [*scene.episode_states(spec), self._command_delay]
+        observation_pipeline = ObservationPipeline(
+            scene.encoding, scene.observation_space, scene.task.frame_stack, episode_states=episode_states
+        )
+        return observation_pipeline, InitialState.default(spec, 1)
 
-    def _reading(self, sensed: Sensed) -> Reading:
+    def _reading(self, sensed: Sensed) -> RobotState:
         """What the robot sensed, as a simulation would say it."""
         if sensed.goal is not None:
-            self._start.goal[:] = sensed.goal
+            self._initial_state.goal[:] = sensed.goal
         pose, twist = np.array([sensed.pose], dtype=float), np.array([sensed.twist], dtype=float)
         faster, self._speed = sensed.twist[0] - self._speed, sensed.twist[0]
-        return Reading(
+        return RobotState(
             pose=pose,
             twist=twist,
             odometry=pose,
@@ -99,8 +101,8 @@ class TrainedPolicy:
             bumped=np.array([sensed.bumped]),
             command=np.array([sensed.command], dtype=float),
             acceleration=np.array([faster / self.needs.period]),
-            start=self._start,
-            explored=None if sensed.waypoint is None else _Told(np.array([sensed.waypoint], dtype=float)),
+            initial_state=self._initial_state,
+            occupancy_map=None if sensed.waypoint is None else _Told(np.array([sensed.waypoint], dtype=float)),
         )
 
 
@@ -110,8 +112,8 @@ class _Told:
     def __init__(self, waypoint: np.ndarray) -> None:
         self._waypoint = waypoint
 
-    def ahead(self, reading: Reading, reach: float) -> np.ndarray:
-        """See `Reading.ahead`."""
+    def lookahead_point(self, robot_state: RobotState, lookahead: float) -> np.ndarray:
+        """See `RobotState.lookahead_point`."""
         return self._waypoint
 
 
@@ -122,8 +124,8 @@ def needs_in(scene: Scene) -> Needs:
         InputError: If it observes what no robot can sense.
     """
     task, laser, senses = scene.task, scene.laser, find_senses(scene)
-    goal = "plan" if senses.reach is not None and not task.explores else None
-    if goal is None and (task.goal_task or task.explores or senses.goal):
+    goal = "plan" if senses.lookahead is not None and not task.maps_online else None
+    if goal is None and (task.goal_task or task.maps_online or senses.goal):
         goal = "goal"
     radius = getattr(task, "goal_radius", getattr(task, "goal_tolerance", _NEAR))
     speed, turn_rate = _fastest(scene.actions)
@@ -135,10 +137,10 @@ def needs_in(scene: Scene) -> Needs:
         max_speed=speed,
         max_turn_rate=turn_rate,
         robot=scene.robot.name,
-        uses_odometry=senses.odometry or task.explores,
+        uses_odometry=senses.odometry or task.maps_online,
         goal=goal,
         goal_radius=radius,
-        reach=senses.reach or 0.0,
+        lookahead=senses.lookahead or 0.0,
     )
 
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from tb2rl.envs.encodings import Observations, rows
 from tb2rl.envs.scene import Scene
-from tb2rl.simulation import Reading, Start, simulate_many
-from tb2rl.simulation.streams import StreamDraws
+from tb2rl.simulation import InitialState, RobotState, simulate_many
+from tb2rl.simulation.random_streams import StreamDraws
 from tb2rl.tasks import Outcome
 
 
-class Finals(NamedTuple):
+class FinishedEpisodes(NamedTuple):
     """How the episodes of some robots ended, a row for each."""
 
-    robots: np.ndarray  # their indices, shape (n,)
+    indices: np.ndarray  # their indices, shape (n,)
     observations: Observations  # (n, ...)
     infos: dict[str, np.ndarray]  # by the keys of `TurtleBot2Env`, each (n, ...)
     returns: np.ndarray  # shape (n,)
@@ -28,13 +28,13 @@ class Step(NamedTuple):
     """What a step of all robots came to."""
 
     observations: Observations
-    reward: np.ndarray  # shape (robots,), float64
-    terminated: np.ndarray  # shape (robots,), bool
-    truncated: np.ndarray  # shape (robots,), bool; of those that did not terminate
-    finals: Finals | None  # None where no episode ended
+    reward: np.ndarray  # shape (num_envs,), float64
+    terminated: np.ndarray  # shape (num_envs,), bool
+    truncated: np.ndarray  # shape (num_envs,), bool; of those that did not terminate
+    finished: FinishedEpisodes | None  # None where no episode ended
 
 
-class Batch:
+class ControlLoop:
     """N robots, advanced together: no object for each, and no Python for each but where an episode ends.
 
     Each robot draws its start poses and its laser's noise from streams of its own, so what it meets depends on the seed
@@ -42,22 +42,22 @@ class Batch:
 
     Args:
         scene: The task, the robot and the worlds, and how the task is observed.
-        robots: How many.
+        num_envs: How many.
         simulation: "kinematic" or "bullet", whose worlds are shared out among processes.
 
     Attributes:
-        reading: The latest.
-        distances: Driven since each robot's start [m], shape (robots,).
+        robot_state: The latest.
+        distances: Driven since each robot's start [m], shape (num_envs,).
     """
 
-    reading: Reading
+    robot_state: RobotState
 
-    def __init__(self, scene: Scene, robots: int, simulation: str = "kinematic") -> None:
+    def __init__(self, scene: Scene, num_envs: int, simulation: str = "kinematic") -> None:
         scene.check(simulation)
-        self.scene, self.task, self.robots = scene, scene.task, robots
-        self._actions, self._commander = scene.actions, scene.commander()
-        self._observer = scene.observer(self._commander)
-        self.simulation = simulate_many(simulation, scene.setup, robots)
+        self.scene, self.task, self.num_envs = scene, scene.task, num_envs
+        self._actions, self._command_delay = scene.actions, scene.command_delay()
+        self._observation_pipeline = scene.observation_pipeline(self._command_delay)
+        self.simulation = simulate_many(simulation, scene.spec, num_envs)
         self.seed(None)
 
     def seed(self, seed: Any) -> None:
@@ -66,33 +66,33 @@ class Batch:
 
     def reset(self) -> Observations:
         """Begin an episode of every robot."""
-        robots = self.robots
+        num_envs = self.num_envs
         starts, noise = self._rng.spawn(2)
-        self._keys = starts.integers(2**64, size=robots, dtype=np.uint64)
-        self._draws = np.zeros(robots, dtype=np.uint64)
-        self._lengths = np.zeros(robots, dtype=np.int64)
-        self._returns, self.distances = np.zeros(robots), np.zeros(robots)
-        self.reading = self.simulation.reset(self._starts(np.arange(robots)), noise)
-        return self._observer.begin(self.reading)
+        self._keys = starts.integers(2**64, size=num_envs, dtype=np.uint64)
+        self._draws = np.zeros(num_envs, dtype=np.uint64)
+        self._lengths = np.zeros(num_envs, dtype=np.int64)
+        self._returns, self.distances = np.zeros(num_envs), np.zeros(num_envs)
+        self.robot_state = self.simulation.reset(self._starts(np.arange(num_envs)), noise)
+        return self._observation_pipeline.begin(self.robot_state)
 
     def step(self, actions: np.ndarray) -> Step:
         """`advance`, after which a robot whose episode ended is at the start of its next one already."""
         step = self.advance(actions)
-        if step.finals is not None:
-            self.begin_again(step.finals.robots, step.observations)
+        if step.finished is not None:
+            self.reset_at(step.finished.indices, step.observations)
         return step
 
     def advance(self, actions: np.ndarray, over: np.ndarray | None = None) -> Step:
         """Hold an action of each robot for a control period.
 
         Args:
-            actions: Shape (robots, ...).
-            over: Robots whose episodes ended before and whose step does not count, bool, shape (robots,); None: none.
+            actions: Shape (num_envs, ...).
+            over: Robots whose episodes ended before and whose step does not count, bool, shape (num_envs,); None: none.
         """
-        before = self.reading
-        commands = self._commander.pass_on(self._actions.commands(actions), before.start.command_latency)
+        before = self.robot_state
+        commands = self._command_delay.push(self._actions.commands(actions), before.initial_state.command_latency)
         after = self.simulation.step(commands, self.task.control_period)
-        outcome = self.task.judge(before, actions, after)
+        outcome = self.task.outcome(before, actions, after)
         reward, terminated = outcome.reward, outcome.terminated
         if over is not None:
             reward, terminated = np.where(over, 0.0, reward), terminated & ~over
@@ -102,35 +102,37 @@ class Batch:
         truncated = (self._lengths >= self.task.episode_steps) & ~terminated
         if over is not None:
             truncated &= ~over
-        observations, finals = self._observer.go_on(after), None
+        observations, finished = self._observation_pipeline.go_on(after), None
         ended = (terminated | truncated).nonzero()[0]
         if ended.size:
             infos = infos_of(after, ended, self.distances[ended], outcome)
-            finals = Finals(ended, rows(observations, ended), infos, self._returns[ended], self._lengths[ended])
-        self.reading = after
-        return Step(observations, reward, terminated, truncated, finals)
+            finished = FinishedEpisodes(
+                ended, rows(observations, ended), infos, self._returns[ended], self._lengths[ended]
+            )
+        self.robot_state = after
+        return Step(observations, reward, terminated, truncated, finished)
 
-    def begin_again(self, robots: np.ndarray, observations: Observations) -> None:
+    def reset_at(self, indices: np.ndarray, observations: Observations) -> None:
         """Begin new episodes of some robots.
 
         Args:
-            robots: Their indices in rising order, shape (n,).
+            indices: Their indices in rising order, shape (n,).
             observations: The latest of all robots; the rows of these are overwritten, and so are those of the reading.
         """
-        self._lengths[robots], self._returns[robots], self.distances[robots] = 0, 0.0, 0.0
-        to_go = vars(self.reading).get("to_go")
-        self.reading, first = self.simulation.restart(robots, self._starts(robots), self.reading)
-        if to_go is not None:  # it was asked for, and takes long: of the others it is still the same
-            vars(self.reading)["to_go"] = to_go = to_go.copy()
-            to_go[robots] = first.to_go
-        self._observer.begin_some(robots, first, observations)
+        self._lengths[indices], self._returns[indices], self.distances[indices] = 0, 0.0, 0.0
+        path_length = vars(self.robot_state).get("path_length")
+        self.robot_state, first = self.simulation.restart(indices, self._starts(indices), self.robot_state)
+        if path_length is not None:  # it was asked for, and takes long: of the others it is still the same
+            vars(self.robot_state)["path_length"] = path_length = path_length.copy()
+            path_length[indices] = first.path_length
+        self._observation_pipeline.begin_some(indices, first, observations)
 
     def state(self) -> dict[str, Any]:
         """All that the rest of the episodes and later ones depend on, in plain values and arrays."""
         return {
             "simulation": self.simulation.state(),
-            "reading": self.reading.state(),
-            "frames": self._observer.state(),
+            "reading": self.robot_state.state(),
+            "frame_stack": self._observation_pipeline.state(),
             "keys": self._keys.copy(),
             "draws": self._draws.copy(),
             "lengths": self._lengths.copy(),
@@ -146,8 +148,8 @@ class Batch:
             ValueError: If a step from it would not end, or leave the worlds.
         """
         self.simulation.restore(state["simulation"])
-        self.reading = Reading.from_state(state["reading"], self.simulation)
-        self._observer.restore(state["frames"])
+        self.robot_state = RobotState.from_state(state["reading"], self.simulation)
+        self._observation_pipeline.restore(state["frame_stack"])
         self._keys, self._draws = state["keys"].copy(), state["draws"].copy()
         self._lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
         self.distances = state["distances"].copy()
@@ -157,29 +159,31 @@ class Batch:
         """Free what the simulation holds."""
         self.simulation.close()
 
-    def _starts(self, robots: np.ndarray) -> Start:
+    def _starts(self, indices: np.ndarray) -> InitialState:
         """New starts of the robots with these indices, one row each."""
-        draws = StreamDraws(self._keys[robots], self._draws[robots])
-        start = self.task.begin_varied(self.scene.setup, draws)
-        self._draws[robots] = draws.counts
-        return start
+        draws = StreamDraws(self._keys[indices], self._draws[indices])
+        initial_state = self.task.randomized_initial_state(self.scene.spec, draws)
+        self._draws[indices] = draws.counts
+        return initial_state
 
 
-def infos_of(reading: Reading, robots: np.ndarray, distances: np.ndarray, outcome: Outcome) -> dict[str, np.ndarray]:
+def infos_of(
+    robot_state: RobotState, indices: np.ndarray, distances: np.ndarray, outcome: Outcome
+) -> dict[str, np.ndarray]:
     """The infos of robots whose episodes end, by the keys of `TurtleBot2Env`, a row for each.
 
     Args:
-        reading: Of all robots.
-        robots: Indices of those that end, shape (n,).
+        robot_state: Of all robots.
+        indices: Indices of those that end, shape (n,).
         distances: How far each has driven [m], shape (n,).
         outcome: Of all robots.
     """
-    names, failed, success = zip(*outcome.endings(robots), strict=True)
+    names, failed, success = zip(*outcome.endings(indices), strict=True)
     return {
-        "pose": reading.pose[robots],
+        "pose": robot_state.pose[indices],
         "distance": distances,
-        "min_range": reading.nearest[robots],
-        "bumped": reading.bumped[robots],
+        "min_range": robot_state.nearest[indices],
+        "bumped": robot_state.bumped[indices],
         "is_success": np.array(success),
         "ended": np.array(names, dtype=object),
         "failed": np.array(failed),

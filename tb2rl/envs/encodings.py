@@ -14,12 +14,12 @@ from tb2rl.core.compiled import njit
 from tb2rl.core.errors import InputError
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
 BEAMS = {"discrete": 7, "raw": 36}  # of the laser where the task sets no number: 30 and 5 degrees apart
 NUMBERS = "numbers"  # the key of all numbers in an observation that has images beside them
 
-Observations = Any  # an array (robots, ...), or a mapping of names to such arrays
+Observations = Any  # an array (num_envs, ...), or a mapping of names to such arrays
 
 
 class Encoding(Protocol):
@@ -29,11 +29,11 @@ class Encoding(Protocol):
     def space(self) -> spaces.Space:
         """Of one robot's observation."""
 
-    def __call__(self, reading: Reading) -> Observations:
-        """What the robots observe: an array (robots, ...), or a mapping of such arrays."""
+    def __call__(self, robot_state: RobotState) -> Observations:
+        """What the robots observe: an array (num_envs, ...), or a mapping of such arrays."""
 
 
-class Numbers(spaces.Box):
+class SensorBox(spaces.Box):
     """A box of numbers that have units.
 
     Args:
@@ -42,10 +42,10 @@ class Numbers(spaces.Box):
     Attributes:
         units: Of each number, such as "m" or "rad".
         names: The sensor of each number.
-        frames: How many observations stand one after the other, the oldest first.
+        frame_stack: How many observations stand one after the other, the oldest first.
     """
 
-    frames = 1
+    frame_stack = 1
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         low = np.concatenate([np.full(sensor.shape, sensor.low, np.float32) for sensor in sensors])
@@ -54,15 +54,19 @@ class Numbers(spaces.Box):
         self.units = tuple(sensor.unit for sensor in sensors for _ in range(sensor.shape[0]))
         self.names = tuple(sensor.name for sensor in sensors for _ in range(sensor.shape[0]))
 
-    def repeated(self, frames: int) -> Numbers:
+    def repeated(self, frame_stack: int) -> SensorBox:
         """The box of so many of these observations, one after the other."""
         several = copy(self)
-        spaces.Box.__init__(several, np.tile(self.low, frames), np.tile(self.high, frames), dtype=np.float32)
-        several.units, several.names, several.frames = self.units * frames, self.names * frames, frames
+        spaces.Box.__init__(several, np.tile(self.low, frame_stack), np.tile(self.high, frame_stack), dtype=np.float32)
+        several.units, several.names, several.frame_stack = (
+            self.units * frame_stack,
+            self.names * frame_stack,
+            frame_stack,
+        )
         return several
 
 
-class Classes:
+class DiscretizedEncoding:
     """The class of every number, `MultiDiscrete`: for tabular learners."""
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
@@ -70,21 +74,21 @@ class Classes:
         counts = [len(edges) + 1 for sensor, edges in self._sensors for _ in range(sensor.shape[0])]
         self.space = spaces.MultiDiscrete(counts)
 
-    def __call__(self, reading: Reading) -> np.ndarray:
-        classes = [ranges_to_bins(_read(sensor, reading), edges) for sensor, edges in self._sensors]
+    def __call__(self, robot_state: RobotState) -> np.ndarray:
+        classes = [ranges_to_bins(_read(sensor, robot_state), edges) for sensor, edges in self._sensors]
         return classes[0] if len(classes) == 1 else np.column_stack(classes)
 
 
-class Raw:
+class BoxEncoding:
     """Every number as it is, cut to its limits, float32 (of a laser that hit nothing: the longest range)."""
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         self._sensors = sensors
         self._only_laser = len(sensors) == 1 and isinstance(sensors[0], LaserRanges)
-        self.space = Numbers(sensors)
+        self.space = SensorBox(sensors)
 
-    def __call__(self, reading: Reading) -> np.ndarray:
-        values = [_read(sensor, reading) for sensor in self._sensors]
+    def __call__(self, robot_state: RobotState) -> np.ndarray:
+        values = [_read(sensor, robot_state) for sensor in self._sensors]
         joined = values[0] if len(values) == 1 else np.column_stack(values)
         if not self._only_laser:  # which reads nothing below its shortest range
             joined = np.maximum(joined, self.space.low)
@@ -100,21 +104,21 @@ class Image:
         self._sensor = sensor
         self.space = spaces.Box(0, 255, sensor.shape, np.uint8)
 
-    def __call__(self, reading: Reading) -> np.ndarray:
-        return np.array(_read(self._sensor, reading))  # rows of it are overwritten where episodes end
+    def __call__(self, robot_state: RobotState) -> np.ndarray:
+        return np.array(_read(self._sensor, robot_state))  # rows of it are overwritten where episodes end
 
 
-class Mixed:
+class DictEncoding:
     """Images by their sensors' names, and all numbers together under "numbers": for networks of several inputs."""
 
     def __init__(self, numbers: Sequence[Sensor], images: Sequence[Sensor]) -> None:
         self._parts: dict[str, Encoding] = {sensor.name: Image(sensor) for sensor in images}
         if numbers:
-            self._parts[NUMBERS] = Raw(numbers)
+            self._parts[NUMBERS] = BoxEncoding(numbers)
         self.space = spaces.Dict({name: part.space for name, part in self._parts.items()})
 
-    def __call__(self, reading: Reading) -> dict[str, np.ndarray]:
-        return {name: part(reading) for name, part in self._parts.items()}
+    def __call__(self, robot_state: RobotState) -> dict[str, np.ndarray]:
+        return {name: part(robot_state) for name, part in self._parts.items()}
 
 
 def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
@@ -132,14 +136,14 @@ def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
     if mode == "discrete":
         if images:
             raise InputError(f"sensor {images[0].name} is an image, which has no classes; take observation=raw")
-        return Classes(numbers)
+        return DiscretizedEncoding(numbers)
     if not images:
-        return Raw(numbers)
-    return Image(images[0]) if len(images) == 1 and not numbers else Mixed(numbers, images)
+        return BoxEncoding(numbers)
+    return Image(images[0]) if len(images) == 1 and not numbers else DictEncoding(numbers, images)
 
 
-def _read(sensor: Sensor, reading: Reading) -> np.ndarray:
-    values = sensor.read(reading)
+def _read(sensor: Sensor, robot_state: RobotState) -> np.ndarray:
+    values = sensor.read(robot_state)
     if values.shape[1:] != sensor.shape or not values.ndim:
         got, fits = values.shape, ("robots", *sensor.shape)
         raise InputError(f"sensor {sensor.name} must read an array of shape {fits}, and it has shape {got}")
@@ -147,24 +151,24 @@ def _read(sensor: Sensor, reading: Reading) -> np.ndarray:
 
 
 def numbers_of(observations: Observations) -> np.ndarray:
-    """The numbers, or their classes, of all robots, shape (robots, n), beside which there may be images."""
+    """The numbers, or their classes, of all robots, shape (num_envs, n), beside which there may be images."""
     return observations[NUMBERS] if isinstance(observations, dict) else observations
 
 
-def rows(observations: Observations, robots: int | np.ndarray) -> Observations:
+def rows(observations: Observations, indices: int | np.ndarray) -> Observations:
     """The observation of one robot, or those of some, which are in arrays of their own."""
     if isinstance(observations, dict):
-        return {name: values[robots] for name, values in observations.items()}
-    return observations[robots]
+        return {name: values[indices] for name, values in observations.items()}
+    return observations[indices]
 
 
-def put_rows(observations: Observations, robots: np.ndarray, some: Observations) -> None:
+def put_rows(observations: Observations, indices: np.ndarray, some: Observations) -> None:
     """Overwrite the observations of some robots, in place."""
     if isinstance(observations, dict):
         for name, values in observations.items():
-            values[robots] = some[name]
+            values[indices] = some[name]
     else:
-        observations[robots] = some
+        observations[indices] = some
 
 
 def stacked(each: Sequence[Observations]) -> Observations:
@@ -184,11 +188,12 @@ def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> n
     """Sort laser ranges, or any other numbers, into classes.
 
     Args:
-        ranges: Distances to the nearest obstacle [m], shape (robots, beams), right to left; inf where nothing was hit.
+        ranges: Distances to the nearest obstacle [m], shape (num_envs, beams), right to left; inf where nothing was
+        hit.
         edges: Strictly increasing class borders [m], shape (bins - 1,).
 
     Returns:
-        Class of each beam, shape (robots, beams), integers in [0, bins); 0 is nearest, and what NaN becomes.
+        Class of each beam, shape (num_envs, beams), integers in [0, bins); 0 is nearest, and what NaN becomes.
     """
     bins = np.zeros(np.shape(ranges), dtype=np.int64)
     _count_edges(np.asarray(ranges, dtype=float).ravel(), np.asarray(edges, dtype=float), bins.reshape(-1))
@@ -197,7 +202,7 @@ def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> n
 
 @njit(cache=True)
 def _cut(values, high, numbers):
-    """Write `values` (robots, n), none above `high` (n,), to `numbers` (robots, n) of another type, in one pass."""
+    """Write `values` (num_envs, n), none above `high` (n,), to `numbers` (num_envs, n) of another type, in one pass."""
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             numbers[i, j] = min(values[i, j], high[j])
@@ -205,16 +210,16 @@ def _cut(values, high, numbers):
 
 @njit(cache=True)
 def _count_edges(ranges, edges, bins):
-    """Add to each of `bins` (n,) how many of `edges` are not above the number in `ranges` (n,)."""
+    """Add to each of `bins` (n,) how many of `bins` are not above the number in `ranges` (n,)."""
     for i in range(ranges.size):
         for edge in edges:
             bins[i] += ranges[i] >= edge
 
 
 def _increasing(sensor: Sensor) -> np.ndarray:
-    edges = np.asarray(sensor.edges, dtype=float)
+    edges = np.asarray(sensor.bins, dtype=float)
     if not len(edges):
-        raise InputError(f"sensor {sensor.name} has no edges of classes; set them, or take observation=raw")
+        raise InputError(f"sensor {sensor.name} has no bins of classes; set them, or take observation=raw")
     if not (np.diff(edges) > 0).all():
-        raise InputError(f"the edges of sensor {sensor.name} must strictly increase, got {list(sensor.edges)}")
+        raise InputError(f"the bins of sensor {sensor.name} must strictly increase, got {list(sensor.bins)}")
     return edges

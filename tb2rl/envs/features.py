@@ -12,15 +12,16 @@ from tb2rl.core.errors import InputError
 NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
 
 
-class Nearness(BaseFeaturesExtractor):
+class InverseRange(BaseFeaturesExtractor):
     """Distances as nearness 1 / (offset + d), so that a metre counts where it matters; all else scaled to [-1, 1].
 
-    The observation space says which numbers are distances: their unit is "m" (see `tb2rl.envs.encodings.Numbers`), and
+    The observation space says which numbers are distances: their unit is "m" (see `tb2rl.envs.encodings.SensorBox`),
+    and
     they cannot be below 0. A plain `Box` has no units, so there all that cannot be below 0 are.
 
     Args:
         observation_space: Raw observations.
-        middle: Nearness that becomes 0.
+        middle: InverseRange that becomes 0.
         spread: Factor on the difference to it.
         offset: [m] Small: the last decimetres before a wall stand out.
 

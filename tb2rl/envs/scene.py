@@ -11,23 +11,23 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.core.errors import InputError, unknown
-from tb2rl.envs.commander import Commander
+from tb2rl.envs.check_task import check_task
+from tb2rl.envs.command_delay import CommandDelay
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
-from tb2rl.envs.exploring import Explorer
-from tb2rl.envs.frames import Observer, stacked_space
-from tb2rl.envs.memory import Memory
-from tb2rl.envs.rehearsal import rehearse
-from tb2rl.envs.trail import Trail
+from tb2rl.envs.episode_state import EpisodeState
+from tb2rl.envs.observation_pipeline import ObservationPipeline, stacked_space
+from tb2rl.envs.occupancy_mapper import OccupancyMapper
+from tb2rl.envs.pose_history import PoseHistory
 from tb2rl.envs.worlds import are_generated, find_worlds, place_of
 from tb2rl.registry import find_robot
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors import Sensor
-from tb2rl.simulation import Setup
-from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.simulation import SimulationSpec
+from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks import Actions, Task
 from tb2rl.worlds import World
+from tb2rl.worlds.dynamic_obstacles import check_number, find_dynamic_obstacles
 from tb2rl.worlds.generators import Purpose
-from tb2rl.worlds.movers import check_number, find_movers
 
 _ROOM = 0.05  # [m] around a robot where it begins, if it is larger than a task counts on
 
@@ -39,8 +39,8 @@ class Scene:
     Attributes:
         task: The task.
         observation: How it is observed, "discrete" or "raw".
-        setup: The robot, its laser and the worlds.
-        encoding: From one reading to one observation; see `observer`.
+        spec: The robot, its laser and the worlds.
+        encoding: From one reading to one observation; see `observation_pipeline`.
         observation_space: What a learner observes.
         actions: What the robot can be told to do.
         sensors: What is read, before it is encoded.
@@ -48,7 +48,7 @@ class Scene:
 
     task: Task
     observation: str
-    setup: Setup
+    spec: SimulationSpec
     encoding: Encoding
     observation_space: spaces.Space
     actions: Actions
@@ -57,22 +57,22 @@ class Scene:
     @property
     def robot(self) -> Robot:
         """What drives."""
-        return self.setup.robot
+        return self.spec.robot
 
     @property
     def laser(self) -> Laser:
         """The laser with the beams that the task reads."""
-        return self.setup.laser
+        return self.spec.laser
 
     @property
     def world(self) -> World:
         """The first of the worlds; pictures of an episode show that of its start."""
-        return self.setup.worlds[0]
+        return self.spec.worlds[0]
 
     @property
     def place(self) -> str:
         """Where what drives, for titles: "loop", or "loop with turtlebot3" if it is not the usual robot."""
-        worlds = place_of(self.task.world, self.setup.worlds)
+        worlds = place_of(self.task.world, self.spec.worlds)
         return worlds if self.robot.name == Task.robot else f"{worlds} with {self.robot.name}"
 
     @property
@@ -90,29 +90,31 @@ class Scene:
         if not self.task.goal_task:
             return None
         draws = [GeneratorDraws(np.random.default_rng(seed)) for seed in range(2)]
-        one, other = (tuple(self.task.begin(self.setup.within(world), each).goal[0].tolist()) for each in draws)
+        one, other = (tuple(self.task.initial_state(self.spec.within(world), each).goal[0].tolist()) for each in draws)
         return one if one == other else None
 
-    def observer(self, commander: Commander) -> Observer:
+    def observation_pipeline(self, command_delay: CommandDelay) -> ObservationPipeline:
         """What turns the readings of some robots into what they observe, from their episodes' first one on.
 
         Args:
-            commander: What commands go through; it forgets them where an episode begins.
+            command_delay: What commands go through; it forgets them where an episode begins.
         """
-        latency = self.task.imperfections.reading_latency[1]
-        memories = self.memories(self.setup) + [commander] * commander.is_used
-        return Observer(self.encoding, self.observation_space, self.task.frames, latency, memories, self._prompt)
+        latency = self.task.resolved_variation.observation_latency[1]
+        episode_states = self.episode_states(self.spec) + [command_delay] * command_delay.is_used
+        return ObservationPipeline(
+            self.encoding, self.observation_space, self.task.frame_stack, latency, episode_states, self._prompt
+        )
 
-    def memories(self, setup: Setup) -> list[Memory]:
+    def episode_states(self, spec: SimulationSpec) -> list[EpisodeState]:
         """What robots remember of an episode in these worlds, but for what they are told."""
-        memories: list[Memory] = [Explorer(setup)] if self.task.explores else []
-        if any(sensor.reads_trail for sensor in self.sensors):
-            memories.append(Trail(self.task.control_period))
-        return memories
+        episode_states: list[EpisodeState] = [OccupancyMapper(spec)] if self.task.maps_online else []
+        if any(sensor.reads_pose_history for sensor in self.sensors):
+            episode_states.append(PoseHistory(self.task.control_period))
+        return episode_states
 
-    def commander(self) -> Commander:
+    def command_delay(self) -> CommandDelay:
         """What hands commands to the robots, as late as they are to obey them."""
-        return Commander(self.task.imperfections.latency[1], self.commands_read)
+        return CommandDelay(self.task.resolved_variation.latency[1], self.commands_read)
 
     @property
     def commands_read(self) -> int:
@@ -138,7 +140,7 @@ class Scene:
         """
         if not settings.keys().isdisjoint({"robot", "world"}):
             raise InputError("a scene keeps its robot and its world; make another one")
-        return _assemble(replace(self.task, **settings), self.observation, self.robot, self.setup.worlds)
+        return _assemble(replace(self.task, **settings), self.observation, self.robot, self.spec.worlds)
 
     def worlds_for(self, purpose: Purpose) -> Scene:
         """The scene in the worlds for a purpose: generated ones differ, see `tb2rl.worlds.generators`."""
@@ -204,7 +206,7 @@ def make_scene(task: Task, observation: str) -> Scene:
 
 
 def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, ...]) -> Scene:
-    worlds = task.places(worlds, robot)
+    worlds = task.prepare_worlds(worlds, robot)
     beams = task.beams or BEAMS[observation]
     if task.beam_indices is not None and max(task.beam_indices) >= beams:
         named = max(task.beam_indices)
@@ -215,15 +217,17 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
     if field > robot.laser.field_of_view:
         sees = f"{robot.name}'s laser sees {robot.laser.field_of_view:.4g} rad"
         raise InputError(f"task.field_of_view cannot be {field:.4g}: {sees}")
-    laser = replace(robot.laser, beams=beams, indices=task.beam_indices, noise=task.noise, field_of_view=field)
-    setup = Setup(robot, laser, worlds, movers=find_movers(task.movers, "task.movers"))
+    laser = replace(robot.laser, beams=beams, indices=task.beam_indices, noise=task.laser_noise, field_of_view=field)
+    spec = SimulationSpec(
+        robot, laser, worlds, dynamic_obstacles=find_dynamic_obstacles(task.dynamic_obstacles, "task.dynamic_obstacles")
+    )
     for number, world in enumerate(worlds):
-        check_number(setup.movers_in(number), f"world {world.name} and task.movers")
+        check_number(spec.dynamic_obstacles_in(number), f"world {world.name} and task.dynamic_obstacles")
     _check_starts(task, robot, worlds)
-    actions, sensors = rehearse(task, setup)
+    actions, sensors = check_task(task, spec)
     encoding = encode(observation, sensors)
-    space = stacked_space(encoding.space, task.frames)
-    return Scene(task, observation, setup, encoding, space, actions.within(robot), sensors)
+    space = stacked_space(encoding.space, task.frame_stack)
+    return Scene(task, observation, spec, encoding, space, actions.within(robot), sensors)
 
 
 def _check_starts(task: Task, robot: Robot, worlds: tuple[World, ...]) -> None:

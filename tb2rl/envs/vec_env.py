@@ -10,30 +10,30 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from tb2rl.envs.batch import Batch, Finals
+from tb2rl.envs.batch import ControlLoop, FinishedEpisodes
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
 
 
 class BatchVecEnv(VecEnv):
-    """A `Batch` for Stable-Baselines3.
+    """A `ControlLoop` for Stable-Baselines3.
 
     Robots begin anew by themselves; `infos` are empty but for an episode's end, where they hold what `TurtleBot2Env`
     reports and what Stable-Baselines3 expects: `terminal_observation`, `TimeLimit.truncated` and `episode`.
 
     Args:
         scene: The task, the robot and the worlds, and how the task is observed.
-        robots: How many.
+        num_envs: How many.
         reward_scale: Of the rewards that `step` returns; `episode` holds the unscaled return.
-        simulation: "kinematic" or "bullet", see `Batch`.
+        simulation: "kinematic" or "bullet", see `ControlLoop`.
     """
 
-    def __init__(self, scene: Scene, robots: int, reward_scale: float = 1.0, simulation: str = "kinematic") -> None:
-        self.batch = Batch(scene, robots, simulation)
+    def __init__(self, scene: Scene, num_envs: int, reward_scale: float = 1.0, simulation: str = "kinematic") -> None:
+        self.batch = ControlLoop(scene, num_envs, simulation)
         self.render_mode = None
         self.reward_scale = reward_scale
-        super().__init__(robots, scene.observation_space, scene.action_space)
-        self._nothing: list[dict[str, Any]] = [{} for _ in range(robots)]
+        super().__init__(num_envs, scene.observation_space, scene.action_space)
+        self._nothing: list[dict[str, Any]] = [{} for _ in range(num_envs)]
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         self.batch.seed(seed)
@@ -48,19 +48,21 @@ class BatchVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         step = self.batch.step(self._chosen)
         infos = self._nothing
-        if step.finals is not None:
+        if step.finished is not None:
             infos = infos.copy()
-            for robot, info in zip(step.finals.robots.tolist(), _reports(step.finals, step.truncated), strict=True):
+            for robot, info in zip(
+                step.finished.indices.tolist(), _reports(step.finished, step.truncated), strict=True
+            ):
                 infos[robot] = info
         rewards = (self.reward_scale * step.reward).astype(np.float32)
         return step.observations, rewards, step.terminated | step.truncated, infos
 
     def state(self) -> dict[str, Any]:
-        """See `Batch.state`."""
+        """See `ControlLoop.state`."""
         return self.batch.state()
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """See `Batch.restore`."""
+        """See `ControlLoop.restore`."""
         self.batch.restore(state)
 
     def close(self) -> None:
@@ -84,14 +86,14 @@ class BatchVecEnv(VecEnv):
         return [reports_episodes for _ in self._get_indices(indices)]
 
 
-def _reports(finals: Finals, truncated: np.ndarray) -> list[dict[str, Any]]:
+def _reports(finished: FinishedEpisodes, truncated: np.ndarray) -> list[dict[str, Any]]:
     """The info of each robot whose episode ended, spelt out: a batch of thousands ends a hundred a step."""
-    infos, observations = finals.infos, finals.observations
+    infos, observations = finished.infos, finished.observations
     names = "distance", "min_range", "bumped", "is_success", "ended", "failed"
-    columns = *(infos[name].tolist() for name in names), finals.returns.tolist(), finals.lengths.tolist()
+    columns = *(infos[name].tolist() for name in names), finished.returns.tolist(), finished.lengths.tolist()
     last = observations
     if isinstance(observations, dict):
-        last = [rows(observations, i) for i in range(len(finals.robots))]
+        last = [rows(observations, i) for i in range(len(finished.indices))]
     return [
         {
             "pose": pose,
@@ -106,6 +108,6 @@ def _reports(finals: Finals, truncated: np.ndarray) -> list[dict[str, Any]]:
             "episode": {"r": total, "l": length, "t": 0.0},
         }
         for pose, late, observation, distance, nearest, bumped, success, ended, failed, total, length in zip(
-            infos["pose"], truncated[finals.robots].tolist(), last, *columns, strict=True
+            infos["pose"], truncated[finished.indices].tolist(), last, *columns, strict=True
         )
     ]

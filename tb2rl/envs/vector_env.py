@@ -13,13 +13,13 @@ from gymnasium.vector.utils import batch_space
 
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.values import Count, checked
-from tb2rl.envs.batch import Batch, Finals, Step
+from tb2rl.envs.batch import ControlLoop, FinishedEpisodes, Step
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
 
 
 class BatchVectorEnv(VectorEnv[Any, Any, Any]):
-    """A `Batch` for Gymnasium.
+    """A `ControlLoop` for Gymnasium.
 
     Keys of `infos` are those of `TurtleBot2Env`, each an array with a row for each robot. When a robot whose episode
     ended begins anew says `autoreset_mode`, as in Gymnasium's own `SyncVectorEnv`:
@@ -46,7 +46,7 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         self._mode = find_autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
-        self.batch, self.num_envs = Batch(scene, checked(Count, num_envs, "num_envs")), num_envs
+        self.batch, self.num_envs = ControlLoop(scene, checked(Count, num_envs, "num_envs")), num_envs
         self._begun, self._observations = False, None
         self.single_observation_space, self.single_action_space = scene.observation_space, scene.action_space
         self.observation_space = batch_space(scene.observation_space, num_envs)
@@ -83,11 +83,11 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
             raise InputError("reset_mask takes no seed: the random streams of the robots go on")
         if not self._begun:
             raise InputError("reset_mask needs a reset of all robots first")
-        robots, observations = mask.nonzero()[0], deepcopy(self._observations)
-        self.batch.begin_again(robots, observations)
+        indices, observations = mask.nonzero()[0], deepcopy(self._observations)
+        self.batch.reset_at(indices, observations)
         self._over = self._over & ~mask
-        infos = {name: column[robots] for name, column in self._infos().items() if not name.startswith("_")}
-        return self._kept(observations), self._of_some(infos, robots)
+        infos = {name: column[indices] for name, column in self._infos().items() if not name.startswith("_")}
+        return self._kept(observations), self._of_some(infos, indices)
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Hold an action of each robot for a control period.
@@ -106,8 +106,8 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
     def _same_step(self, actions: np.ndarray) -> tuple[Step, dict[str, Any]]:
         step = self.batch.step(actions)
         infos = self._infos()
-        if step.finals is not None:
-            infos |= self._final_infos(step.finals)
+        if step.finished is not None:
+            infos |= self._final_infos(step.finished)
         return step, infos
 
     def _later(self, actions: np.ndarray) -> tuple[Step, dict[str, Any]]:
@@ -119,12 +119,12 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
             )
         step = self.batch.advance(actions, self._over if len(over) else None)
         if len(over):
-            self.batch.begin_again(over, step.observations)
+            self.batch.reset_at(over, step.observations)
         self._over, infos = step.terminated | step.truncated, self._infos()
-        if step.finals is not None:
+        if step.finished is not None:
             for name in ("is_success", "ended", "failed"):
                 infos[name] = infos[name].copy()
-                infos[name][step.finals.robots] = step.finals.infos[name]
+                infos[name][step.finished.indices] = step.finished.infos[name]
         return step, infos
 
     def _kept(self, observations: Any) -> Any:
@@ -137,37 +137,37 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _infos(self) -> dict[str, Any]:
         """Those of robots whose episodes go on, or have just begun; see `tb2rl.envs.single.info_of`."""
-        reading = self.batch.reading
+        robot_state = self.batch.robot_state
         infos: dict[str, Any] = {
-            "pose": reading.pose.copy(),
+            "pose": robot_state.pose.copy(),
             "distance": self.batch.distances.copy(),
-            "min_range": reading.nearest,
-            "bumped": reading.bumped.copy(),
+            "min_range": robot_state.nearest,
+            "bumped": robot_state.bumped.copy(),
             "is_success": self._none,
             "ended": self._no_ending,
             "failed": self._none,
         }
         return infos | {f"_{name}": self._all for name in infos}
 
-    def _final_infos(self, finals: Finals) -> dict[str, Any]:
+    def _final_infos(self, finished: FinishedEpisodes) -> dict[str, Any]:
         """`final_obs` and `final_info`, in the form of `VectorEnv._add_info`, for all of them at once."""
         ended = self._none.copy()
-        ended[finals.robots] = True
+        ended[finished.indices] = True
         observations = np.full(self.num_envs, None, dtype=object)
-        for i, robot in enumerate(finals.robots):
-            observations[robot] = rows(finals.observations, i)
-        info = self._of_some(finals.infos, finals.robots)
+        for i, robot in enumerate(finished.indices):
+            observations[robot] = rows(finished.observations, i)
+        info = self._of_some(finished.infos, finished.indices)
         return {"final_obs": observations, "_final_obs": ended, "final_info": info, "_final_info": ended}
 
-    def _of_some(self, columns: Mapping[str, np.ndarray], robots: np.ndarray) -> dict[str, Any]:
+    def _of_some(self, columns: Mapping[str, np.ndarray], indices: np.ndarray) -> dict[str, Any]:
         """Infos of some robots, a row for each, as infos of all: 0 or None for the others, and masks."""
         mask = self._none.copy()
-        mask[robots] = True
+        mask[indices] = True
         infos: dict[str, Any] = {}
         for name, column in columns.items():
             nothing = None if column.dtype == object else 0
             infos[name] = np.full((self.num_envs, *column.shape[1:]), nothing, column.dtype)
-            infos[name][robots] = column
+            infos[name][indices] = column
             infos[f"_{name}"] = mask
         return infos
 

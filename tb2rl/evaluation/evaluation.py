@@ -29,7 +29,7 @@ class Episode:
     """One evaluated episode; the return and the distance are sums over its steps."""
 
     start: tuple[float, float, float]  # x [m], y [m], yaw [rad]
-    ended: str  # "crash", "goal", ..., "time limit"
+    ended: str  # "collision", "goal", ..., "time limit"
     failed: bool  # whether that ending counts as failed
     success: bool
     touched: bool  # whether the bumper fired
@@ -156,10 +156,10 @@ class Evaluation:
 def episode_of(scene: Scene, moments: Sequence[Moment]) -> Episode:
     """What the moments of an episode came to."""
     first, last = moments[0], moments[-1]
-    world = int(first.start.world[0])
+    world = int(first.initial_state.world[0])
     places = [first.before[:2], *(moment.pose[:2] for moment in moments)]
-    radius = float(last.start.parameters[0, RADIUS])
-    clearance = min(scene.setup.worlds[world].clearance(*place) for place in places)
+    radius = float(last.initial_state.parameters[0, RADIUS])
+    clearance = min(scene.spec.worlds[world].clearance(*place) for place in places)
     return Episode(
         start=tuple(first.before.tolist()),
         ended=last.info["ended"],
@@ -173,7 +173,7 @@ def episode_of(scene: Scene, moments: Sequence[Moment]) -> Episode:
         actions=np.array([moment.action for moment in moments], dtype=smallest_type(scene.action_space)),
         world=world,
         closest=max(clearance - radius, 0.0) if np.isfinite(clearance) else None,  # inf: there is no obstacle
-        goal=tuple(last.start.goal[0].tolist()) if scene.task.goal_task else None,
+        goal=tuple(last.initial_state.goal[0].tolist()) if scene.task.goal_task else None,
     )
 
 
@@ -221,7 +221,7 @@ def kept_evaluation(run: Run) -> Evaluation:
     scene = run.config.scene.worlds_for("test").changed(episode_steps=steps)
     if any(episode.actions.shape[1:] != scene.action_space.shape for episode in episodes):
         raise InputError(f"{run.folder}: {EVALUATION} has other actions than the task in config.yaml")
-    if any(episode.world >= len(scene.setup.worlds) for episode in episodes):
+    if any(episode.world >= len(scene.spec.worlds) for episode in episodes):
         raise InputError(f"{run.folder}: {EVALUATION} has more worlds than the task in config.yaml")
     return Evaluation(episodes, scene, seed, simulation)
 

@@ -37,8 +37,8 @@ from tb2rl.execution.running import in_order
 from tb2rl.execution.where import Where
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
-from tb2rl.simulation import SIMULATIONS, Judge, Start, judging_simulation
-from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.simulation import SIMULATIONS, InitialState, Judge, judging_simulation
+from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks import Task
 
 EPISODES, STEPS = 100, 1500
@@ -78,8 +78,8 @@ class Evaluator:
     ) -> None:
         self.scene, self.seed = scene.changed(episode_steps=steps), seed
         self.simulation = simulation or judging_simulation()
-        starts = Start(scene.setup.table) if each_world else _random_starts(scene, episodes, seed)
-        self.starts = [Start(row[None]) for row in starts.table[:only]]
+        starts = InitialState(scene.spec.table) if each_world else _random_starts(scene, episodes, seed)
+        self.starts = [InitialState(row[None]) for row in starts.table[:only]]
         workers = min(workers or processors(), len(self.starts))
         self._pool = None
         if workers > 1:
@@ -156,11 +156,11 @@ class Evaluator:
         self.close()
 
 
-def _random_starts(scene: Scene, episodes: int, seed: int) -> Start:
+def _random_starts(scene: Scene, episodes: int, seed: int) -> InitialState:
     """From random poses; to random goals if the task draws them."""
 
-    def begun(task: Task) -> Start:
-        return task.begin(scene.setup, GeneratorDraws(np.random.default_rng(seed), episodes))
+    def begun(task: Task) -> InitialState:
+        return task.initial_state(scene.spec, GeneratorDraws(np.random.default_rng(seed), episodes))
 
     starts = begun(scene.changed(start="random").task)
     if scene.task.start == "fixed":  # then the goals are those of the worlds
@@ -173,7 +173,7 @@ class _Group(NamedTuple):
     """Episodes that are driven together: the seed of each, and how it begins."""
 
     seeds: list[int]
-    starts: list[Start]
+    starts: list[InitialState]
 
 
 class _Envs:
@@ -193,7 +193,7 @@ class _Envs:
             self._open.append(TurtleBot2Env(self._scene, simulation=self._simulation))
         envs = self._open[: len(group.starts)]
         if len(envs) == 1:
-            return [list(roll_out(envs[0], policy, group.seeds[0], start=group.starts[0]))]
+            return [list(roll_out(envs[0], policy, group.seeds[0], initial_state=group.starts[0]))]
         return roll_out_together(envs, policy, *group)
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.values import Count, checked
 from tb2rl.envs.encodings import stacked
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 
 LARGEST_SEED = 2**32 - 1
 
@@ -37,10 +37,11 @@ class Moment:
     reward: float
     total: float  # rewards since the reset
     info: Mapping[str, Any]  # of `TurtleBot2Env.step`; its "ended" says whether the episode is over, and why
-    start: Start  # how the episode began: one robot's world, goal and bounds
-    # What moves, at its beginning and at its end: outlines as in `Reading.movers`, shape (movers, 6); None: nothing.
-    movers_before: np.ndarray | None = None
-    movers: np.ndarray | None = None
+    initial_state: InitialState  # how the episode began: one robot's world, goal and bounds
+    # What moves, at its beginning and at its end: outlines as in `RobotState.dynamic_obstacles`, shape (movers, 6);
+    # None: nothing.
+    dynamic_obstacles_before: np.ndarray | None = None
+    dynamic_obstacles: np.ndarray | None = None
     ranges: np.ndarray | None = None  # along the laser's beams at its end [m], shape (beams,)
 
 
@@ -84,7 +85,7 @@ def roll_out(env: TurtleBot2Env, policy: Policy, seed: int, **options: Any) -> I
 
 
 def roll_out_together(
-    envs: Sequence[TurtleBot2Env], policy: Policy, seeds: Sequence[int], starts: Sequence[Start]
+    envs: Sequence[TurtleBot2Env], policy: Policy, seeds: Sequence[int], starts: Sequence[InitialState]
 ) -> list[list[Moment]]:
     """One episode in each of several environments, as by `roll_out`, but the policy is asked for all of them at once.
 
@@ -97,7 +98,10 @@ def roll_out_together(
         starts: How each begins, one robot in each.
     """
     with _drawing_from(seeds[0]):
-        episodes = [_Episode(env, seed, start=start) for env, seed, start in zip(envs, seeds, starts, strict=True)]
+        episodes = [
+            _Episode(env, seed, initial_state=initial_state)
+            for env, seed, initial_state in zip(envs, seeds, starts, strict=True)
+        ]
         moments: list[list[Moment]] = [[] for _ in episodes]
         remembered: dict[str, Any] = {}
         while not all(episode.over for episode in episodes):
@@ -120,15 +124,15 @@ class _Episode:
 
     def step(self, action: Any) -> Moment:
         """The next moment of it."""
-        before, movers_before = self._info["pose"], _movers(self._env)
+        before, dynamic_obstacles_before = self._info["pose"], _dynamic_obstacles(self._env)
         self.observation, reward, terminated, truncated, info = self._env.step(action)
         self._info, self._steps, self._total = info, self._steps + 1, self._total + float(reward)
         self.over = terminated or truncated
-        reading = self._env.reading
-        assert reading is not None
-        read = movers_before, _movers(self._env), reading.ranges[0]
+        robot_state = self._env.robot_state
+        assert robot_state is not None
+        read = dynamic_obstacles_before, _dynamic_obstacles(self._env), robot_state.ranges[0]
         done = np.asarray(action), float(reward), self._total
-        return Moment(self._steps, before, info["pose"], *done, info, reading.start, *read)
+        return Moment(self._steps, before, info["pose"], *done, info, robot_state.initial_state, *read)
 
 
 @contextmanager
@@ -139,6 +143,6 @@ def _drawing_from(seed: int) -> Iterator[None]:
         yield
 
 
-def _movers(env: TurtleBot2Env) -> np.ndarray | None:
-    reading = env.reading
-    return None if reading is None or reading.movers is None else reading.movers[0]
+def _dynamic_obstacles(env: TurtleBot2Env) -> np.ndarray | None:
+    robot_state = env.robot_state
+    return None if robot_state is None or robot_state.dynamic_obstacles is None else robot_state.dynamic_obstacles[0]

@@ -16,7 +16,7 @@ from tb2rl.core.values import Count, CountOrZero, Fraction, NonNegative, build
 from tb2rl.evaluation.evaluation import Episode
 from tb2rl.simulation import Judge
 from tb2rl.simulation.variation import varied
-from tb2rl.worlds.movers import among, find_movers
+from tb2rl.worlds.dynamic_obstacles import among, find_dynamic_obstacles
 
 T = TypeVar("T", bound="SuiteSummary")
 
@@ -112,17 +112,17 @@ class SuiteSummary:
 
     @property
     def guide(self) -> str:
-        """What guides it: "goal", "plan (planner known)"; "": its task knows no guide."""
+        """What guides it: "goal", "plan (map known)"; "": its task knows no guide."""
         task = self.config.get("task", {})
-        guide, planner = task.get("guide"), task.get("planner")
-        planned = f" (planner {planner})" if guide == "plan" and planner else ""
+        guide, planner = task.get("guide"), task.get("map")
+        planned = f" (map {planner})" if guide == "plan" and planner else ""
         return f"{guide}{planned}" if guide else ""
 
     @property
     def conditions(self) -> tuple[str, ...]:
         """What makes it harder: "among 8 people", "strong variation"."""
         task = self.config.get("task", {})
-        moves = among(find_movers(task.get("movers"), "task.movers"))
+        moves = among(find_dynamic_obstacles(task.get("dynamic_obstacles"), "task.dynamic_obstacles"))
         return tuple(filter(None, (moves, varied(task.get("variation", "none")))))
 
     @property

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch as th
 
-from tb2rl.envs.batch import Batch, Step
+from tb2rl.envs.batch import ControlLoop, Step
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.evaluation import Episode, Evaluation, smallest_type
 from tb2rl.evaluation.progress import progress as progress_bar
@@ -29,7 +29,7 @@ class TwinEvaluator:
 
     def __init__(self, scene: Scene, episodes: int, steps: int, seed: int) -> None:
         self.scene, self.seed = scene.changed(episode_steps=steps), seed
-        self._batch = Batch(scene.changed(start="random", episode_steps=steps), episodes)
+        self._batch = ControlLoop(scene.changed(start="random", episode_steps=steps), episodes)
         self._batch.reset()  # says here, and not after a part of the training, what cannot be observed
 
     def run(self, policy: Policy, progress: bool = False) -> Evaluation:
@@ -72,17 +72,17 @@ class TwinEvaluator:
 class _Record:
     """What each robot does until its first episode is over; later ones, of a robot that began anew, do not count."""
 
-    def __init__(self, batch: Batch) -> None:
-        self._batch, robots = batch, batch.robots
-        start = batch.reading.start
-        self._starts, self._worlds = batch.reading.pose.copy(), start.world.astype(int).tolist()
+    def __init__(self, batch: ControlLoop) -> None:
+        self._batch, num_envs = batch, batch.num_envs
+        initial_state = batch.robot_state.initial_state
+        self._starts, self._worlds = batch.robot_state.pose.copy(), initial_state.world.astype(int).tolist()
         goals = batch.scene.task.goal_task
-        self._goals = [tuple(goal) for goal in start.goal.tolist()] if goals else [None] * robots
+        self._goals = [tuple(goal) for goal in initial_state.goal.tolist()] if goals else [None] * num_envs
         self._places = [self._starts[:, :2].astype(np.float32)]
         self._actions: list[np.ndarray] = []
-        self._touched = np.zeros(robots, dtype=bool)
-        self._over = np.zeros(robots, dtype=bool)
-        self._ends: list[dict[str, Any]] = [{}] * robots
+        self._touched = np.zeros(num_envs, dtype=bool)
+        self._over = np.zeros(num_envs, dtype=bool)
+        self._ends: list[dict[str, Any]] = [{}] * num_envs
 
     @property
     def complete(self) -> bool:
@@ -91,18 +91,21 @@ class _Record:
 
     def note(self, actions: np.ndarray, step: Step) -> None:
         """Remember a step of all robots."""
-        reading, finals = self._batch.reading, step.finals
-        places, touched = reading.pose[:, :2].astype(np.float32), reading.bumped.copy()
-        if finals is not None:  # the reading shows where these robots began anew
-            places[finals.robots], touched[finals.robots] = finals.infos["pose"][:, :2], finals.infos["bumped"]
+        robot_state, finished = self._batch.robot_state, step.finished
+        places, touched = robot_state.pose[:, :2].astype(np.float32), robot_state.bumped.copy()
+        if finished is not None:  # the reading shows where these robots began anew
+            places[finished.indices], touched[finished.indices] = (
+                finished.infos["pose"][:, :2],
+                finished.infos["bumped"],
+            )
         self._places.append(places)
         self._actions.append(np.asarray(actions).astype(smallest_type(self._batch.scene.action_space)))
         self._touched |= touched & ~self._over
-        if finals is not None:
-            for i in np.flatnonzero(~self._over[finals.robots]):
-                end = {name: finals.infos[name][i] for name in ("ended", "failed", "is_success", "distance")}
-                self._ends[finals.robots[i]] = {**end, "length": finals.lengths[i], "return": finals.returns[i]}
-            self._over[finals.robots] = True
+        if finished is not None:
+            for i in np.flatnonzero(~self._over[finished.indices]):
+                end = {name: finished.infos[name][i] for name in ("ended", "failed", "is_success", "distance")}
+                self._ends[finished.indices[i]] = {**end, "length": finished.lengths[i], "return": finished.returns[i]}
+            self._over[finished.indices] = True
 
     def episodes(self) -> list[Episode]:
         """The episodes, one for each robot."""

@@ -138,4 +138,4 @@ def _do(cargo: bytes, call: bytes, fills_folder: bool, said: dict[str, str]) -> 
         folder = Path(parent, "folder")
         outcome = attempt(call, shared, folder)
         files = files_in(folder) if folder.is_dir() else None
-    return Outcome(outcome.value, outcome.refused, outcome.crashed, files, outcome.machine)
+    return Outcome(outcome.value, outcome.refused, outcome.collided, files, outcome.machine)

@@ -50,14 +50,14 @@ class Outcome:
     Attributes:
         value: What the function returned.
         refused: The message of an `InputError`.
-        crashed: The traceback of any other error: a bug.
+        collided: The traceback of any other error: a bug.
         files: Of the folder that it filled on another machine, by their path in it.
         machine: The name of the machine.
     """
 
     value: Any = None
     refused: str | None = None
-    crashed: str | None = None
+    collided: str | None = None
     files: Mapping[str, bytes] | None = None
     machine: str = ""
 
@@ -77,7 +77,7 @@ def attempt(call: bytes, shared: Any, folder: Path | None) -> Outcome:
     except InputError as error:
         return Outcome(refused=str(error), machine=machine)
     except Exception:
-        return Outcome(crashed=traceback.format_exc(), machine=machine)
+        return Outcome(collided=traceback.format_exc(), machine=machine)
 
 
 def files_in(folder: Path) -> dict[str, bytes]:

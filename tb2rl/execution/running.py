@@ -82,6 +82,6 @@ def in_order(jobs: list[Job], where: Where, shared: Any = None) -> Iterator[Any]
 def _value(job: Job, outcome: Outcome) -> Any:
     if outcome.refused is not None:
         raise InputError(f"{job.name}: {outcome.refused}")
-    if outcome.crashed is not None:
-        raise RuntimeError(f"{job.name} failed on {outcome.machine}:\n{outcome.crashed}")
+    if outcome.collided is not None:
+        raise RuntimeError(f"{job.name} failed on {outcome.machine}:\n{outcome.collided}")
     return outcome.value

@@ -11,7 +11,7 @@ from tb2rl.rendering.canvas import Canvas
 from tb2rl.rendering.colours import BEAM, BODY, GOAL, MOVER, NOSE, PATH, ROUTE, WHEEL
 from tb2rl.robots import Laser, Robot
 from tb2rl.worlds import World
-from tb2rl.worlds.movers import Movers
+from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
 from tb2rl.worlds.world import box_shapes
 
 GOAL_RADIUS = 0.2  # [m] of what marks a goal
@@ -36,7 +36,11 @@ class WorldPicture:
         draw_goal(self._empty, goal)
 
     def draw(
-        self, pose: np.ndarray, ranges: np.ndarray, path: Sequence[np.ndarray], movers: np.ndarray | None = None
+        self,
+        pose: np.ndarray,
+        ranges: np.ndarray,
+        path: Sequence[np.ndarray],
+        dynamic_obstacles: np.ndarray | None = None,
     ) -> np.ndarray:
         """The robot with its beams and its path, and what moves beside it.
 
@@ -44,7 +48,8 @@ class WorldPicture:
             pose: x [m], y [m], yaw [rad], shape (3,).
             ranges: Along the laser's beams [m], shape (beams,).
             path: Where it was since the reset, poses (3,) or points (2,).
-            movers: Their outlines, a robot's block of `Reading.movers`, shape (movers, 6); None: nothing moves.
+            dynamic_obstacles: Their outlines, a robot's block of `RobotState.dynamic_obstacles`, shape (movers, 6);
+            None: nothing moves.
 
         Returns:
             Shape (height, width, 3), uint8.
@@ -56,7 +61,7 @@ class WorldPicture:
             canvas.line([(x, y), (x + reach * math.cos(angle), y + reach * math.sin(angle))], BEAM, 0.015)
         if len(path) > 1:
             canvas.line(path, PATH, 0.04)
-        draw_movers(canvas, movers)
+        draw_movers(canvas, dynamic_obstacles)
         draw_robot(canvas, self._robot, x, y, yaw)
         return canvas.array()
 
@@ -67,9 +72,9 @@ def draw_goal(canvas: Canvas, goal: Sequence[float] | np.ndarray | None) -> None
         canvas.disc(goal[0], goal[1], GOAL_RADIUS, None, outline=GOAL)
 
 
-def draw_movers(canvas: Canvas, movers: np.ndarray | None) -> None:
-    """What moves, by outlines (movers, 6) as in `Reading.movers`; nothing for None."""
-    for row in np.empty((0, 6)) if movers is None else movers:
+def draw_movers(canvas: Canvas, dynamic_obstacles: np.ndarray | None) -> None:
+    """What moves, by outlines (movers, 6) as in `RobotState.dynamic_obstacles`; nothing for None."""
+    for row in np.empty((0, 6)) if dynamic_obstacles is None else dynamic_obstacles:
         x, y, cos, sin, length, width = row.tolist()
         if width > 0.0:
             (box,) = box_shapes(np.array([[x, y, length, width, cos, sin]]))
@@ -78,7 +83,7 @@ def draw_movers(canvas: Canvas, movers: np.ndarray | None) -> None:
             canvas.disc(x, y, length, MOVER)
 
 
-def draw_routes(canvas: Canvas, groups: Sequence[Movers]) -> None:
+def draw_routes(canvas: Canvas, groups: Sequence[DynamicObstacles]) -> None:
     """The paths that movers follow, faint."""
     for group in groups:
         if group.path is not None:

@@ -32,7 +32,7 @@ def draw_plan(world: World, robot: Robot) -> np.ndarray:
     # Triangles, because what can be reached has holes.
     for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(world.free_space(robot.radius))):
         canvas.polygon(triangle.exterior.coords, FREE)
-    draw_routes(canvas, world.movers)
+    draw_routes(canvas, world.dynamic_obstacles)
     draw_goal(canvas, None if world.goal is None else world.goal[:2])
     draw_robot(canvas, robot, *world.start)
     return canvas.array()

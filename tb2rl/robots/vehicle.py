@@ -11,14 +11,14 @@ class Vehicle:
 
     Attributes:
         radius: Of the robot's base [m].
-        fastest: The v that the task's action 1 means [m/s], or that of its fastest named action.
+        max_speed: The v that the task's action 1 means [m/s], or that of its fastest named action.
         turn_rate: The w that the task's action 1 means [rad/s]; with named actions the robot's largest.
         period: From one action to the next [s].
         directions: Of the laser's beams, from right to left [rad]; None: evenly from -90 to 90 degrees.
     """
 
     radius: float = 0.178
-    fastest: float = 0.65
+    max_speed: float = 0.65
     turn_rate: float = 2.0
     period: float = 0.1
     directions: tuple[float, ...] | None = None

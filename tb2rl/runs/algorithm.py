@@ -156,10 +156,10 @@ def make_baseline(config: Config) -> BasePolicy:
 
 def _vehicle(scene: Scene) -> Vehicle:
     actions, robot = scene.actions, scene.robot
-    fastest, turn_rate = actions.fastest, robot.max_turn_rate
+    max_speed, turn_rate = actions.max_speed, robot.max_turn_rate
     if isinstance(actions, Velocities):
-        fastest, turn_rate = actions.high.tolist()
-    return Vehicle(robot.radius, fastest, turn_rate, scene.task.control_period, tuple(scene.laser.angles.tolist()))
+        max_speed, turn_rate = actions.high.tolist()
+    return Vehicle(robot.radius, max_speed, turn_rate, scene.task.control_period, tuple(scene.laser.angles.tolist()))
 
 
 class Spaces(gym.Env):

@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import NUMBERS
-from tb2rl.envs.features import Nearness
+from tb2rl.envs.features import InverseRange
 from tb2rl.runs.config import TrainSettings
 
 _LARGEST = 1e12  # of any mean or variance
@@ -56,7 +56,7 @@ def agree(algorithm: BaseAlgorithm) -> None:
     if env is None:
         return
     env.gamma = getattr(algorithm, "gamma", env.gamma)
-    if env.norm_obs and any(isinstance(module, Nearness) for module in algorithm.policy.modules()):
+    if env.norm_obs and any(isinstance(module, InverseRange) for module in algorithm.policy.modules()):
         raise InputError(
             "train.norm_obs does not go with Nearness, which reads metres; set "
             "agent.policy_kwargs.features_extractor_class=stable_baselines3.common.torch_layers:FlattenExtractor "

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
 
 class Bumper(Sensor):
@@ -15,10 +15,10 @@ class Bumper(Sensor):
 
     name = "bumper"
     low, high = 0.0, 1.0
-    edges = (0.5,)
+    bins = (0.5,)
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return reading.bumped[:, None].astype(float)
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.bumped[:, None].astype(float)
 
 
 def bumper_at(angle: float) -> int:

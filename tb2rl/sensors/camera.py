@@ -11,7 +11,7 @@ from annotated_types import Ge, Le
 from tb2rl import robots
 from tb2rl.core.errors import InputError
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import Reading, Setup
+from tb2rl.simulation import RobotState, SimulationSpec
 from tb2rl.worlds.world import WALL_HEIGHT
 
 Pixels = Annotated[int, Ge(4), Le(1024)]
@@ -49,8 +49,8 @@ class Camera(Sensor):
         self.shape = (3 * colour + depth, height, width)
 
     @classmethod
-    def given(cls, setup: Setup) -> Mapping[str, Any]:
-        return {"camera": setup.robot.camera}
+    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
+        return {"camera": spec.robot.camera}
 
     def check(self, simulation: str) -> None:
         if simulation == "bullet":
@@ -63,8 +63,8 @@ class Camera(Sensor):
                 f"is {self.camera.position[2]:g} m high; take simulation 'bullet'"
             )
 
-    def read(self, reading: Reading) -> np.ndarray:
-        colours, depth = reading.look(*self.shape[:0:-1])
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        colours, depth = robot_state.look(*self.shape[:0:-1])
         channels = [] if colours is None or not self.colour else [np.moveaxis(colours, -1, 1)]
         if self.depth:
             scaled = np.rint(np.minimum(depth * (255.0 / self.camera.range[1]), 255.0))

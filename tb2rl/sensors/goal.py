@@ -6,46 +6,46 @@ import math
 
 import numpy as np
 
-from tb2rl.core.values import Edges
+from tb2rl.core.values import Bins
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
-DISTANCE_EDGES: Edges = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
-BEARING_EDGES: Edges = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
+DISTANCE_BINS: Bins = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
+BEARING_BINS: Bins = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
 
 
 class GoalDistance(Sensor):
     """How far the goal is [m].
 
     Args:
-        edges: Borders of the distance classes [m].
+        bins: Borders of the distance classes [m].
     """
 
     name, unit = "goal distance", "m"
     low, high = 0.0, 100.0
 
-    def __init__(self, edges: Edges = DISTANCE_EDGES) -> None:
-        self.edges = edges
+    def __init__(self, bins: Bins = DISTANCE_BINS) -> None:
+        self.bins = bins
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return np.hypot(*_to_goal(reading))[:, None]
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return np.hypot(*_to_goal(robot_state))[:, None]
 
 
 class GoalBearing(Sensor):
     """In which direction the goal is, counted from straight ahead [rad].
 
     Args:
-        edges: Borders of the classes of angles [rad].
+        bins: Borders of the classes of angles [rad].
     """
 
     name, unit = "goal bearing", "rad"
     low, high = -math.pi, math.pi
 
-    def __init__(self, edges: Edges = BEARING_EDGES) -> None:
-        self.edges = edges
+    def __init__(self, bins: Bins = BEARING_BINS) -> None:
+        self.bins = bins
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return (np.remainder(_bearing(reading) + math.pi, math.tau) - math.pi)[:, None]
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return (np.remainder(_bearing(robot_state) + math.pi, math.tau) - math.pi)[:, None]
 
 
 class GoalDirection(Sensor):
@@ -53,19 +53,19 @@ class GoalDirection(Sensor):
 
     name, shape = "goal direction", (2,)
     low, high = -1.0, 1.0
-    edges = (-0.7, 0.0, 0.7)
+    bins = (-0.7, 0.0, 0.7)
 
-    def read(self, reading: Reading) -> np.ndarray:
-        bearing = _bearing(reading)
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        bearing = _bearing(robot_state)
         return np.column_stack([np.cos(bearing), np.sin(bearing)])
 
 
-def _to_goal(reading: Reading) -> np.ndarray:
+def _to_goal(robot_state: RobotState) -> np.ndarray:
     """How far the goal is along x and along y of the odometry's frame [m], shape (2, robots)."""
-    return (reading.goal - reading.odometry[:, :2]).T
+    return (robot_state.goal - robot_state.odometry[:, :2]).T
 
 
-def _bearing(reading: Reading) -> np.ndarray:
-    """Its direction, counted from straight ahead [rad], shape (robots,); any number of whole turns more or less."""
-    east, north = _to_goal(reading)
-    return np.arctan2(north, east) - reading.odometry[:, 2]
+def _bearing(robot_state: RobotState) -> np.ndarray:
+    """Its direction, counted from straight ahead [rad], shape (num_envs,); any number of whole turns more or less."""
+    east, north = _to_goal(robot_state)
+    return np.arctan2(north, east) - robot_state.odometry[:, 2]

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.core.values import Edges
+from tb2rl.core.values import Bins
 from tb2rl.robots import Laser
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import Reading, Setup
+from tb2rl.simulation import RobotState, SimulationSpec
 
 
 class LaserRanges(Sensor):
@@ -18,19 +18,19 @@ class LaserRanges(Sensor):
 
     Args:
         laser: Which beams there are, and how far they reach.
-        edges: Borders of the distance classes [m].
+        bins: Borders of the distance classes [m].
     """
 
     name, unit = "laser", "m"
 
-    def __init__(self, laser: Laser, edges: Edges) -> None:
+    def __init__(self, laser: Laser, bins: Bins) -> None:
         self.low, self.high = laser.min_range, laser.max_range
-        self.edges = edges
+        self.bins = bins
         self.shape = (len(laser.angles),)
 
     @classmethod
-    def given(cls, setup: Setup) -> Mapping[str, Any]:
-        return {"laser": setup.laser}
+    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
+        return {"laser": spec.laser}
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return reading.ranges
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.ranges

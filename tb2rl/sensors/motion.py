@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Le
 
-from tb2rl.core.values import Edges
+from tb2rl.core.values import Bins
 from tb2rl.robots import Robot
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import Reading, Setup
+from tb2rl.simulation import RobotState, SimulationSpec
 
 
 class _Motion(Sensor):
@@ -22,17 +22,17 @@ class _Motion(Sensor):
 
     Args:
         robot: What it can do.
-        edges: Borders of the classes, as shares of the largest value.
+        bins: Borders of the classes, as shares of the largest value.
     """
 
-    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1)) -> None:
+    def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1)) -> None:
         self.high = self._largest(robot)
         self.low = -self.high
-        self.edges = tuple(edge * self.high for edge in edges)
+        self.bins = tuple(edge * self.high for edge in bins)
 
     @classmethod
-    def given(cls, setup: Setup) -> Mapping[str, Any]:
-        return {"robot": setup.robot}
+    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
+        return {"robot": spec.robot}
 
     @staticmethod
     def _largest(robot: Robot) -> float:
@@ -44,20 +44,20 @@ class ForwardSpeed(_Motion):
 
     Args:
         robot: Its fastest speed is the limit.
-        edges: Borders of the classes, as shares of that.
+        bins: Borders of the classes, as shares of that.
     """
 
     name, unit = "forward speed", "m/s"
 
-    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1, 0.5)) -> None:
-        super().__init__(robot, edges)
+    def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1, 0.5)) -> None:
+        super().__init__(robot, bins)
 
     @staticmethod
     def _largest(robot: Robot) -> float:
         return robot.max_speed
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return reading.odometry_twist[:, :1]
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.odometry_twist[:, :1]
 
 
 class TurnRate(_Motion):
@@ -65,7 +65,7 @@ class TurnRate(_Motion):
 
     Args:
         robot: Its fastest turn is the limit.
-        edges: Borders of the classes, as shares of that.
+        bins: Borders of the classes, as shares of that.
     """
 
     name, unit = "turn rate", "rad/s"
@@ -74,8 +74,8 @@ class TurnRate(_Motion):
     def _largest(robot: Robot) -> float:
         return robot.max_turn_rate
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return reading.odometry_twist[:, 1:]
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.odometry_twist[:, 1:]
 
 
 class YawRate(TurnRate):
@@ -83,8 +83,8 @@ class YawRate(TurnRate):
 
     name = "yaw rate"
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return reading.twist[:, 1:]
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.twist[:, 1:]
 
 
 class ForwardAcceleration(_Motion):
@@ -92,7 +92,7 @@ class ForwardAcceleration(_Motion):
 
     Args:
         robot: What its motors can do is the limit; the blow of a wall is cut to it.
-        edges: Borders of the classes, as shares of that.
+        bins: Borders of the classes, as shares of that.
     """
 
     name, unit = "forward acceleration", "m/s^2"
@@ -101,8 +101,8 @@ class ForwardAcceleration(_Motion):
     def _largest(robot: Robot) -> float:
         return robot.wheel_acceleration + abs(robot.wheel_coupling)
 
-    def read(self, reading: Reading) -> np.ndarray:
-        return reading.acceleration[:, None]
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.acceleration[:, None]
 
 
 class LastAction(Sensor):
@@ -116,21 +116,21 @@ class LastAction(Sensor):
 
     Args:
         robot: What it can do.
-        edges: Borders of the classes of all shares.
+        bins: Borders of the classes of all shares.
         count: How many of the last actions, the newest first.
     """
 
     name, low, high = "last action", -1.0, 1.0
 
-    def __init__(self, robot: Robot, edges: Edges = (-0.1, 0.1), count: Annotated[int, Ge(1), Le(100)] = 1) -> None:
-        self.fastest, self.edges = np.array([robot.max_speed, robot.max_turn_rate]), edges
+    def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1), count: Annotated[int, Ge(1), Le(100)] = 1) -> None:
+        self.max_speeds, self.bins = np.array([robot.max_speed, robot.max_turn_rate]), bins
         self.reads_commands, self.shape = count, (2 * count,)
 
     @classmethod
-    def given(cls, setup: Setup) -> Mapping[str, Any]:
-        return {"robot": setup.robot}
+    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
+        return {"robot": spec.robot}
 
-    def read(self, reading: Reading) -> np.ndarray:
-        if reading.told is None:
-            return np.zeros((len(reading.command), *self.shape))
-        return (reading.told.last(self.reads_commands) / self.fastest).reshape(-1, *self.shape)
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        if robot_state.command_history is None:
+            return np.zeros((len(robot_state.command), *self.shape))
+        return (robot_state.command_history.last(self.reads_commands) / self.max_speeds).reshape(-1, *self.shape)

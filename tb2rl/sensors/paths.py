@@ -11,10 +11,10 @@ from annotated_types import Ge, Gt, Le
 
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.core.errors import InputError
-from tb2rl.core.values import Edges, NonNegative
+from tb2rl.core.values import Bins, NonNegative
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import Reading, Setup
+from tb2rl.simulation import RobotState, SimulationSpec
 
 
 class FreePaths(Sensor):
@@ -30,7 +30,7 @@ class FreePaths(Sensor):
         count: Of directions.
         spread: The angle from the first direction to the last [rad].
         gap: By how much the circle is wider than the robot on every side [m].
-        edges: Borders of the classes [m]; no way counts as longer than twice the last.
+        bins: Borders of the classes [m]; no way counts as longer than twice the last.
 
     Attributes:
         radius: Of the circle [m].
@@ -49,29 +49,29 @@ class FreePaths(Sensor):
         count: Annotated[int, Ge(2), Le(1000)] = 7,
         spread: Annotated[float, Gt(0), Le(math.tau)] = 2.0944,  # 120 degrees
         gap: NonNegative = 0.03,
-        edges: Edges = (0.15, 0.6),
+        bins: Bins = (0.15, 0.6),
     ) -> None:
         if spread > laser.field_of_view:
             degrees = np.degrees([spread, laser.field_of_view])
             raise InputError("free paths over {:.0f} degrees, and the laser sees {:.0f}".format(*degrees))
-        self.edges, self.high, self.shape = edges, 2 * edges[-1], (count,)
+        self.bins, self.high, self.shape = bins, 2 * bins[-1], (count,)
         self.radius, self.directions = robot.radius + gap, np.linspace(-spread / 2, spread / 2, count)
         between = laser.angles - self.directions[:, None]
         self._ahead, self._aside = np.cos(between), np.sin(between)
 
     @classmethod
-    def given(cls, setup: Setup) -> Mapping[str, Any]:
-        return {"robot": setup.robot, "laser": setup.laser}
+    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
+        return {"robot": spec.robot, "laser": spec.laser}
 
-    def read(self, reading: Reading) -> np.ndarray:
-        free = np.full((len(reading.ranges), *self.shape), self.high)
-        _shorten(free, reading.ranges, self._ahead, self._aside, self.radius)
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        free = np.full((len(robot_state.ranges), *self.shape), self.high)
+        _shorten(free, robot_state.ranges, self._ahead, self._aside, self.radius)
         return free
 
 
 @njit(cache=True, **UNCOUNTED)
 def _shorten(free, ranges, ahead, aside, radius):
-    """Shorten the ways [m], shape (robots, directions), to where a circle touches what the beams have hit.
+    """Shorten the ways [m], shape (num_envs, directions), to where a circle touches what the beams have hit.
 
     ahead, aside: Cosine and sine of the angle from a direction to a beam, shape (directions, beams).
     """

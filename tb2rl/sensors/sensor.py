@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.simulation import Reading, Setup
+from tb2rl.simulation import RobotState, SimulationSpec
 
 
 class Sensor(ABC):
@@ -17,7 +17,7 @@ class Sensor(ABC):
         class Compass(Sensor):
             name, unit = "compass", "rad"
             low, high = -math.pi, math.pi
-            edges = (-1.57, 0.0, 1.57)
+            bins = (-1.57, 0.0, 1.57)
 
             def read(self, reading):
                 return reading.pose[:, 2:]
@@ -26,24 +26,24 @@ class Sensor(ABC):
         name: What it is called; an image stands under this name in the observation.
         unit: Of its numbers: "m", "rad", "m/s", ...; "" for a plain number.
         low, high: The smallest and the largest value; what is read is cut to them.
-        edges: Strictly increasing borders of the classes that tabular learners see; empty: it has none, and can only
+        bins: Strictly increasing borders of the classes that tabular learners see; empty: it has none, and can only
             be observed raw.
         shape: Of what it reads for one robot: (n,) for n numbers, (channels, height, width) for an image of uint8.
-        reads_trail: Whether it reads `Reading.trail`.
-        reads_commands: How many of the last commands it reads from `Reading.told`; if any, it reads nothing else.
+        reads_pose_history: Whether it reads `RobotState.pose_history`.
+        reads_commands: How many of the last commands it reads from `RobotState.told`; if any, it reads nothing else.
     """
 
     name: str
     unit: str = ""
     low: float
     high: float
-    edges: tuple[float, ...] = ()
+    bins: tuple[float, ...] = ()
     shape: tuple[int, ...] = (1,)
-    reads_trail: bool = False
+    reads_pose_history: bool = False
     reads_commands: int = 0
 
     @classmethod
-    def given(cls, setup: Setup) -> Mapping[str, Any]:
+    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
         """The arguments of the class that the robot decides, where `task.observe` names the sensor."""
         return {}
 
@@ -51,5 +51,5 @@ class Sensor(ABC):
         """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what it reads."""
 
     @abstractmethod
-    def read(self, reading: Reading) -> np.ndarray:
-        """The values, shape (robots, *shape)."""
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        """The values, shape (num_envs, *shape)."""

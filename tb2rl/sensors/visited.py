@@ -10,7 +10,7 @@ from annotated_types import Ge, Le
 
 from tb2rl.core.values import Positive
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
 _MOST = 10.0  # [s]
 _APART = 0.5  # of the distance: so near to a place counts as there
@@ -33,8 +33,8 @@ class Visited(Sensor):
     """
 
     name, unit, low, high = "visited", "s", 0.0, _MOST
-    edges = (1.0, 3.0)
-    reads_trail = True
+    bins = (1.0, 3.0)
+    reads_pose_history = True
 
     def __init__(self, count: Annotated[int, Ge(1), Le(100)] = 12, distance: Positive = 1.0) -> None:
         angles = np.arange(count) * math.tau / count
@@ -42,10 +42,10 @@ class Visited(Sensor):
         self.around = np.vstack([circle, (0.0, 0.0), 2.0 * circle])
         self.near, self.shape = _APART * distance, (len(self.around),)
 
-    def read(self, reading: Reading) -> np.ndarray:
-        if reading.trail is None:
-            return np.zeros((len(reading.odometry), *self.shape))
-        (x, y, yaw), (ahead, left) = reading.odometry.T[:, :, None], self.around.T
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        if robot_state.pose_history is None:
+            return np.zeros((len(robot_state.odometry), *self.shape))
+        (x, y, yaw), (ahead, left) = robot_state.odometry.T[:, :, None], self.around.T
         cos, sin = np.cos(yaw), np.sin(yaw)
         places = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
-        return reading.trail.seconds_near(places, self.near)
+        return robot_state.pose_history.seconds_near(places, self.near)

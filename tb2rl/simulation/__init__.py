@@ -16,20 +16,20 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from tb2rl.core.errors import InputError, one_line, unknown
-from tb2rl.simulation.reading import Reading
-from tb2rl.simulation.setup import Setup
-from tb2rl.simulation.start import Start
-from tb2rl.simulation.streams import Draws
+from tb2rl.simulation.initial_state import InitialState
+from tb2rl.simulation.random_streams import Draws
+from tb2rl.simulation.robot_state import RobotState
+from tb2rl.simulation.spec import SimulationSpec
 
 __all__ = [
     "ROS",
     "SIMULATIONS",
     "Draws",
     "Judge",
-    "Reading",
-    "Setup",
+    "RobotState",
     "Simulation",
     "SimulationOfMany",
+    "SimulationSpec",
     "Start",
     "bullet_trouble",
     "check_bullet",
@@ -49,23 +49,23 @@ _MISSING = "is not installed"  # what `bullet_trouble` says where there is no Py
 class Simulation(Protocol):
     """Robots that do not meet: each has the world to itself."""
 
-    setup: Setup
-    robots: int
+    spec: SimulationSpec
+    num_envs: int
 
-    def reset(self, start: Start, rng: np.random.Generator) -> Reading:
+    def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
         """Begin an episode of every robot, at rest; `rng` is the source of their laser noise from now on."""
 
-    def step(self, commands: np.ndarray, duration: float) -> Reading:
-        """Drive at `commands` (robots, 2), v [m/s] and w [rad/s], for `duration` [s] of simulated time."""
+    def step(self, commands: np.ndarray, duration: float) -> RobotState:
+        """Drive at `commands` (num_envs, 2), v [m/s] and w [rad/s], for `duration` [s] of simulated time."""
 
     def state(self) -> dict[str, Any]:
         """All that the future depends on, in plain values and arrays, to give back to `restore`."""
 
-    def restore(self, state: dict[str, Any]) -> Reading:
+    def restore(self, state: dict[str, Any]) -> RobotState:
         """Go on from a `state` as if nothing had happened since."""
 
-    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
-        """What the robots' cameras see, see `Reading.look`."""
+    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
+        """What the robots' cameras see, see `RobotState.look`."""
 
     def close(self) -> None:
         """Free what the simulation holds."""
@@ -75,18 +75,20 @@ class SimulationOfMany(Simulation, Protocol):
     """Robots whose episodes end at different times.
 
     Attributes:
-        moved: How far from where it was the last step took each robot [m], shape (robots,).
+        moved: How far from where it was the last step took each robot [m], shape (num_envs,).
     """
 
     moved: np.ndarray
 
-    def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
+    def restart(
+        self, indices: np.ndarray, initial_state: InitialState, robot_state: RobotState
+    ) -> tuple[RobotState, RobotState]:
         """Begin new episodes of some robots.
 
         Args:
-            robots: Their indices in rising order, shape (n,).
+            indices: Their indices in rising order, shape (n,).
             start: One row for each of them.
-            reading: The last one; its arrays may be changed in place.
+            robot_state: The last one; its arrays may be changed in place.
 
         Returns:
             The reading of all robots, and that of those which begin, n rows.
@@ -125,7 +127,7 @@ def check_display() -> None:
         raise InputError("render_mode 'human' opens a window, and there is no display; use 'rgb_array'")
 
 
-def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
+def simulate(name: str, spec: SimulationSpec, window: bool = False) -> Simulation:
     """The simulation of a name, with one robot; only what is asked for is imported.
 
     Raises:
@@ -137,7 +139,7 @@ def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
         check_bullet(_BULLET)
         from tb2rl.simulation.bullet import BulletSimulation
 
-        return BulletSimulation(setup, window)
+        return BulletSimulation(spec, window)
     if window:
         raise InputError(
             "render_mode 'human' shows PyBullet's window, and simulation 'kinematic' has none; use 'rgb_array', or "
@@ -145,10 +147,10 @@ def simulate(name: str, setup: Setup, window: bool = False) -> Simulation:
         )
     from tb2rl.simulation.kinematic import KinematicSimulation
 
-    return KinematicSimulation(setup)
+    return KinematicSimulation(spec)
 
 
-def simulate_many(name: str, setup: Setup, robots: int) -> SimulationOfMany:
+def simulate_many(name: str, spec: SimulationSpec, num_envs: int) -> SimulationOfMany:
     """The simulation of a name, with many robots; only what is asked for is imported.
 
     Raises:
@@ -160,7 +162,7 @@ def simulate_many(name: str, setup: Setup, robots: int) -> SimulationOfMany:
         check_bullet(_BULLET)
         from tb2rl.simulation.bullet_batch import BulletBatch
 
-        return BulletBatch(setup, robots)
+        return BulletBatch(spec, num_envs)
     from tb2rl.simulation.kinematic import KinematicSimulation
 
-    return KinematicSimulation(setup, robots)
+    return KinematicSimulation(spec, num_envs)

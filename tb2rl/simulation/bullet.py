@@ -14,12 +14,12 @@ from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERAT
 from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect, disconnects
 from tb2rl.simulation.camera import look_ahead
 from tb2rl.simulation.crowd import Crowd
-from tb2rl.simulation.odometry import count_wheels, is_exact
+from tb2rl.simulation.initial_state import InitialState
+from tb2rl.simulation.odometry import encoder_odometry, is_exact
 from tb2rl.simulation.physics import pybullet, quiet
-from tb2rl.simulation.reading import Reading
+from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.scan import Scanner
-from tb2rl.simulation.setup import BELIEVED_SEPARATION, FRICTION, MASS, PHYSICS_RATE, WHEEL, Setup
-from tb2rl.simulation.start import Start
+from tb2rl.simulation.spec import ASSUMED_SEPARATION, FRICTION, MASS, PHYSICS_RATE, WHEEL, SimulationSpec
 from tb2rl.worlds.world import WALL_HEIGHT
 
 _MARGIN = 0.02  # [m] for a robot that moves faster than it is told, thrown back from a wall
@@ -31,7 +31,7 @@ class BulletSimulation:
     """One robot in one world at a time.
 
     Args:
-        setup: The robot, its laser, and the worlds. The laser is cast exactly (`tb2rl.worlds.geometry`), not by
+        spec: The robot, its laser, and the worlds. The laser is cast exactly (`tb2rl.worlds.geometry`), not by
             PyBullet.
         window: Open PyBullet's window; needs a display.
 
@@ -39,19 +39,19 @@ class BulletSimulation:
         InputError: If the window cannot be, or PyBullet cannot load the robot.
     """
 
-    robots = 1
+    num_envs = 1
 
-    def __init__(self, setup: Setup, window: bool = False) -> None:
-        self.setup, self.laser, self._window = setup, setup.laser, window
-        self._world_number, self.world = 0, setup.worlds[0]
-        self._scanner = Scanner(setup.laser)
+    def __init__(self, spec: SimulationSpec, window: bool = False) -> None:
+        self.spec, self.laser, self._window = spec, spec.laser, window
+        self._world_number, self.world = 0, spec.worlds[0]
+        self._scanner = Scanner(spec.laser)
         self._rng = np.random.default_rng()
-        self._crowd = Crowd(setup)
+        self._crowd = Crowd(spec)
         self._put_at: tuple[Any, ...] | None = None  # position, orientation, velocity and wheels; the movers' state
         self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
         self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), 0.0  # of the last reading
         self._open()
-        self._begin(Start.proposed(setup, 1))
+        self._begin(InitialState.default(spec, 1))
 
     def _open(self) -> None:
         """Build the world and the robot in a new PyBullet client."""
@@ -68,7 +68,7 @@ class BulletSimulation:
         """Always all of it: what touches rounds by which bodies were there before, so to exchange some is not exact."""
         add_floor(self._client)
         self._walls = add_walls(self._client, self.world)
-        self._body = add_robot(self._client, self.setup.robot)
+        self._body = add_robot(self._client, self.spec.robot)
         self._robot, self._wheels = self._body.body, self._body.wheels
         self._duration, self._steps = 0.0, 0
         self._crowd.join(self._client)
@@ -88,10 +88,10 @@ class BulletSimulation:
         if self._client < 0:
             return
         self._open()
-        self._body.weigh(*self._start.table[0, [MASS, FRICTION]].tolist())
+        self._body.weigh(*self._initial_state.table[0, [MASS, FRICTION]].tolist())
         if self._put_at is not None:
             *where, crowd = self._put_at
-            self._crowd.restore(crowd, self._start)
+            self._crowd.restore(crowd, self._initial_state)
             self._put(*where)
             for commands, duration in state["_driven"]:
                 self.set_duration(duration)
@@ -101,47 +101,47 @@ class BulletSimulation:
 
     # ---- the robot's life
 
-    def reset(self, start: Start, rng: np.random.Generator) -> Reading:
+    def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
         if self._client < 0:  # it was closed
             self._open()
-        self._begin(start)
+        self._begin(initial_state)
         self._rng = rng
-        x, y, yaw = map(float, start.pose[0])
-        self._crowd.begin(start, self.world)
+        x, y, yaw = map(float, initial_state.pose[0])
+        self._crowd.begin(initial_state, self.world)
         self._put(*self._body.frame_at(x, y, yaw), _AT_REST, ((0.0, 0.0), (0.0, 0.0)))
         self._odometry = (x, y, yaw)
-        return Reading.of_one(self._sense(), self._start, self)
+        return RobotState.of_one(self._sense(), self._initial_state, self)
 
-    def _begin(self, start: Start, anew: bool = False) -> None:
+    def _begin(self, initial_state: InitialState, anew: bool = False) -> None:
         """Make the world and the robot those of an episode; `anew`: build them again even if they are there.
 
         Raises:
             InputError: If the robot is to have another radius than in its URDF file.
         """
-        own, wanted = self.setup.robot.parameters, start.parameters[0]
+        own, wanted = self.spec.robot.parameters, initial_state.parameters[0]
         if wanted[RADIUS] != own[RADIUS]:
             raise InputError("PyBullet takes the robot's radius from its URDF file alone")
-        if anew or start.world[0] != self._world_number:
-            self._world_number = int(start.world[0])
-            self.world = self.setup.worlds[self._world_number]
+        if anew or initial_state.world[0] != self._world_number:
+            self._world_number = int(initial_state.world[0])
+            self.world = self.spec.worlds[self._world_number]
             with quiet():
                 clear(self._client)  # which takes half of the time of another client
                 self._build()
-        self._start, self._exact = start, is_exact(start)
+        self._initial_state, self._exact = initial_state, is_exact(initial_state)
         self._max_speed, self._max_turn_rate = float(wanted[MAX_SPEED]), float(wanted[MAX_TURN_RATE])
         # A loaded body keeps its wheels: told other speeds, they move it as the wheels of the episode would.
-        self._wheel = float(start.table[0, WHEEL])
-        self._turn = self._wheel * float(start.table[0, BELIEVED_SEPARATION])
-        self._body.weigh(*start.table[0, [MASS, FRICTION]].tolist())
+        self._wheel = float(initial_state.table[0, WHEEL])
+        self._turn = self._wheel * float(initial_state.table[0, ASSUMED_SEPARATION])
+        self._body.weigh(*initial_state.table[0, [MASS, FRICTION]].tolist())
         strength = float(wanted[WHEEL_ACCELERATION] / own[WHEEL_ACCELERATION])
         # In each part of a step PyBullet lets a motor push for as long as in the whole step.
-        self._torque = self.setup.robot.wheel_torque * strength / self.setup.substeps
+        self._torque = self.spec.robot.wheel_torque * strength / self.spec.substeps
 
-    def step(self, commands: np.ndarray, duration: float) -> Reading:
-        return Reading.of_one(self.drive(commands, duration), self._start, self)
+    def step(self, commands: np.ndarray, duration: float) -> RobotState:
+        return RobotState.of_one(self.drive(commands, duration), self._initial_state, self)
 
     def drive(self, commands: np.ndarray, duration: float) -> tuple[Any, ...]:
-        """`step`, for `BulletBatch`: what the robot senses now, see `Reading.of_one`."""
+        """`step`, for `BulletBatch`: what the robot senses now, see `RobotState.of_one`."""
         self._driven.append((commands.copy(), duration))
         self.set_duration(duration)
         self.set_wheel_speeds(commands)
@@ -154,12 +154,12 @@ class BulletSimulation:
 
     def _free_steps(self, duration: float) -> int:
         """How many physics steps of the control step cannot take the robot to a wall, even at its top speed."""
-        gap = max(self.world.clearance(*self._place) - self.setup.robot.radius - _MARGIN, 0.0)
+        gap = max(self.world.clearance(*self._place) - self.spec.robot.radius - _MARGIN, 0.0)
         return int(min(gap / max(self._max_speed * self._wheel * duration, 1e-9), 1.0) * self._steps)
 
     def set_wheel_speeds(self, commands: np.ndarray) -> None:
         """Tell the wheel motors the speeds for `commands` (1, 2), v [m/s] and w [rad/s]."""
-        robot = self.setup.robot
+        robot = self.spec.robot
         v, w = commands[0].tolist()
         v = min(max(v, -self._max_speed), self._max_speed) * self._wheel
         w = min(max(w, -self._max_turn_rate), self._max_turn_rate) * self._turn
@@ -175,8 +175,8 @@ class BulletSimulation:
             Whether something that moves has run into the robot.
         """
         steps = self._steps if steps is None else steps
-        if self._crowd.movers is not None:
-            told = self._duration / self._steps, self._body, self._start, self.world
+        if self._crowd.dynamic_obstacles is not None:
+            told = self._duration / self._steps, self._body, self._initial_state, self.world
             return self._crowd.advance(first, first + steps, self._steps, *told)
         for _ in range(steps):
             pybullet.stepSimulation(self._client)
@@ -188,7 +188,7 @@ class BulletSimulation:
         velocity = pybullet.getBaseVelocity(self._robot, self._client)
         wheels = tuple(joint[:2] for joint in self._joint_states())
         # PyBullet rounds what it is given, so that without this a restored robot would differ from the present one.
-        self._begin(self._start, anew=True)
+        self._begin(self._initial_state, anew=True)
         self._put(position, orientation, velocity, wheels)
         return {
             "position": position,
@@ -200,22 +200,22 @@ class BulletSimulation:
             "command": self._command.copy(),
             "acceleration": np.array([self._acceleration]),
             "generator": self._rng.bit_generator.state,
-            "start": self._start.table.copy(),
+            "initial_state": self._initial_state.table.copy(),
             **self._crowd.state(),
         }
 
-    def restore(self, state: Mapping[str, Any]) -> Reading:
-        start = Start(np.array(state["start"]))
-        self.setup.check_table(start.table)
-        self._begin(start, anew=True)
-        self._crowd.restore(state, start)
+    def restore(self, state: Mapping[str, Any]) -> RobotState:
+        initial_state = InitialState(np.array(state["initial_state"]))
+        self.spec.check_table(initial_state.table)
+        self._begin(initial_state, anew=True)
+        self._crowd.restore(state, initial_state)
         self._put(state["position"], state["orientation"], state["velocity"], state["wheels"])
         self._odometry = tuple(state["odometry"])
-        reading = Reading.of_one(self._sense(), start, self)
+        robot_state = RobotState.of_one(self._sense(), initial_state, self)
         self._rng.bit_generator.state = dict(state["generator"])
         self._speed = float(state["speed"])
         self._command, self._acceleration = state["command"].copy(), float(state["acceleration"][0])
-        return replace(reading, command=self._command, acceleration=np.array([self._acceleration]))
+        return replace(robot_state, command=self._command, acceleration=np.array([self._acceleration]))
 
     def _put(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
         self._put_at, self._driven = (position, orientation, velocity, wheels, self._crowd.state()), []
@@ -239,23 +239,31 @@ class BulletSimulation:
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._robot, self._client)
         x, y, yaw = pose = self._body.pose()
         self._place = x, y
-        movers = self._crowd.outlines
-        ranges, moving = self._scanner.scan(pose, self.world, self._start, self._rng, movers)
+        dynamic_obstacles = self._crowd.outlines
+        ranges, nearest_is_dynamic = self._scanner.scan(
+            pose, self.world, self._initial_state, self._rng, dynamic_obstacles
+        )
         earlier, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
         command, duration = self._driven[-1] if self._driven else (np.zeros((1, 2)), math.inf)
         self._command, self._acceleration = command, (self._speed - earlier) / duration
         twist, bumped = (self._speed, turn_rate), at_wall or at_mover
         sensed = pose, twist, *self._count_wheels(), ranges[0], bumped, command[0], self._acceleration
-        return sensed if movers is None else (*sensed, movers[0], not at_wall and (at_mover or moving))
+        return (
+            sensed
+            if dynamic_obstacles is None
+            else (*sensed, dynamic_obstacles[0], not at_wall and (at_mover or nearest_is_dynamic))
+        )
 
     def _count_wheels(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
         """Odometry: arcs of the wheels' encoders since the last call, added to the pose they give; and its speeds."""
-        radius, joints, earlier = self.setup.robot.wheel_radius, self._joint_states(), self._angles
+        radius, joints, earlier = self.spec.robot.wheel_radius, self._joint_states(), self._angles
         self._angles = tuple(joint[0] for joint in joints)
         ways = [(joint[0] - angle) * radius for joint, angle in zip(joints, earlier, strict=True)]
         left, right = ((way, joint[1] * radius) for way, joint in zip(ways, joints, strict=True))
-        start = None if self._exact else self._start
-        self._odometry, twist = count_wheels(self._odometry, left, right, self.setup.robot.wheel_separation, start)
+        initial_state = None if self._exact else self._initial_state
+        self._odometry, twist = encoder_odometry(
+            self._odometry, left, right, self.spec.robot.wheel_separation, initial_state
+        )
         return self._odometry, twist
 
     def _joint_states(self) -> tuple:
@@ -270,7 +278,7 @@ class BulletSimulation:
         if duration != self._duration:
             self._duration = duration
             self._steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))
-            parts = {"numSubSteps": self.setup.substeps} if self.setup.substeps > 1 else {}
+            parts = {"numSubSteps": self.spec.substeps} if self.spec.substeps > 1 else {}
             pybullet.setPhysicsEngineParameter(duration / self._steps, **parts, physicsClientId=self._client)
 
     def ray_ranges(self, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -290,9 +298,9 @@ class BulletSimulation:
             Colours, shape (height, width, 3), uint8; depth along the optical axis [m], shape (height, width), float32,
             inf beyond the sensor's range.
         """
-        return look_ahead(self._client, np.array(self._body.pose()), self.setup.robot.camera, width, height)
+        return look_ahead(self._client, np.array(self._body.pose()), self.spec.robot.camera, width, height)
 
-    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the camera sees from where the robot was at a reading, see `Reading.look`."""
-        colours, depth = look_ahead(self._client, reading.pose[0], self.setup.robot.camera, width, height)
+    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the camera sees from where the robot was at a reading, see `RobotState.look`."""
+        colours, depth = look_ahead(self._client, robot_state.pose[0], self.spec.robot.camera, width, height)
         return colours[None], depth[None]

@@ -22,24 +22,24 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.processes import main_hidden, process_context, processors
 from tb2rl.core.signals import ignore_ending_signals
 from tb2rl.simulation.bullet import BulletSimulation
-from tb2rl.simulation.reading import Eye, Reading
-from tb2rl.simulation.setup import Setup
-from tb2rl.simulation.start import Start
+from tb2rl.simulation.initial_state import InitialState
+from tb2rl.simulation.robot_state import CameraSource, RobotState
+from tb2rl.simulation.spec import SimulationSpec
 
 _AWAKE = 5e-3  # [s] more than the worlds of a process take for a step
 _let_others_run = getattr(os, "sched_yield", lambda: None)  # macOS and Windows have none
 
 
 class BulletBatch:
-    """N robots that do not meet, with what `KinematicSimulation` offers a `Batch`.
+    """N robots that do not meet, with what `KinematicSimulation` offers a `ControlLoop`.
 
     Args:
-        setup: The robot, its laser and the worlds.
-        robots: How many.
+        spec: The robot, its laser and the worlds.
+        num_envs: How many.
         processes: Among how many processes to share them out, this one among them; None: one for each processor.
 
     Attributes:
-        moved: How far from where it was the last step took each robot [m], shape (robots,).
+        moved: How far from where it was the last step took each robot [m], shape (num_envs,).
 
     Raises:
         InputError: If PyBullet cannot load the robot.
@@ -47,19 +47,19 @@ class BulletBatch:
 
     moved: np.ndarray
 
-    def __init__(self, setup: Setup, robots: int, processes: int | None = None) -> None:
-        self.setup, self.robots = setup, robots
-        shares = np.array_split(np.arange(robots), min(processes or processors(), robots))
+    def __init__(self, spec: SimulationSpec, num_envs: int, processes: int | None = None) -> None:
+        self.spec, self.num_envs = spec, num_envs
+        shares = np.array_split(np.arange(num_envs), min(processes or processors(), num_envs))
         self._parts = [slice(int(share[0]), int(share[-1]) + 1) for share in shares]
         # The first share is this process's own: it would do nothing while it waits for the others.
-        self._share = _Share(setup, len(shares[0]))
+        self._share = _Share(spec, len(shares[0]))
         context, kind = process_context(), self._share.record_type
-        memory = context.RawArray("b", robots * kind.itemsize)
+        memory = context.RawArray("b", num_envs * kind.itemsize)
         self._records = np.frombuffer(memory, kind)
         self._share.write_to(self._records[self._parts[0]])
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
-        pickled = cloudpickle.dumps(setup)
+        pickled = cloudpickle.dumps(spec)
         for part in self._parts[1:]:
             ours, theirs = context.Pipe()
             process = context.Process(target=_serve, args=(theirs, pickled, memory, part), daemon=True)
@@ -79,33 +79,35 @@ class BulletBatch:
     def __reduce__(self) -> NoReturn:
         raise InputError("PyBullet's worlds in processes cannot be copied or sent; make others")
 
-    def reset(self, start: Start, rng: np.random.Generator) -> Reading:
-        noise = rng.spawn(self.robots)
-        self._records["start"] = start.table
+    def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
+        noise = rng.spawn(self.num_envs)
+        self._records["initial_state"] = initial_state.table
         self._ask("reset", [(noise[part],) for part in self._parts])
         return self._latest()
 
-    def step(self, commands: np.ndarray, duration: float) -> Reading:
+    def step(self, commands: np.ndarray, duration: float) -> RobotState:
         before = self._poses
         self._records["command"] = commands
         self._ask("step", [(duration,)] * len(self._parts))
-        reading = self._latest()
-        change = reading.pose - before
+        robot_state = self._latest()
+        change = robot_state.pose - before
         self.moved = np.hypot(change[:, 0], change[:, 1])
-        return reading
+        return robot_state
 
-    def restart(self, robots: np.ndarray, start: Start, reading: Reading) -> tuple[Reading, Reading]:
+    def restart(
+        self, indices: np.ndarray, initial_state: InitialState, robot_state: RobotState
+    ) -> tuple[RobotState, RobotState]:
         """Begin new episodes of the robots with indices `robots` (n,), see `KinematicSimulation.restart`."""
-        self._records["start"][robots] = start.table
-        self._ask("restart", [(here,) if here else None for here in self._among(robots)])
-        return self._latest(), self._reading(self._records[robots], _Eyes(self, robots))
+        self._records["initial_state"][indices] = initial_state.table
+        self._ask("restart", [(here,) if here else None for here in self._among(indices)])
+        return self._latest(), self._reading(self._records[indices], _Eyes(self, indices))
 
     def state(self) -> dict[str, Any]:
         """The state of each world, and where the robots were at the last reading."""
         worlds = [world for share in self._ask("state", [()] * len(self._parts)) for world in share]
         return {"worlds": worlds, "poses": self._poses.copy()}
 
-    def restore(self, state: Mapping[str, Any]) -> Reading:
+    def restore(self, state: Mapping[str, Any]) -> RobotState:
         """Go on from a state.
 
         Raises:
@@ -113,17 +115,17 @@ class BulletBatch:
         """
         worlds = state["worlds"]
         self._ask("restore", [(worlds[part],) for part in self._parts])
-        reading = self._latest()
+        robot_state = self._latest()
         self._poses = state["poses"].copy()
-        return reading
+        return robot_state
 
-    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the cameras see at the latest reading, see `Reading.look`."""
-        return self.look_from(np.arange(self.robots), width, height)
+    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the cameras see at the latest reading, see `RobotState.look`."""
+        return self.look_from(np.arange(self.num_envs), width, height)
 
-    def look_from(self, robots: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    def look_from(self, indices: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """The same of the robots with indices `robots` (n,) alone, in rising order."""
-        seen = self._ask("look", [(here, width, height) if here else None for here in self._among(robots)])
+        seen = self._ask("look", [(here, width, height) if here else None for here in self._among(indices)])
         colours, depth = zip(*(image for images in seen for image in images), strict=True)
         return np.stack(colours), np.stack(depth)
 
@@ -150,22 +152,22 @@ class BulletBatch:
                 answers_of_others = [_soon(pipe) for pipe, _ in asked]
         return _unless_failed(answers + answers_of_others)
 
-    def _among(self, robots: np.ndarray) -> Iterator[list[int]]:
+    def _among(self, indices: np.ndarray) -> Iterator[list[int]]:
         """Of each share: which of the robots with indices `robots` (n,) it has, by their indices in it."""
-        wanted = robots.tolist()
+        wanted = indices.tolist()
         for part in self._parts:
             yield [robot - part.start for robot in wanted if part.start <= robot < part.stop]
 
-    def _latest(self) -> Reading:
+    def _latest(self) -> RobotState:
         """What all robots read now."""
-        reading = self._reading(self._records, self)
-        self._poses = reading.pose
-        return reading
+        robot_state = self._reading(self._records, self)
+        self._poses = robot_state.pose
+        return robot_state
 
-    def _reading(self, records: np.ndarray, eye: Eye) -> Reading:
+    def _reading(self, records: np.ndarray, camera: CameraSource) -> RobotState:
         """The reading of some robots, in arrays of its own."""
         columns: dict[str, Any] = {name: records[name].copy() for name in self._share.names}
-        return Reading(**columns, start=Start(records["start"].copy()), eye=eye)
+        return RobotState(**columns, initial_state=InitialState(records["initial_state"].copy()), camera=camera)
 
 
 @dataclass(frozen=True)
@@ -173,54 +175,56 @@ class _Eyes:
     """What some robots of a batch see."""
 
     batch: BulletBatch
-    robots: np.ndarray  # their indices, in rising order, shape (n,)
+    indices: np.ndarray  # their indices, in rising order, shape (n,)
 
     @property
-    def setup(self) -> Setup:
+    def spec(self) -> SimulationSpec:
         """The robot, its laser and the worlds."""
-        return self.batch.setup
+        return self.batch.spec
 
-    def look(self, reading: Reading, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `Reading.look`."""
-        return self.batch.look_from(self.robots, width, height)
+    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `RobotState.look`."""
+        return self.batch.look_from(self.indices, width, height)
 
 
 class _Share:
     """The worlds of one process.
 
     Args:
-        setup: The robot, its laser and the worlds.
-        robots: How many of them.
+        spec: The robot, its laser and the worlds.
+        num_envs: How many of them.
 
     Attributes:
-        names: Of the arrays of a `Reading`.
+        names: Of the arrays of a `RobotState`.
         record_type: What a robot reads and how its episode began, as one record.
     """
 
-    def __init__(self, setup: Setup, robots: int) -> None:
-        self._worlds = [BulletSimulation(setup) for _ in range(robots)]
-        self._noise = [np.random.default_rng() for _ in range(robots)]
-        start = Start.proposed(setup, 1)
-        self._first = [world.reset(start, noise) for world, noise in zip(self._worlds, self._noise, strict=True)]
+    def __init__(self, spec: SimulationSpec, num_envs: int) -> None:
+        self._worlds = [BulletSimulation(spec) for _ in range(num_envs)]
+        self._noise = [np.random.default_rng() for _ in range(num_envs)]
+        initial_state = InitialState.default(spec, 1)
+        self._first = [
+            world.reset(initial_state, noise) for world, noise in zip(self._worlds, self._noise, strict=True)
+        ]
         columns = self._first[0].state()
-        self.names = [name for name in columns if name != "start"]
+        self.names = [name for name in columns if name != "initial_state"]
         self.record_type = np.dtype([(name, c.dtype, c.shape[1:]) for name, c in columns.items()], align=True)
 
     def write_to(self, records: np.ndarray) -> None:
-        """Write to these records, shape (robots,), from now on."""
+        """Write to these records, shape (num_envs,), from now on."""
         self._records, self._sensed = records, records[self.names]
-        for i, reading in enumerate(self._first):
-            self._write(i, reading)
+        for i, robot_state in enumerate(self._first):
+            self._write(i, robot_state)
 
     def reset(self, noise: list[np.random.Generator]) -> None:
         self._noise = noise
         self.restart(range(len(noise)))
 
-    def restart(self, robots: Iterable[int]) -> None:
+    def restart(self, indices: Iterable[int]) -> None:
         """Begin anew; how stands in their records."""
-        for i in robots:
-            start = Start(self._records["start"][i : i + 1].copy())
-            self._write(i, self._worlds[i].reset(start, self._noise[i]))
+        for i in indices:
+            initial_state = InitialState(self._records["initial_state"][i : i + 1].copy())
+            self._write(i, self._worlds[i].reset(initial_state, self._noise[i]))
 
     def step(self, duration: float) -> None:
         """Drive on; what the robots are told stands in their records."""
@@ -235,16 +239,16 @@ class _Share:
         for i, (world, state) in enumerate(zip(self._worlds, states, strict=True)):
             self._write(i, world.restore(state))
 
-    def look(self, robots: Iterable[int], width: int, height: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [self._worlds[i].camera(width, height) for i in robots]
+    def look(self, indices: Iterable[int], width: int, height: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [self._worlds[i].camera(width, height) for i in indices]
 
     def close(self) -> None:
         for world in self._worlds:
             world.close()
 
-    def _write(self, robot: int, reading: Reading) -> None:
-        self._sensed[robot] = tuple(getattr(reading, name)[0] for name in self.names)
-        self._records["start"][robot] = reading.start.table[0]
+    def _write(self, robot: int, robot_state: RobotState) -> None:
+        self._sensed[robot] = tuple(getattr(robot_state, name)[0] for name in self.names)
+        self._records["initial_state"][robot] = robot_state.initial_state.table[0]
 
 
 def _soon(pipe: Connection) -> Any:

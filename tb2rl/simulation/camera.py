@@ -15,13 +15,13 @@ def look_ahead(client: int, pose: np.ndarray, camera: Camera, width: int, height
     x, y, yaw = pose.tolist()
     ahead, left = np.array([math.cos(yaw), math.sin(yaw), 0.0]), np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     forward, sideways, up = camera.position
-    eye = np.array([x, y, up]) + forward * ahead + sideways * left
-    return take_picture(client, eye, eye + ahead, camera.field_of_view, camera.range, width, height)
+    position = np.array([x, y, up]) + forward * ahead + sideways * left
+    return take_picture(client, position, position + ahead, camera.field_of_view, camera.range, width, height)
 
 
 def take_picture(
     client: int,
-    eye: np.ndarray,
+    camera: np.ndarray,
     target: np.ndarray,
     field_of_view: float,
     reach: tuple[float, float],
@@ -42,7 +42,7 @@ def take_picture(
         beyond the farthest.
     """
     near, far = reach
-    view = pybullet.computeViewMatrix(eye, target, (0.0, 0.0, 1.0))
+    view = pybullet.computeViewMatrix(camera, target, (0.0, 0.0, 1.0))
     projection = pybullet.computeProjectionMatrixFOV(math.degrees(field_of_view), width / height, near, far)
     _, _, rgba, buffer, _ = pybullet.getCameraImage(
         width, height, view, projection, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client

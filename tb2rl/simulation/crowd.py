@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from tb2rl.simulation.bodies import MOVING_GROUP, TOUCH, WALL_GROUP, RobotBody
+from tb2rl.simulation.dynamic_obstacles import DynamicObstacles, dynamic_obstacles_of
+from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.kernels import MAX_SPEED
-from tb2rl.simulation.movers import Movers, movers_of
 from tb2rl.simulation.outlines import COS, LENGTH, SIN, WIDTH, X, Y, nearest_mover
 from tb2rl.simulation.physics import pybullet
-from tb2rl.simulation.setup import WHEEL, Setup
-from tb2rl.simulation.start import Start
-from tb2rl.simulation.stepping import out_of_reach, walk_alone
+from tb2rl.simulation.spec import WHEEL, SimulationSpec
+from tb2rl.simulation.stepping import out_of_reach, step_obstacles_alone
 from tb2rl.simulation.walking import THINK, think, walk
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
@@ -40,7 +40,7 @@ class MoverBodies:
         self.numbers: list[int] = []  # of the bodies
 
     def place(self, outlines: np.ndarray) -> None:
-        """Show movers and no others, see `Reading.movers`: (movers, 6)."""
+        """Show movers and no others, see `RobotState.dynamic_obstacles`: (movers, 6)."""
         there = outlines[outlines[:, LENGTH] > 0.0]
         sizes = [(length, width) for length, width in there[:, [LENGTH, WIDTH]].tolist()]
         if sizes != self._sizes:
@@ -70,32 +70,39 @@ class Crowd:
     """The movers of a simulation of one robot, with their bodies; none, where nothing moves.
 
     Args:
-        setup: The worlds, and what moves in them.
+        spec: The worlds, and what moves in them.
 
     Attributes:
-        movers: None where nothing moves.
+        dynamic_obstacles: None where nothing moves.
     """
 
-    def __init__(self, setup: Setup) -> None:
-        self._radius, self.movers = setup.robot.radius, movers_of(setup, 1)
+    def __init__(self, spec: SimulationSpec) -> None:
+        self._radius, self.dynamic_obstacles = spec.robot.radius, dynamic_obstacles_of(spec, 1)
         self._alone = False  # whether the movers have gone through the whole of this control step already
 
     def join(self, client: int) -> None:
         """Have bodies in a PyBullet client from now on."""
         self._client, self._bodies = client, MoverBodies(client)
 
-    def begin(self, start: Start, world: World) -> None:
+    def begin(self, initial_state: InitialState, world: World) -> None:
         """Let the movers be where an episode begins."""
-        if self.movers is not None:
-            self.movers.begin(np.zeros(1, dtype=int), start, world.index, np.zeros(1, dtype=int))
+        if self.dynamic_obstacles is not None:
+            self.dynamic_obstacles.begin(np.zeros(1, dtype=int), initial_state, world.index, np.zeros(1, dtype=int))
 
     def place(self) -> None:
         """Put the bodies where the movers are."""
-        if self.movers is not None:
-            self._bodies.place(self.movers.outlines[0])
+        if self.dynamic_obstacles is not None:
+            self._bodies.place(self.dynamic_obstacles.outlines[0])
 
     def advance(
-        self, first: int, last: int, steps: int, part: float, robot: RobotBody, start: Start, world: World
+        self,
+        first: int,
+        last: int,
+        steps: int,
+        part: float,
+        robot: RobotBody,
+        initial_state: InitialState,
+        world: World,
     ) -> bool:
         """Run some steps of the physics, in each of which the movers go first; out of reach, they go all at once.
 
@@ -111,7 +118,7 @@ class Crowd:
             Whether the robot and a mover touched.
         """
         if first == 0 < last:
-            self._alone = self._walk_alone(steps, part, robot, start, world)
+            self._alone = self._walk_alone(steps, part, robot, initial_state, world)
         if self._alone:
             for _ in range(first, last):
                 pybullet.stepSimulation(self._client)
@@ -119,55 +126,79 @@ class Crowd:
         touched = False
         for number in range(first, last):
             if number % THINK == 0:
-                self._think(min(THINK, steps - number) * part, robot, start, world)
+                self._think(min(THINK, steps - number) * part, robot, initial_state, world)
             touched = self._step(part, robot, world) or touched
         return touched
 
-    def _walk_alone(self, steps: int, part: float, robot: RobotBody, start: Start, world: World) -> bool:
+    def _walk_alone(self, steps: int, part: float, robot: RobotBody, initial_state: InitialState, world: World) -> bool:
         """Where the robot is out of reach, move all through the control step at once; else say False."""
-        (x, y, _), movers = robot.pose(), self._there
+        (x, y, _), dynamic_obstacles = robot.pose(), self._there
         (vx, vy, _), _ = pybullet.getBaseVelocity(robot.body, self._client)
-        speed = max(math.hypot(vx, vy), float(start.table[0, MAX_SPEED] * start.table[0, WHEEL]))
-        if not out_of_reach(x, y, speed, steps * part, self._radius + _NEAR, movers.table, 0):
+        speed = max(math.hypot(vx, vy), float(initial_state.table[0, MAX_SPEED] * initial_state.table[0, WHEEL]))
+        if not out_of_reach(x, y, speed, steps * part, self._radius + _NEAR, dynamic_obstacles.table, 0):
             return False
-        walk_alone(0, steps, part, movers.table, movers.walks, movers.routes, start.table, *world.index, 0, x, y)
+        step_obstacles_alone(
+            0,
+            steps,
+            part,
+            dynamic_obstacles.table,
+            dynamic_obstacles.walks,
+            dynamic_obstacles.routes,
+            initial_state.table,
+            *world.index,
+            0,
+            x,
+            y,
+        )
         self.place()
         return True
 
-    def _think(self, span: float, robot: RobotBody, start: Start, world: World) -> None:
-        (x, y, _), movers = robot.pose(), self._there
+    def _think(self, span: float, robot: RobotBody, initial_state: InitialState, world: World) -> None:
+        (x, y, _), dynamic_obstacles = robot.pose(), self._there
         (vx, vy, _), _ = pybullet.getBaseVelocity(robot.body, self._client)
-        think(0, span, movers.table, movers.walks, start.table, *world.index, 0, x, y, vx, vy)
+        think(
+            0,
+            span,
+            dynamic_obstacles.table,
+            dynamic_obstacles.walks,
+            initial_state.table,
+            *world.index,
+            0,
+            x,
+            y,
+            vx,
+            vy,
+        )
 
     def _step(self, part: float, robot: RobotBody, world: World) -> bool:
-        (x, y, _), movers = robot.pose(), self._there
-        hit = walk(0, part, movers.table, movers.routes, *world.index, 0, x, y, self._radius)
+        (x, y, _), dynamic_obstacles = robot.pose(), self._there
+        hit = walk(0, part, dynamic_obstacles.table, dynamic_obstacles.routes, *world.index, 0, x, y, self._radius)
         self.place()
         pybullet.stepSimulation(self._client)
-        if hit or nearest_mover(x, y, movers.table, 0) > self._radius + _NEAR:
+        if hit or nearest_mover(x, y, dynamic_obstacles.table, 0) > self._radius + _NEAR:
             return hit
         contacts = pybullet.getContactPoints(robot.body, physicsClientId=self._client)
         return any(contact[2] in self._bodies.numbers and contact[8] < TOUCH for contact in contacts)
 
     @property
     def outlines(self) -> np.ndarray | None:
-        """Where the movers are, see `Reading.movers`, as an array of its own."""
-        return None if self.movers is None else self.movers.outlines.copy()
+        """Where the movers are, see `RobotState.dynamic_obstacles`, as an array of its own."""
+        return None if self.dynamic_obstacles is None else self.dynamic_obstacles.outlines.copy()
 
     def state(self) -> dict[str, Any]:
-        """All that the movers' future depends on, as "movers"; nothing, where nothing moves."""
-        return {} if self.movers is None else {"movers": self.movers.state()}
+        """All that the movers' future depends on, as "dynamic_obstacles"; nothing, where nothing moves."""
+        return {} if self.dynamic_obstacles is None else {"dynamic_obstacles": self.dynamic_obstacles.state()}
 
-    def restore(self, state: Mapping[str, Any], start: Start) -> None:
+    def restore(self, state: Mapping[str, Any], initial_state: InitialState) -> None:
         """Let the movers go on from a `state`, in an episode that began with `start`.
 
         Raises:
             ValueError: If it is not of such movers.
         """
-        if self.movers is not None:
-            self.movers.restore(state["movers"], start)
+        if self.dynamic_obstacles is not None:
+            self.dynamic_obstacles.restore(state["dynamic_obstacles"], initial_state)
 
     @property
-    def _there(self) -> Movers:
-        assert self.movers is not None  # nobody advances a crowd of none
-        return self.movers
+    def _there(self) -> DynamicObstacles:
+        assert self.dynamic_obstacles is not None  # nobody advances a crowd of none
+        return self.dynamic_obstacles

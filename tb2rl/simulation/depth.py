@@ -21,20 +21,20 @@ def depth_images(
     index: Index,
     width: int,
     height: int,
-    movers: np.ndarray | None = None,
+    dynamic_obstacles: np.ndarray | None = None,
 ) -> np.ndarray:
     """What the cameras of robots see that look along x from below the top of the walls.
 
     Args:
         camera: Of each robot.
-        poses: Of the robots: x [m], y [m], yaw [rad], shape (robots, 3).
-        world_of: The world of each, shape (robots,).
+        poses: Of the robots: x [m], y [m], yaw [rad], shape (num_envs, 3).
+        world_of: The world of each, shape (num_envs,).
         index: Of all worlds.
         width, height: Of an image [px].
-        movers: What moves, see `Reading.movers`; as high as the walls.
+        dynamic_obstacles: What moves, see `RobotState.dynamic_obstacles`; as high as the walls.
 
     Returns:
-        Depth along the optical axis [m], shape (robots, height, width), float32; inf beyond the camera's range.
+        Depth along the optical axis [m], shape (num_envs, height, width), float32; inf beyond the camera's range.
     """
     forward, sideways, up = camera.position
     eyes, cos, sin = np.array(poses, dtype=float), np.cos(poses[:, 2]), np.sin(poses[:, 2])
@@ -47,8 +47,8 @@ def depth_images(
     along = 1.0 / np.hypot(1.0, leftward)  # the cosine of each ray's angle
     walls = np.empty((len(eyes), width))
     cast_many(eyes, world_of, along, along * leftward, *index, walls)
-    if movers is not None:
-        cast_all_at_movers(eyes, along, along * leftward, movers, walls)
+    if dynamic_obstacles is not None:
+        cast_all_at_movers(eyes, along, along * leftward, dynamic_obstacles, walls)
     walls *= along
     images = np.empty((len(eyes), height, width), dtype=np.float32)
     _fill(walls, upward, up, camera.range[1], images)
@@ -57,7 +57,7 @@ def depth_images(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill(walls, upward, eye_height, farthest, images):
-    """Write images (robots, height, width) of walls at depths (robots, width) [m]: wall, floor, or nothing.
+    """Write images (num_envs, height, width) of walls at depths (num_envs, width) [m]: wall, floor, or nothing.
 
     `upward` (height,) is how much each row rises per metre of depth, `eye_height` [m] where the rays begin.
     """

@@ -1,8 +1,8 @@
 """The compiled motion of the fast twin.
 
-Arrays of all robots: poses (robots, 3) x [m], y [m], yaw [rad]; rims (robots, 2), speeds of the left and the right
-wheel's rim [m/s]; commands (robots, 2), v [m/s] and w [rad/s]; starts (robots, 32), the columns of
-`tb2rl.simulation.setup`, among them each robot's parameters and its flaws; boxes, posts, parts and lists, the
+Arrays of all robots: poses (num_envs, 3) x [m], y [m], yaw [rad]; rims (num_envs, 2), speeds of the left and the right
+wheel's rim [m/s]; commands (num_envs, 2), v [m/s] and w [rad/s]; starts (num_envs, 32), the columns of
+`tb2rl.simulation.spec`, among them each robot's parameters and its flaws; boxes, posts, parts and lists, the
 `Index` of all worlds.
 """
 
@@ -15,8 +15,9 @@ import numpy as np
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.robots import robot
 from tb2rl.simulation.outlines import cast_at_movers
-from tb2rl.simulation.setup import (
-    BELIEVED_SEPARATION,
+from tb2rl.simulation.random_streams import normal, uniform
+from tb2rl.simulation.spec import (
+    ASSUMED_SEPARATION,
     BIAS,
     DROPPED,
     MOUNT,
@@ -24,7 +25,6 @@ from tb2rl.simulation.setup import (
     PARAMETERS,
     WHEEL,
 )
-from tb2rl.simulation.streams import normal, uniform
 from tb2rl.worlds.geometry import cast_one, clearance_one, limit_ranges
 
 CONTACT = 1.0e-4  # [m] a gap below this is contact
@@ -96,7 +96,7 @@ def rim_speed(start, change, together, clock, acceleration, coupling):
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def move(poses, rims, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways):
+def move(poses, wheel_speeds, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways):
     """The control step of robot `i`: both rims speed up, then one, then none.
 
     Args:
@@ -108,7 +108,7 @@ def move(poses, rims, commands, duration, physics_step, starts, i, boxes, posts,
         i: Which one it is.
         boxes, posts, parts, lists: Of all worlds.
         world: The number of its own.
-        ways: How far each robot went [m] and turned [rad], shape (robots, 2): its row is a result.
+        ways: How far each robot went [m] and turned [rad], shape (num_envs, 2): its row is a result.
 
     Returns:
         Whether it touched an obstacle.
@@ -118,9 +118,9 @@ def move(poses, rims, commands, duration, physics_step, starts, i, boxes, posts,
     v, w = commands[i, 0], commands[i, 1]
     wheel = starts[i, WHEEL]
     reach = 0.5 * separation * min(max(w, -starts[i, MAX_TURN_RATE]), starts[i, MAX_TURN_RATE])
-    reach *= starts[i, BELIEVED_SEPARATION] * wheel
+    reach *= starts[i, ASSUMED_SEPARATION] * wheel
     v = min(max(v, -starts[i, MAX_SPEED]), starts[i, MAX_SPEED]) * wheel
-    left, right = rims[i, 0], rims[i, 1]
+    left, right = wheel_speeds[i, 0], wheel_speeds[i, 1]
     change_left, change_right = v - reach - left, v + reach - right
     sense_of_both = math.copysign(1.0, change_left * change_right)
     fewer, more = min(abs(change_left), abs(change_right)), max(abs(change_left), abs(change_right))
@@ -160,15 +160,15 @@ def move(poses, rims, commands, duration, physics_step, starts, i, boxes, posts,
     ways[i, 0], ways[i, 1] = way, turned
     poses[i, 0], poses[i, 1] = x, y
     poses[i, 2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
-    rims[i, 0] = rim_speed(left, change_left, together, duration, acceleration, coupling)
-    rims[i, 1] = rim_speed(right, change_right, together, duration, acceleration, coupling)
+    wheel_speeds[i, 0] = rim_speed(left, change_left, together, duration, acceleration, coupling)
+    wheel_speeds[i, 1] = rim_speed(right, change_right, together, duration, acceleration, coupling)
     return bumped
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
 def sense(
     poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y, ranges,
-    movers=None, moving=None,
+    dynamic_obstacles=None, nearest_is_dynamic=None,
 ):  # fmt: skip
     """The laser of robot `i`.
 
@@ -179,11 +179,12 @@ def sense(
         boxes, posts, parts, lists: Of all worlds.
         world: The number of its own.
         limits: The laser's noise, shortest and longest range [m], shape (3,).
-        streams: Key of each robot's stream of random numbers, and how often it has read, shape (robots, 2), uint64.
+        streams: Key of each robot's stream of random numbers, and how often it has read, shape (num_envs, 2), uint64.
         over_x, over_y: Room to calculate in, shape (beams,).
-        ranges: Of all robots; its row is the result [m], shape (robots, beams).
-        movers: Of all robots, see `tb2rl.simulation.outlines`; None: nothing moves.
-        moving: Whether what is nearest to each robot is one of them, shape (robots,): its row is a result.
+        ranges: Of all robots; its row is the result [m], shape (num_envs, beams).
+        dynamic_obstacles: Of all robots, see `tb2rl.simulation.outlines`; None: nothing moves.
+        nearest_is_dynamic: Whether what is nearest to each robot is one of them, shape (num_envs,): its row is a
+        result.
     """
     x, y, yaw, beams = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
     east, north = starts[i, MOUNT_X], starts[i, MOUNT_Y]
@@ -191,8 +192,8 @@ def sense(
         x, y = x + east * math.cos(yaw) - north * math.sin(yaw), y + east * math.sin(yaw) + north * math.cos(yaw)
     yaw += starts[i, MOUNT_YAW]
     cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, i)
-    if movers is not None:
-        moving[i] = cast_at_movers(x, y, yaw, cos_beams, sin_beams, movers, i, ranges, i)
+    if dynamic_obstacles is not None:
+        nearest_is_dynamic[i] = cast_at_movers(x, y, yaw, cos_beams, sin_beams, dynamic_obstacles, i, ranges, i)
     noise, bias, dropped = starts[i, NOISE], starts[i, BIAS], starts[i, DROPPED]
     noise = limits[0] if noise < 0.0 else noise
     first = streams[i, 1] * np.uint64(beams)

@@ -13,34 +13,34 @@ import math
 import numpy as np
 
 from tb2rl.robots.robot import WHEEL_SEPARATION
-from tb2rl.simulation.setup import BELIEVED_SEPARATION, GYRO, LEFT_COUNT, RIGHT_COUNT, WHEEL, WHEELS
-from tb2rl.simulation.start import Start
+from tb2rl.simulation.initial_state import InitialState
+from tb2rl.simulation.spec import ASSUMED_SEPARATION, GYRO, LEFT_COUNT, RIGHT_COUNT, WHEEL, WHEELS
 
 
-def is_exact(start: Start) -> bool:
+def is_exact(initial_state: InitialState) -> bool:
     """Whether wheels and gyros of all robots are what they should be, so that odometry is what they did."""
-    gyro = start.table[:, GYRO]
-    return bool((start.table[:, WHEELS] == 1.0).all() and ((gyro == 1.0) | (gyro == 0.0)).all())
+    gyro = initial_state.table[:, GYRO]
+    return bool((initial_state.table[:, WHEELS] == 1.0).all() and ((gyro == 1.0) | (gyro == 0.0)).all())
 
 
-def believed(ways: np.ndarray, start: Start) -> np.ndarray:
+def as_counted(ways: np.ndarray, initial_state: InitialState) -> np.ndarray:
     """Ways as the robots count them.
 
     Args:
-        ways: How far each went [m] and turned [rad], or how fast, shape (robots, 2); of one robot any number of rows.
+        ways: How far each went [m] and turned [rad], or how fast, shape (num_envs, 2); of one robot any number of rows.
         start: How the episode of each began.
     """
-    table, separation = start.table, start.parameters[:, WHEEL_SEPARATION]
+    table, separation = initial_state.table, initial_state.parameters[:, WHEEL_SEPARATION]
     half = 0.5 * separation * ways[:, 1]
     left = (ways[:, 0] - half) * table[:, LEFT_COUNT] / table[:, WHEEL]
     right = (ways[:, 0] + half) * table[:, RIGHT_COUNT] / table[:, WHEEL]
-    counted, gyro = (right - left) / (separation * table[:, BELIEVED_SEPARATION]), table[:, GYRO]
+    counted, gyro = (right - left) / (separation * table[:, ASSUMED_SEPARATION]), table[:, GYRO]
     turn = np.where(gyro == 0.0, counted, gyro * ways[:, 1])
     return np.stack([0.5 * (left + right), turn], axis=1)
 
 
-def count_on(odometry: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """Odometry (robots, 3) after arcs: `ways` (robots, 2) are their lengths [m] and turns [rad]."""
+def integrate_odometry(odometry: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """Odometry (num_envs, 3) after arcs: `ways` (num_envs, 2) are their lengths [m] and turns [rad]."""
     half = 0.5 * ways[:, 1]
     chord, heading = ways[:, 0] * np.sinc(half / math.pi), odometry[:, 2] + half
     yaw = odometry[:, 2] + ways[:, 1]
@@ -48,12 +48,12 @@ def count_on(odometry: np.ndarray, ways: np.ndarray) -> np.ndarray:
     return np.stack([odometry[:, 0] + chord * np.cos(heading), odometry[:, 1] + chord * np.sin(heading), yaw], axis=1)
 
 
-def count_wheels(
+def encoder_odometry(
     odometry: tuple[float, float, float],
     left: tuple[float, float],
     right: tuple[float, float],
     separation: float,
-    start: Start | None,
+    initial_state: InitialState | None,
 ) -> tuple[tuple[float, float, float], tuple[float, float]]:
     """Odometry x, y, yaw of one robot after an arc, and v [m/s] and w [rad/s], by its wheels.
 
@@ -66,8 +66,8 @@ def count_wheels(
     x, y, yaw = odometry
     length, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / separation
     v, w = (left[1] + right[1]) / 2, (right[1] - left[1]) / separation
-    if start is not None:
-        (length, turn), (v, w) = believed(np.array([(length, turn), (v, w)]), start).tolist()
+    if initial_state is not None:
+        (length, turn), (v, w) = as_counted(np.array([(length, turn), (v, w)]), initial_state).tolist()
     if turn:
         length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
     heading = yaw + turn / 2

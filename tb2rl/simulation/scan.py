@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from tb2rl.robots import Laser
+from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.outlines import cast_at_movers
-from tb2rl.simulation.setup import BIAS, DROPPED, MOUNT, NOISE
-from tb2rl.simulation.start import Start
+from tb2rl.simulation.spec import BIAS, DROPPED, MOUNT, NOISE
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_one, limit_ranges
 
@@ -30,9 +30,9 @@ class Scanner:
         self,
         pose: tuple[float, float, float],
         world: World,
-        start: Start,
+        initial_state: InitialState,
         rng: np.random.Generator,
-        movers: np.ndarray | None = None,
+        dynamic_obstacles: np.ndarray | None = None,
     ) -> tuple[np.ndarray, bool]:
         """Ranges [m], shape (1, beams), and whether the shortest one is to something that moves.
 
@@ -41,17 +41,19 @@ class Scanner:
             world: What it is in.
             start: How its episode began: with which flaws.
             rng: Where noise and dropped beams come from.
-            movers: What moves, see `Reading.movers`.
+            dynamic_obstacles: What moves, see `RobotState.dynamic_obstacles`.
         """
         x, y, yaw = pose
-        flaws = start.table[0]
+        flaws = initial_state.table[0]
         ahead, aside, turned = flaws[MOUNT].tolist()
         if ahead or aside:
             cos, sin = math.cos(yaw), math.sin(yaw)
             x, y = x + ahead * cos - aside * sin, y + ahead * sin + aside * cos
         ranges = np.empty((1, len(self._laser.angles)))
         cast_one(x, y, yaw + turned, *self._directions, *world.index, 0, *self._scratch, ranges, 0)
-        moving = movers is not None and cast_at_movers(x, y, yaw + turned, *self._directions, movers, 0, ranges, 0)
+        nearest_is_dynamic = dynamic_obstacles is not None and cast_at_movers(
+            x, y, yaw + turned, *self._directions, dynamic_obstacles, 0, ranges, 0
+        )
         noise = self._laser.noise if flaws[NOISE] < 0.0 else flaws[NOISE]
         if noise:
             ranges += noise * rng.standard_normal(ranges.shape)
@@ -60,4 +62,4 @@ class Scanner:
         limit_ranges(ranges, 0, self._laser.min_range, self._laser.max_range)
         if flaws[DROPPED]:
             ranges[rng.random(ranges.shape) < flaws[DROPPED]] = np.inf
-        return ranges, moving
+        return ranges, nearest_is_dynamic

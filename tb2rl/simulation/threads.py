@@ -21,7 +21,7 @@ import numba
 THREADS: int = numba.config.NUMBA_NUM_THREADS
 
 
-def share_out(work: Callable[..., Any], count: int, lead: int, *arguments: Any) -> None:
+def parallel_for(work: Callable[..., Any], count: int, lead: int, *arguments: Any) -> None:
     """Call `work(first, last, *arguments)` for parts of the range from 0 to `count`, one for each thread, and wait.
 
     The part of the thread that asks is larger by `lead`, what it gets done before another one is awake.

@@ -17,8 +17,10 @@ from annotated_types import Ge, Le
 from tb2rl.core.errors import InputError, unknown
 from tb2rl.core.values import ASCENDING, PAIR, Fraction, NonNegative, build
 from tb2rl.robots.robot import WHEEL_ACCELERATION, WHEEL_COUPLING, WHEEL_SEPARATION
-from tb2rl.simulation.setup import (
-    BELIEVED_SEPARATION,
+from tb2rl.simulation.initial_state import InitialState
+from tb2rl.simulation.random_streams import Draws
+from tb2rl.simulation.spec import (
+    ASSUMED_SEPARATION,
     BIAS,
     COMMAND_LATENCY,
     DROPPED,
@@ -28,12 +30,10 @@ from tb2rl.simulation.setup import (
     MASS,
     MOUNT,
     NOISE,
-    READING_LATENCY,
+    OBSERVATION_LATENCY,
     RIGHT_COUNT,
     WHEEL,
 )
-from tb2rl.simulation.start import Start
-from tb2rl.simulation.streams import Draws
 
 # Each is a range that a number is drawn from, evenly; a number alone stands for itself.
 _Share = Annotated[float, Ge(0.5), Le(2)]
@@ -63,17 +63,17 @@ class Variation:
     acceleration: Shares = (1.0, 1.0)  # of the motors, times its own
     mass: Weights = (1.0, 1.0)  # times its own; in PyBullet alone
     friction: Weights = (1.0, 1.0)  # of the wheels on the floor, times its own; in PyBullet alone
-    noise: Deviations | None = None  # [m] standard deviation of the laser; None: the task's `noise`
+    laser_noise: Deviations | None = None  # [m] standard deviation of the laser; None: the task's `laser_noise`
     bias: Lengths = (0.0, 0.0)  # [m] added to all ranges
     dropped: Fractions = (0.0, 0.0)  # share of beams that come back empty: inf, as if nothing was there
     mount_x: Lengths = (0.0, 0.0)  # [m] how far the laser is ahead of where it should be
     mount_y: Lengths = (0.0, 0.0)  # [m] to the left
     mount_yaw: Angles = (0.0, 0.0)  # [rad] turned to the left
     latency: Latency = (0, 0)  # [control steps] until a command is obeyed
-    reading_latency: Latency = (0, 0)  # [control steps] until a reading is observed
+    observation_latency: Latency = (0, 0)  # [control steps] until a reading is observed
     gyro: Shares = (1.0, 1.0)  # turn that it counts over the true one, of a robot that has one
 
-    def vary(self, start: Start, draws: Draws) -> None:
+    def vary(self, initial_state: InitialState, draws: Draws) -> None:
         """Write what differs into the start of some robots' episodes: in place, and nothing is drawn for nothing.
 
         As many numbers are drawn whatever varies: so a changed range changes no other number.
@@ -81,24 +81,24 @@ class Variation:
         if self == NONE:
             return
         numbers = iter(draws.uniform(len(fields(self)) + 1).T)  # two for odometry
-        table, parameters = start.table, start.parameters
+        table, parameters = initial_state.table, initial_state.parameters
         table[:, WHEEL] = _between(self.wheel_radius, next(numbers))
         separation = _between(self.wheel_separation, next(numbers))
         parameters[:, WHEEL_SEPARATION] *= separation
-        table[:, BELIEVED_SEPARATION] = 1.0 / separation
+        table[:, ASSUMED_SEPARATION] = 1.0 / separation
         for column in (LEFT_COUNT, RIGHT_COUNT):
             table[:, column] = _between(self.odometry, next(numbers))
         parameters[:, [WHEEL_ACCELERATION, WHEEL_COUPLING]] *= _between(self.acceleration, next(numbers))[:, None]
         table[:, MASS] = _between(self.mass, next(numbers))
         table[:, FRICTION] = _between(self.friction, next(numbers))
         deviation = next(numbers)
-        if self.noise is not None:
-            table[:, NOISE] = _between(self.noise, deviation)
+        if self.laser_noise is not None:
+            table[:, NOISE] = _between(self.laser_noise, deviation)
         table[:, BIAS] = _between(self.bias, next(numbers))
         table[:, DROPPED] = _between(self.dropped, next(numbers))
         for i, span in enumerate((self.mount_x, self.mount_y, self.mount_yaw)):
             table[:, MOUNT.start + i] = _between(span, next(numbers))
-        for column, (low, high) in ((COMMAND_LATENCY, self.latency), (READING_LATENCY, self.reading_latency)):
+        for column, (low, high) in ((COMMAND_LATENCY, self.latency), (OBSERVATION_LATENCY, self.observation_latency)):
             table[:, column] = np.floor(low + (high + 1 - low) * next(numbers))
         table[:, GYRO] *= _between(self.gyro, next(numbers))
 
@@ -114,7 +114,7 @@ PRESETS = {
         acceleration=(0.9, 1.1),
         mass=(0.9, 1.1),
         friction=(0.8, 1.0),
-        noise=(0.0, 0.01),
+        laser_noise=(0.0, 0.01),
         bias=(-0.01, 0.01),
         dropped=(0.0, 0.01),
         mount_x=(-0.005, 0.005),
@@ -130,14 +130,14 @@ PRESETS = {
         acceleration=(0.8, 1.2),
         mass=(0.9, 1.8),
         friction=(0.4, 1.0),
-        noise=(0.0, 0.03),
+        laser_noise=(0.0, 0.03),
         bias=(-0.03, 0.03),
         dropped=(0.0, 0.05),
         mount_x=(-0.02, 0.02),
         mount_y=(-0.02, 0.02),
         mount_yaw=(-0.05, 0.05),
         latency=(0, 1),
-        reading_latency=(0, 1),
+        observation_latency=(0, 1),
         gyro=(0.99, 1.01),
     ),
 }

@@ -14,9 +14,9 @@ import numpy as np
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kernels import RADIUS
 from tb2rl.simulation.outlines import COS, LENGTH, SIN, X, Y, gap_to, reach_of
-from tb2rl.simulation.setup import BOUNDS
+from tb2rl.simulation.random_streams import uniform
 from tb2rl.simulation.social_force import social_force
-from tb2rl.simulation.streams import uniform
+from tb2rl.simulation.spec import BOUNDS
 from tb2rl.worlds.geometry import clearance_one
 
 # The columns of a table of movers, after their outlines.
@@ -49,44 +49,49 @@ _TINY = 1e-3  # [m]
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def think(i, span, movers, streams, starts, boxes, posts, parts, lists, world, x, y, vx, vy):
+def think(i, span, dynamic_obstacles, streams, starts, boxes, posts, parts, lists, world, x, y, vx, vy):
     """What the movers of robot `i` decide for the next `span` [s]: where to, and how people walk there.
 
     Args:
         i: Which robot it is.
         span: [s].
-        movers: Of all robots, shape (robots, movers, 24); changed in place.
-        streams: Key of each robot's stream of random numbers for them, and how many were drawn, shape (robots, 2).
+        dynamic_obstacles: Of all robots, shape (num_envs, movers, 24); changed in place.
+        streams: Key of each robot's stream of random numbers for them, and how many were drawn, shape (num_envs, 2).
         starts: Of all robots.
         boxes, posts, parts, lists: The `Index` of the worlds.
         world: The robot's in it.
         x, y, vx, vy: Where the robot is [m] and its velocity [m/s].
     """
-    for k in range(movers.shape[1]):
-        if movers[i, k, KIND] < STRAIGHT:
+    for k in range(dynamic_obstacles.shape[1]):
+        if dynamic_obstacles[i, k, KIND] < STRAIGHT:
             continue
-        left = math.hypot(movers[i, k, TARGET_X] - movers[i, k, X], movers[i, k, TARGET_Y] - movers[i, k, Y])
-        movers[i, k, PATIENCE] -= span
-        if movers[i, k, PATIENCE] <= 0.0 or left < (_ARRIVED if movers[i, k, KIND] == PERSON else _TINY):
-            _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world)
-        if movers[i, k, KIND] == PERSON:
-            _want(i, k, movers)
-    for k in range(movers.shape[1]):
-        for other in range(k + 1, movers.shape[1]):
-            _feel_each_other(i, k, other, movers)
-    for k in range(movers.shape[1]):
-        if movers[i, k, KIND] == PERSON:
-            _feel(i, k, movers, boxes, posts, parts, lists, world, x, y, vx, vy, starts[i, RADIUS])
+        left = math.hypot(
+            dynamic_obstacles[i, k, TARGET_X] - dynamic_obstacles[i, k, X],
+            dynamic_obstacles[i, k, TARGET_Y] - dynamic_obstacles[i, k, Y],
+        )
+        dynamic_obstacles[i, k, PATIENCE] -= span
+        if dynamic_obstacles[i, k, PATIENCE] <= 0.0 or left < (
+            _ARRIVED if dynamic_obstacles[i, k, KIND] == PERSON else _TINY
+        ):
+            _aim(i, k, dynamic_obstacles, streams, starts, boxes, posts, parts, lists, world)
+        if dynamic_obstacles[i, k, KIND] == PERSON:
+            _want(i, k, dynamic_obstacles)
+    for k in range(dynamic_obstacles.shape[1]):
+        for other in range(k + 1, dynamic_obstacles.shape[1]):
+            _feel_each_other(i, k, other, dynamic_obstacles)
+    for k in range(dynamic_obstacles.shape[1]):
+        if dynamic_obstacles[i, k, KIND] == PERSON:
+            _feel(i, k, dynamic_obstacles, boxes, posts, parts, lists, world, x, y, vx, vy, starts[i, RADIUS])
             east, north = (
-                movers[i, k, VX] + span * movers[i, k, FORCE_X],
-                movers[i, k, VY] + span * movers[i, k, FORCE_Y],
+                dynamic_obstacles[i, k, VX] + span * dynamic_obstacles[i, k, FORCE_X],
+                dynamic_obstacles[i, k, VY] + span * dynamic_obstacles[i, k, FORCE_Y],
             )
-            cut = min(1.0, HURRY * movers[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9))
-            movers[i, k, VX], movers[i, k, VY] = cut * east, cut * north
+            cut = min(1.0, HURRY * dynamic_obstacles[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9))
+            dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = cut * east, cut * north
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def walk(i, duration, movers, routes, boxes, posts, parts, lists, world, x, y, radius):
+def walk(i, duration, dynamic_obstacles, routes, boxes, posts, parts, lists, world, x, y, radius):
     """Move the movers of robot `i` for a physics step of `duration` [s], up to where they run into the robot.
 
     Args:
@@ -99,40 +104,50 @@ def walk(i, duration, movers, routes, boxes, posts, parts, lists, world, x, y, r
         Whether one of them has run into it.
     """
     touched = False
-    for k in range(movers.shape[1]):
-        kind, from_x, from_y = movers[i, k, KIND], movers[i, k, X], movers[i, k, Y]
+    for k in range(dynamic_obstacles.shape[1]):
+        kind, from_x, from_y = dynamic_obstacles[i, k, KIND], dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y]
         if kind == NOBODY:
             continue
-        cos, sin, point, stride = movers[i, k, COS], movers[i, k, SIN], movers[i, k, NEXT], movers[i, k, STRIDE]
+        cos, sin, point, stride = (
+            dynamic_obstacles[i, k, COS],
+            dynamic_obstacles[i, k, SIN],
+            dynamic_obstacles[i, k, NEXT],
+            dynamic_obstacles[i, k, STRIDE],
+        )
         if kind == PATH:
-            to_x, to_y = _follow(i, k, movers, routes, duration * movers[i, k, SPEED])
+            to_x, to_y = _follow(i, k, dynamic_obstacles, routes, duration * dynamic_obstacles[i, k, SPEED])
         elif kind == STRAIGHT:
-            east, north = movers[i, k, TARGET_X] - from_x, movers[i, k, TARGET_Y] - from_y
-            share = min(1.0, duration * movers[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9))
+            east, north = dynamic_obstacles[i, k, TARGET_X] - from_x, dynamic_obstacles[i, k, TARGET_Y] - from_y
+            share = min(
+                1.0, duration * dynamic_obstacles[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9)
+            )
             to_x, to_y = from_x + share * east, from_y + share * north
         else:
-            to_x, to_y = _keep_off_walls(i, k, duration, movers, boxes, posts, parts, lists, world)
+            to_x, to_y = _keep_off_walls(i, k, duration, dynamic_obstacles, boxes, posts, parts, lists, world)
         east, north = to_x - from_x, to_y - from_y
         length = math.sqrt(east * east + north * north)
         if length > 1e-9:
-            movers[i, k, COS], movers[i, k, SIN] = east / length, north / length
-        share = share_until_touch(x - from_x, y - from_y, x - to_x, y - to_y, radius + HALT, movers, i, k)
+            dynamic_obstacles[i, k, COS], dynamic_obstacles[i, k, SIN] = east / length, north / length
+        share = share_until_touch(x - from_x, y - from_y, x - to_x, y - to_y, radius + HALT, dynamic_obstacles, i, k)
         if share < 1.0:
             touched = True
-            movers[i, k, VX], movers[i, k, VY] = 0.0, 0.0
-            movers[i, k, PATIENCE] = min(movers[i, k, PATIENCE], _WAITS)
-            movers[i, k, NEXT], movers[i, k, STRIDE] = point, stride
+            dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = 0.0, 0.0
+            dynamic_obstacles[i, k, PATIENCE] = min(dynamic_obstacles[i, k, PATIENCE], _WAITS)
+            dynamic_obstacles[i, k, NEXT], dynamic_obstacles[i, k, STRIDE] = point, stride
             to_x, to_y = from_x + share * (to_x - from_x), from_y + share * (to_y - from_y)
             if share == 0.0:  # nor does a box turn
-                movers[i, k, COS], movers[i, k, SIN] = cos, sin
+                dynamic_obstacles[i, k, COS], dynamic_obstacles[i, k, SIN] = cos, sin
         elif kind != PERSON:
-            movers[i, k, VX], movers[i, k, VY] = (to_x - from_x) / duration, (to_y - from_y) / duration
-        movers[i, k, X], movers[i, k, Y] = to_x, to_y
+            dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = (
+                (to_x - from_x) / duration,
+                (to_y - from_y) / duration,
+            )
+        dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y] = to_x, to_y
     return touched
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def share_until_touch(from_east, from_north, to_east, to_north, radius, movers, i, k):
+def share_until_touch(from_east, from_north, to_east, to_north, radius, dynamic_obstacles, i, k):
     """How much of its way the robot or a mover goes until they touch, from 0 to 1: all of it, if it leads off.
 
     Args:
@@ -140,14 +155,14 @@ def share_until_touch(from_east, from_north, to_east, to_north, radius, movers, 
         radius: Of the robot [m].
         movers, i, k: Mover `k` of robot `i`.
     """
-    gap = gap_to(to_east, to_north, movers, i, k) - radius
-    if gap >= 0.0 or gap > gap_to(from_east, from_north, movers, i, k) - radius:
+    gap = gap_to(to_east, to_north, dynamic_obstacles, i, k) - radius
+    if gap >= 0.0 or gap > gap_to(from_east, from_north, dynamic_obstacles, i, k) - radius:
         return 1.0
     low, high = 0.0, 1.0
     for _ in range(16):
         middle = 0.5 * (low + high)
         east, north = from_east + middle * (to_east - from_east), from_north + middle * (to_north - from_north)
-        if gap_to(east, north, movers, i, k) < radius:
+        if gap_to(east, north, dynamic_obstacles, i, k) < radius:
             high = middle
         else:
             low = middle
@@ -155,30 +170,35 @@ def share_until_touch(from_east, from_north, to_east, to_north, radius, movers, 
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _follow(i, k, movers, routes, left):
+def _follow(i, k, dynamic_obstacles, routes, left):
     """Where a mover is on its path after `left` [m] more: there and back, or around."""
-    x, y, first, count = movers[i, k, X], movers[i, k, Y], int(movers[i, k, FIRST]), int(movers[i, k, COUNT])
+    x, y, first, count = (
+        dynamic_obstacles[i, k, X],
+        dynamic_obstacles[i, k, Y],
+        int(dynamic_obstacles[i, k, FIRST]),
+        int(dynamic_obstacles[i, k, COUNT]),
+    )
     for _ in range(count + 1):  # a path may be shorter than a step
-        point, stride = int(movers[i, k, NEXT]), int(movers[i, k, STRIDE])
+        point, stride = int(dynamic_obstacles[i, k, NEXT]), int(dynamic_obstacles[i, k, STRIDE])
         east, north = routes[first + point, 0] - x, routes[first + point, 1] - y
         distance = math.sqrt(east * east + north * north)
         if distance > left:
             return x + left / distance * east, y + left / distance * north
         x, y, left = x + east, y + north, left - distance
-        if movers[i, k, CLOSED] != 0.0:
-            movers[i, k, NEXT] = (point + 1) % count
+        if dynamic_obstacles[i, k, CLOSED] != 0.0:
+            dynamic_obstacles[i, k, NEXT] = (point + 1) % count
         else:
             stride = stride if 0 <= point + stride < count else -stride
-            movers[i, k, NEXT], movers[i, k, STRIDE] = point + stride, stride
+            dynamic_obstacles[i, k, NEXT], dynamic_obstacles[i, k, STRIDE] = point + stride, stride
     return x, y
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world):
+def _aim(i, k, dynamic_obstacles, streams, starts, boxes, posts, parts, lists, world):
     """Give a mover its next target: of some random points that it can go straight to, the farthest."""
-    x, y, best = movers[i, k, X], movers[i, k, Y], 0.0
-    movers[i, k, TARGET_X], movers[i, k, TARGET_Y] = x, y
-    needed = min(reach_of(movers, i, k) + _MARGIN, clearance_one(x, y, boxes, posts, parts, lists, world))
+    x, y, best = dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y], 0.0
+    dynamic_obstacles[i, k, TARGET_X], dynamic_obstacles[i, k, TARGET_Y] = x, y
+    needed = min(reach_of(dynamic_obstacles, i, k) + _MARGIN, clearance_one(x, y, boxes, posts, parts, lists, world))
     for _ in range(_TRIES):
         angle = math.tau * uniform(streams[i, 0], streams[i, 1])
         farthest = _NEAREST + (_FARTHEST - _NEAREST) * uniform(streams[i, 0], streams[i, 1] + np.uint64(1))
@@ -194,56 +214,78 @@ def _aim(i, k, movers, streams, starts, boxes, posts, parts, lists, world):
                 break
             if way > best:
                 best = way
-                movers[i, k, TARGET_X], movers[i, k, TARGET_Y] = at_x, at_y
-    movers[i, k, PATIENCE] = 2.0 + 2.0 * best / movers[i, k, SPEED] if best > 0.0 else 0.0
+                dynamic_obstacles[i, k, TARGET_X], dynamic_obstacles[i, k, TARGET_Y] = at_x, at_y
+    dynamic_obstacles[i, k, PATIENCE] = 2.0 + 2.0 * best / dynamic_obstacles[i, k, SPEED] if best > 0.0 else 0.0
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def _want(i, k, movers):
+def _want(i, k, dynamic_obstacles):
     """The force on a person towards its target."""
-    east, north = movers[i, k, TARGET_X] - movers[i, k, X], movers[i, k, TARGET_Y] - movers[i, k, Y]
-    wanted = movers[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9)
-    movers[i, k, FORCE_X] = (wanted * east - movers[i, k, VX]) / RELAXATION
-    movers[i, k, FORCE_Y] = (wanted * north - movers[i, k, VY]) / RELAXATION
+    east, north = (
+        dynamic_obstacles[i, k, TARGET_X] - dynamic_obstacles[i, k, X],
+        dynamic_obstacles[i, k, TARGET_Y] - dynamic_obstacles[i, k, Y],
+    )
+    wanted = dynamic_obstacles[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9)
+    dynamic_obstacles[i, k, FORCE_X] = (wanted * east - dynamic_obstacles[i, k, VX]) / RELAXATION
+    dynamic_obstacles[i, k, FORCE_Y] = (wanted * north - dynamic_obstacles[i, k, VY]) / RELAXATION
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def _feel_each_other(i, k, other, movers):
+def _feel_each_other(i, k, other, dynamic_obstacles):
     """The forces between two movers, on those of them that are people: one is the other turned round."""
-    kind, others = movers[i, k, KIND], movers[i, other, KIND]
+    kind, others = dynamic_obstacles[i, k, KIND], dynamic_obstacles[i, other, KIND]
     if kind == NOBODY or others == NOBODY or (kind != PERSON and others != PERSON):
         return
-    east, north = movers[i, other, X] - movers[i, k, X], movers[i, other, Y] - movers[i, k, Y]
-    faster = movers[i, k, VX] - movers[i, other, VX], movers[i, k, VY] - movers[i, other, VY]
+    east, north = (
+        dynamic_obstacles[i, other, X] - dynamic_obstacles[i, k, X],
+        dynamic_obstacles[i, other, Y] - dynamic_obstacles[i, k, Y],
+    )
+    faster = (
+        dynamic_obstacles[i, k, VX] - dynamic_obstacles[i, other, VX],
+        dynamic_obstacles[i, k, VY] - dynamic_obstacles[i, other, VY],
+    )
     aside_x, aside_y = social_force(east, north, *faster)
     distance = max(math.sqrt(east * east + north * north), 1e-9)
     # Bodies do not pass through each other; what is as near as a wall pushes like one.
     if kind == PERSON:
-        push = _push(gap_to(-east, -north, movers, i, other) - movers[i, k, LENGTH]) / distance
-        movers[i, k, FORCE_X] = movers[i, k, FORCE_X] + STRENGTH * aside_x - push * east
-        movers[i, k, FORCE_Y] = movers[i, k, FORCE_Y] + STRENGTH * aside_y - push * north
+        push = _push(gap_to(-east, -north, dynamic_obstacles, i, other) - dynamic_obstacles[i, k, LENGTH]) / distance
+        dynamic_obstacles[i, k, FORCE_X] = dynamic_obstacles[i, k, FORCE_X] + STRENGTH * aside_x - push * east
+        dynamic_obstacles[i, k, FORCE_Y] = dynamic_obstacles[i, k, FORCE_Y] + STRENGTH * aside_y - push * north
     if others == PERSON:
-        push = _push(gap_to(east, north, movers, i, k) - movers[i, other, LENGTH]) / distance
-        movers[i, other, FORCE_X] = movers[i, other, FORCE_X] - STRENGTH * aside_x + push * east
-        movers[i, other, FORCE_Y] = movers[i, other, FORCE_Y] - STRENGTH * aside_y + push * north
+        push = _push(gap_to(east, north, dynamic_obstacles, i, k) - dynamic_obstacles[i, other, LENGTH]) / distance
+        dynamic_obstacles[i, other, FORCE_X] = dynamic_obstacles[i, other, FORCE_X] - STRENGTH * aside_x + push * east
+        dynamic_obstacles[i, other, FORCE_Y] = dynamic_obstacles[i, other, FORCE_Y] - STRENGTH * aside_y + push * north
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def _feel(i, k, movers, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy, robot_radius):
+def _feel(
+    i, k, dynamic_obstacles, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy, robot_radius
+):
     """The forces on a person off walls, and off the robot if it sees that."""
-    x, y, force_x, force_y = movers[i, k, X], movers[i, k, Y], movers[i, k, FORCE_X], movers[i, k, FORCE_Y]
-    if movers[i, k, AVOIDS] != 0.0:
+    x, y, force_x, force_y = (
+        dynamic_obstacles[i, k, X],
+        dynamic_obstacles[i, k, Y],
+        dynamic_obstacles[i, k, FORCE_X],
+        dynamic_obstacles[i, k, FORCE_Y],
+    )
+    if dynamic_obstacles[i, k, AVOIDS] != 0.0:
         east, north = robot_x - x, robot_y - y
-        aside_x, aside_y = social_force(east, north, movers[i, k, VX] - robot_vx, movers[i, k, VY] - robot_vy)
+        aside_x, aside_y = social_force(
+            east, north, dynamic_obstacles[i, k, VX] - robot_vx, dynamic_obstacles[i, k, VY] - robot_vy
+        )
         distance = max(math.sqrt(east * east + north * north), 1e-9)
-        push = _push(distance - robot_radius - movers[i, k, LENGTH]) / distance
+        push = _push(distance - robot_radius - dynamic_obstacles[i, k, LENGTH]) / distance
         force_x, force_y = force_x + STRENGTH * aside_x - push * east, force_y + STRENGTH * aside_y - push * north
-    gap = clearance_one(x, y, boxes, posts, parts, lists, world) - movers[i, k, LENGTH]
+    gap = clearance_one(x, y, boxes, posts, parts, lists, world) - dynamic_obstacles[i, k, LENGTH]
     if gap < _FELT:
         off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
         push = _push(gap)
         force_x, force_y = force_x + push * off_x, force_y + push * off_y
-    movers[i, k, FORCE_X], movers[i, k, FORCE_Y], movers[i, k, ROOM] = force_x, force_y, min(gap, _FARTHEST) - _TINY
+    dynamic_obstacles[i, k, FORCE_X], dynamic_obstacles[i, k, FORCE_Y], dynamic_obstacles[i, k, ROOM] = (
+        force_x,
+        force_y,
+        min(gap, _FARTHEST) - _TINY,
+    )
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
@@ -263,13 +305,13 @@ def _off_walls(x, y, boxes, posts, parts, lists, world):
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _keep_off_walls(i, k, duration, movers, boxes, posts, parts, lists, world):
+def _keep_off_walls(i, k, duration, dynamic_obstacles, boxes, posts, parts, lists, world):
     """Where a person is after a step: along a wall, not into it."""
-    x, y, radius = movers[i, k, X], movers[i, k, Y], movers[i, k, LENGTH]
-    vx, vy = movers[i, k, VX], movers[i, k, VY]
+    x, y, radius = dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y], dynamic_obstacles[i, k, LENGTH]
+    vx, vy = dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY]
     to_x, to_y = x + duration * vx, y + duration * vy
-    movers[i, k, ROOM] -= duration * (abs(vx) + abs(vy))  # it goes less far than that
-    if movers[i, k, ROOM] > 0.0:
+    dynamic_obstacles[i, k, ROOM] -= duration * (abs(vx) + abs(vy))  # it goes less far than that
+    if dynamic_obstacles[i, k, ROOM] > 0.0:
         return to_x, to_y
     clearance = clearance_one(to_x, to_y, boxes, posts, parts, lists, world)
     if clearance >= radius:
@@ -283,5 +325,5 @@ def _keep_off_walls(i, k, duration, movers, boxes, posts, parts, lists, world):
     to_x, to_y = x + duration * vx, y + duration * vy
     if clearance_one(to_x, to_y, boxes, posts, parts, lists, world) < min(radius, here) - _TINY:
         vx, vy, to_x, to_y = 0.0, 0.0, x, y
-    movers[i, k, VX], movers[i, k, VY] = vx, vy
+    dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = vx, vy
     return to_x, to_y

@@ -5,7 +5,7 @@ simulation and what lies below it.
 """
 
 from tb2rl.tasks.actions import Actions, Commands, Velocities
-from tb2rl.tasks.outcome import TIME_LIMIT, Ending, Outcome, crash_endings
+from tb2rl.tasks.outcome import TIME_LIMIT, Ending, Outcome, collision_endings
 from tb2rl.tasks.task import Task
 
-__all__ = ["TIME_LIMIT", "Actions", "Commands", "Ending", "Outcome", "Task", "Velocities", "crash_endings"]
+__all__ = ["TIME_LIMIT", "Actions", "Commands", "Ending", "Outcome", "Task", "Velocities", "collision_endings"]

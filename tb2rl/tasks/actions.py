@@ -29,12 +29,12 @@ class Actions(ABC):
 
     @property
     @abstractmethod
-    def fastest(self) -> float:
+    def max_speed(self) -> float:
         """The largest speed |v| that an action commands [m/s]."""
 
     @abstractmethod
     def commands(self, actions: np.ndarray) -> np.ndarray:
-        """What actions tell the base: v [m/s] and w [rad/s], (robots, ...) to (robots, 2)."""
+        """What actions tell the base: v [m/s] and w [rad/s], (num_envs, ...) to (num_envs, 2)."""
 
     @abstractmethod
     def within(self, robot: Robot) -> Self:
@@ -42,7 +42,7 @@ class Actions(ABC):
 
     @abstractmethod
     def kinds(self, actions: np.ndarray) -> np.ndarray:
-        """Which of the `names` each action is, as an index, shape (robots,)."""
+        """Which of the `names` each action is, as an index, shape (num_envs,)."""
 
     @abstractmethod
     def checked(self, action: Any) -> np.ndarray:
@@ -100,7 +100,7 @@ class Commands(Actions):
         return cut
 
     @property
-    def fastest(self) -> float:
+    def max_speed(self) -> float:
         return float(np.abs(self.table[:, 0]).max())
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
@@ -155,7 +155,7 @@ class Velocities(Actions):
         return cut
 
     @property
-    def fastest(self) -> float:
+    def max_speed(self) -> float:
         return float(np.abs([self.low[0], self.high[0]]).max())
 
     def commands(self, actions: np.ndarray) -> np.ndarray:

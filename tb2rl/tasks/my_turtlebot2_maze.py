@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 from tb2rl.tasks import Commands, Outcome
 from tb2rl.tasks.wander import Wander
 
@@ -31,7 +31,7 @@ class MyTurtleBot2Maze(Wander):
     def actions(self) -> Commands:
         return super().actions.plus(backward=(self.backward_speed, 0.0))  # v [m/s], w [rad/s]
 
-    def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
-        outcome = super().judge(before, action, after)
+    def outcome(self, before: RobotState, action: np.ndarray, after: RobotState) -> Outcome:
+        outcome = super().outcome(before, action, after)
         backward = (action == self.actions.backward) & ~outcome.terminated
         return replace(outcome, reward=np.where(backward, self.backward_reward, outcome.reward))

@@ -17,13 +17,13 @@ from tb2rl.sensors import Sensor
 from tb2rl.sensors.goal import GoalDirection, GoalDistance
 from tb2rl.sensors.motion import ForwardSpeed, LastAction, TurnRate
 from tb2rl.sensors.visited import Visited
-from tb2rl.sensors.waypoint import REACH, Reach, Waypoint, WaypointBearing
-from tb2rl.simulation import Draws, Reading, Setup, Start
+from tb2rl.sensors.waypoint import LOOKAHEAD, Lookahead, Waypoint, WaypointBearing
+from tb2rl.simulation import Draws, InitialState, RobotState, SimulationSpec
 from tb2rl.tasks.actions import Actions, Commands, Velocities
-from tb2rl.tasks.outcome import Outcome, crash_endings
+from tb2rl.tasks.outcome import Outcome, collision_endings
 from tb2rl.tasks.task import Beams, Clearance, Period, Task
 from tb2rl.worlds import World
-from tb2rl.worlds.ways import GOALS, OWN, shortest_way
+from tb2rl.worlds.goal_paths import GOALS, OWN, shortest_way
 
 _TOLD = 3  # actions: with commands and readings a step late, what the robot is still to do, and one more
 _TOWARDS = 0.02  # [m/s] slower than this towards something is not driving into it; to turn is not either, it is round
@@ -38,8 +38,9 @@ class Navigate(Task):
     was last told, and what guides it:
 
     - `goal`: where the goal is, by odometry, and where the robot has been lately. It knows no map.
-    - `plan`: a point `reach` ahead on the shortest way, as from a planner that knows where the robot is, and the map:
-      with `planner: known` the world's, with `seen` what the laser has seen so far.
+    - `plan`: a point `lookahead` ahead on the shortest way, as from a planner that knows where the robot is, and the
+    map:
+      with `map: known` the world's, with `online` what the laser has seen so far.
 
     What moves and runs into a robot that stands, or drives away from it, ends nothing, for the robot has not driven
     into it: it may go on when the other has gone.
@@ -53,19 +54,19 @@ class Navigate(Task):
     world: Worlds = "mixed"
     goal: Point | None = None  # [m] x and y, in place of the world's goal and of random ones
     guide: Literal["goal", "plan"] = "goal"
-    planner: Literal["known", "seen"] = "known"
-    reach: Reach = REACH  # [m] from the robot to the point of the plan, along the way
+    map: Literal["known", "online"] = "known"
+    lookahead: Lookahead = LOOKAHEAD  # [m] from the robot to the point of the plan, along the way
     start_clearance: Clearance = 0.25  # [m]
     control_period: Period = 0.1  # [s]
     episode_steps: Count = 600
     beams: Beams | None = 60
-    fastest: Positive = 0.65  # [m/s] the slowest is to stand
+    max_speed: Positive = 0.65  # [m/s] the slowest is to stand
     turn_rate: Positive = 2.0  # [rad/s] to both sides
     named_actions: bool = False  # five commands in place of any speeds, for learners that choose
     goal_radius: Positive = 0.3  # [m]
     goal_reward: float = 10.0  # replaces the step's, as does a crash's
-    crash_reward: float = -10.0
-    closer_reward: float = 2.5  # for a metre of way
+    collision_reward: float = -10.0
+    progress_reward: float = 2.5  # for a metre of way
     step_reward: float = -0.05
     turn_reward: float = -0.02  # at the largest turn rate
     margin: NonNegative = 0.1  # [m] between robot and wall, below which a step is fined
@@ -74,10 +75,10 @@ class Navigate(Task):
     @cached_property
     def actions(self) -> Actions:
         if not self.named_actions:
-            return Velocities(forward=(0.0, self.fastest), turn=(-self.turn_rate, self.turn_rate))
-        half, some = 0.5 * self.fastest, 0.5 * self.turn_rate
+            return Velocities(forward=(0.0, self.max_speed), turn=(-self.turn_rate, self.turn_rate))
+        half, some = 0.5 * self.max_speed, 0.5 * self.turn_rate
         return Commands(
-            forward=(self.fastest, 0.0),
+            forward=(self.max_speed, 0.0),
             left=(half, some),
             right=(half, -some),
             spin_left=(0.0, some),
@@ -85,20 +86,20 @@ class Navigate(Task):
         )
 
     @property
-    def explores(self) -> bool:
-        return self.guide == "plan" and self.planner == "seen"
+    def maps_online(self) -> bool:
+        return self.guide == "plan" and self.map == "online"
 
-    def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
-        speeds = ForwardSpeed(setup.robot), TurnRate(setup.robot)
+    def sensors(self, spec: SimulationSpec) -> tuple[Sensor, ...]:
+        speeds = ForwardSpeed(spec.robot), TurnRate(spec.robot)
         if self.guide == "plan":
-            return (*super().sensors(setup), Waypoint(self.reach), *speeds, LastAction(setup.robot))
+            return (*super().sensors(spec), Waypoint(self.lookahead), *speeds, LastAction(spec.robot))
         guides = GoalDistance(), GoalDirection(), Visited()
-        return (*super().sensors(setup), *guides, *speeds, LastAction(setup.robot, count=_TOLD))
+        return (*super().sensors(spec), *guides, *speeds, LastAction(spec.robot, count=_TOLD))
 
-    def offers(self, setup: Setup) -> tuple[Sensor, ...]:
-        return (*super().offers(setup), Waypoint(self.reach), WaypointBearing(self.reach))
+    def available_sensors(self, spec: SimulationSpec) -> tuple[Sensor, ...]:
+        return (*super().available_sensors(spec), Waypoint(self.lookahead), WaypointBearing(self.lookahead))
 
-    def places(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
+    def prepare_worlds(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
         if self.goal is None:
             return worlds
         placed = tuple(world.with_places(None, (*self.goal, 0.0)) for world in worlds)
@@ -109,39 +110,39 @@ class Navigate(Task):
                 raise InputError(f"world {world.name}: {robot.name} finds no way {where}")
         return placed
 
-    def begin(self, setup: Setup, draws: Draws) -> Start:
-        start = super().begin(setup, draws)
+    def initial_state(self, spec: SimulationSpec, draws: Draws) -> InitialState:
+        initial_state = super().initial_state(spec, draws)
         if self.start == "fixed" or self.goal is not None:
-            start.way[:] = OWN
-            return start
-        world, choices = start.world.astype(int), 1 + (draws.uniform(2) * GOALS).astype(int)
-        ways = [setup.ways.to_go(world, choice, start.pose) for choice in choices.T]
-        start.way[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
-        start.goal[:] = setup.ways.goals(world, start.way.astype(int))
-        return start
+            initial_state.way[:] = OWN
+            return initial_state
+        world, choices = initial_state.world.astype(int), 1 + (draws.uniform(2) * GOALS).astype(int)
+        ways = [spec.ways.path_length(world, choice, initial_state.pose) for choice in choices.T]
+        initial_state.way[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
+        initial_state.goal[:] = spec.ways.goals(world, initial_state.way.astype(int))
+        return initial_state
 
-    def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
+    def outcome(self, before: RobotState, action: np.ndarray, after: RobotState) -> Outcome:
         missing = np.hypot(*(after.goal - after.pose[:, :2]).T)
-        reached, crashed = (missing <= self.goal_radius) & ~after.bumped, self._crashed(before, after)
+        reached, collided = (missing <= self.goal_radius) & ~after.bumped, self._collided(before, after)
         # Close to a wall the way is rounded from squares that no robot can be at, and may jump by more than a step.
-        at_most = 1.5 * self.fastest * self.control_period
-        closer = np.clip(before.to_go - after.to_go, -at_most, at_most)
-        gap = after.nearest - after.start.parameters[:, RADIUS]
+        at_most = 1.5 * self.max_speed * self.control_period
+        closer = np.clip(before.path_length - after.path_length, -at_most, at_most)
+        gap = after.nearest - after.initial_state.parameters[:, RADIUS]
         fines = self.turn_reward * np.abs(after.twist[:, 1]) / self.turn_rate
         if self.margin:
             fines = fines + self.margin_reward * np.clip(self.margin - gap, 0.0, self.margin) / self.margin
-        moving = self.closer_reward * closer + self.step_reward + fines
-        reward = np.select([crashed, reached], [self.crash_reward, self.goal_reward], moving)
-        return Outcome(reward, failed=crash_endings(crashed, after), succeeded={"goal": reached})
+        moving = self.progress_reward * closer + self.step_reward + fines
+        reward = np.select([collided, reached], [self.collision_reward, self.goal_reward], moving)
+        return Outcome(reward, failed=collision_endings(collided, after), succeeded={"goal": reached})
 
-    def _crashed(self, before: Reading, after: Reading) -> np.ndarray:
-        """Which robots drove into something, bool, shape (robots,): a wall, or something that moves.
+    def _collided(self, before: RobotState, after: RobotState) -> np.ndarray:
+        """Which robots drove into something, bool, shape (num_envs,): a wall, or something that moves.
 
         Of what moves it is what nuPlan calls a collision at fault (Karnchanachari et al. 2024, "Towards learning-based
         planning"): not when the robot stands, nor when it drives away from what runs into it.
         """
-        if after.moving is None or not (after.bumped & after.moving).any():
+        if after.nearest_is_dynamic is None or not (after.bumped & after.nearest_is_dynamic).any():
             return after.bumped
-        speed, east, north = np.maximum(before.twist[:, 0], after.command[:, 0]), *after.to_mover.T
+        speed, east, north = np.maximum(before.twist[:, 0], after.command[:, 0]), *after.direction_to_obstacle.T
         towards = speed * (np.cos(after.pose[:, 2]) * east + np.sin(after.pose[:, 2]) * north)
-        return after.bumped & (~after.moving | (towards >= _TOWARDS))
+        return after.bumped & (~after.nearest_is_dynamic | (towards >= _TOWARDS))

@@ -8,22 +8,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
 TIME_LIMIT = "time limit"  # the ending of an episode whose steps are used up
-CRASH, MOVER_CRASH = "crash", "crash with something that moves"
+COLLISION, OBSTACLE_COLLISION = "collision", "collision with a dynamic obstacle"
 
 
-def crash_endings(crashed: np.ndarray, after: Reading) -> dict[str, np.ndarray]:
+def collision_endings(collided: np.ndarray, after: RobotState) -> dict[str, np.ndarray]:
     """Endings of robots that have crashed, for `Outcome.failed`: into a wall, or into something that moves.
 
     Args:
-        crashed: Which have, bool, shape (robots,).
+        collided: Which have, bool, shape (num_envs,).
         after: The reading that says so.
     """
-    if after.moving is None:
-        return {CRASH: crashed}
-    return {CRASH: crashed & ~after.moving, MOVER_CRASH: crashed & after.moving}
+    if after.nearest_is_dynamic is None:
+        return {COLLISION: collided}
+    return {COLLISION: collided & ~after.nearest_is_dynamic, OBSTACLE_COLLISION: collided & after.nearest_is_dynamic}
 
 
 class Ending(NamedTuple):
@@ -42,8 +42,8 @@ class Outcome:
     before the others.
 
     Attributes:
-        reward: Shape (robots,).
-        failed: Endings that count as failed, by name, each with its robots, bool, shape (robots,).
+        reward: Shape (num_envs,).
+        failed: Endings that count as failed, by name, each with its robots, bool, shape (num_envs,).
         succeeded: Endings at the goal, likewise; None for a task without a goal, where an episode succeeds that
             reaches its time limit.
     """
@@ -54,7 +54,7 @@ class Outcome:
 
     @property
     def terminated(self) -> np.ndarray:
-        """Whether an episode ends here, bool, shape (robots,)."""
+        """Whether an episode ends here, bool, shape (num_envs,)."""
         masks = [*self.failed.values(), *self.succeeded.values()] if self.succeeded else list(self.failed.values())
         if len(masks) == 1:  # as in most tasks; the general way takes longer than a robot's step
             return masks[0]
@@ -70,15 +70,15 @@ class Outcome:
                 return Ending(name, failed=False, success=True)
         return Ending(TIME_LIMIT, failed=False, success=self.succeeded is None) if timed_out else None
 
-    def endings(self, robots: np.ndarray) -> list[Ending]:
+    def endings(self, indices: np.ndarray) -> list[Ending]:
         """Why the episodes of the robots with indices `robots` (n,) are over, by their time limit if not otherwise.
 
         The same as `ending` of each, for hundreds that end in one step.
         """
-        endings = [Ending(TIME_LIMIT, failed=False, success=self.succeeded is None)] * len(robots)
+        endings = [Ending(TIME_LIMIT, failed=False, success=self.succeeded is None)] * len(indices)
         for masks, failed in ((self.succeeded or {}, False), (self.failed, True)):
             for name, where in reversed(list(masks.items())):  # the first one has the last word
                 ending = Ending(name, failed, success=not failed)
-                for i in where[robots].nonzero()[0].tolist():
+                for i in where[indices].nonzero()[0].tolist():
                     endings[i] = ending
         return endings

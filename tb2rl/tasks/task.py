@@ -11,12 +11,12 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
-from tb2rl.core.values import Count, Edges, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
+from tb2rl.core.values import Bins, Count, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
 from tb2rl.robots import Robot
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
-from tb2rl.simulation import Draws, Reading, Setup, Start
-from tb2rl.simulation.setup import CROWD
+from tb2rl.simulation import Draws, InitialState, RobotState, SimulationSpec
+from tb2rl.simulation.spec import CROWD
 from tb2rl.simulation.variation import Variation, find_variation
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
@@ -33,7 +33,7 @@ class Task(ABC):
 
     Its fields are its settings, for YAML (`task.world: circuit`), the command line (`--set task.world=circuit`) and
     `gymnasium.make(id, world="circuit")` alike. It defines `actions` and `judge`, and where it needs to `sensors` and
-    `begin`. All of them work on all robots at once: arrays have a leading robot axis.
+    `initial_state`. All of them work on all robots at once: arrays have a leading robot axis.
     """
 
     goal_task: ClassVar[bool] = False  # whether its episodes succeed at a goal, and not by lasting
@@ -47,15 +47,15 @@ class Task(ABC):
     beams: Beams | None = None  # of the laser, ends included; None: the observation's
     field_of_view: Annotated[float, Gt(0), Le(math.tau)] | None = None  # [rad] of the beams; None: the laser's whole
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # to read; None: all
-    noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
+    laser_noise: NonNegative = 0.0  # [m] standard deviation of the laser; 0.01 is realistic
     variation: Varied = "none"  # of the robot: a preset, or a mapping; see tb2rl/robots/README.md
-    movers: Moved = None  # what moves in every world, such as {people: 4}; see tb2rl/worlds/README.md
-    frames: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first
-    edges: Edges = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
+    dynamic_obstacles: Moved = None  # what moves in every world, such as {people: 4}; see tb2rl/worlds/README.md
+    frame_stack: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first
+    range_bins: Bins = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
     observe: Observed | None = None  # the sensors, by name: see tb2rl/sensors/README.md; None: the task's own
 
     @cached_property
-    def imperfections(self) -> Variation:
+    def resolved_variation(self) -> Variation:
         """What `variation` means.
 
         Raises:
@@ -64,8 +64,8 @@ class Task(ABC):
         return find_variation(self.variation)
 
     @property
-    def explores(self) -> bool:
-        """Whether robots draw maps of what they see, see `Reading.explored`."""
+    def maps_online(self) -> bool:
+        """Whether robots draw maps of what they see, see `RobotState.occupancy_map`."""
         return False
 
     @property
@@ -74,23 +74,23 @@ class Task(ABC):
         """What the robot can be told to do."""
 
     @abstractmethod
-    def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
+    def outcome(self, before: RobotState, action: np.ndarray, after: RobotState) -> Outcome:
         """Reward and ending of the step that led from one reading to the next.
 
         Args:
             before, after: Of all robots.
-            action: Shape (robots,), or (robots, 2) of `Velocities`.
+            action: Shape (num_envs,), or (num_envs, 2) of `Velocities`.
         """
 
-    def sensors(self, setup: Setup) -> tuple[Sensor, ...]:
+    def sensors(self, spec: SimulationSpec) -> tuple[Sensor, ...]:
         """What a learner observes, in this order."""
-        return (LaserRanges(setup.laser, self.edges),)
+        return (LaserRanges(spec.laser, self.range_bins),)
 
-    def offers(self, setup: Setup) -> tuple[Sensor, ...]:
+    def available_sensors(self, spec: SimulationSpec) -> tuple[Sensor, ...]:
         """Sensors with the task's settings that `observe` can name, whether or not it observes them by itself."""
-        return Task.sensors(self, setup)
+        return Task.sensors(self, spec)
 
-    def places(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
+    def prepare_worlds(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
         """The worlds as the task sets them: with other goals, say.
 
         Args:
@@ -99,26 +99,26 @@ class Task(ABC):
         """
         return worlds
 
-    def begin(self, setup: Setup, draws: Draws) -> Start:
+    def initial_state(self, spec: SimulationSpec, draws: Draws) -> InitialState:
         """How the episodes of some robots begin: at the world's start pose, or anywhere in its free space.
 
         Args:
-            setup: The robot, and the worlds to begin in: each robot in one that is drawn for it.
+            spec: The robot, and the worlds to begin in: each robot in one that is drawn for it.
             draws: Random numbers for the robots whose episodes begin.
         """
-        worlds = setup.draw_worlds(draws)
-        start = Start.proposed(setup, draws.robots, worlds)
+        worlds = spec.draw_worlds(draws)
+        initial_state = InitialState.default(spec, draws.num_envs, worlds)
         if self.start == "random":
-            start.pose[:] = setup.poses_from(worlds, draws.uniform(4), self.start_clearance)
-        return start
+            initial_state.pose[:] = spec.poses_from(worlds, draws.uniform(4), self.start_clearance)
+        return initial_state
 
-    def begin_varied(self, setup: Setup, draws: Draws) -> Start:
-        """What environments call: `begin`, then the robot's `variation`, and then what decides about movers.
+    def randomized_initial_state(self, spec: SimulationSpec, draws: Draws) -> InitialState:
+        """What environments call: `initial_state`, then the robot's `variation`, and then what decides about movers.
 
         In this order, and nothing is drawn for nothing: so none of them changes what comes before it.
         """
-        start = self.begin(setup, draws)
-        self.imperfections.vary(start, draws)
-        if setup.anything_moves:
-            start.table[:, CROWD] = draws.uniform(1)[:, 0]
-        return start
+        initial_state = self.initial_state(spec, draws)
+        self.resolved_variation.vary(initial_state, draws)
+        if spec.has_dynamic_obstacles:
+            initial_state.table[:, CROWD] = draws.uniform(1)[:, 0]
+        return initial_state

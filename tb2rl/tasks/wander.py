@@ -7,14 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 from tb2rl.tasks.actions import Commands
-from tb2rl.tasks.crashing import Crashing
-from tb2rl.tasks.outcome import Outcome, crash_endings
+from tb2rl.tasks.collision_task import CollisionTask
+from tb2rl.tasks.outcome import Outcome, collision_endings
 
 
 @dataclass(frozen=True)
-class Wander(Crashing):
+class Wander(CollisionTask):
     """Forward, left or right; the robot is paid for going straight and fined for coming too close to a wall.
 
     The actions and rewards are the ones of the ROS tutorial that this project follows; the turn rate is not: at its
@@ -35,7 +35,7 @@ class Wander(Crashing):
             right=(self.turn_speed, -self.turn_rate),
         )
 
-    def judge(self, before: Reading, action: np.ndarray, after: Reading) -> Outcome:
-        crashed = self.crashed(after)
+    def outcome(self, before: RobotState, action: np.ndarray, after: RobotState) -> Outcome:
+        collided = self.collided(after)
         moving = np.where(action == self.actions.forward, self.forward_reward, self.turn_reward)
-        return Outcome(self.rewards(moving, crashed, after), failed=crash_endings(crashed, after))
+        return Outcome(self.rewards(moving, collided, after), failed=collision_endings(collided, after))

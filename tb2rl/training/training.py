@@ -195,7 +195,7 @@ def _train(
         remembering: list[Any] = [
             statistics,
             checkpoints,
-            Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.fastest),
+            Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.max_speed),
         ]
         if evaluator:
             evaluation = Evaluate(run, evaluator, settings, evaluated)

@@ -34,15 +34,15 @@ class Watcher(BaseCallback):
     Args:
         total_timesteps: Control steps of the whole training.
         control_period: Of its task [s].
-        fastest: Speed of the fastest command [m/s].
+        max_speed: Speed of the fastest command [m/s].
 
     Attributes:
         warned: The keys of `ADVICE` that were said already; each is said once.
     """
 
-    def __init__(self, total_timesteps: int, control_period: float, fastest: float) -> None:
+    def __init__(self, total_timesteps: int, control_period: float, max_speed: float) -> None:
         super().__init__()
-        self.total, self.period, self._slow = total_timesteps, control_period, min(_SLOW, _SLOW_SHARE * fastest)
+        self.total, self.period, self._slow = total_timesteps, control_period, min(_SLOW, _SLOW_SHARE * max_speed)
         self._next = 0
         self._latest: deque[tuple[float, int, float, bool]] = deque(
             maxlen=_EPISODES

@@ -13,9 +13,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import Scene
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.worlds import World
 from tb2rl.worlds.world import box_shapes
 
@@ -65,15 +65,15 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     except InputError:
         return None
     table: Any = policy.policy
-    scene = scene.changed(noise=0.0)
+    scene = scene.changed(laser_noise=0.0)
     places, side = _places(scene.world, scene.robot.radius)
-    simulation = KinematicSimulation(scene.setup.without_movers(), len(places))
+    simulation = KinematicSimulation(scene.spec.without_dynamic_obstacles(), len(places))
     actions, states = [], []
-    for start in _starts(scene, places):
-        reading = simulation.reset(start, np.random.default_rng(0))
-        observations = scene.observer(scene.commander()).begin(reading)
+    for initial_state in _starts(scene, places):
+        robot_state = simulation.reset(initial_state, np.random.default_rng(0))
+        observations = scene.observation_pipeline(scene.command_delay()).begin(robot_state)
         taken = np.array(policy.predict(observations, deterministic=True)[0])
-        over = scene.task.judge(reading, np.zeros_like(taken), reading).terminated
+        over = scene.task.outcome(robot_state, np.zeros_like(taken), robot_state).terminated
         actions.append(np.where(over, OVER, scene.actions.kinds(taken)))
         if hasattr(table, "visits"):
             states.append(table.states(observations))
@@ -83,12 +83,14 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     return ActionMap(scene.world, side, places, shown, known)
 
 
-def _starts(scene: Scene, places: np.ndarray) -> Iterator[Start]:
+def _starts(scene: Scene, places: np.ndarray) -> Iterator[InitialState]:
     """For each heading the start of a robot at each of the places (places, 2)."""
     for heading in range(HEADINGS):
-        start = scene.task.begin(scene.setup.within(0), GeneratorDraws(np.random.default_rng(0), len(places)))
-        start.pose[:, :2], start.pose[:, 2] = places, heading * math.tau / HEADINGS
-        yield start
+        initial_state = scene.task.initial_state(
+            scene.spec.within(0), GeneratorDraws(np.random.default_rng(0), len(places))
+        )
+        initial_state.pose[:, :2], initial_state.pose[:, 2] = places, heading * math.tau / HEADINGS
+        yield initial_state
 
 
 def _leave_out_unmet(actions: np.ndarray, states: np.ndarray, table: Any) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tb2rl.envs.scene import Scene
 from tb2rl.rendering.above import WorldPicture
-from tb2rl.simulation import Start, check_bullet
+from tb2rl.simulation import InitialState, check_bullet
 from tb2rl.simulation.outlines import cast_all_at_movers
 from tb2rl.viz.pictures import goal_of
 from tb2rl.viz.shots import Shot
@@ -38,28 +38,28 @@ class AboveCamera:
         self._scene = scene
         self._beams = np.cos(scene.laser.angles), np.sin(scene.laser.angles)
         self._ranges = np.empty((1, len(scene.laser.angles)))
-        self._start: Start | None = None
+        self._initial_state: InitialState | None = None
 
     def picture(self, shot: Shot) -> np.ndarray:
-        if shot.moment.start is not self._start:
-            self._begin(shot.moment.start)
-        return self._picture.draw(shot.pose, self._ranges_at(shot), [*shot.path, shot.pose], shot.movers)
+        if shot.moment.initial_state is not self._initial_state:
+            self._begin(shot.moment.initial_state)
+        return self._picture.draw(shot.pose, self._ranges_at(shot), [*shot.path, shot.pose], shot.dynamic_obstacles)
 
     def _ranges_at(self, shot: Shot) -> np.ndarray:
         """Along the beams [m], shape (beams,); in a world without walls as the robot read them, for it may be real."""
         obstacles = len(self._world.boxes) + len(self._world.posts)
-        if shot.moment.ranges is not None and shot.movers is None and not obstacles:
+        if shot.moment.ranges is not None and shot.dynamic_obstacles is None and not obstacles:
             return shot.moment.ranges
         cast_many(shot.pose[None], np.zeros(1), *self._beams, *self._world.index, self._ranges)
-        if shot.movers is not None:
-            cast_all_at_movers(shot.pose[None], *self._beams, shot.movers[None], self._ranges)
+        if shot.dynamic_obstacles is not None:
+            cast_all_at_movers(shot.pose[None], *self._beams, shot.dynamic_obstacles[None], self._ranges)
         return self._ranges[0]
 
-    def _begin(self, start: Start) -> None:
+    def _begin(self, initial_state: InitialState) -> None:
         """Draw what stands still in an episode."""
         scene = self._scene
-        self._start, self._world = start, scene.setup.worlds[int(start.world[0])]
-        self._picture = WorldPicture(self._world, scene.robot, scene.laser, goal_of(scene.task, start))
+        self._initial_state, self._world = initial_state, scene.spec.worlds[int(initial_state.world[0])]
+        self._picture = WorldPicture(self._world, scene.robot, scene.laser, goal_of(scene.task, initial_state))
 
     def close(self) -> None:
         pass
@@ -74,12 +74,12 @@ class ChaseCamera:
         check_bullet("camera 'chase' (unlike 'above')")
         from tb2rl.viz.stage import Stage  # PyBullet may be missing
 
-        self._task, self._stage = scene.task, Stage(scene.setup)
+        self._task, self._stage = scene.task, Stage(scene.spec)
 
     def picture(self, shot: Shot) -> np.ndarray:
-        start = shot.moment.start
-        self._stage.begin(int(start.world[0]), goal_of(self._task, start))
-        self._stage.place(shot.pose, shot.movers)
+        initial_state = shot.moment.initial_state
+        self._stage.begin(int(initial_state.world[0]), goal_of(self._task, initial_state))
+        self._stage.place(shot.pose, shot.dynamic_obstacles)
         return self._stage.chase(*_CHASE_SIZE)
 
     def close(self) -> None:

@@ -23,7 +23,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
 
 from tb2rl.evaluation.evaluation import Episode, Evaluation
 from tb2rl.rendering.colours import FAILED, FLOOR, GOAL, MOVER, PATH, START, WALL
-from tb2rl.tasks.outcome import MOVER_CRASH
+from tb2rl.tasks.outcome import OBSTACLE_COLLISION
 from tb2rl.viz.curves import Curve, Family
 from tb2rl.viz.pictures import goals_of
 from tb2rl.worlds import World
@@ -84,16 +84,16 @@ def draw_ways(evaluation: Evaluation) -> Markup:
     Each world has a picture of its own; where there are many, see `shown_worlds`.
     """
     scene, together = evaluation.scene, shown_worlds(evaluation)
-    figure, each = world_figure([scene.setup.worlds[world] for world in together])
+    figure, each = world_figure([scene.spec.worlds[world] for world in together])
     for axes, (world, episodes) in zip(each, together.items(), strict=True):
         paths, own = [episode.path for episode in episodes], f"-{world}" * (len(together) > 1)
         axes.add_collection(LineCollection(paths, colors=PATH, linewidths=0.6, alpha=0.3, rasterized=True))
         mark(axes, [path[0] for path in paths], s=9, color=START, linewidths=0, zorder=3, gid=f"starts{own}")
-        for group in scene.setup.movers_in(world):
+        for group in scene.spec.dynamic_obstacles_in(world):
             axes.plot(*np.reshape(group.route, (-1, 2)).T, color=MOVER, linewidth=1.2, alpha=0.3)
-        run_into = [episode.path[-1] for episode in episodes if episode.ended == MOVER_CRASH]
+        run_into = [episode.path[-1] for episode in episodes if episode.ended == OBSTACLE_COLLISION]
         mark(axes, run_into, s=22, color=MOVER, marker="x", linewidths=1.2, zorder=4, gid=f"run-into{own}")
-        failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended != MOVER_CRASH]
+        failures = [episode.path[-1] for episode in episodes if episode.failed and episode.ended != OBSTACLE_COLLISION]
         mark(axes, failures, s=22, color=FAILED, marker="x", linewidths=1.2, zorder=4, gid=f"failures{own}")
         goals, star = goals_of(scene, world, episodes), {"s": 90, "marker": "*", "edgecolors": "black"}
         mark(axes, goals, **star, color=GOAL, linewidths=0.5, zorder=5, gid=f"goal{own}")

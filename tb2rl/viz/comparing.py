@@ -70,7 +70,7 @@ def read_side(reference: str, trust: bool = False) -> Side:
             )
         runs[config.train.seed] = (
             evaluation.good_rate,
-            evaluation.summary()["mean_speed"] / config.scene.actions.fastest,
+            evaluation.summary()["mean_speed"] / config.scene.actions.max_speed,
         )
     ordered = {task: dict(sorted(runs.items())) for task, runs in sorted(found.items())}
     good, speed = (

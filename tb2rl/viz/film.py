@@ -153,10 +153,10 @@ def write_film(
         InputError: If it cannot be written.
     """
     write, fastest = WRITERS[path.suffix.lower()]
-    with closing(CAMERAS[camera](scene)) as eye:
-        rate = min(fastest, eye.rate)
+    with closing(CAMERAS[camera](scene)) as view:
+        rate = min(fastest, view.rate)
         shown = (shot for moments in driven for shot in shots(moments, scene.task.control_period, rate, speed))
-        frames: Iterator[np.ndarray] = (with_caption(eye.picture(shot), shot, scene) for shot in shown)
+        frames: Iterator[np.ndarray] = (with_caption(view.picture(shot), shot, scene) for shot in shown)
         try:
             with replacing(path) as temporary:
                 write(temporary, frames, rate)

@@ -41,8 +41,8 @@ def _seen_floor(width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.nda
         Metres ahead and to the left, and the contrast of the tiles there, each of shape (height, width), float32;
         the number of rows above the horizon.
     """
-    eye, target = np.array(EYE), np.array(TARGET)
-    forward = (target - eye) / np.linalg.norm(target - eye)
+    camera, target = np.array(EYE), np.array(TARGET)
+    forward = (target - camera) / np.linalg.norm(target - camera)
     right = np.array([0.0, -1.0, 0.0])
     up = np.cross(right, forward)
     reach = math.tan(FIELD_OF_VIEW / 2)
@@ -50,7 +50,7 @@ def _seen_floor(width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.nda
     upward = (height / 2 - np.arange(height) - 0.5) * 2 * reach / height
     rays = forward + upward[:, None, None] * up + across[None, :, None] * right
     sky = int((rays[:, 0, 2] > -1e-3).sum())
-    distance = eye[2] / np.maximum(-rays[..., 2], 1e-3)
-    ahead, left = eye[0] + distance * rays[..., 0], distance * rays[..., 1]
+    distance = camera[2] / np.maximum(-rays[..., 2], 1e-3)
+    ahead, left = camera[0] + distance * rays[..., 0], distance * rays[..., 1]
     contrast = 1.0 / (1.0 + (distance / 5.0) ** 2)  # tiles far away are smaller than a pixel and would flicker
     return ahead.astype(np.float32), left.astype(np.float32), contrast.astype(np.float32), sky

@@ -11,7 +11,7 @@ from tb2rl.envs.encodings import ranges_to_bins
 from tb2rl.envs.scene import Scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.robots import Laser, Robot
-from tb2rl.simulation import Reading, judging_simulation
+from tb2rl.simulation import RobotState, judging_simulation
 
 STILL = np.zeros(2)  # a command: v [m/s], w [rad/s]
 STEERING = {"w": (0.1, 0.0), "s": (-0.1, 0.0), "a": (0.0, 0.5), "d": (0.0, -0.5)}  # what a key adds to the command
@@ -32,39 +32,39 @@ class Teleop:
         self.command = STILL
         self.news = ""
         self.env.reset(seed=seed)
-        self.reading = self._advance()
+        self.robot_state = self._advance()
 
     def step(self) -> None:
         """Drive for a control period; an ending starts again elsewhere."""
-        before, actions = self.reading, self.scene.actions
-        self.reading = self._advance()
+        before, actions = self.robot_state, self.scene.actions
+        self.robot_state = self._advance()
         action = actions.nearest(self.command)
-        outcome = self.scene.task.judge(before, actions.checked(action), self.reading)
+        outcome = self.scene.task.outcome(before, actions.checked(action), self.robot_state)
         ending = outcome.ending(0, timed_out=False)
         if ending:
             self.news = f"{ending.name.upper()} ({self._how_it_was()}): a new start"
             self.command = STILL
             self.env.reset()
-            self.reading = self._advance()
+            self.robot_state = self._advance()
         elif self.command.any():
             self.news = f"as action {actions.describe(action)}: reward {outcome.reward[0]:+g}"
 
     @property
-    def movers(self) -> np.ndarray | None:
-        """Outlines of what moves, see `Reading.movers`, shape (movers, 6); None: nothing does."""
-        return None if self.reading.movers is None else self.reading.movers[0]
+    def dynamic_obstacles(self) -> np.ndarray | None:
+        """Outlines of what moves, see `RobotState.dynamic_obstacles`, shape (movers, 6); None: nothing does."""
+        return None if self.robot_state.dynamic_obstacles is None else self.robot_state.dynamic_obstacles[0]
 
     def lines(self, height: int) -> list[str]:
         """What the terminal shows on at most so many lines."""
         head = [
             f"{self.scene.place}: arrows or w/a/s/d change the speeds, space stops, q ends",
-            *reading_lines(self.reading, self.command),
+            *reading_lines(self.robot_state, self.command),
             self.news,
             "",
         ]
-        edges = self.scene.task.edges if self.scene.observation == "discrete" else None
+        bins = self.scene.task.range_bins if self.scene.observation == "discrete" else None
         rows = max(1, height - len(head))
-        return [*head, *range_lines(self.scene.laser, self.reading.ranges[0], edges, rows)][:height]
+        return [*head, *range_lines(self.scene.laser, self.robot_state.ranges[0], bins, rows)][:height]
 
     def steer(self, key: str) -> None:
         """Change the command as a key says."""
@@ -73,12 +73,16 @@ class Teleop:
     def close(self) -> None:
         self.env.close()
 
-    def _advance(self) -> Reading:
+    def _advance(self) -> RobotState:
         return self.env.simulation.step(self.command[None], self.scene.task.control_period)
 
     def _how_it_was(self) -> str:
-        touched = "something that moves" if self.reading.moving is not None and self.reading.moving[0] else "a wall"
-        return f"touched {touched}" if self.reading.bumped[0] else f"nearest {self.reading.nearest[0]:.2f} m"
+        touched = (
+            "something that moves"
+            if self.robot_state.nearest_is_dynamic is not None and self.robot_state.nearest_is_dynamic[0]
+            else "a wall"
+        )
+        return f"touched {touched}" if self.robot_state.bumped[0] else f"nearest {self.robot_state.nearest[0]:.2f} m"
 
 
 def steered(robot: Robot, command: np.ndarray, key: str) -> np.ndarray:
@@ -88,29 +92,29 @@ def steered(robot: Robot, command: np.ndarray, key: str) -> np.ndarray:
     return np.round(robot.within_limits(command + STEERING.get(key, STILL)), 3)
 
 
-def reading_lines(reading: Reading, command: np.ndarray) -> list[str]:
+def reading_lines(robot_state: RobotState, command: np.ndarray) -> list[str]:
     """What is commanded, and what the robot does and reads."""
-    (x, y, yaw), (v, w) = reading.pose[0], reading.twist[0]
-    bumped = "   BUMPED" if reading.bumped[0] else ""
+    (x, y, yaw), (v, w) = robot_state.pose[0], robot_state.twist[0]
+    bumped = "   BUMPED" if robot_state.bumped[0] else ""
     return [
         f"command  v {command[0]:+5.2f} m/s   w {command[1]:+5.2f} rad/s",
         f"robot    v {v:+z5.2f} m/s   w {w:+z5.2f} rad/s",
         f"pose     x {x:+5.2f} m     y {y:+5.2f} m       yaw {math.degrees(yaw):+.0f} deg",
-        f"nearest  {reading.nearest[0]:.2f} m{bumped}",
+        f"nearest  {robot_state.nearest[0]:.2f} m{bumped}",
     ]
 
 
-def range_lines(laser: Laser, ranges: np.ndarray, edges: Sequence[float] | None, rows: int) -> list[str]:
+def range_lines(laser: Laser, ranges: np.ndarray, bins: Sequence[float] | None, rows: int) -> list[str]:
     """A bar for each beam, right to left, or for as many as there are rows.
 
     Args:
         laser: Whose beams.
         ranges: Shape (beams,) [m].
-        edges: Borders of the distance classes [m]; None: the classes are not shown.
+        bins: Borders of the distance classes [m]; None: the classes are not shown.
         rows: How many lines at most.
     """
     shown = np.unique(np.linspace(0, len(ranges) - 1, min(rows, len(ranges))).round().astype(int))
-    classes = None if edges is None else ranges_to_bins(ranges, edges)
+    classes = None if bins is None else ranges_to_bins(ranges, bins)
     return [
         f"{math.degrees(laser.angles[i]):+4.0f} deg {ranges[i]:6.2f} m "
         f"{'' if classes is None else f'class {classes[i]} '}{'#' * round(min(ranges[i], _BAR_RANGE) * _BAR_SCALE)}"

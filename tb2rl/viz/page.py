@@ -55,7 +55,7 @@ class Row:
     def drawn(cls, group: Group, subject: Subject) -> Row:
         """Draw the pictures."""
         evaluation = subject.evaluation
-        time = draw_time(evaluation) if len(subject.scene.setup.worlds) == 1 else None
+        time = draw_time(evaluation) if len(subject.scene.spec.worlds) == 1 else None
         return cls(group, subject, draw_ways(evaluation), time, action_map(subject.policy, subject.config.scene))
 
     @property

@@ -12,7 +12,7 @@ from tb2rl.evaluation.evaluation import Episode
 from tb2rl.rendering.above import draw_goal, draw_routes
 from tb2rl.rendering.canvas import Canvas
 from tb2rl.rendering.colours import FAILED, PATH, START
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.tasks import Task
 
 _ABREAST = 6  # worlds in a row
@@ -36,8 +36,8 @@ def draw_paths(scene: Scene, episodes: Sequence[Episode]) -> np.ndarray:
 
 def _draw_in(scene: Scene, world: int, episodes: Sequence[Episode]) -> np.ndarray:
     """The paths in one world."""
-    canvas = Canvas(scene.setup.worlds[world])
-    draw_routes(canvas, scene.setup.movers_in(world))
+    canvas = Canvas(scene.spec.worlds[world])
+    draw_routes(canvas, scene.spec.dynamic_obstacles_in(world))
     for goal in goals_of(scene, world, episodes):
         draw_goal(canvas, goal)
     for episode in episodes:
@@ -72,6 +72,6 @@ def _as_large(pictures: Sequence[np.ndarray], axis: int) -> list[np.ndarray]:
     return [np.pad(*each, constant_values=255) for each in zip(pictures, after, strict=True)]
 
 
-def goal_of(task: Task, start: Start) -> np.ndarray:
+def goal_of(task: Task, initial_state: InitialState) -> np.ndarray:
     """The goal of the first robot that began so, x, y [m], shape (2,); NaN for a task without a goal."""
-    return start.goal[0] if task.goal_task else np.full(2, np.nan)
+    return initial_state.goal[0] if task.goal_task else np.full(2, np.nan)

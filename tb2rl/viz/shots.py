@@ -23,7 +23,9 @@ class Shot:
     pose: np.ndarray  # x [m], y [m], yaw [rad], shape (3,)
     time: float  # since the reset [s]
     over: bool  # whether the episode is
-    movers: np.ndarray | None = None  # outlines as in `Reading.movers`, shape (movers, 6); None: nothing moves
+    dynamic_obstacles: np.ndarray | None = (
+        None  # outlines as in `RobotState.dynamic_obstacles`, shape (movers, 6); None: nothing moves
+    )
 
 
 def shots(moments: Iterable[Moment], period: float, rate: float, speed: float = 1.0) -> Iterator[Shot]:
@@ -42,11 +44,11 @@ def shots(moments: Iterable[Moment], period: float, rate: float, speed: float = 
         end = moment.step * period
         while (instant := count * speed / rate) < end - 1e-9:
             share = instant / period - (moment.step - 1)
-            pose, movers = between(moment.before, moment.pose, share), movers_between(moment, share)
-            yield Shot(moment, path, pose, instant, over=False, movers=movers)
+            pose, dynamic_obstacles = between(moment.before, moment.pose, share), movers_between(moment, share)
+            yield Shot(moment, path, pose, instant, over=False, dynamic_obstacles=dynamic_obstacles)
             count += 1
         if moment.info["ended"]:
-            yield from [Shot(moment, path, moment.pose, end, True, moment.movers)] * round(_HOLD * rate)
+            yield from [Shot(moment, path, moment.pose, end, True, moment.dynamic_obstacles)] * round(_HOLD * rate)
 
 
 def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
@@ -58,10 +60,12 @@ def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
 
 def movers_between(moment: Moment, share: float) -> np.ndarray | None:
     """The outlines (movers, 6) a `share` of the way through a control step; they look where they look at its end."""
-    if moment.movers_before is None or moment.movers is None:
+    if moment.dynamic_obstacles_before is None or moment.dynamic_obstacles is None:
         return None
-    outlines = moment.movers.copy()
-    outlines[:, [X, Y]] = (1 - share) * moment.movers_before[:, [X, Y]] + share * moment.movers[:, [X, Y]]
+    outlines = moment.dynamic_obstacles.copy()
+    outlines[:, [X, Y]] = (1 - share) * moment.dynamic_obstacles_before[:, [X, Y]] + share * moment.dynamic_obstacles[
+        :, [X, Y]
+    ]
     return outlines
 
 

@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from tb2rl.rendering.above import GOAL_RADIUS
-from tb2rl.simulation import Setup
+from tb2rl.simulation import SimulationSpec
 from tb2rl.simulation.bodies import RobotBody, add_floor, add_robot, add_walls, connect
 from tb2rl.simulation.camera import take_picture
 from tb2rl.simulation.crowd import MoverBodies
@@ -28,27 +28,27 @@ class Stage:
     """One world at a time, the robot, what moves, and a disc on the floor for the goal.
 
     Args:
-        setup: The robot and the worlds.
+        spec: The robot and the worlds.
         window: Open PyBullet's window; without it, `chase` takes the pictures.
 
     Raises:
         InputError: If there is no display for a window.
     """
 
-    def __init__(self, setup: Setup, window: bool = False) -> None:
-        self._worlds, self._shown = setup.worlds, 0
+    def __init__(self, spec: SimulationSpec, window: bool = False) -> None:
+        self._worlds, self._shown = spec.worlds, 0
         self._goal, self._disc = np.full(2, np.nan), -1
         with quiet():
             self._client = connect(window)
             floor = add_floor(self._client)
             self._walls = add_walls(self._client, self._worlds[0])
-            self._robot = add_robot(self._client, setup.robot)
-            self._movers = MoverBodies(self._client)
+            self._robot = add_robot(self._client, spec.robot)
+            self._dynamic_obstacles = MoverBodies(self._client)
         self._shell = -1
         if window:
             self._shell = _coloured_shell(self._client, self._robot)
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
-            self._look_at_all(setup.worlds[0].bounds)
+            self._look_at_all(spec.worlds[0].bounds)
         else:  # the renderer spends most of its time on a floor; `draw_floor` takes a tenth of it
             pybullet.changeVisualShape(floor, -1, rgbaColor=(0.0, 0.0, 0.0, 0.0), physicsClientId=self._client)
 
@@ -68,14 +68,16 @@ class Stage:
                 pybullet.removeBody(self._disc, self._client)
             self._goal, self._disc = goal, -1 if np.isnan(goal).any() else self._add_disc(goal)
 
-    def place(self, pose: np.ndarray, movers: np.ndarray | None = None) -> None:
-        """Put the robot at a pose (3,), and movers where their outlines are, see `Reading.movers`, (movers, 6)."""
+    def place(self, pose: np.ndarray, dynamic_obstacles: np.ndarray | None = None) -> None:
+        """Put the robot at a pose (3,), and movers where their outlines are, see `RobotState.dynamic_obstacles`,
+        (movers, 6).
+        """
         self._robot.place(pose)
         if self._shell >= 0:
             x, y, yaw = map(float, pose)
             turned = pybullet.getQuaternionFromEuler((0.0, 0.0, yaw))
             pybullet.resetBasePositionAndOrientation(self._shell, (x, y, 0.0), turned, self._client)
-        self._movers.place(np.empty((0, 6)) if movers is None else movers)
+        self._dynamic_obstacles.place(np.empty((0, 6)) if dynamic_obstacles is None else dynamic_obstacles)
 
     def follow(self) -> None:
         """Turn the window's view to look over the robot's shoulder."""
@@ -93,8 +95,8 @@ class Stage:
         cos, sin = math.cos(yaw), math.sin(yaw)
         turn = np.array([(cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)])
         here = np.array([x, y, 0.0])
-        eye, target = here + turn @ EYE, here + turn @ TARGET
-        colours, depth = take_picture(self._client, eye, target, FIELD_OF_VIEW, _REACH, width, height)
+        camera, target = here + turn @ EYE, here + turn @ TARGET
+        colours, depth = take_picture(self._client, camera, target, FIELD_OF_VIEW, _REACH, width, height)
         return np.where(np.isfinite(depth)[..., None], colours, draw_floor(pose, width, height))
 
     def close(self) -> None:
@@ -163,7 +165,7 @@ def _coloured_shell(client: int, robot: RobotBody) -> int:
     )
 
 
-def show(connection: Connection, setup: Setup, follow: bool) -> None:
+def show(connection: Connection, spec: SimulationSpec, follow: bool) -> None:
     """Show a `Stage` in a window: the body of a process of its own, which ends with the window.
 
     PyBullet ends its whole process where a window cannot be opened, and where one is closed.
@@ -171,17 +173,17 @@ def show(connection: Connection, setup: Setup, follow: bool) -> None:
     Args:
         connection: Sends True once the window is open, then receives what `Stage.begin` and `Stage.place` take, as
             tuples of the world's index, the goal (2,), the pose (3,) and the movers, and None to close the window.
-        setup: The robot and the worlds.
+        spec: The robot and the worlds.
         follow: Look over the robot's shoulder instead of at the whole world.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that opened this decides
-    with quiet(), suppress(EOFError, OSError, pybullet.error), closing(Stage(setup, window=True)) as stage:
+    with quiet(), suppress(EOFError, OSError, pybullet.error), closing(Stage(spec, window=True)) as stage:
         connection.send(True)
         shown = connection.recv()
         while shown is not None and stage.is_open:
-            world, goal, pose, movers = shown
+            world, goal, pose, dynamic_obstacles = shown
             stage.begin(world, goal)
-            stage.place(pose, movers)
+            stage.place(pose, dynamic_obstacles)
             if follow:
                 stage.follow()
             shown = connection.recv()

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.viz.keyboard import Teleop
 
 # Of the start of the episode, a pose (3,) and the movers (movers, 6) or None; False: it is over.
-Show = Callable[[Start, np.ndarray, np.ndarray | None], bool]
+Show = Callable[[InitialState, np.ndarray, np.ndarray | None], bool]
 
 
 def steer_in_terminal(teleop: Teleop, show: Show) -> None:
@@ -35,7 +35,7 @@ def steer_in_terminal(teleop: Teleop, show: Show) -> None:
 
 def _steer(terminal: Any, teleop: Teleop, show: Show) -> None:
     due = time.monotonic()
-    while show(teleop.reading.start, teleop.reading.pose[0], teleop.movers):
+    while show(teleop.robot_state.initial_state, teleop.robot_state.pose[0], teleop.dynamic_obstacles):
         _write(terminal, teleop.lines(terminal.getmaxyx()[0]))
         due = max(due + teleop.scene.task.control_period, time.monotonic())
         for key in _keys_until(terminal, due):

@@ -15,7 +15,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.processes import main_hidden
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.rollout import Moment
-from tb2rl.simulation import Start, check_bullet, judging_simulation
+from tb2rl.simulation import InitialState, check_bullet, judging_simulation
 from tb2rl.viz.pictures import goal_of
 from tb2rl.viz.shots import shots
 
@@ -41,7 +41,7 @@ class Window:
         self._task = scene.task
         context = multiprocessing.get_context("spawn")  # clean, and without torch: it opens in a second
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=show, args=(theirs, scene.setup, camera == "chase"), daemon=True)
+        self._process = context.Process(target=show, args=(theirs, scene.spec, camera == "chase"), daemon=True)
         with main_hidden():
             self._process.start()
         theirs.close()
@@ -52,13 +52,13 @@ class Window:
                 "and without the variable DISPLAY nothing asks for a window"
             )
 
-    def show(self, start: Start, pose: np.ndarray, movers: np.ndarray | None = None) -> bool:
+    def show(self, initial_state: InitialState, pose: np.ndarray, dynamic_obstacles: np.ndarray | None = None) -> bool:
         """Show the robot at a pose (3,) of the episode that began so; False once the user has closed the window.
 
-        `movers` (movers, 6) are the outlines of what moves, see `Reading.movers`.
+        `dynamic_obstacles` (movers, 6) are the outlines of what moves, see `RobotState.dynamic_obstacles`.
         """
         try:
-            self._pipe.send((int(start.world[0]), goal_of(self._task, start), pose, movers))
+            self._pipe.send((int(initial_state.world[0]), goal_of(self._task, initial_state), pose, dynamic_obstacles))
         except OSError:
             return False
         return True
@@ -97,7 +97,7 @@ def watch(drives: Iterable[Iterator[Moment]], period: float, window: Window, spe
     for moments in drives:
         due = time.monotonic()
         for shot in shots(moments, period, _RATE, speed):
-            if not window.show(shot.moment.start, shot.pose, shot.movers):
+            if not window.show(shot.moment.initial_state, shot.pose, shot.dynamic_obstacles):
                 return
             due += 1 / _RATE
             time.sleep(max(0.0, due - time.monotonic()))

@@ -7,13 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
     from tb2rl.worlds.formats.imports import Import
-    from tb2rl.worlds.movers import Movers
     from tb2rl.worlds.world import World
 
-__all__ = ["Import", "Movers", "World"]
+__all__ = ["DynamicObstacles", "Import", "World"]
 
-_HOMES = {"Import": "formats.imports", "Movers": "movers", "World": "world"}
+_HOMES = {"Import": "formats.imports", "DynamicObstacles": "dynamic_obstacles", "World": "world"}
 
 
 def __getattr__(name: str) -> Any:

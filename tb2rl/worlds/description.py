@@ -16,8 +16,8 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.files import write_text
 from tb2rl.core.values import Point, Pose, Positive, build
 from tb2rl.worlds.drawing import read_drawing
+from tb2rl.worlds.dynamic_obstacles import said_of
 from tb2rl.worlds.formats.imports import Import
-from tb2rl.worlds.movers import said_of
 from tb2rl.worlds.world import Bounds, BoxShape, World
 
 
@@ -60,7 +60,7 @@ class Description:
     start: Pose | None = None
     goal: Pose | None = None
     bounds: Bounds | None = None  # None: around the obstacles
-    movers: Any = None  # what moves: see `tb2rl.worlds.movers`
+    dynamic_obstacles: Any = None  # what moves: see `tb2rl.worlds.dynamic_obstacles`
 
 
 def write_description(world: World, path: Path) -> None:
@@ -80,7 +80,7 @@ def write_description(world: World, path: Path) -> None:
         "start": [float(value) for value in world.start],
         "goal": world.goal and [float(value) for value in world.goal],
         "bounds": [float(value) for value in world.bounds],
-        "movers": [said_of(group) for group in world.movers],
+        "dynamic_obstacles": [said_of(group) for group in world.dynamic_obstacles],
     }
     kept = {key: value for key, value in said.items() if value}
     write_text(path, yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, width=120))
@@ -116,7 +116,7 @@ def world_from(content: Any, name: str, beside: Import | None = None) -> World:
         goal=goal,
         bounds=beside.bounds or said.bounds,
         description=said.description,
-        movers=said.movers,
+        dynamic_obstacles=said.dynamic_obstacles,
     )
 
 

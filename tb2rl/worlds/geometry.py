@@ -28,7 +28,7 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world,
         boxes, posts, parts, lists: The `Index` of all worlds.
         world: Number of the robot's world in it.
         over_x, over_y: Room to calculate in, shape (beams,); to allocate it here would cost as much as the work.
-        ranges: Result [m], shape (robots, beams).
+        ranges: Result [m], shape (num_envs, beams).
         robot: Index of its row; a view of the row would be counted as one more reference, by all threads in one place.
     """
     if parts[world, COLUMNS] == 0.0:
@@ -86,7 +86,7 @@ def _cast_at_all(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, wo
 
 @njit(cache=True, **UNCOUNTED, forceinline=True)
 def limit_ranges(ranges, robot, min_range, max_range):
-    """Keep the row of a robot in `ranges` (robots, beams) within what a laser can say.
+    """Keep the row of a robot in `ranges` (num_envs, beams) within what a laser can say.
 
     Nothing is below its shortest range, and inf is beyond its longest.
     """
@@ -120,10 +120,10 @@ def place_in_triangles(draws, corners, shares, poses):
     Osada et al. 2002, "Shape distributions", section 4.2.
 
     Args:
-        draws: Shape (robots, 4).
+        draws: Shape (num_envs, 4).
         corners: x, y of the corners of each triangle [m], shape (triangles, 3, 2).
         shares: Share of the area up to and with each triangle, ascending, shape (triangles,).
-        poses: Result x [m], y [m], yaw [rad], shape (robots, 3).
+        poses: Result x [m], y [m], yaw [rad], shape (num_envs, 3).
     """
     for i in range(draws.shape[0]):
         k = min(np.searchsorted(shares, draws[i, 0], side="right"), shares.size - 1)
@@ -136,7 +136,7 @@ def place_in_triangles(draws, corners, shares, poses):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})  # several beams at a time: ranges are numbers
 def shortest_of(ranges, i):
-    """The shortest of the ranges (robots, beams) of robot `i`."""
+    """The shortest of the ranges (num_envs, beams) of robot `i`."""
     nearest = np.inf
     for beam in range(ranges.shape[1]):
         nearest = min(nearest, ranges[i, beam])
@@ -145,7 +145,7 @@ def shortest_of(ranges, i):
 
 @njit(cache=True)
 def shortest(ranges):
-    """The shortest of each robot's ranges (robots, beams), shape (robots,)."""
+    """The shortest of each robot's ranges (num_envs, beams), shape (num_envs,)."""
     nearest = np.empty(ranges.shape[0])
     for i in range(ranges.shape[0]):
         nearest[i] = shortest_of(ranges, i)
@@ -153,14 +153,14 @@ def shortest(ranges):
 
 
 def cast(poses, cos_beams, sin_beams, boxes, posts, ranges):
-    """The ranges (robots, beams) from poses (robots, 3) among `boxes` and `posts`, each held against every beam."""
+    """The ranges (num_envs, beams) from poses (num_envs, 3) among `boxes` and `posts`, each held against every beam."""
     index = index_of(boxes, posts, few=len(boxes) + len(posts))
     cast_many(poses, np.zeros(len(poses)), cos_beams, sin_beams, *index, ranges)
 
 
 @njit(cache=True)
 def cast_many(poses, world_of, cos_beams, sin_beams, boxes, posts, parts, lists, ranges):
-    """`cast_one` for many robots: poses (robots, 3), their worlds (robots,), ranges (robots, beams)."""
+    """`cast_one` for many robots: poses (num_envs, 3), their worlds (num_envs,), ranges (num_envs, beams)."""
     over_x, over_y = np.empty(cos_beams.size), np.empty(cos_beams.size)
     for i in range(poses.shape[0]):
         x, y, yaw, world = poses[i, 0], poses[i, 1], poses[i, 2], int(world_of[i])

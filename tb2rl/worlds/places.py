@@ -34,12 +34,12 @@ class Places:
         They are where a robot gets to from the start of its world, spread evenly but for the last centimetres to walls.
 
         Args:
-            worlds: Index of each robot's world, shape (robots,).
-            draws: Shape (robots, 4).
+            worlds: Index of each robot's world, shape (num_envs,).
+            draws: Shape (num_envs, 4).
             clearance: To obstacles and bounds [m]; the starts of the worlds have it.
 
         Returns:
-            x [m], y [m], yaw [rad], shape (robots, 3).
+            x [m], y [m], yaw [rad], shape (num_envs, 3).
         """
         table = self._tables.setdefault(clearance, _Table(len(self._worlds)))
         for world in np.unique(worlds[table.first[worlds] < 0]).tolist():
@@ -85,7 +85,7 @@ class _Table:
 
 @njit(cache=True)
 def _place_in_squares(worlds, draws, first, count, squares, poses):
-    """Write the pose (robots, 3) that each robot's four numbers (robots, 4) mean; see `Places.poses_from`."""
+    """Write the pose (num_envs, 3) that each robot's four numbers (num_envs, 4) mean; see `Places.poses_from`."""
     for i in range(draws.shape[0]):
         k = worlds[i]
         square = first[k] + min(int(draws[i, 0] * count[k]), count[k] - 1)

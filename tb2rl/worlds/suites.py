@@ -17,8 +17,8 @@ import numpy as np
 from tb2rl.core.errors import InputError, unknown
 from tb2rl.worlds.formats.barn import read_barn
 from tb2rl.worlds.generators import FAMILIES, Generated, generate, generator_of
+from tb2rl.worlds.goal_paths import shortest_way
 from tb2rl.worlds.places import Places
-from tb2rl.worlds.ways import shortest_way
 from tb2rl.worlds.world import World
 
 RADIUS = 0.178  # [m] of the robot that ways are measured for: TurtleBot2's

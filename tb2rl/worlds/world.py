@@ -17,9 +17,9 @@ from shapely.geometry.base import BaseGeometry
 
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Point, Pose
+from tb2rl.worlds.dynamic_obstacles import DynamicObstacles, find_dynamic_obstacles
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
 from tb2rl.worlds.index import Index, index_of
-from tb2rl.worlds.movers import Movers, find_movers
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
 _ROUNDING = 1e-9  # [m]
@@ -42,7 +42,7 @@ class World:
         goal: The goal pose, or None.
         bounds: The rectangle that counts as the world.
         description: One line for people.
-        movers: What moves in it, beside the obstacles.
+        dynamic_obstacles: What moves in it, beside the obstacles.
     """
 
     name: str
@@ -52,7 +52,7 @@ class World:
     goal: Pose | None
     bounds: Bounds
     description: str = ""
-    movers: tuple[Movers, ...] = ()
+    dynamic_obstacles: tuple[DynamicObstacles, ...] = ()
     _free_spaces: dict[float, BaseGeometry] = field(default_factory=dict, repr=False)
     _triangles: dict[float, Triangles] = field(default_factory=dict, repr=False)
 
@@ -67,7 +67,7 @@ class World:
         goal: Pose | None = None,
         bounds: Bounds | None = None,
         description: str = "",
-        movers: Any = None,
+        dynamic_obstacles: Any = None,
     ) -> World:
         """A world from the shapes in it; what a reader of a file format ends with.
 
@@ -79,7 +79,7 @@ class World:
             goal: The goal pose, if there is one.
             bounds: The rectangle that counts as the world; None: around the obstacles.
             description: One line for people.
-            movers: What moves in it: `Movers`, or what `find_movers` takes.
+            dynamic_obstacles: What moves in it: `DynamicObstacles`, or what `find_dynamic_obstacles` takes.
 
         Raises:
             InputError: If there is neither an obstacle nor a rectangle, the rectangle is empty, a shape or a mover is
@@ -92,7 +92,7 @@ class World:
         _numbers(bounds, ("x from", "y from", "x to", "y to"), f"world {name}: bounds")
         if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise InputError(f"world {name}: bounds must be x from, y from, x to, y to, got {list(bounds)}")
-        groups = find_movers(movers, f"world {name}: movers")
+        groups = find_dynamic_obstacles(dynamic_obstacles, f"world {name}: movers")
         world = cls(name, box_rows, post_rows, start, goal, bounds, description, groups)
         if goal is not None:
             x, y, _ = _numbers(goal, ("x", "y", "yaw"), f"world {name}: the goal")
@@ -125,7 +125,7 @@ class World:
             goal=goal,
             bounds=bounds,
             description=self.description,
-            movers=self.movers,
+            dynamic_obstacles=self.dynamic_obstacles,
         )
 
     @property

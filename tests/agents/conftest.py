@@ -47,9 +47,9 @@ class Bandit(gym.Env):
 
 
 @cache
-def navigating(guide, frames):
+def navigating(guide, frame_stack):
     """What is observed and done in task `navigate`."""
-    return make_scene(make_task("navigate", {"world": "wall", "guide": guide, "frames": frames}), "raw")
+    return make_scene(make_task("navigate", {"world": "wall", "guide": guide, "frame_stack": frame_stack}), "raw")
 
 
 class Playground:
@@ -60,9 +60,9 @@ class Playground:
 
     GOAL_RADIUS = 0.3  # [m]
 
-    def __init__(self, target, posts=(), guide="plan", frames=1):
+    def __init__(self, target, posts=(), guide="plan", frame_stack=1):
         self.target, self.posts = np.array(target), np.array(posts, dtype=float).reshape(-1, 3)
-        self.scene, self.guide = navigating(guide, frames), guide
+        self.scene, self.guide = navigating(guide, frame_stack), guide
         self.angles = self.scene.laser.angles
 
     def policy(self, kind, **arguments):

@@ -53,7 +53,7 @@ def test_a_goal_guides_as_a_waypoint_does(policy, playground):
 
 @pytest.mark.parametrize("policy", POLICIES)
 def test_it_drives_by_the_latest_of_several_frames(policy, playground):
-    one, three = (playground((1.0, 0.5), frames=frames) for frames in (1, 3))
+    one, three = (playground((1.0, 0.5), frame_stack=frame_stack) for frame_stack in (1, 3))
     now, before = one.observe(), one.observe(pose=(0.3, 0.3, 2.0))
     action = one.policy(policy).predict(now)[0]
     np.testing.assert_array_equal(three.policy(policy).predict(np.concatenate([before, before, now]))[0], action)
@@ -115,7 +115,7 @@ def test_it_drives_by_its_name_within_what_the_robot_can_do(name, robot):
     settings = {"task.robot": robot, "task.world": "wall", "agent.gap": 0.03}
     config = resolve(name, "navigate", settings=settings)
     policy = make_baseline(config)
-    assert policy.fastest == pytest.approx(min(config.task.fastest, config.scene.robot.max_speed))
+    assert policy.max_speed == pytest.approx(min(config.task.max_speed, config.scene.robot.max_speed))
     summary = evaluate(policy, config, episodes=2, steps=30, workers=1).summary()
     assert summary["failure_free_rate"] == 1.0
 
@@ -124,14 +124,16 @@ def test_it_drives_by_its_name_within_what_the_robot_can_do(name, robot):
 def test_action_1_is_what_the_robot_can_do_where_the_task_is_faster(name):
     config = resolve(name, "navigate", settings={"task.robot": "turtlebot3", "task.world": "wall"})
     policy = make_baseline(config)
-    np.testing.assert_array_equal(config.scene.actions.commands(np.ones((1, 2))), [[policy.fastest, policy.turn_rate]])
-    assert policy.fastest == 0.22
+    np.testing.assert_array_equal(
+        config.scene.actions.commands(np.ones((1, 2))), [[policy.max_speed, policy.turn_rate]]
+    )
+    assert policy.max_speed == 0.22
 
 
 @pytest.mark.parametrize("name", ["pursuit", "dwa", "vfh"])
 def test_it_is_told_what_its_robot_and_task_are(name):
-    settings = {"task.robot": "jackal", "task.world": "wall", "task.fastest": 2.0, "task.turn_rate": 1.0}
+    settings = {"task.robot": "jackal", "task.world": "wall", "task.max_speed": 2.0, "task.turn_rate": 1.0}
     policy = make_baseline(resolve(name, "navigate", settings=settings))
-    assert (policy.fastest, policy.turn_rate, policy.radius, policy.period) == (2.0, 1.0, 0.26, 0.1)
+    assert (policy.max_speed, policy.turn_rate, policy.radius, policy.period) == (2.0, 1.0, 0.26, 0.1)
     with pytest.raises(InputError, match="unknown key of agent 'vehicle'"):
         resolve(name, "navigate", settings={**settings, "agent.vehicle": {}})

@@ -64,8 +64,13 @@ def test_the_tutorial_preset_carries_the_tutorials_numbers():
     }
     task, train = config.task, config.train
     assert task.actions.table.tolist() == [[0.5, 0.0], [0.05, 0.3], [0.05, -0.3]]
-    assert (task.forward_reward, task.turn_reward, task.crash_reward, task.crash_range) == (5.0, 1.0, -200.0, 0.5)
-    assert (task.beams, task.beam_indices, task.noise, task.start) == (720, (0, 144, 288, 432, 576), 0.0, "fixed")
+    assert (task.forward_reward, task.turn_reward, task.collision_reward, task.collision_range) == (
+        5.0,
+        1.0,
+        -200.0,
+        0.5,
+    )
+    assert (task.beams, task.beam_indices, task.laser_noise, task.start) == (720, (0, 144, 288, 432, 576), 0.0, "fixed")
     assert (train.episodes, task.episode_steps, train.n_envs, train.reward_scale) == (500, 10_000, 1, 1.0)
     assert train.total_timesteps >= 500 * 10_000, "the episodes end the training, not the steps"
 

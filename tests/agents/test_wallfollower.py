@@ -18,17 +18,20 @@ from tb2rl.runs.layers import resolve
 @pytest.mark.parametrize("robot", robot_names())
 def test_it_drives_any_robot_without_a_crash(robot):
     config = resolve("wallfollower", settings={"task.robot": robot})
-    policy, fastest = make_baseline(config), config.scene.actions.fastest
+    policy, max_speed = make_baseline(config), config.scene.actions.max_speed
     with closing(TurtleBot2Env(config.scene, simulation="kinematic")) as env:
         observation, _ = env.reset(seed=3)
         for _ in range(500):
             observation, _, _, _, info = env.step(policy.predict(observation, deterministic=True)[0])
             assert info["ended"] == ""
-    assert info["distance"] > 0.7 * fastest * 500 * config.task.control_period
+    assert info["distance"] > 0.7 * max_speed * 500 * config.task.control_period
 
 
 def test_it_drives_by_the_latest_of_several_frames():
-    envs = [make_env("wall", "raw", simulation="kinematic", start="fixed", frames=frames) for frames in (1, 3)]
+    envs = [
+        make_env("wall", "raw", simulation="kinematic", start="fixed", frame_stack=frame_stack)
+        for frame_stack in (1, 3)
+    ]
     rules = [WallFollower(env.observation_space, env.action_space) for env in envs]
     seen = [env.reset(seed=0)[0] for env in envs]
     actions = set()

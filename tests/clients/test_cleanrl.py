@@ -44,9 +44,9 @@ def dqn(seed, total_timesteps=300, num_envs=2, start=60, batch=32):
         next_obs, rewards, terminations, truncations, infos = envs.step(chosen)
         real_next_obs = next_obs.copy()
         if "final_info" in infos:
-            finals = infos["final_info"]["episode"]
+            finished = infos["final_info"]["episode"]
             ended = infos["final_info"]["_episode"]
-            episodes += zip(finals["r"][ended].tolist(), finals["l"][ended].tolist(), strict=True)
+            episodes += zip(finished["r"][ended].tolist(), finished["l"][ended].tolist(), strict=True)
             for index in np.flatnonzero(truncations):
                 real_next_obs[index] = infos["final_obs"][index]
         memory += zip(obs, real_next_obs, chosen, rewards, terminations, strict=True)

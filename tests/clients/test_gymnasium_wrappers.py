@@ -102,8 +102,8 @@ class Glide(Task):
 
     actions = Velocities(forward=(0.0, 0.5), turn=(-2.0, 2.0))
 
-    def judge(self, before, action, after):
-        return Outcome(after.twist[:, 0], failed={"crash": after.bumped})
+    def outcome(self, before, action, after):
+        return Outcome(after.twist[:, 0], failed={"collision": after.bumped})
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)

@@ -58,7 +58,7 @@ def test_a_dataset_gives_back_what_was_driven(make, simulation, tmp_path, monkey
             stored = [value.decode() if isinstance(value, bytes) else value for value in values]
             np.testing.assert_array_equal(stored, [info[key] for info in infos])
         assert [info["ended"] for info in infos[:-1]] == [""] * len(actions)
-        assert infos[-1]["ended"] in ("time limit", "crash")
+        assert infos[-1]["ended"] in ("time limit", "collision")
     again = dataset.recover_environment()
     np.testing.assert_array_equal(again.reset(seed=0)[0], driven[0][0][0])
     assert again.spec.max_episode_steps == again.unwrapped.task.episode_steps == 12

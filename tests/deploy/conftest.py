@@ -100,10 +100,10 @@ def ask() -> Callable[[Driver, TurtleBot2Env, float], Command]:
     """A function that shows a driver what the robot of an environment senses now, and asks it for a command."""
 
     def asked(driver: Driver, env: TurtleBot2Env, now: float) -> Command:
-        reading, laser = env.reading, env.scene.laser
+        robot_state, laser = env.robot_state, env.scene.laser
         first, second = laser.angles[:2].tolist()
-        driver.see_scan(Scan(reading.ranges[0], first, second - first, laser.min_range, laser.max_range), now)
-        driver.see_odometry(tuple(reading.odometry[0].tolist()), tuple(reading.odometry_twist[0].tolist()), now)
+        driver.see_scan(Scan(robot_state.ranges[0], first, second - first, laser.min_range, laser.max_range), now)
+        driver.see_odometry(tuple(robot_state.odometry[0].tolist()), tuple(robot_state.odometry_twist[0].tolist()), now)
         return driver.command(now)
 
     return asked

@@ -33,7 +33,7 @@ def test_the_goal_itself_is_told_where_it_is_near(hall):
 
 def test_points_are_told_where_the_odometry_counts_them(hall):
     planner = WorldPlanner(hall, RADIUS)
-    expected = planner.ahead((0.0, 0.0, 0.3), (4.0, 0.0), 1.5)
+    expected = planner.lookahead_point((0.0, 0.0, 0.3), (4.0, 0.0), 1.5)
     turned = WorldPlanner(hall, RADIUS, origin=(1.0, 2.0, math.pi / 2))
     x, y = turned.ahead((-2.0, 1.0, 0.3), (-2.0, -3.0), 1.5)
     assert (1.0 - y, 2.0 + x) == pytest.approx(expected)

@@ -65,7 +65,7 @@ def test_random_sensors_show_what_the_simulated_laser_shows(told, worlds, make_s
 
 def test_beside_an_edge_nothing_is_farther_than_the_nearest_neighbouring_reading(told, worlds, make_sensor, cast_from):
     rng = np.random.default_rng(1)
-    edges = 0
+    bins = 0
     for _ in range(60):
         world, readings = worlds[rng.integers(len(worlds))], int(rng.integers(180, 720))
         robot, sensor = world.poses_from(rng.random((1, 4)), 0.3)[0], make_sensor(math.pi, readings)
@@ -79,9 +79,9 @@ def test_beside_an_edge_nothing_is_farther_than_the_nearest_neighbouring_reading
             fine = cast_from(world, robot, scan.angle_min + step * (low[beam] + np.linspace(0, 1, 11)), 30.0)
             jump = np.abs(np.diff(np.minimum(fine, 50.0))).max()
             if abs(first - second) > 0.3 and jump > 0.8 * abs(first - second):
-                edges += 1
+                bins += 1
                 assert seen[beam] <= min(first, second) + 0.01
-    assert edges > 100
+    assert bins > 100
 
 
 def test_the_training_laser_itself_is_shown_as_it_is_to_the_bit(told, worlds, make_sensor, cast_from):

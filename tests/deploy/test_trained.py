@@ -23,14 +23,14 @@ ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 1}
 OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 200, "agent.batch_size": 16}
 MEMORY = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 1}
 TRAININGS = {
-    "frames": ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.frames": 4}),
-    "frames of classes": ("qlearn", "maze", {"task.frames": 2, "task.beams": 5}),
+    "frame_stack": ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.frame_stack": 4}),
+    "frames of classes": ("qlearn", "maze", {"task.frame_stack": 2, "task.beams": 5}),
     "normalised": ("stable_baselines3:SAC", "drive", {**OFF_POLICY, "train.norm_obs": True}),
     "recurrent": ("sb3_contrib:RecurrentPPO", "drive", {**ON_POLICY, **MEMORY}),
     "all at once": (
         "sb3_contrib:RecurrentPPO",
         "drive",
-        {**ON_POLICY, **MEMORY, "train.norm_obs": True, "task.frames": 3},
+        {**ON_POLICY, **MEMORY, "train.norm_obs": True, "task.frame_stack": 3},
     ),
     "to a goal": ("stable_baselines3:PPO", "navigate", {**ON_POLICY, "task.world": "wall"}),
     "by odometry and IMU": (
@@ -45,12 +45,12 @@ STEPS = 60
 
 def drive_alike(policy, ask, planner=None, steps=STEPS):
     """Drive the environment of a policy and its driver side by side; returns how many steps they took."""
-    env = make_env(policy, simulation="kinematic", variation="none", movers=None)
+    env = make_env(policy, simulation="kinematic", variation="none", dynamic_obstacles=None)
     trained = TrainedPolicy(policy)
     observation, _ = env.reset(seed=2)
     driver, remembered = Driver(trained, planner=planner(env) if planner else None), {}
     if trained.needs.goal:
-        driver.set_goal(tuple(env.reading.goal[0].tolist()))
+        driver.set_goal(tuple(env.robot_state.goal[0].tolist()))
     driver.start()
     for step in range(steps):
         command = ask(driver, env, step * trained.needs.period)
@@ -92,26 +92,24 @@ def test_frames_statistics_and_memory_come_along(kind, ask, tmp_path):
 
 @pytest.mark.slow
 def test_a_policy_that_follows_a_known_plan_drives_as_in_its_environment(ask, tmp_path):
-    settings = {**ON_POLICY, "task.guide": "plan", "task.world": "wall", "task.reach": 1.2}
+    settings = {**ON_POLICY, "task.guide": "plan", "task.world": "wall", "task.lookahead": 1.2}
     told = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "eval_freq": 0}
     policy = train("stable_baselines3:PPO", "navigate", settings=settings, folder=tmp_path / "run", **told)
     needs = TrainedPolicy(policy).needs
-    assert (needs.goal, needs.reach, needs.goal_radius, needs.uses_odometry) == ("plan", 1.2, 0.3, True)
+    assert (needs.goal, needs.lookahead, needs.goal_radius, needs.uses_odometry) == ("plan", 1.2, 0.3, True)
     assert drive_alike(policy, ask, lambda env: WorldPlanner("wall", env.scene.robot.radius)) >= 2
 
 
 @pytest.mark.parametrize("planner", ["known", "seen"])
 def test_a_plan_leads_around_the_wall_to_the_goal(planner, ask):
-    config = resolve(
-        "pursuit", "navigate", settings={"task.guide": "plan", "task.planner": planner, "task.world": "wall"}
-    )
+    config = resolve("pursuit", "navigate", settings={"task.guide": "plan", "task.map": planner, "task.world": "wall"})
     trained = TrainedPolicy(make_baseline(config), config)
     env = make_env(config.task, "raw", simulation="kinematic", start="fixed")
     env.reset(seed=0)
     known = WorldPlanner("wall", env.scene.robot.radius) if planner == "known" else None
     driver = Driver(trained, planner=known)
     assert trained.needs.goal == ("plan" if known else "goal")
-    driver.set_goal(tuple(env.reading.goal[0].tolist()))
+    driver.set_goal(tuple(env.robot_state.goal[0].tolist()))
     driver.start()
     ended = ""
     for step in range(600):
@@ -137,18 +135,18 @@ class Compass(Sensor):
 
     name, unit = "compass", "rad"
     low, high = -math.pi, math.pi
-    edges = (0.0,)
+    bins = (0.0,)
 
-    def read(self, reading):
-        return reading.pose[:, 2:]
+    def read(self, robot_state):
+        return robot_state.pose[:, 2:]
 
 
 @dataclass(frozen=True)
 class Wise(Wander):
     """Wander by what no robot senses."""
 
-    def sensors(self, setup):
-        return (*super().sensors(setup), Compass())
+    def sensors(self, spec):
+        return (*super().sensors(spec), Compass())
 
 
 @pytest.mark.parametrize(
@@ -184,9 +182,7 @@ def test_a_robot_that_gets_another_goal_on_the_way_knows_what_it_was_told(monkey
 
 
 def test_a_goal_far_away_fits_on_the_map_that_a_policy_draws():
-    config = resolve(
-        "pursuit", "navigate", settings={"task.guide": "plan", "task.planner": "seen", "task.world": "wall"}
-    )
+    config = resolve("pursuit", "navigate", settings={"task.guide": "plan", "task.map": "online", "task.world": "wall"})
     trained = TrainedPolicy(make_baseline(config), config)
     trained.begin()
     v, w = trained.act(Sensed(np.full(len(trained.needs.beams), math.inf), pose=(50.0, -3.0, 0.0), goal=(80.0, -3.0)))

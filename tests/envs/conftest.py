@@ -26,8 +26,8 @@ class Glide(Task):
     world: str = "circuit"
     actions = Velocities(forward=(-0.1, 0.5), turn=(-2.0, 2.0))
 
-    def judge(self, before, action, after):
-        return Outcome(after.twist[:, 0], failed={"crash": after.bumped})
+    def outcome(self, before, action, after):
+        return Outcome(after.twist[:, 0], failed={"collision": after.bumped})
 
 
 class Map(Sensor):
@@ -35,11 +35,11 @@ class Map(Sensor):
 
     name, low, high, shape = "map", 0, 255, (1, 36, 36)
 
-    def read(self, reading):
-        robots = len(reading.pose)
-        images = np.zeros((robots, *self.shape), np.uint8)
-        rows, columns = (reading.pose[:, :2] % 9.0 * 4.0).astype(int).T
-        images[np.arange(robots), 0, rows, columns] = 255 / (1.0 + reading.nearest)
+    def read(self, robot_state):
+        num_envs = len(robot_state.pose)
+        images = np.zeros((num_envs, *self.shape), np.uint8)
+        rows, columns = (robot_state.pose[:, :2] % 9.0 * 4.0).astype(int).T
+        images[np.arange(num_envs), 0, rows, columns] = 255 / (1.0 + robot_state.nearest)
         return images
 
 
@@ -47,15 +47,15 @@ class Map(Sensor):
 class Beside(Wander):
     """Wander with an image beside the laser."""
 
-    def sensors(self, setup):
-        return (*super().sensors(setup), Map())
+    def sensors(self, spec):
+        return (*super().sensors(spec), Map())
 
 
 @dataclass(frozen=True)
 class Alone(Wander):
     """Wander by an image alone."""
 
-    def sensors(self, setup):
+    def sensors(self, spec):
         return (Map(),)
 
 

@@ -15,21 +15,21 @@ from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.runs.loading import config_of
-from tb2rl.simulation import SIMULATIONS, Start
+from tb2rl.simulation import SIMULATIONS, InitialState
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
 
-def batch(task, observation, robots, seed=0, **arguments):
-    env = BatchVecEnv(make_scene(task, observation), robots, **arguments)
+def batch(task, observation, num_envs, seed=0, **arguments):
+    env = BatchVecEnv(make_scene(task, observation), num_envs, **arguments)
     env.seed(seed)
     return env, env.reset()
 
 
-def rollout(robots, steps=300):
+def rollout(num_envs, steps=300):
     """What the first eight of so many robots meet, each told by a rule of its own observation."""
-    env, observations = batch(Wander(noise=0.01, episode_steps=60), "raw", robots, seed=5)
+    env, observations = batch(Wander(laser_noise=0.01, episode_steps=60), "raw", num_envs, seed=5)
     seen = []
     for _ in range(steps):
         observations, rewards, dones, _ = env.step((observations[:, 0] * 100).astype(int) % 3)
@@ -57,10 +57,10 @@ def test_the_way_to_go_is_each_robots_own_where_episodes_end():
     (env, _), ended = batch(task, "raw", 20), []
     for _ in range(59):
         *_, dones, _ = env.step(np.tile((1.0, 0.0), (20, 1)))
-        reading = env.batch.reading
+        robot_state = env.batch.robot_state
         if dones.any():
             ended.append(dones.sum())
-            np.testing.assert_array_equal(vars(reading)["to_go"], replace(reading).to_go)
+            np.testing.assert_array_equal(vars(robot_state)["path_length"], replace(robot_state).path_length)
     assert len(ended) > 5
     assert max(ended) < 20
 
@@ -76,12 +76,12 @@ def test_an_episode_ends_as_stable_baselines_expects():
             if dones[i]:
                 endings.add(info["ended"])
                 assert info["TimeLimit.truncated"] == (info["ended"] == "time limit") == info["is_success"]
-                assert info["failed"] == (info["ended"] == "crash")
+                assert info["failed"] == (info["ended"] == "collision")
                 assert info["episode"]["r"] == pytest.approx(returns[i])
                 assert env.observation_space.contains(info["terminal_observation"])
                 assert env.observation_space.contains(observations[i])
                 returns[i] = 0.0
-    assert endings == {"crash", "time limit"}
+    assert endings == {"collision", "time limit"}
 
 
 def test_an_episode_lasts_as_many_steps_as_it_says():
@@ -96,7 +96,8 @@ CAMERA = ["laser", {"camera": {"width": 12, "height": 9}}]
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
 @pytest.mark.parametrize(
-    ("observation", "settings"), [("raw", {}), ("discrete", {"frames": 3}), ("raw", {"observe": CAMERA, "frames": 2})]
+    ("observation", "settings"),
+    [("raw", {}), ("discrete", {"frame_stack": 3}), ("raw", {"observe": CAMERA, "frame_stack": 2})],
 )
 def test_each_robot_is_a_gymnasium_environment(observation, settings, simulation, make):
     task = Wander(start="fixed", episode_steps=50, **settings)
@@ -117,7 +118,7 @@ def test_each_robot_is_a_gymnasium_environment(observation, settings, simulation
                 seen, _ = env.reset()
             np.testing.assert_equal(rows(observations, robot), seen)
     many.close()
-    assert ends == {"crash", "time limit"}
+    assert ends == {"collision", "time limit"}
 
 
 def test_a_batch_of_one_drives_at_any_velocities_as_the_gymnasium_environment(glide):
@@ -182,23 +183,23 @@ def test_images_are_observed_by_all_robots_and_kept_where_episodes_end(image_tas
 class Varied(Wander):
     """Each episode begins in one of the worlds with a robot of another top speed."""
 
-    def begin(self, setup, draws):
+    def initial_state(self, spec, draws):
         numbers = draws.uniform(2)
-        start = Start.proposed(setup, draws.robots, (numbers[:, 0] * len(setup.worlds)).astype(int))
+        start = InitialState.default(spec, draws.num_envs, (numbers[:, 0] * len(spec.worlds)).astype(int))
         start.parameters[:, MAX_SPEED] *= 0.5 + 0.5 * numbers[:, 1]
         return start
 
 
 def test_each_episode_begins_with_a_world_and_a_robot_of_its_own(make_setup):
     worlds = make_setup("loop", "maze", "wall", beams=36)
-    scene = replace(make_scene(Varied(episode_steps=5), "raw"), setup=worlds)
+    scene = replace(make_scene(Varied(episode_steps=5), "raw"), spec=worlds)
     env = BatchVecEnv(scene, 40)
     env.seed(0)
     env.reset()
     starts = []
     for _ in range(11):
         env.step(np.zeros(40, int))
-        starts.append(Start(env.state()["simulation"]["start"]))
+        starts.append(InitialState(env.state()["simulation"]["initial_state"]))
     first, last, anew = starts[0], starts[3], starts[4]  # the fifth step ends all episodes
     assert set(first.world) == {0, 1, 2}
     np.testing.assert_array_equal(first.table, last.table)
@@ -209,14 +210,14 @@ def test_each_episode_begins_with_a_world_and_a_robot_of_its_own(make_setup):
     few.reset()
     for _ in range(11):
         few.step(np.zeros(10, int))
-    np.testing.assert_array_equal(few.state()["simulation"]["start"], starts[-1].table[:10])
+    np.testing.assert_array_equal(few.state()["simulation"]["initial_state"], starts[-1].table[:10])
 
 
 # ---- states
 
 
 def test_it_goes_on_from_a_restored_state_to_the_bit():
-    task, rng = ReachGoal(noise=0.01, episode_steps=15), np.random.default_rng(0)
+    task, rng = ReachGoal(laser_noise=0.01, episode_steps=15), np.random.default_rng(0)
     actions = rng.integers(3, size=(60, 25))
     env, _ = batch(task, "raw", 25)
     for chosen in actions[:20]:
@@ -234,14 +235,14 @@ def test_it_goes_on_from_a_restored_state_to_the_bit():
 
 def failure_free_in_the_twin(policy, poses, steps):
     scene = config_of(policy).scene
-    twin, failed = KinematicSimulation(scene.setup, len(poses)), np.zeros(len(poses), dtype=bool)
-    start = Start.proposed(scene.setup, len(poses))
+    twin, failed = KinematicSimulation(scene.spec, len(poses)), np.zeros(len(poses), dtype=bool)
+    start = InitialState.default(scene.spec, len(poses))
     start.pose[:] = poses
-    reading = twin.reset(start, np.random.default_rng(0))
+    robot_state = twin.reset(start, np.random.default_rng(0))
     for _ in range(steps):
-        actions, _ = policy.predict(scene.encoding(reading), deterministic=True)
-        before, reading = reading, twin.step(scene.actions.commands(actions), scene.task.control_period)
-        failed |= scene.task.judge(before, actions, reading).failed["crash"]
+        actions, _ = policy.predict(scene.encoding(robot_state), deterministic=True)
+        before, robot_state = robot_state, twin.step(scene.actions.commands(actions), scene.task.control_period)
+        failed |= scene.task.outcome(before, actions, robot_state).failed["collision"]
     return 1.0 - float(failed.mean())
 
 

@@ -79,7 +79,7 @@ import hashlib
 import gymnasium
 import tb2rl
 for name in tb2rl.GYM_IDS:
-    env = gymnasium.make(name, noise=0.01)
+    env = gymnasium.make(name, laser_noise=0.01)
     env.action_space.seed(5)
     seen, info = env.reset(seed=4)
     digest = hashlib.sha256(seen.tobytes() + info["pose"].tobytes())

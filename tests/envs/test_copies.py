@@ -40,7 +40,7 @@ def without_gc():
 
 
 def _made(simulation):
-    env = gym.make("tb2rl:TurtleBot2Maze-v0", simulation=simulation, noise=0.01, observation="raw")
+    env = gym.make("tb2rl:TurtleBot2Maze-v0", simulation=simulation, laser_noise=0.01, observation="raw")
     env.reset(seed=3)
     follow(env, range(40))
     return env
@@ -50,7 +50,7 @@ def follow(env, numbers):
     """What the robot meets by a rule that turns away from walls, a little different for each of the `numbers`."""
     seen = []
     for number in numbers:
-        ranges = env.unwrapped.reading.ranges[0]
+        ranges = env.unwrapped.robot_state.ranges[0]
         action = 0 if ranges[12:24].min() > 0.8 + 0.01 * (number % 7) else 1 + (number // 40) % 2
         observation, reward, terminated, truncated, info = env.step(action)
         seen.append(np.concatenate([observation, info["pose"], [reward]]))
@@ -97,7 +97,7 @@ def test_before_a_reset_and_after_the_end_there_are_copies_too(simulation, make)
 
 
 def test_a_restored_environment_is_copied_from_there(make):
-    env = make("maze", "raw", noise=0.01)
+    env = make("maze", "raw", laser_noise=0.01)
     env.reset(seed=3)
     follow(env, range(10))
     env.restore(env.state())
@@ -143,7 +143,7 @@ def test_a_forked_process_does_not_disconnect_the_client_of_its_parent(monkeypat
 
 @pytest.mark.parametrize("kind", [BatchVecEnv, BatchVectorEnv])
 def test_a_batch_is_copied(kind):
-    batch = kind(make_scene(Wander(noise=0.01, episode_steps=40), "raw"), 30)
+    batch = kind(make_scene(Wander(laser_noise=0.01, episode_steps=40), "raw"), 30)
     batch.reset()
     rng = np.random.default_rng(0)
     for _ in range(20):

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import read_yaml, top_folder
 from tb2rl.core.values import build
-from tb2rl.envs.encodings import BEAMS, Numbers, encode, ranges_to_bins
+from tb2rl.envs.encodings import BEAMS, SensorBox, encode, ranges_to_bins
 from tb2rl.envs.scene import make_scene
 from tb2rl.registry import find_task, task_names
 from tb2rl.robots import Laser
@@ -27,10 +27,10 @@ class Odometry(Sensor):
     """The robot's x."""
 
     name, unit = "x", "m"
-    low, high, edges = -1.0, 1.0, (0.0, 0.5)
+    low, high, bins = -1.0, 1.0, (0.0, 0.5)
 
-    def read(self, reading):
-        return reading.odometry[:, :1]
+    def read(self, robot_state):
+        return robot_state.odometry[:, :1]
 
 
 class Twist(Sensor):
@@ -39,8 +39,8 @@ class Twist(Sensor):
     name, unit = "twist", "m/s"
     low, high, shape = -4.0, 4.0, (2,)
 
-    def read(self, reading):
-        return reading.twist
+    def read(self, robot_state):
+        return robot_state.twist
 
 
 class Image(Sensor):
@@ -50,12 +50,12 @@ class Image(Sensor):
     picture = np.arange(27, dtype=np.uint8).reshape(3, 3, 3)
     shape = picture.shape
 
-    def read(self, reading):
-        return np.broadcast_to(self.picture, (len(reading.pose), *self.shape))
+    def read(self, robot_state):
+        return np.broadcast_to(self.picture, (len(robot_state.pose), *self.shape))
 
 
-def beams(count, edges=(1.0,)):
-    return LaserRanges(Laser(beams=count), edges)
+def beams(count, bins=(1.0,)):
+    return LaserRanges(Laser(beams=count), bins)
 
 
 # ---- classes
@@ -67,9 +67,9 @@ def test_ranges_fall_into_classes_whose_lower_border_belongs_to_them():
 
 
 def test_the_tutorials_classes_are_the_integer_part():
-    edges = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]["edges"]
+    bins = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]["range_bins"]
     ranges = np.array([NAN, 0.0, 0.999, 1.0, 2.5, 5.999, 6.0, 7.3, INF])
-    assert ranges_to_bins(ranges, edges).tolist() == [0, 0, 0, 1, 2, 5, 6, 6, 6]
+    assert ranges_to_bins(ranges, bins).tolist() == [0, 0, 0, 1, 2, 5, 6, 6, 6]
 
 
 def test_the_tutorial_observes_five_of_720_beams_in_seven_classes():
@@ -112,7 +112,7 @@ def test_other_raw_numbers_come_after_the_beams_cut_to_their_limits(x, seen, mak
 
 def test_raw_numbers_say_their_units_and_what_they_are():
     space = encode("raw", [beams(2), Odometry(), Twist()]).space
-    assert isinstance(space, Numbers)
+    assert isinstance(space, SensorBox)
     assert space.units == ("m", "m", "m", "m/s", "m/s")
     assert space.names == ("laser", "laser", "x", "twist", "twist")
     assert space.low == pytest.approx([0.1, 0.1, -1, -4, -4])
@@ -128,8 +128,8 @@ def test_every_observation_of_every_task_lies_in_its_space(name, mode, make_read
     for _ in range(20):
         ranges = rng.choice([laser.min_range, 0.7, 1.0, rng.uniform(0.1, 30), laser.max_range, INF], len(laser.angles))
         odometry, goal = rng.uniform(-9, 9, 3), rng.uniform(-9, 9, 2)
-        reading = make_reading(ranges=ranges, odometry=odometry, goal=goal)
-        assert scene.observation_space.contains(scene.encoding(reading)[0])
+        robot_state = make_reading(ranges=ranges, odometry=odometry, goal=goal)
+        assert scene.observation_space.contains(scene.encoding(robot_state)[0])
 
 
 # ---- images
@@ -174,17 +174,17 @@ def test_an_observed_image_may_be_overwritten_and_the_sensors_own_stays(sensors,
 class Strange(Sensor):
     name, low, high, shape = "strange", 0, 1, (2, 2)
 
-    def read(self, reading):
+    def read(self, robot_state):
         raise NotImplementedError
 
 
 @pytest.mark.parametrize(
     ("mode", "sensors", "words"),
     [
-        ("discrete", [beams(2), Twist()], "sensor twist has no edges of classes; set them, or take observation=raw"),
+        ("discrete", [beams(2), Twist()], "sensor twist has no bins of classes; set them, or take observation=raw"),
         ("discrete", [beams(2), Image()], "sensor image is an image, which has no classes; take observation=raw"),
-        ("discrete", [beams(2, (1.0, 1.0))], r"edges of sensor laser must strictly increase, got \[1.0, 1.0\]"),
-        ("discrete", [beams(2, (2.0, 1.0))], "edges of sensor laser must strictly increase"),
+        ("discrete", [beams(2, (1.0, 1.0))], r"bins of sensor laser must strictly increase, got \[1.0, 1.0\]"),
+        ("discrete", [beams(2, (2.0, 1.0))], "bins of sensor laser must strictly increase"),
         ("raw", [Strange()], r"needs sensors, each with a shape of \(n,\)"),
         ("raw", [], "needs sensors"),
         ("discrete", [], "needs sensors"),
@@ -199,8 +199,8 @@ def test_sensors_that_cannot_be_observed_are_refused_with_one_line(mode, sensors
 @pytest.mark.parametrize(
     ("task", "words"),
     [
-        (Wander(edges=(2.0, 1.0)), "laser must strictly increase"),
-        (ReachGoal(bearing_edges=(1.0, 0.0)), "goal bearing must strictly increase"),
+        (Wander(range_bins=(2.0, 1.0)), "laser must strictly increase"),
+        (ReachGoal(bearing_bins=(1.0, 0.0)), "goal bearing must strictly increase"),
     ],
 )
 def test_a_task_with_edges_that_do_not_increase_is_refused(task, words):
@@ -211,8 +211,8 @@ def test_a_task_with_edges_that_do_not_increase_is_refused(task, words):
 class Flat(Odometry):
     """It forgets the axis of the robots' numbers."""
 
-    def read(self, reading):
-        return reading.odometry[:, 0]
+    def read(self, robot_state):
+        return robot_state.odometry[:, 0]
 
 
 @pytest.mark.parametrize("mode", BEAMS)
@@ -223,10 +223,10 @@ def test_a_sensor_that_reads_another_shape_than_it_says_is_named(mode, make_read
 
 def test_raw_ranges_are_written_in_one_pass(make_setup):
     encoding = encode("raw", [LaserRanges(make_setup("loop", beams=36).laser, ())])
-    reading = SimpleNamespace(ranges=np.full((1000, 36), 2.0))
-    encoding(reading)  # compiles
+    robot_state = SimpleNamespace(ranges=np.full((1000, 36), 2.0))
+    encoding(robot_state)  # compiles
     tracemalloc.start()
-    observations = encoding(reading)
+    observations = encoding(robot_state)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1.2 * observations.nbytes

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.batch import Batch
+from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.sensors.waypoint import Waypoint
@@ -27,20 +27,23 @@ def scene_of(**settings):
 
 def waypoints(scene, poses):
     """Where the waypoint is, x and y in the world [m], for a robot that is put at one pose after the other."""
-    simulation, observer = KinematicSimulation(scene.setup), scene.observer(scene.commander())
+    simulation, observation_pipeline = (
+        KinematicSimulation(scene.spec),
+        scene.observation_pipeline(scene.command_delay()),
+    )
     points = []
     for number, pose in enumerate(poses):
-        start = scene.task.begin(scene.setup.within(0), _One())
+        start = scene.task.initial_state(scene.spec.within(0), _One())
         start.pose[:] = pose
-        reading = simulation.reset(start, np.random.default_rng(0))
-        (observer.go_on if number else observer.begin)(reading)
-        memories = {memory.field: memory for memory in observer._memories}
-        points.append(replace(reading, **memories).ahead(1.0)[0])
+        robot_state = simulation.reset(start, np.random.default_rng(0))
+        (observation_pipeline.go_on if number else observation_pipeline.begin)(robot_state)
+        episode_states = {memory.field: memory for memory in observation_pipeline._memories}
+        points.append(replace(robot_state, **episode_states).ahead(1.0)[0])
     return np.array(points)
 
 
 class _One:
-    robots = 1
+    num_envs = 1
 
     def uniform(self, count):
         return np.full((1, count), 0.5)
@@ -48,8 +51,8 @@ class _One:
 
 def test_a_planner_that_has_seen_nothing_goes_straight_for_the_goal_and_round_a_wall_once_it_sees_it():
     away, before = (2.0, 2.0, math.pi), (2.0, 2.0, 0.0)
-    unseen, *_, seen = waypoints(scene_of(planner="seen"), [away, *[before] * 7])
-    known = waypoints(scene_of(planner="known"), [before])[0]
+    unseen, *_, seen = waypoints(scene_of(map="online"), [away, *[before] * 7])
+    known = waypoints(scene_of(map="known"), [before])[0]
     assert unseen == pytest.approx((3.0, 2.0), abs=0.15), "straight on, where it has not looked yet"
     assert known[1] > 2.7, "the map knows better"
     assert seen[1] > 2.7, "and so does who has looked"
@@ -57,14 +60,14 @@ def test_a_planner_that_has_seen_nothing_goes_straight_for_the_goal_and_round_a_
 
 def test_its_map_ends_at_the_bounds_of_its_own_world_however_large_the_others_are():
     narrow = World.from_shapes("narrow", [], start=(0.3, 0.5, 0.0), goal=(4.0, 0.5, 0.0), bounds=(0.0, 0.0, 5.0, 1.0))
-    scene = scene_of(planner="seen").in_worlds((narrow, WORLD), start="fixed")
+    scene = scene_of(map="online").in_worlds((narrow, WORLD), start="fixed")
     (point,) = waypoints(scene, [(1.0, 0.9, 0.0)])
     assert point[1] == pytest.approx(0.5, abs=0.05), "away from the border"
 
 
 def test_it_forgets_where_an_episode_begins_and_each_robot_has_a_map_of_its_own():
-    scene = scene_of(planner="seen", episode_steps=9)
-    batch = Batch(scene, 2)
+    scene = scene_of(map="online", episode_steps=9)
+    batch = ControlLoop(scene, 2)
     batch.seed(0)
     first = batch.reset().copy()
     actions = np.array([[0.0, 0.0], [-1.0, 1.0]])  # one drives on, one turns
@@ -77,8 +80,8 @@ def test_it_forgets_where_an_episode_begins_and_each_robot_has_a_map_of_its_own(
 
 
 def test_a_batch_that_explores_goes_on_from_its_state_to_the_bit():
-    scene = scene_of(planner="seen")
-    one, other = Batch(scene, 3), Batch(scene, 3)
+    scene = scene_of(map="online")
+    one, other = ControlLoop(scene, 3), ControlLoop(scene, 3)
     one.seed(3), other.seed(4)
     one.reset(), other.reset()
     actions = np.random.default_rng(0).uniform(-1, 1, (20, 3, 2))
@@ -91,18 +94,18 @@ def test_a_batch_that_explores_goes_on_from_its_state_to_the_bit():
 
 def test_a_map_holds_against_beams_that_miss():
     """A tenth of the beams come back empty: as if they had passed the wall."""
-    scene = scene_of(planner="seen", variation={"dropped": 0.1, "noise": 0.03})
+    scene = scene_of(map="online", variation={"dropped": 0.1, "laser_noise": 0.03})
     points = waypoints(scene, [(2.0, 2.0, 0.0)] * 31)
     assert (points[6:, 1] > 2.5).all()
 
 
 def test_the_waypoint_is_said_in_the_robots_frame():
-    scene = scene_of(planner="known")
-    simulation = KinematicSimulation(scene.setup)
-    start = scene.task.begin(scene.setup.within(0), _One())
+    scene = scene_of(map="known")
+    simulation = KinematicSimulation(scene.spec)
+    start = scene.task.initial_state(scene.spec.within(0), _One())
     start.pose[:] = 2.0, 7.0, math.pi / 2
-    reading = simulation.reset(start, np.random.default_rng(0))
-    ahead, left = Waypoint(1.0).read(reading)[0]
-    east, north = reading.ahead(1.0)[0] - (2.0, 7.0)
+    robot_state = simulation.reset(start, np.random.default_rng(0))
+    ahead, left = Waypoint(1.0).read(robot_state)[0]
+    east, north = robot_state.lookahead_point(1.0)[0] - (2.0, 7.0)
     assert (ahead, left) == pytest.approx((north, -east))
     assert math.hypot(ahead, left) == pytest.approx(1.0, abs=0.01)

@@ -5,13 +5,13 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
-from tb2rl.envs.features import Nearness
+from tb2rl.envs.features import InverseRange
 from tb2rl.envs.scene import make_scene
 from tb2rl.tasks.reach_goal import ReachGoal
 
 
 def features(space, values, **arguments):
-    return Nearness(space, **arguments)(th.tensor([values], dtype=th.float32))[0].tolist()
+    return InverseRange(space, **arguments)(th.tensor([values], dtype=th.float32))[0].tolist()
 
 
 def test_distances_become_nearness_and_other_numbers_are_scaled():

@@ -38,7 +38,7 @@ def test_the_spec_tells_the_time_limit_of_the_task(settings, steps):
         ("maze", {"observation": "raw", "beams": 9, "world": ["loop", "circuit"]}, "TurtleBot2MazeRaw-v0"),
         ("navigate", {"robot": "jackal", "episode_steps": 7, "render_mode": "rgb_array"}, "TurtleBot2Navigate-v0"),
         ("wall", {"world": "mine.yaml", "goal": (0.5, 2)}, "TurtleBot2Wall-v0"),
-        ("tb2rl.tasks.wander:Wander", {"noise": 0.01}, "TurtleBot2Maze-v0"),
+        ("tb2rl.tasks.wander:Wander", {"laser_noise": 0.01}, "TurtleBot2Maze-v0"),
     ],
 )
 def test_the_spec_of_an_environment_makes_it_again(what, arguments, env_id, tmp_path, monkeypatch):
@@ -129,7 +129,10 @@ def test_a_picture_can_be_drawn_on(simulation, make):
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
 def test_an_environment_that_was_closed_opens_with_a_reset(simulation, make, drive):
-    env, fresh = make("maze", noise=0.01, simulation=simulation), make("maze", noise=0.01, simulation=simulation)
+    env, fresh = (
+        make("maze", laser_noise=0.01, simulation=simulation),
+        make("maze", laser_noise=0.01, simulation=simulation),
+    )
     env.reset(seed=3)
     drive(env, [0, 1, 2])
     env.close()

@@ -26,8 +26,8 @@ from tb2rl.sensors.camera import Camera
 class Compass(Sensor):
     name, unit, low, high = "compass", "rad", -4.0, 4.0
 
-    def __init__(self, edges: tuple[float, ...] = (0.0,), offset: float = 0.0) -> None:
-        self.edges, self.offset = edges, offset
+    def __init__(self, bins: tuple[float, ...] = (0.0,), offset: float = 0.0) -> None:
+        self.bins, self.offset = bins, offset
 
     def read(self, reading):
         return reading.odometry[:, 2:] + self.offset
@@ -83,36 +83,36 @@ def test_sensors_are_observed_in_the_order_of_the_list():
 
 
 def test_a_sensor_that_the_task_has_keeps_the_tasks_edges():
-    (laser,) = sensors(["laser"], edges=(0.5, 0.6))
-    assert laser.edges == (0.5, 0.6)
-    distance, bearing = sensors(["goal"], "wall", distance_edges=(1.0,))
-    assert distance.edges == (1.0,)
-    assert len(bearing.edges) == 8
+    (laser,) = sensors(["laser"], range_bins=(0.5, 0.6))
+    assert laser.bins == (0.5, 0.6)
+    distance, bearing = sensors(["goal"], "wall", distance_bins=(1.0,))
+    assert distance.bins == (1.0,)
+    assert len(bearing.bins) == 8
 
 
 @pytest.mark.parametrize("observe", [["waypoint"], ["waypoint_bearing"]])
 def test_a_sensor_that_the_task_offers_keeps_the_tasks_settings(observe):
-    (sensor,) = sensors(observe, "navigate", world="wall", guide="goal", reach=0.8)
-    assert sensor.reach == 0.8
-    (sensor,) = sensors([{observe[0]: {"reach": 1.1}}], "navigate", world="wall", reach=0.8)
-    assert sensor.reach == 1.1
+    (sensor,) = sensors(observe, "navigate", world="wall", guide="goal", lookahead=0.8)
+    assert sensor.lookahead == 0.8
+    (sensor,) = sensors([{observe[0]: {"lookahead": 1.1}}], "navigate", world="wall", lookahead=0.8)
+    assert sensor.lookahead == 1.1
 
 
 def test_a_task_without_the_laser_can_observe_it_all_the_same():
     @dataclass(frozen=True)
     class Blind(Wander):
-        def sensors(self, setup):
+        def sensors(self, spec):
             return ()
 
-    (laser,) = sensors(["laser"], Blind, edges=(0.5, 0.6), beams=5)
-    assert (laser.edges, laser.shape) == ((0.5, 0.6), (5,))
+    (laser,) = sensors(["laser"], Blind, range_bins=(0.5, 0.6), beams=5)
+    assert (laser.bins, laser.shape) == ((0.5, 0.6), (5,))
 
 
 def test_a_name_takes_the_arguments_of_its_class():
     (camera,) = sensors([{"camera": {"colour": True, "depth": True, "width": 48, "height": 40}}])
     assert camera.shape == (4, 40, 48)
-    (laser,) = sensors([{"laser": {"edges": [1.0, 2.0]}}])
-    assert laser.edges == (1.0, 2.0)
+    (laser,) = sensors([{"laser": {"bins": [1.0, 2.0]}}])
+    assert laser.bins == (1.0, 2.0)
     assert names([{"twist": {}}, {"camera": None}]) == ["forward speed", "turn rate", "camera"]
 
 
@@ -145,8 +145,8 @@ def test_a_sensor_of_ones_own_that_needs_nothing_is_given_nothing(kind, mine):
         ([{"camera": {"camera": 1}}], "unknown argument of task.observe.camera: 'camera'"),
         ([{"camera": {"width": 0}}], r"task.observe.camera.width: .* greater than or equal to 4, got 0"),
         ([{"camera": {"depth": False}}], "sees nothing"),
-        ([{"laser": {"edges": [2, 1]}}], "task.observe.laser.edges: must strictly increase"),
-        ([{"imu": {"edges": [1]}}], "being several sensors: .*motion:YawRate and .*motion:ForwardAcceleration"),
+        ([{"laser": {"bins": [2, 1]}}], "task.observe.laser.bins: must strictly increase"),
+        ([{"imu": {"bins": [1]}}], "being several sensors: .*motion:YawRate and .*motion:ForwardAcceleration"),
         (["goal"], "there is no goal in this task's episodes"),
         (["os:system"], "'os:system' is not a class derived from tb2rl.sensors.Sensor"),
         (["tb2rl.sensors:Sensor"], "is not a class derived from tb2rl.sensors.Sensor with read"),

@@ -9,7 +9,7 @@ import pytest
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.tasks.wander import Wander
 
 CORNER = (-3.75, -3.75, 0.0)  # the start of the world "loop"
@@ -65,16 +65,16 @@ def test_a_picture_shows_the_goal_that_there_is(make):
 class Elsewhere(Wander):
     """Each episode begins in the second world."""
 
-    def begin(self, setup, draws):
-        return Start.proposed(setup, draws.robots, world=len(setup.worlds) - 1)
+    def initial_state(self, spec, draws):
+        return InitialState.default(spec, draws.num_envs, world=len(spec.worlds) - 1)
 
 
 def test_a_picture_shows_the_world_that_the_episode_is_in(make_setup):
-    setup = make_setup("loop", "circuit", beams=1)
-    scene = replace(make_scene(Elsewhere(beams=1), "raw"), setup=setup)
+    spec = make_setup("loop", "circuit", beams=1)
+    scene = replace(make_scene(Elsewhere(beams=1), "raw"), spec=spec)
     env = TurtleBot2Env(scene, "rgb_array", "kinematic")
     env.reset()
-    circuit = setup.worlds[1]
+    circuit = spec.worlds[1]
     assert is_wall(pixel(circuit, env.render(), 4.5, 2.25))
     assert pixel(circuit, env.render(), circuit.start[0] - 0.12, circuit.start[1]).max() < 80
 

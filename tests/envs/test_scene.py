@@ -20,14 +20,14 @@ NARROW = "###\n#S#\n###"
 
 
 def test_a_scene_holds_what_the_names_mean():
-    task = Wander(world="circuit", noise=0.02, beams=12)
+    task = Wander(world="circuit", laser_noise=0.02, beams=12)
     scene = make_scene(task, "raw")
     assert (scene.task, scene.observation) == (task, "raw")
     assert scene.robot is ROBOT
     assert scene.world.name == "circuit"
-    assert scene.setup.worlds == (scene.world,)
+    assert scene.spec.worlds == (scene.world,)
     assert (scene.laser.beams, scene.laser.noise, scene.laser.max_range) == (12, 0.02, ROBOT.laser.max_range)
-    assert scene.laser is scene.setup.laser
+    assert scene.laser is scene.spec.laser
     assert (scene.observation_space.shape, scene.action_space.n) == ((12,), 3)
     assert scene.actions.names == ("forward", "left", "right")
 
@@ -51,7 +51,7 @@ def test_a_turtlebot3_that_sees_all_around_looks_ahead_like_a_turtlebot2_unless_
 def test_what_suits_a_robot_comes_along_with_its_name_before_what_is_set_beside_it():
     for settings, period in (({}, 0.4), ({"control_period": 0.3}, 0.3)):
         task = make_task("maze", {"robot": "turtlebot3", **settings})
-        assert (task.control_period, task.field_of_view, task.crash_range) == (period, math.pi, 0.5)
+        assert (task.control_period, task.field_of_view, task.collision_range) == (period, math.pi, 0.5)
     assert make_task("maze", {"robot": "turtlebot2"}) == make_task("maze", {}) == Wander()
 
 
@@ -85,8 +85,8 @@ def test_what_a_robot_brings_must_be_a_setting_of_every_task(monkeypatch):
 def test_a_scene_cuts_the_actions_to_what_its_robot_can_do():
     scene = make_scene(Wander(robot="turtlebot3", turn_rate=9.0), "raw")
     assert scene.actions.table.tolist() == [[0.22, 0.0], [0.05, 2.84], [0.05, -2.84]]
-    assert scene.actions.fastest == 0.22
-    assert scene.changed(forward_speed=0.1).actions.fastest == 0.1
+    assert scene.actions.max_speed == 0.22
+    assert scene.changed(forward_speed=0.1).actions.max_speed == 0.1
 
 
 def test_a_scene_says_in_titles_which_robot_it_has_if_it_is_another_one():
@@ -102,7 +102,7 @@ def test_a_scene_knows_the_goal_of_a_task_that_has_one():
 
 def test_a_changed_scene_has_other_settings_and_the_same_objects():
     scene = make_scene(ReachGoal(), "discrete")
-    other = scene.changed(beams=9, noise=0.01, episode_steps=7, goal=(1.0, 2.0), turn_rate=0.5)
+    other = scene.changed(beams=9, laser_noise=0.01, episode_steps=7, goal=(1.0, 2.0), turn_rate=0.5)
     assert (other.robot, other.world, other.observation) == (scene.robot, scene.world, "discrete")
     assert other.world is scene.world
     assert (other.task.episode_steps, other.goal, other.laser.noise) == (7, (1.0, 2.0), 0.01)
@@ -127,7 +127,7 @@ def test_a_world_too_narrow_for_the_robot_is_refused_however_it_starts(tmp_path)
             InputError,
             match=r"world narrow: the start .* nearer than 0\.178 m to one.* task\.start_clearance if it is 0\.178",
         ):
-            make_scene(Wander(world=write_narrow(tmp_path), start=start), "raw")
+            make_scene(Wander(world=write_narrow(tmp_path), initial_state=start), "raw")
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from tb2rl import make_env
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.simulation import SIMULATIONS, Start
-from tb2rl.simulation.setup import COLUMNS
+from tb2rl.simulation import SIMULATIONS, InitialState
+from tb2rl.simulation.spec import COLUMNS
 from tb2rl.tasks.wander import Wander
 
 FORWARD, LEFT, RIGHT = range(3)
@@ -19,7 +19,7 @@ FACING_A_WALL = (*CORNER[:2], -math.pi / 2)
 
 
 def test_the_same_seed_gives_the_same_episode_again_and_another_seed_another(make, drive):
-    env, episodes = make(noise=0.01, observation="raw"), []
+    env, episodes = make(laser_noise=0.01, observation="raw"), []
     for seed in (3, 3, 4):
         first, _ = env.reset(seed=seed)
         episodes.append(np.stack([first, *(answer[0] for answer in drive(env, [LEFT, FORWARD, RIGHT] * 3))]))
@@ -49,11 +49,11 @@ def test_an_option_says_where_to_start(pose, make):
 def test_where_an_option_says_to_start_the_noise_is_that_of_the_seed_alone_and_the_goal_stays(make):
     pose = (0.0, 0.0, 0.0)  # the start of the world "wall"
     for start in ("fixed", "random"):
-        env = make("wall", "raw", noise=0.01, start=start)
+        env = make("wall", "raw", laser_noise=0.01, initial_state=start)
         said, _ = env.reset(seed=1, options={"pose": pose})
-        fixed, _ = make("wall", "raw", noise=0.01, start="fixed").reset(seed=1)
+        fixed, _ = make("wall", "raw", laser_noise=0.01, start="fixed").reset(seed=1)
         np.testing.assert_array_equal(said, fixed)
-        assert env.reading.goal.tolist() == [[5.0, 0.0]]
+        assert env.robot_state.goal.tolist() == [[5.0, 0.0]]
 
 
 @pytest.mark.parametrize(
@@ -65,9 +65,9 @@ def test_where_an_option_says_to_start_the_noise_is_that_of_the_seed_alone_and_t
         ({"pose": (0, 0)}, "options.pose"),
         ({"pose": (np.nan, 0, 0)}, "finite"),
         ({"pose": "here"}, "'here'"),
-        ({"start": (0, 0, 0)}, "a pose is options.pose"),
-        ({"start": Start(np.zeros((2, COLUMNS)))}, "the Start of one robot"),
-        ({"start": Start(np.zeros((1, COLUMNS))), "world": 0}, "goes alone"),
+        ({"initial_state": (0, 0, 0)}, "a pose is options.pose"),
+        ({"initial_state": InitialState(np.zeros((2, COLUMNS)))}, "the InitialState of one robot"),
+        ({"initial_state": InitialState(np.zeros((1, COLUMNS))), "world": 0}, "goes alone"),
     ],
 )
 def test_a_start_that_cannot_be_is_refused(options, words, make):
@@ -100,15 +100,15 @@ def test_a_crash_terminates_and_has_failed(simulation, make, drive):
     assert before
     assert {(answer[4]["ended"], answer[4]["failed"]) for answer in before} == {("", False)}
     assert (reward, terminated, truncated) == (-200, True, False)
-    assert (info["ended"], info["failed"], info["is_success"], info["bumped"]) == ("crash", True, False, False)
+    assert (info["ended"], info["failed"], info["is_success"], info["bumped"]) == ("collision", True, False, False)
     assert info["min_range"] < 0.5
 
 
 def test_with_a_crash_range_of_0_only_the_bumper_ends_the_episode(make, drive):
-    env = make(crash_range=0.0)
+    env = make(collision_range=0.0)
     env.reset(options={"pose": FACING_A_WALL})
     *_, info = drive(env, [FORWARD] * 30)[-1]
-    assert (info["ended"], info["bumped"]) == ("crash", True)
+    assert (info["ended"], info["bumped"]) == ("collision", True)
     assert info["min_range"] == pytest.approx(0.178, abs=0.01)
 
 
@@ -152,7 +152,7 @@ def test_any_velocities_are_driven(simulation, glide, make, drive):
     env.reset()
     after = drive(env, [env.task.actions.nearest(np.array([0.3, 0.4]))] * 5)[-1]
     assert after[1] == pytest.approx(0.3, rel=0.02)
-    assert env.reading.twist[0] == pytest.approx([0.3, 0.4], rel=0.02)
+    assert env.robot_state.twist[0] == pytest.approx([0.3, 0.4], rel=0.02)
     with pytest.raises(InputError, match="not two numbers"):
         env.step(0)
 
@@ -169,7 +169,7 @@ def test_a_step_before_the_reset_is_refused(make):
 @pytest.mark.parametrize("fresh", [False, True])
 def test_it_goes_on_from_a_restored_state_to_the_bit(simulation, fresh, make, drive):
     def make_one():
-        return make("wall", "raw", simulation=simulation, noise=0.01, episode_steps=20)
+        return make("wall", "raw", simulation=simulation, laser_noise=0.01, episode_steps=20)
 
     def goes_on(env):
         answers = [env.step(action) for action in (FORWARD, LEFT, FORWARD)]
@@ -183,7 +183,7 @@ def test_it_goes_on_from_a_restored_state_to_the_bit(simulation, fresh, make, dr
     expected = goes_on(env)
     other = make_one() if fresh else env
     other.restore(state)
-    assert other.reading.goal.tolist() == [[5.0, 0.0]]
+    assert other.robot_state.goal.tolist() == [[5.0, 0.0]]
     np.testing.assert_equal(goes_on(other), expected)
 
 
@@ -196,18 +196,18 @@ def test_a_state_before_the_reset_is_refused(make):
 
 
 def test_settings_of_the_task_are_arguments(make):
-    env = make("my-maze", "raw", world="circuit", beams=9, noise=0.01)
+    env = make("my-maze", "raw", world="circuit", beams=9, laser_noise=0.01)
     assert env.task.world == env.scene.world.name == "circuit"
     assert (env.observation_space.shape, env.action_space.n, env.scene.laser.noise) == ((9,), 4, 0.01)
 
 
 def test_a_task_itself_is_an_argument_and_may_be_overridden(make):
-    task = Wander(world="circuit", crash_range=0.4)
-    env = make(task, "raw", crash_range=0.3, beams=9)
-    assert (env.scene.world.name, env.task.crash_range, env.observation_space.shape) == ("circuit", 0.3, (9,))
+    task = Wander(world="circuit", collision_range=0.4)
+    env = make(task, "raw", collision_range=0.3, beams=9)
+    assert (env.scene.world.name, env.task.collision_range, env.observation_space.shape) == ("circuit", 0.3, (9,))
     assert make(task).task == task
     other = make(task, world="round")
-    assert (other.scene.world.name, other.task.crash_range) == ("round", 0.4)
+    assert (other.scene.world.name, other.task.collision_range) == ("round", 0.4)
 
 
 def test_a_scene_is_all_that_an_environment_needs():
@@ -225,13 +225,13 @@ def test_a_scene_is_all_that_an_environment_needs():
         ({"world": "lop"}, ["unknown world 'lop'", "did you mean 'loop'"]),
         ({"robot": "turtelbot2"}, ["unknown robot 'turtelbot2'", "did you mean 'turtlebot2'"]),
         ({"episode_steps": 0}, ["task.episode_steps", "greater than or equal to 1"]),
-        ({"noise": -0.1}, ["task.noise"]),
+        ({"laser_noise": -0.1}, ["task.laser_noise"]),
         ({"control_period": np.nan}, ["task.control_period", "finite"]),
         ({"turn_rate": "fast"}, ["task.turn_rate", "'fast'"]),
         ({"start": "anywhere"}, ["task.start", "'fixed' or 'random'"]),
         ({"beam_indices": [-1]}, ["task.beam_indices.0"]),
         ({"beam_indices": []}, ["task.beam_indices", "at least 1"]),
-        ({"edges": [2.0, 1.0]}, ["task.edges", "strictly increase"]),
+        ({"range_bins": [2.0, 1.0]}, ["task.range_bins", "strictly increase"]),
         ({"observation": "pixels"}, ["unknown observation 'pixels'"]),
     ],
 )

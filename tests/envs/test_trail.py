@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.batch import Batch
+from tb2rl.envs.batch import ControlLoop
+from tb2rl.envs.pose_history import PoseHistory
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.trail import Trail
 from tb2rl.sensors.visited import Visited
 from tb2rl.tasks.drive import Drive
 
@@ -18,14 +18,14 @@ FAR = 13  # from here on, twice as far
 
 
 def visited(make_reading, poses):
-    """What the last of some robots' poses, each a second after the other, reads; shape (robots, 25)."""
-    trail, sensor = Trail(PERIOD), Visited()
+    """What the last of some robots' poses, each a second after the other, reads; shape (num_envs, 25)."""
+    pose_history, sensor = PoseHistory(PERIOD), Visited()
     for number, pose in enumerate(np.asarray(poses, dtype=float)):
-        reading = make_reading(pose=pose)
-        (trail.go_on if number else trail.begin)(reading)
+        robot_state = make_reading(pose=pose)
+        (pose_history.go_on if number else pose_history.begin)(robot_state)
         for _ in range(STEPS - 1):
-            trail.go_on(reading)
-    return sensor.read(replace(reading, trail=trail))
+            pose_history.go_on(robot_state)
+    return sensor.read(replace(robot_state, pose_history=pose_history))
 
 
 def test_the_way_back_is_known_and_the_way_on_is_not(make_reading):
@@ -52,12 +52,14 @@ def test_a_minute_is_remembered_and_no_more(make_reading):
 
 @pytest.mark.parametrize("period", [0.1, 0.2, 0.4, 2.0])
 def test_it_is_in_seconds_however_long_a_control_step_is(period, make_reading):
-    trail, reading = Trail(period), make_reading(pose=[(0.0, 0.0, 0.0)])
-    trail.begin(reading)
+    pose_history, robot_state = PoseHistory(period), make_reading(pose=[(0.0, 0.0, 0.0)])
+    pose_history.begin(robot_state)
     for duration, stayed in ((20.0, 20.0), (80.0, 64.0)):
         for _ in range(round(duration / period)):
-            trail.go_on(reading)
-        assert Visited().read(replace(reading, trail=trail))[0, HERE] == pytest.approx(stayed, abs=2.0)
+            pose_history.go_on(robot_state)
+        assert Visited().read(replace(robot_state, pose_history=pose_history))[0, HERE] == pytest.approx(
+            stayed, abs=2.0
+        )
 
 
 def test_before_anything_is_remembered_it_has_been_nowhere(make_reading):
@@ -66,14 +68,14 @@ def test_before_anything_is_remembered_it_has_been_nowhere(make_reading):
 
 def test_each_robot_forgets_where_its_own_episode_begins_and_a_batch_goes_on_to_the_bit():
     scene = make_scene(Drive(observe=("visited",), episode_steps=23), "raw")
-    one, other = Batch(scene, 3), Batch(scene, 3)
+    one, other = ControlLoop(scene, 3), ControlLoop(scene, 3)
     one.seed(3), other.seed(4)
     first, _ = one.reset(), other.reset()
     actions = np.random.default_rng(0).uniform(-1, 1, (60, 3, 2))
     for chosen in actions[:30]:
         step = one.step(chosen)
-        if step.finals is not None:
-            ended = step.finals.robots
+        if step.finished is not None:
+            ended = step.finished.indices
             np.testing.assert_array_equal(step.observations[ended], first[ended])
     other.restore(one.state())
     for chosen in actions[30:]:

@@ -96,10 +96,10 @@ def test_the_mode_of_autoreset_is_an_argument(mode, found, simulation, make_vec)
 
 def episodes_of(env, steps):
     """What each robot meets, by one rule for all, in its episodes: an entry for each observation."""
-    mode, robots = env.metadata["autoreset_mode"], env.num_envs
+    mode, num_envs = env.metadata["autoreset_mode"], env.num_envs
     seen, infos = env.reset(seed=4)
-    episodes = [[[(infos["pose"][i].tolist(), seen[i].tolist(), 0.0, "")]] for i in range(robots)]
-    over = np.zeros(robots, bool)
+    episodes = [[[(infos["pose"][i].tolist(), seen[i].tolist(), 0.0, "")]] for i in range(num_envs)]
+    over = np.zeros(num_envs, bool)
     for _ in range(steps):
         actions = (seen[:, 0] * 100).astype(int) % 3
         if mode == AutoresetMode.NEXT_STEP:
@@ -107,7 +107,7 @@ def episodes_of(env, steps):
         seen, rewards, terminated, truncated, infos = env.step(actions)
         ended = terminated | truncated
         last = infos["final_info"] if ended.any() and mode == AutoresetMode.SAME_STEP else infos
-        for i in range(robots):
+        for i in range(num_envs):
             if over[i]:
                 assert (rewards[i], ended[i], infos["ended"][i], infos["distance"][i]) == (0.0, False, "", 0.0)
                 episodes[i].append([(infos["pose"][i].tolist(), seen[i].tolist(), 0.0, "")])
@@ -142,7 +142,7 @@ def test_robots_meet_the_same_whenever_their_episodes_begin(make_vec):
         complete = [episodes[: shortest - 1] for episodes in same]
         assert complete[0] == complete[1] == complete[2]
     endings = {episode[-1][-1] for episodes in found[0] for episode in episodes[:-1]}
-    assert endings == {"crash", "time limit"}
+    assert endings == {"collision", "time limit"}
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
@@ -189,10 +189,10 @@ def test_a_disabled_autoreset_waits_for_the_caller(make_vec):
 
 
 def test_it_is_the_batch_that_stable_baselines_gets():
-    scene = make_scene(Wander(noise=0.01, episode_steps=60), "raw")
+    scene = make_scene(Wander(laser_noise=0.01, episode_steps=60), "raw")
     ours, theirs = BatchVectorEnv(scene, 30), BatchVecEnv(scene, 30)
     theirs.seed(4)
-    seen, finals = theirs.reset(), 0
+    seen, finished = theirs.reset(), 0
     for observations, rewards, terminated, truncated, infos in rollout(ours, 150):
         seen, expected, dones, reports = theirs.step((seen[:, 0] * 100).astype(int) % 3)
         np.testing.assert_array_equal(observations, seen)
@@ -200,7 +200,7 @@ def test_it_is_the_batch_that_stable_baselines_gets():
         np.testing.assert_array_equal(terminated | truncated, dones)
         np.testing.assert_array_equal(infos.get("_final_obs", np.zeros(30, bool)), dones)
         for robot in np.flatnonzero(dones):
-            finals += 1
+            finished += 1
             report = reports[robot]
             np.testing.assert_array_equal(infos["final_obs"][robot], report["terminal_observation"])
             for key in ("ended", "failed", "is_success", "distance", "min_range", "bumped"):
@@ -210,7 +210,7 @@ def test_it_is_the_batch_that_stable_baselines_gets():
             assert {*infos["final_info"]["ended"][running]} <= {None}
             assert truncated[robot] == report["TimeLimit.truncated"]
             assert (infos["distance"][robot], infos["ended"][robot]) == (0.0, "")  # the next one has begun
-    assert finals > 60
+    assert finished > 60
 
 
 def test_a_seed_gives_the_same_again_and_no_seed_something_else(make_vec):

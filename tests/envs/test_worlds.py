@@ -14,20 +14,20 @@ import pytest
 
 import tb2rl
 from tb2rl.core.errors import InputError
-from tb2rl.envs.batch import Batch
+from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
 from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.registry import find_world
 from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import parse_settings, resolve
-from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
 FEW = {"generator": "mixed", "worlds": 10}
 EASY = {**FEW, "difficulty": 0.0}
-NEAR = {"start_clearance": 0.25, "crash_range": 0.0}
+NEAR = {"start_clearance": 0.25, "collision_range": 0.0}
 FOREST = """
 from tb2rl.worlds import World
 
@@ -241,9 +241,9 @@ def test_gymnasium_takes_them_too():
     env = gym.make("tb2rl:TurtleBot2Maze-v0", world=EASY, simulation="kinematic")
     many = gym.make_vec("tb2rl:TurtleBot2Maze-v0", 50, world=EASY, simulation="kinematic")
     for scene in (env.unwrapped.scene, many.unwrapped.batch.scene):
-        assert len(scene.setup.worlds) == 10
+        assert len(scene.spec.worlds) == 10
     many.reset(seed=0)
-    assert len(set(many.unwrapped.batch.reading.start.world)) == 10
+    assert len(set(many.unwrapped.batch.robot_state.initial_state.world)) == 10
 
 
 # ---- where episodes begin
@@ -251,20 +251,20 @@ def test_gymnasium_takes_them_too():
 
 def test_one_world_draws_what_it_always_drew():
     """Four numbers for each robot, and no world among them."""
-    setup, draws = make_scene(Wander(), "raw").setup, np.random.default_rng(3).random((7, 4))
-    start = Wander().begin(setup, GeneratorDraws(np.random.default_rng(3), 7))
-    assert (start.pose == setup.worlds[0].poses_from(draws, 0.6)).all()
+    spec, draws = make_scene(Wander(), "raw").spec, np.random.default_rng(3).random((7, 4))
+    start = Wander().initial_state(spec, GeneratorDraws(np.random.default_rng(3), 7))
+    assert (start.pose == spec.worlds[0].poses_from(draws, 0.6)).all()
     assert (start.world == 0).all()
 
 
 @pytest.mark.parametrize("begins", ["random", "fixed"])
 def test_each_robot_begins_in_a_world_that_is_drawn_for_it(begins):
     task = ReachGoal(world=FEW, start=begins, start_clearance=0.3)
-    setup = make_scene(task, "raw").setup
-    start = task.begin(setup, GeneratorDraws(np.random.default_rng(0), 1000))
+    spec = make_scene(task, "raw").spec
+    start = task.initial_state(spec, GeneratorDraws(np.random.default_rng(0), 1000))
     counts = np.bincount(start.world.astype(int), minlength=10)
     assert counts.min() > 60
-    for row, world in zip(start.table, (setup.worlds[int(i)] for i in start.world), strict=True):
+    for row, world in zip(start.table, (spec.worlds[int(i)] for i in start.world), strict=True):
         assert world.clearance(*row[:2]) >= 0.3 - 1e-6
         assert tuple(row[4:6]) == world.goal[:2]
         assert begins == "random" or tuple(row[:3]) == world.start
@@ -272,19 +272,19 @@ def test_each_robot_begins_in_a_world_that_is_drawn_for_it(begins):
 
 def test_robots_of_a_batch_are_in_worlds_of_their_own():
     scene = make_scene(Wander(world=EASY, episode_steps=4), "raw")
-    batch = Batch(scene, 300)
+    batch = ControlLoop(scene, 300)
     batch.seed(0)
     batch.reset()
-    first = batch.reading.start.world.copy()
+    first = batch.robot_state.initial_state.world.copy()
     assert set(first) == set(range(10))
     for _ in range(4):
         batch.step(np.ones(300, dtype=int))
-    second = batch.reading.start.world.copy()
+    second = batch.robot_state.initial_state.world.copy()
     assert (first != second).mean() > 0.8
-    few = Batch(scene, 30)
+    few = ControlLoop(scene, 30)
     few.seed(0)
     few.reset()
-    assert (few.reading.start.world == first[:30]).all()
+    assert (few.robot_state.initial_state.world == first[:30]).all()
 
 
 @pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
@@ -293,7 +293,7 @@ def test_episodes_of_one_robot_change_worlds_and_are_drawn_there(simulation):
     seen = {}
     for seed in range(8):
         _, info = env.reset(seed=seed)
-        world = env.scene.setup.worlds[int(env.reading.start.world[0])]
+        world = env.scene.spec.worlds[int(env.robot_state.initial_state.world[0])]
         assert world.clearance(*info["pose"][:2]) >= 0.6 - 1e-3
         seen[world.name] = env.render().shape
     assert set(seen) == {"loop", "circuit", "round"}
@@ -304,8 +304,8 @@ def test_a_reset_can_name_the_world():
     env = tb2rl.make_env(world=EASY, simulation="kinematic")
     for world in (3, 7):
         env.reset(seed=1, options={"world": world})
-        assert env.reading.start.world == world
-    where = env.scene.setup.worlds[7].start
+        assert env.robot_state.initial_state.world == world
+    where = env.scene.spec.worlds[7].start
     _, info = env.reset(seed=1, options={"world": 7, "pose": where})
     assert tuple(info["pose"]) == where
     for wrong in (10, -1, "loop"):
@@ -341,7 +341,7 @@ def test_what_is_observed_stays_the_same():
 def test_a_scene_travels_to_other_processes_with_its_worlds():
     scene = make_scene(Wander(world=FEW, **NEAR), "raw")
     there = pickle.loads(pickle.dumps(scene))
-    starts = [s.task.begin(s.setup, GeneratorDraws(np.random.default_rng(0), 50)).table for s in (scene, there)]
+    starts = [s.task.initial_state(s.spec, GeneratorDraws(np.random.default_rng(0), 50)).table for s in (scene, there)]
     assert (starts[0] == starts[1]).all()
 
 
@@ -361,11 +361,11 @@ def test_a_policy_is_trained_chosen_and_judged_in_different_worlds(tmp_path):
         **train,
     )  # fmt: skip
     evaluation = tb2rl.evaluate(policy, episodes=6, steps=3, workers=1)
-    assert {w.name.split()[2] for w in evaluation.scene.setup.worlds} == {"(test)"}
-    assert {w.name.split()[2] for w in policy.trained_with.scene.setup.worlds} == {"(training)"}
+    assert {w.name.split()[2] for w in evaluation.scene.spec.worlds} == {"(test)"}
+    assert {w.name.split()[2] for w in policy.trained_with.scene.spec.worlds} == {"(training)"}
     assert len({episode.world for episode in evaluation.episodes}) > 2
     for episode in evaluation.episodes:
-        there = evaluation.scene.setup.worlds[episode.world]
+        there = evaluation.scene.spec.worlds[episode.world]
         assert there.clearance(*episode.start[:2]) >= 0.6 - 1e-6
         np.testing.assert_allclose(episode.path[0], episode.start[:2], atol=1e-6)
     tree, _ = evaluation.tree(policy.trained_with, "it")

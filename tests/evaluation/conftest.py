@@ -33,7 +33,7 @@ class Cruise(Task):
 
     actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
 
-    def judge(self, before, action, after):
+    def outcome(self, before, action, after):
         return Outcome(after.twist[:, 0], failed={"bump": after.bumped})
 
 
@@ -43,14 +43,14 @@ class Northward(Wander):
 
     goal_task = True
 
-    def begin(self, setup, draws):
-        start = super().begin(setup, draws)
+    def initial_state(self, spec, draws):
+        start = super().initial_state(spec, draws)
         start.pose[:, 2] = math.pi / 2
         start.goal[:] = draws.uniform(2)
         return start
 
-    def judge(self, before, action, after):
-        outcome = super().judge(before, action, after)
+    def outcome(self, before, action, after):
+        outcome = super().outcome(before, action, after)
         return replace(outcome, succeeded={"goal": np.zeros(len(outcome.reward), dtype=bool)})
 
 
@@ -59,8 +59,8 @@ class _Picture(Sensor):
 
     name, shape = "picture", (1, 36, 36)
 
-    def read(self, reading):
-        rows = np.arange(36)[:, None] < 12 * np.minimum(reading.ranges, 3.0)[:, None, :]
+    def read(self, robot_state):
+        rows = np.arange(36)[:, None] < 12 * np.minimum(robot_state.ranges, 3.0)[:, None, :]
         return (255 * rows[:, None]).astype(np.uint8)
 
 
@@ -68,8 +68,8 @@ class _Picture(Sensor):
 class Pictured(Wander):
     """Observes an image beside its laser's ranges."""
 
-    def sensors(self, setup):
-        return (*super().sensors(setup), _Picture())
+    def sensors(self, spec):
+        return (*super().sensors(spec), _Picture())
 
 
 def _outcomes(evaluation: Evaluation) -> list[tuple]:
@@ -82,7 +82,7 @@ def _outcomes(evaluation: Evaluation) -> list[tuple]:
 
 def _episode(ended="time limit", success=True, length=0, distance=1.0, total=0.0, failed=None) -> Episode:
     """An episode that was not driven; a crash counts as failed, other endings as `failed` says."""
-    failed = ended == "crash" if failed is None else failed
+    failed = ended == "collision" if failed is None else failed
     path, actions = np.zeros((length + 1, 2), np.float32), np.zeros(length, np.uint8)
     return Episode((0.0, 0.0, 0.0), ended, failed, success, failed, length, distance, total, path, actions)
 

@@ -28,16 +28,19 @@ from tb2rl.tasks.wander import Wander
 
 
 def test_the_summary_counts_what_happened(make_episode):
-    crashed, lasted = make_episode("crash", False, 10, 1.0, -150.0), make_episode("time limit", True, 30, 3.0, 150.0)
+    collided, lasted = (
+        make_episode("collision", False, 10, 1.0, -150.0),
+        make_episode("time limit", True, 30, 3.0, 150.0),
+    )
     scene = make_scene(Wander(control_period=0.5, episode_steps=30), "raw")
-    evaluation = Evaluation([crashed, lasted] * 2, scene, seed=1)
+    evaluation = Evaluation([collided, lasted] * 2, scene, seed=1)
     summary = evaluation.summary()
     assert (summary["episodes"], summary["steps"], summary["seed"]) == (4, 30, 1)
     assert (summary["failure_free_rate"], summary["success_rate"], summary["touch_free_rate"]) == (0.5, 0.5, 0.5)
     assert (summary["mean_distance"], summary["mean_return"], summary["mean_length"]) == (2.0, 0.0, 20.0)
     assert (summary["std_distance"], summary["std_return"], summary["std_length"]) == (1.0, 150.0, 10.0)
     assert summary["mean_speed"] == 8.0 / (80 * 0.5)
-    assert summary["endings"] == {"crash": 2, "time limit": 2}
+    assert summary["endings"] == {"collision": 2, "time limit": 2}
     assert summary["failure_free_interval"] == wilson_interval(2, 4)
     assert evaluation.score == (0.5, 0.0)
 
@@ -70,12 +73,12 @@ def test_the_squares_that_the_median_episode_visits_tell_driving_from_circling(m
 
 
 def test_what_failed_is_told_by_the_episode_and_not_by_the_name_of_its_ending(make_episode):
-    endings = [("stuck", True), ("crash", False), ("time limit", False), ("stuck", True)]
+    endings = [("stuck", True), ("collision", False), ("time limit", False), ("stuck", True)]
     episodes = [make_episode(name, False, 1, failed=failed) for name, failed in endings]
     summary = Evaluation(episodes, make_scene(Wander(), "raw"), 0).summary()
     assert (summary["failure_free_rate"], summary["success_rate"]) == (0.5, 0.0)
     assert summary["failure_free_interval"] == wilson_interval(2, 4)
-    assert summary["endings"] == {"crash": 1, "stuck": 2, "time limit": 1}
+    assert summary["endings"] == {"collision": 1, "stuck": 2, "time limit": 1}
 
 
 def test_out_of_bounds_counts_as_failed(ahead):
@@ -193,10 +196,8 @@ def test_episodes_in_many_worlds_are_read_back_with_theirs(tmp_path, outcomes):
     assert outcomes(back) == outcomes(evaluation)
     assert [each.world for each in back.episodes] == [each.world for each in evaluation.episodes]
     assert len({each.world for each in back.episodes}) > 2
-    names = [world.name for world in back.scene.setup.worlds]
-    assert (
-        names == [world.name for world in evaluation.scene.setup.worlds] == [f"clutter {i} (test)" for i in range(30)]
-    )
+    names = [world.name for world in back.scene.spec.worlds]
+    assert names == [world.name for world in evaluation.scene.spec.worlds] == [f"clutter {i} (test)" for i in range(30)]
     changed(folder, put("each", 0, "world", value=30))
     assert_refused(folder, "evaluation.json has more worlds than the task")
     changed(folder, put("each", 0, "world", value=-1))
@@ -233,7 +234,7 @@ def test_an_evaluation_that_is_damaged_is_refused_in_one_line(keep, damage):
     ("change", "named"),
     [
         (put("config", "task", "world", value="circuit"), "not of the task in config.yaml"),
-        (put("config", "task", "crash_range", value=0.4), "not of the task in config.yaml"),
+        (put("config", "task", "collision_range", value=0.4), "not of the task in config.yaml"),
         (put("each", 0, "distance", value=None), "each.0.distance"),
         (put("each", 1, "ended", value=None), "each.1.ended"),
         (put("each", 1, "failed", value="perhaps"), "each.1.failed"),

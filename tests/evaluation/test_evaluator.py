@@ -33,7 +33,7 @@ BASELINES = [name for name in agent_names() if find_agent(name).algorithm is Non
 
 @pytest.mark.parametrize("name", BASELINES)
 def test_the_result_does_not_depend_on_the_number_of_processes(name, outcomes):
-    config = resolve(name, settings={"task.noise": 0.01})
+    config = resolve(name, settings={"task.laser_noise": 0.01})
     alone, shared = (
         evaluate(make_baseline(config), config, episodes=5, steps=40, workers=workers) for workers in (1, 2)
     )
@@ -42,7 +42,7 @@ def test_the_result_does_not_depend_on_the_number_of_processes(name, outcomes):
 
 
 def test_jobs_elsewhere_drive_the_same_episodes_in_their_order():
-    config = resolve("random", settings={"task.noise": 0.01})
+    config = resolve("random", settings={"task.laser_noise": 0.01})
     policy = make_baseline(config)
     with Evaluator(config.scene, 5, 40, workers=1) as evaluator:
         here, there = list(evaluator.drive(policy)), list(evaluator.drive(policy, 1, Where(workers=2)))
@@ -79,7 +79,7 @@ def test_an_evaluator_serves_several_policies(outcomes):
 @pytest.mark.parametrize("changed", [{"urdf": Path("missing.urdf")}, {"wheel_joints": ("wheel_left", "wheel_rite")}])
 def test_a_robot_that_cannot_be_loaded_is_refused_before_processes_start(changed):
     scene = resolve("wallfollower").scene
-    unusable = replace(scene, setup=replace(scene.setup, robot=replace(ROBOT, **changed)))
+    unusable = replace(scene, spec=replace(scene.spec, robot=replace(ROBOT, **changed)))
     with pytest.raises(InputError, match=r"robot turtlebot2: .*(cannot load missing\.urdf|no joint 'wheel_rite')"):
         Evaluator(unusable, episodes=2, steps=3, workers=2)
 
@@ -132,7 +132,9 @@ def test_an_episode_leads_to_the_goal_that_was_drawn_with_its_start():
         episodes = evaluator.run(make_baseline(config)).episodes
     assert [each.goal for each in episodes] == [tuple(start.goal[0].tolist()) for start in evaluator.starts]
     assert len({(each.world, each.goal) for each in episodes}) > 4
-    ways = [config.scene.setup.ways.to_go(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts]
+    ways = [
+        config.scene.spec.ways.path_length(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts
+    ]
     assert min(ways) > config.task.goal_radius, "of two random goals it is the farther one"
 
 
@@ -141,7 +143,7 @@ def test_a_task_that_leads_to_the_goals_of_its_worlds_is_judged_by_them():
     config = resolve("pursuit", "navigate", settings=settings)
     with Evaluator(config.scene, episodes=12, steps=1, workers=1) as evaluator:
         episodes = evaluator.run(make_baseline(config)).episodes
-    worlds = config.scene.setup.worlds
+    worlds = config.scene.spec.worlds
     assert [each.goal for each in episodes] == [worlds[each.world].goal[:2] for each in episodes]
     assert len({each.world for each in episodes}) == 3
     assert len({each.start for each in episodes}) == 12
@@ -189,7 +191,7 @@ def test_the_wall_follower_is_a_baseline_to_beat_in_the_standard_evaluation():
 
 def test_anything_that_predicts_can_be_evaluated(ahead):
     episodes = evaluate(ahead, resolve(), episodes=3, steps=200, workers=1).episodes
-    assert [(episode.ended, episode.failed) for episode in episodes] == [("crash", True)] * 3
+    assert [(episode.ended, episode.failed) for episode in episodes] == [("collision", True)] * 3
     assert [episode.episode_return for episode in episodes] == [5.0 * (e.length - 1) - 200.0 for e in episodes]
     assert [episode.actions.tolist() for episode in episodes] == [[0] * e.length for e in episodes]
     assert {episode.actions.dtype for episode in episodes} == {np.dtype(np.uint8)}
@@ -225,8 +227,12 @@ def test_a_policy_of_unknown_origin_needs_a_task():
 
 
 def test_settings_change_the_task(run):
-    evaluation = evaluate(run, settings={"world": "circuit", "noise": 0.1}, episodes=1, steps=2, workers=1)
-    assert (evaluation.task.world, evaluation.scene.world.name, evaluation.task.noise) == ("circuit", "circuit", 0.1)
+    evaluation = evaluate(run, settings={"world": "circuit", "laser_noise": 0.1}, episodes=1, steps=2, workers=1)
+    assert (evaluation.task.world, evaluation.scene.world.name, evaluation.task.laser_noise) == (
+        "circuit",
+        "circuit",
+        0.1,
+    )
     with pytest.raises(InputError, match="did you mean 'world'"):
         evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)
 

@@ -32,7 +32,7 @@ def test_a_rollout_is_the_drive_of_the_environment(env, ahead):
         total, steps, over = total + reward, steps + 1, terminated or truncated
     last = moments[-1]
     assert (last.step, last.total, last.info["ended"]) == (steps, total, info["ended"])
-    assert (last.info["ended"], last.info["failed"]) == ("crash", True)
+    assert (last.info["ended"], last.info["failed"]) == ("collision", True)
     assert last.info["distance"] == info["distance"]
     assert (last.pose == info["pose"]).all()
     assert [moment.info["ended"] for moment in moments[:-1]] == [""] * (steps - 1)
@@ -51,9 +51,9 @@ def test_each_moment_says_how_its_episode_began(northward, ahead):
     with closing(make_env(northward, episode_steps=2)) as env:
         first, second = (list(roll_out(env, ahead, seed=seed)) for seed in (0, 1))
     for moments in (first, second):
-        assert moments[0].start.table.tolist() == moments[1].start.table.tolist()
-        assert moments[0].start.pose[0].tolist() == moments[0].before.tolist()
-    assert (first[0].start.goal != second[0].start.goal).all()
+        assert moments[0].initial_state.table.tolist() == moments[1].initial_state.table.tolist()
+        assert moments[0].initial_state.pose[0].tolist() == moments[0].before.tolist()
+    assert (first[0].initial_state.goal != second[0].initial_state.goal).all()
 
 
 def test_the_actions_are_those_that_the_policy_gave(env, ahead, cruise):

@@ -18,7 +18,7 @@ from tb2rl.runs.layers import resolve
 from tb2rl.tasks.wander import Wander
 
 
-@pytest.mark.parametrize("change", [{"beams": 9}, {"edges": [1.0]}, {"name": "wall", "world": "wall"}])
+@pytest.mark.parametrize("change", [{"beams": 9}, {"range_bins": [1.0]}, {"name": "wall", "world": "wall"}])
 def test_a_policy_is_not_judged_on_observations_that_it_was_not_trained_on(run, change):
     with pytest.raises(InputError, match="observation"):
         evaluate(run, settings=change, episodes=1, steps=2, workers=1)

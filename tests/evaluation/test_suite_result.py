@@ -28,13 +28,13 @@ def test_a_result_comes_back_as_it_was(tmp_path):
     ("task", "said"),
     [
         (
-            {"movers": [{"people": 3}, {"boxes": 1}, {"people": 1}, {"posts": 2, "presence": 0.5}]},
+            {"dynamic_obstacles": [{"people": 3}, {"boxes": 1}, {"people": 1}, {"posts": 2, "presence": 0.5}]},
             "among 4 people and 1 box and 2 posts in 50% of the episodes, ",
         ),
         ({"variation": "strong"}, "strong variation, "),
-        ({"variation": {"preset": "mild"}, "movers": {"people": 1}}, "among 1 person, mild variation, "),
-        ({"variation": {"noise": 0.1}}, "variation of noise, "),
-        ({"variation": "none", "guide": "plan", "planner": "seen"}, "guide plan (planner seen), "),
+        ({"variation": {"preset": "mild"}, "dynamic_obstacles": {"people": 1}}, "among 1 person, mild variation, "),
+        ({"variation": {"laser_noise": 0.1}}, "variation of laser_noise, "),
+        ({"variation": "none", "guide": "plan", "map": "online"}, "guide plan (map online), "),
     ],
 )
 def test_a_title_says_under_what_conditions_it_drove(task, said):
@@ -57,8 +57,8 @@ def test_a_summary_is_small_names_no_place_and_comes_back_as_it_was(tmp_path):
     ("task", "guide"),
     [
         ({}, ""),
-        ({"guide": "goal", "planner": "known"}, "goal"),
-        ({"guide": "plan", "planner": "seen"}, "plan (planner seen)"),
+        ({"guide": "goal", "map": "known"}, "goal"),
+        ({"guide": "plan", "map": "online"}, "plan (map online)"),
     ],
 )
 def test_a_summary_says_what_guided(task, guide):

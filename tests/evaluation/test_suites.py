@@ -134,7 +134,7 @@ def test_a_score_stands_where_there_are_reference_paths(suite, evaluation):
 def test_the_result_says_what_drove_where(evaluation):
     config = resolve("dwa", "navigate", settings={"task.world": "loop", "task.guide": "plan"})
     result = evaluation.result(config, "agent dwa", None)
-    assert result.title == "agent dwa, guide plan (planner known), turtlebot2, PyBullet: suite tiny"
+    assert result.title == "agent dwa, guide plan (map known), turtlebot2, PyBullet: suite tiny"
     assert (result.suite_digest, result.suite_path) == (evaluation.suite.digest, None)
     assert list(result.figures) == ["all", "a", "b"]
     assert list(result.rows) == ["a", "b", "all"]
@@ -153,7 +153,7 @@ def test_a_result_is_driven_again_step_by_step(suite, monkeypatch, tmp_path):
     """Of a policy that draws, which depends on the episodes that are driven together."""
     tiny = replace(suite, worlds=suite.worlds * 2, families=suite.families * 2, ways=suite.ways * 2)
     monkeypatch.setattr(suites, "find_suite", lambda name, path: tiny)
-    config = resolve("random", "navigate", settings={"task.world": "loop", "task.noise": 0.01})
+    config = resolve("random", "navigate", settings={"task.world": "loop", "task.laser_noise": 0.01})
     scene = suite_scene(config.scene, tiny)
     with suite_evaluator(scene, workers=1) as evaluator:
         episodes = list(evaluator.drive(make_baseline(config)))

@@ -76,7 +76,7 @@ def test_every_episode_is_the_one_that_a_robot_drives_alone(name, request):
     check_against_robots_alone(evaluation, policy)
     endings = {episode.ended for episode in evaluation.episodes}
     if name == "table":
-        assert endings == {"crash", "time limit"}, "some robots begin anew before the others are done"
+        assert endings == {"collision", "time limit"}, "some robots begin anew before the others are done"
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in POLICIES])
@@ -93,7 +93,7 @@ def test_an_episode_of_a_group_is_the_one_that_a_robot_drives_alone(name, reques
 
 
 def test_the_same_evaluation_twice_gives_the_same_result(outcomes):
-    config = resolve("qlearn", settings={"task.noise": 0.01})
+    config = resolve("qlearn", settings={"task.laser_noise": 0.01})
     policy = learner(config)
     with TwinEvaluator(config.scene, 20, 50, seed=1) as evaluator:
         first, again = evaluator.run(policy), evaluator.run(policy)

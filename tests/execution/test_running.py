@@ -84,7 +84,7 @@ def test_what_a_job_refuses_is_said_with_its_name(make_job):
     with pytest.raises(InputError, match=r"^seed 3: it does not fit$"):
         list(run_jobs([make_job("seed 3", "refuse")], HERE))
     with pytest.raises(RuntimeError, match=r"(?s)seed 3 failed on .*ZeroDivisionError: a bug"):
-        list(run_jobs([make_job("seed 3", "crash")], HERE))
+        list(run_jobs([make_job("seed 3", "collision")], HERE))
 
 
 def test_a_job_whose_process_dies_is_done_again_in_an_empty_folder(make_job, tmp_path):

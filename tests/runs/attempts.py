@@ -75,9 +75,9 @@ def short(config: Config) -> Config:
 
 def places(error: BaseException) -> str:
     """Where an exception was raised, and the last lines of the project on the way there."""
-    frames = traceback.extract_tb(error.__traceback__)
-    ours = [frame for frame in frames if "/tb2rl/" in frame.filename or "/agents/" in frame.filename]
-    found = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in (frames[-1], *reversed(ours[-2:]))]
+    frame_stack = traceback.extract_tb(error.__traceback__)
+    ours = [frame for frame in frame_stack if "/tb2rl/" in frame.filename or "/agents/" in frame.filename]
+    found = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in (frame_stack[-1], *reversed(ours[-2:]))]
     return " < ".join(dict.fromkeys(found))
 
 

@@ -23,7 +23,7 @@ from tb2rl.runs.layers import resolve
 from tb2rl.training.training import train_config
 
 AGENTS = {
-    "qlearn": {"task.edges": [0.7, 1.0]},
+    "qlearn": {"task.range_bins": [0.7, 1.0]},
     "dqn": {
         "agent.learning_starts": 64,
         "agent.buffer_size": 320,

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 from tb2rl.core.errors import InputError
-from tb2rl.envs.features import Nearness
+from tb2rl.envs.features import InverseRange
 from tb2rl.registry import TASKS, find_agent, find_task, import_object
 from tb2rl.runs.arguments import check_arguments
 from tb2rl.runs.config import TrainSettings
@@ -41,7 +41,7 @@ TEXTS = (
     "", " ", "a", "1", "nan", "1e400", "auto", "epsilon", "None", "\n", "a\nb", "\0", "\ud800", "é🤖",
     "x" * 100_000, "..", ".", "/", "~", "no/such.yaml", "a.yaml", "\0.yaml", "x" * 5000 + ".yaml", "bullet",
     "cuda", "cuda:99", "cpu:7", "meta", "mps", "loop", "raw", "discrete", "qlearn", "ppo", ":", "a:b", "os:system",
-    "torch.nn:ELU", "torch.nn:Linear", "torch.nn:Module", "torch.optim:SGD", "tb2rl.envs.features:Nearness",
+    "torch.nn:ELU", "torch.nn:Linear", "torch.nn:Module", "torch.optim:SGD", "tb2rl.envs.features:InverseRange",
     "tb2rl.tasks:Task", "stable_baselines3:A2C", "stable_baselines3:SAC",
 )  # fmt: skip
 TREES = (
@@ -130,7 +130,7 @@ def agent_keys(agent: str) -> list[str]:
     inner = [key for key in signature(policy).parameters if not key.endswith(("_space", "schedule"))]
     keys += [f"policy_kwargs.{key}" for key in inner]
     if "features_extractor_kwargs" in inner:
-        kwargs = {"features_extractor_kwargs": Nearness, "optimizer_kwargs": th.optim.Adam}
+        kwargs = {"features_extractor_kwargs": InverseRange, "optimizer_kwargs": th.optim.Adam}
         keys += [
             f"policy_kwargs.{place}.{key}"
             for place, cls in kwargs.items()

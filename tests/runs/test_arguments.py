@@ -7,12 +7,12 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
-from tb2rl.envs.features import Nearness
+from tb2rl.envs.features import InverseRange
 from tb2rl.registry import Agent, find_agent
 from tb2rl.runs.arguments import agent_for, algorithm_arguments, check_arguments
 
 DQN, PPO, SAC = (Agent(f"stable_baselines3:{name}") for name in ("DQN", "PPO", "SAC"))
-NEARNESS = "tb2rl.envs.features:Nearness"
+NEARNESS = "tb2rl.envs.features:InverseRange"
 NAMED = spaces.Discrete(3)
 LINE = {"start": 0.1, "end": 0.01}
 
@@ -85,7 +85,7 @@ def test_a_schedule_becomes_a_line_over_the_remaining_training():
 def test_classes_in_policy_kwargs_are_imported():
     kwargs = {"activation_fn": "torch.nn:ELU", "features_extractor_class": NEARNESS}
     made = algorithm_arguments({"policy_kwargs": {**kwargs, "net_arch": [8]}, "gamma": 0.9}, NAMED)
-    classes = {"activation_fn": th.nn.ELU, "features_extractor_class": Nearness}
+    classes = {"activation_fn": th.nn.ELU, "features_extractor_class": InverseRange}
     assert made == {"policy_kwargs": {**classes, "net_arch": [8]}, "gamma": 0.9}
 
 

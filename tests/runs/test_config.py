@@ -11,7 +11,7 @@ from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.plain import check_plain, check_sections, plain
 from tb2rl.simulation.variation import find_variation
-from tb2rl.worlds.movers import find_movers
+from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 
 MY_WORLD = "drawing: |\n  #####\n  #S..#\n  #...#\n  #####\n"
 
@@ -31,19 +31,25 @@ def test_a_config_with_variation_comes_back_from_its_yaml(variation):
     config = resolve("qlearn", settings={"task.variation": variation})
     again = config_from(yaml.safe_load(yaml.safe_dump(config.to_dict())))
     assert again == config
-    assert again.task.imperfections == find_variation(variation)
+    assert again.task.resolved_variation == find_variation(variation)
 
 
-@pytest.mark.parametrize("movers", [{"people": 4}, [{"boxes": 1, "path": [[0, 0], [1, 0]], "speed": 0.5}]], ids=str)
-def test_a_config_with_movers_comes_back_from_its_yaml(movers):
-    config = resolve("qlearn", settings={"task.movers": movers})
+@pytest.mark.parametrize(
+    "dynamic_obstacles", [{"people": 4}, [{"boxes": 1, "path": [[0, 0], [1, 0]], "speed": 0.5}]], ids=str
+)
+def test_a_config_with_movers_comes_back_from_its_yaml(dynamic_obstacles):
+    config = resolve("qlearn", settings={"task.dynamic_obstacles": dynamic_obstacles})
     again = config_from(yaml.safe_load(yaml.safe_dump(config.to_dict())))
     assert again == config
-    assert again.scene.setup.movers == find_movers(movers, "movers")
+    assert again.scene.spec.dynamic_obstacles == find_dynamic_obstacles(dynamic_obstacles, "dynamic_obstacles")
 
 
 def test_a_changed_config_comes_back_from_its_yaml():
-    changes = {"task.beam_indices": [0, 3, 6], "task.edges": [0.5, 2], "agent.policy_kwargs": {"initial_value": 1.5}}
+    changes = {
+        "task.beam_indices": [0, 3, 6],
+        "task.range_bins": [0.5, 2],
+        "agent.policy_kwargs": {"initial_value": 1.5},
+    }
     config = resolve("qlearn", settings={**changes, "train.episodes": 7, "agent.exploration_decay": 0.99})
     assert config_from(yaml.safe_load(yaml.safe_dump(config.to_dict()))) == config
 
@@ -75,13 +81,13 @@ def test_the_names_in_a_config_become_objects_once(monkeypatch):
 
 def test_a_changed_task_leaves_the_rest_and_is_checked(refused):
     config = resolve("qlearn", settings={"train.seed": 3})
-    changed = config.with_task({"world": "circuit", "noise": 0.01})
-    assert (changed.task.world, changed.task.noise, changed.scene.world.name) == ("circuit", 0.01, "circuit")
+    changed = config.with_task({"world": "circuit", "laser_noise": 0.01})
+    assert (changed.task.world, changed.task.laser_noise, changed.scene.world.name) == ("circuit", 0.01, "circuit")
     assert changed.train == config.train
     assert config.task.world == "loop"
     assert config.with_task({}) is config
-    assert "did you mean 'noise'" in refused(config.with_task, {"nose": 1})
-    assert "task.noise" in refused(config.with_task, {"noise": -1})
+    assert "did you mean 'laser_noise'" in refused(config.with_task, {"nose": 1})
+    assert "task.laser_noise" in refused(config.with_task, {"laser_noise": -1})
 
 
 def test_the_file_of_a_world_is_found_from_another_folder(tmp_path, monkeypatch):

@@ -80,10 +80,10 @@ def test_a_policy_of_the_hub_is_that_of_its_files(hub, shared):
 
 def test_a_revision_is_pinned_and_the_newest_is_the_usual_one(hub, shared, with_config):
     first = hub.put("ada/maze", shared)
-    hub.put("ada/maze", with_config("task", "noise", 0.01))
-    assert config_of(load("hf:ada/maze")).task.noise == 0.01
-    assert config_of(load(f"hf:ada/maze@{first}")).task.noise == 0.0
-    assert config_of(load("hf:ada/maze@main")).task.noise == 0.01
+    hub.put("ada/maze", with_config("task", "laser_noise", 0.01))
+    assert config_of(load("hf:ada/maze")).task.laser_noise == 0.01
+    assert config_of(load(f"hf:ada/maze@{first}")).task.laser_noise == 0.0
+    assert config_of(load("hf:ada/maze@main")).task.laser_noise == 0.01
 
 
 def test_what_was_downloaded_is_there_without_a_connection(hub, shared, refused, monkeypatch):

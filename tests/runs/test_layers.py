@@ -20,7 +20,12 @@ CONFIGS = top_folder("configs")
 
 
 def test_later_layers_win(tmp_path, monkeypatch):
-    fields = ("turn_rate", "turn_speed", "noise", "forward_speed")  # each layer sets one field less than the one before
+    fields = (
+        "turn_rate",
+        "turn_speed",
+        "laser_noise",
+        "forward_speed",
+    )  # each layer sets one field less than the one before
     files = [tmp_path / name for name in ("tasks/maze.yaml", "agents/qlearn.yaml", "mine.yaml")]
     for layer, file in enumerate(files):
         file.parent.mkdir(exist_ok=True)
@@ -140,9 +145,9 @@ def test_a_value_that_does_not_fit_its_tag_is_refused_wherever_it_stands(value, 
 
 @pytest.mark.parametrize("value", ["1.0e-3", "1e-3", "0.001"])
 def test_a_number_is_a_number_however_it_is_written(value):
-    settings = parse_settings([f"agent.gamma={value}", f"task.noise={value}"])
+    settings = parse_settings([f"agent.gamma={value}", f"task.laser_noise={value}"])
     config = resolve("qlearn", settings=settings)
-    assert (config.agent_arguments["gamma"], config.task.noise) == (0.001, 0.001)
+    assert (config.agent_arguments["gamma"], config.task.laser_noise) == (0.001, 0.001)
 
 
 def test_the_defaults_of_the_training_are_the_signatures():
@@ -186,7 +191,7 @@ def test_an_unknown_name_is_refused(arguments, named, refused):
         ({"task.turn_rate": NAN}, ["task.turn_rate", "finite", "nan"]),
         ({"task.turn_rate": INF}, ["task.turn_rate", "finite", "inf"]),
         ({"task.start": "anywhere"}, ["task.start", "fixed", "random", "'anywhere'"]),
-        ({"task.edges": []}, ["task.edges"]),
+        ({"task.range_bins": []}, ["task.range_bins"]),
         ({"train.n_envs": 2.5}, ["train.n_envs", "integer", "2.5"]),
         ({"train.n_envs": 0}, ["train.n_envs", "greater than or equal to 1", "0"]),
         ({"train.reward_scale": -1}, ["train.reward_scale", "greater than 0", "-1"]),

@@ -24,7 +24,7 @@ from tb2rl.tasks import Outcome, Task, Velocities
 class Glide(Task):
     actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
 
-    def judge(self, before, action, after):
+    def outcome(self, before, action, after):
         return Outcome(after.twist[:, 0], failed={"bump": after.bumped})
 """
 SMALL = {"agent.policy_kwargs.net_arch": [8], "agent.buffer_size": 100, "task.observation": "raw"}

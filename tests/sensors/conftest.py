@@ -7,7 +7,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from tb2rl.simulation import SIMULATIONS, Start, simulate
+from tb2rl.simulation import SIMULATIONS, InitialState, simulate
 
 PERIOD = 0.2  # [s] of a command
 
@@ -17,10 +17,10 @@ def drive(request, make_setup):
     """A function from a world, a pose and commands to the first reading and those after each command."""
 
     def readings(world, pose, commands):
-        setup = make_setup(world, beams=3)
-        start = Start.proposed(setup, 1)
+        spec = make_setup(world, beams=3)
+        start = InitialState.default(spec, 1)
         start.pose[:] = pose
-        with closing(simulate(request.param, setup)) as simulation:
+        with closing(simulate(request.param, spec)) as simulation:
             first = simulation.reset(start, np.random.default_rng(0))
             return [first, *(simulation.step(np.array([command]), PERIOD) for command in commands)]
 

@@ -11,8 +11,10 @@ ONE_WALL = World.from_shapes("one wall", [(1.5, 0.0, 1.0, 20.0, 0.0)], start=(0.
 
 def test_it_fires_in_the_step_in_which_the_robot_meets_a_wall(drive):
     readings = drive(ONE_WALL, (0, 0, 0), [(0.5, 0.0)] * 10)
-    touched = np.concatenate([Bumper().read(reading) for reading in readings])
-    gaps = np.array([1.0 - 0.178 - reading.pose[0, 0] for reading in readings])  # to the wall's near side at 1 m
+    touched = np.concatenate([Bumper().read(robot_state) for robot_state in readings])
+    gaps = np.array(
+        [1.0 - 0.178 - robot_state.pose[0, 0] for robot_state in readings]
+    )  # to the wall's near side at 1 m
     first = int(touched[:, 0].argmax())
     assert touched[first:, 0].all()
     assert gaps[first - 1] > 0.005

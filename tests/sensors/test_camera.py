@@ -16,42 +16,42 @@ class Painted:
     def __init__(self, colours, depth):
         self.colours, self.depth, self.asked = np.asarray(colours), np.asarray(depth, np.float32), 0
 
-    def look(self, reading, width, height):
+    def look(self, robot_state, width, height):
         self.asked += 1
         assert self.depth.shape[1:] == (height, width)
         return self.colours, self.depth
 
 
 @pytest.fixture
-def eye():
+def camera():
     """Two robots' images of 2 rows and 5 columns."""
     colours = np.arange(60, dtype=np.uint8).reshape(2, 2, 5, 3)
     depth = [[[0.0, 2.0, 4.0, 8.0, np.inf]] * 2, [[1.0] * 5] * 2]
     return Painted(colours, depth)
 
 
-def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_is(eye, make_reading):
-    images = Camera(ROBOT.camera, width=5, height=2).read(make_reading(pose=[(0, 0, 0)] * 2, eye=eye))
+def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_is(camera, make_reading):
+    images = Camera(ROBOT.camera, width=5, height=2).read(make_reading(pose=[(0, 0, 0)] * 2, camera=camera))
     assert (images.dtype, images.shape) == (np.uint8, (2, 1, 2, 5))
     assert images[0, 0].tolist() == [[0, 64, 128, 255, 255]] * 2
     assert (images[1] == round(255 / REACH)).all()
 
 
-def test_colours_come_first_and_depth_is_the_last_channel(eye, make_reading):
-    reading = make_reading(pose=[(0, 0, 0)] * 2, eye=eye)
-    colours = Camera(ROBOT.camera, colour=True, depth=False, width=5, height=2).read(reading)
-    both = Camera(ROBOT.camera, colour=True, width=5, height=2).read(reading)
-    np.testing.assert_array_equal(colours, eye.colours.transpose(0, 3, 1, 2))
+def test_colours_come_first_and_depth_is_the_last_channel(camera, make_reading):
+    robot_state = make_reading(pose=[(0, 0, 0)] * 2, camera=camera)
+    colours = Camera(ROBOT.camera, colour=True, depth=False, width=5, height=2).read(robot_state)
+    both = Camera(ROBOT.camera, colour=True, width=5, height=2).read(robot_state)
+    np.testing.assert_array_equal(colours, camera.colours.transpose(0, 3, 1, 2))
     np.testing.assert_array_equal(both[:, :3], colours)
     assert (both[1, 3] == round(255 / REACH)).all()
 
 
-def test_images_are_made_when_they_are_read_and_not_before(eye, make_reading):
-    reading = make_reading(pose=[(0, 0, 0)] * 2, eye=eye)
-    reading.state()
-    assert eye.asked == 0
-    Camera(ROBOT.camera, width=5, height=2).read(reading)
-    assert eye.asked == 1
+def test_images_are_made_when_they_are_read_and_not_before(camera, make_reading):
+    robot_state = make_reading(pose=[(0, 0, 0)] * 2, camera=camera)
+    robot_state.state()
+    assert camera.asked == 0
+    Camera(ROBOT.camera, width=5, height=2).read(robot_state)
+    assert camera.asked == 1
 
 
 def test_a_reading_that_comes_from_no_simulation_has_no_images(make_reading):

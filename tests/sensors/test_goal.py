@@ -30,9 +30,9 @@ def test_distance_and_bearing_are_those_from_where_the_odometry_is(pose, distanc
 
 
 def test_every_robot_reads_its_own_goal(make_reading):
-    reading = make_reading(pose=[(0, 0, 0), (0, 0, 0)], goal=[(3, 4), (0, -2)])
-    assert GoalDistance().read(reading).tolist() == [[5], [2]]
-    assert GoalBearing().read(reading)[:, 0] == pytest.approx([math.atan2(4, 3), -math.pi / 2])
+    robot_state = make_reading(pose=[(0, 0, 0), (0, 0, 0)], goal=[(3, 4), (0, -2)])
+    assert GoalDistance().read(robot_state).tolist() == [[5], [2]]
+    assert GoalBearing().read(robot_state)[:, 0] == pytest.approx([math.atan2(4, 3), -math.pi / 2])
 
 
 def test_a_bearing_stays_within_its_limits(make_reading):
@@ -45,5 +45,5 @@ def test_a_bearing_stays_within_its_limits(make_reading):
 def test_they_say_their_units_and_classes():
     distance, bearing = GoalDistance((1.0, 2.0)), GoalBearing((0.0,))
     assert (distance.unit, bearing.unit) == ("m", "rad")
-    assert (distance.edges, bearing.edges) == ((1.0, 2.0), (0.0,))
+    assert (distance.bins, bearing.bins) == ((1.0, 2.0), (0.0,))
     assert (distance.shape, bearing.shape) == ((1,), (1,))

@@ -9,7 +9,7 @@ from tb2rl.sensors.laser import LaserRanges
 def test_it_says_what_the_laser_can_say():
     sensor = LaserRanges(Laser(beams=12, indices=(0, 5, 11), min_range=0.2, max_range=8.0), (1.0, 2.0))
     assert (sensor.name, sensor.unit, sensor.shape) == ("laser", "m", (3,))
-    assert (sensor.low, sensor.high, sensor.edges) == (0.2, 8.0, (1.0, 2.0))
+    assert (sensor.low, sensor.high, sensor.bins) == (0.2, 8.0, (1.0, 2.0))
 
 
 def test_it_reads_the_ranges_of_every_robot(make_reading):

@@ -22,7 +22,7 @@ def wall_with_a_door(laser, width):
 
 def test_it_is_as_long_as_a_circle_can_drive_in_small_steps(make_reading):
     laser = Laser(beams=40, field_of_view=math.tau)
-    sensor = FreePaths(ROBOT, laser, count=9, spread=4.0, gap=0.05, edges=(0.5, 1.0))
+    sensor = FreePaths(ROBOT, laser, count=9, spread=4.0, gap=0.05, bins=(0.5, 1.0))
     ranges = np.random.default_rng(0).uniform(0.23, 6.0, (50, 40))
     points = ranges[..., None] * np.stack([np.cos(laser.angles), np.sin(laser.angles)], axis=-1)
     free = sensor.read(make_reading(ranges=ranges))
@@ -30,7 +30,7 @@ def test_it_is_as_long_as_a_circle_can_drive_in_small_steps(make_reading):
     ways = np.arange(0.0, sensor.high, 0.002)
     for direction, heading in enumerate(np.linspace(-2.0, 2.0, 9)):
         centres = ways[:, None] * (math.cos(heading), math.sin(heading))
-        away = np.linalg.norm(points[:, None] - centres[:, None], axis=-1).min(axis=-1)  # (robots, ways)
+        away = np.linalg.norm(points[:, None] - centres[:, None], axis=-1).min(axis=-1)  # (num_envs, ways)
         touched = away < ROBOT.radius + 0.05
         driven = np.where(touched.any(axis=1), ways[touched.argmax(axis=1)], sensor.high)
         np.testing.assert_allclose(free[:, direction], driven, atol=0.0025)
@@ -39,7 +39,7 @@ def test_it_is_as_long_as_a_circle_can_drive_in_small_steps(make_reading):
 
 def test_a_door_is_free_if_the_robot_fits(make_reading):
     laser = Laser(beams=721)
-    sensor = FreePaths(ROBOT, laser, count=3, gap=0.0, edges=(2.0,))
+    sensor = FreePaths(ROBOT, laser, count=3, gap=0.0, bins=(2.0,))
     narrow, wide = (
         sensor.read(make_reading(ranges=wall_with_a_door(laser, 2 * ROBOT.radius + more)))[0] for more in (-0.04, 0.04)
     )
@@ -50,7 +50,7 @@ def test_a_door_is_free_if_the_robot_fits(make_reading):
 
 def test_what_is_near_stops_it_and_what_is_behind_does_not(make_reading):
     laser = Laser(beams=4, field_of_view=math.tau)  # back, right, ahead, left
-    sensor = FreePaths(ROBOT, laser, count=3, spread=1.0, edges=(1.0,))
+    sensor = FreePaths(ROBOT, laser, count=3, spread=1.0, bins=(1.0,))
     ranges = np.array([[np.inf] * 4, [0.1, np.inf, np.inf, np.inf], [np.inf, np.inf, 0.1, np.inf]])
     assert sensor.read(make_reading(ranges=ranges)).tolist() == [[2.0] * 3, [2.0] * 3, [0.0] * 3]
 

@@ -11,40 +11,42 @@ import pytest
 
 from tb2rl.registry import find_robot, robot_names
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.worlds.description import world_from
 
 OPEN = {"boxes": [{"centre": [19, 19], "size": [1, 1]}], "bounds": [-20, -20, 20, 20]}
 
 
-def _rows(reading: Reading) -> Iterator[np.ndarray]:
-    """Everything in a reading, each an array (robots, n)."""
-    values = reading.state()
-    del values["start"], values["bumped"]
+def _rows(robot_state: RobotState) -> Iterator[np.ndarray]:
+    """Everything in a reading, each an array (num_envs, n)."""
+    values = robot_state.state()
+    del values["initial_state"], values["bumped"]
     yield from (value.reshape(len(value), -1) for value in values.values())
-    yield reading.bumped[:, None]
+    yield robot_state.bumped[:, None]
 
 
 class Track:
     """One robot in PyBullet, to be placed and driven."""
 
     def __init__(self, simulation: BulletSimulation) -> None:
-        self.simulation, self.world, self.robot = simulation, simulation.setup.worlds[0], simulation.setup.robot
+        self.simulation, self.world, self.robot = simulation, simulation.spec.worlds[0], simulation.spec.robot
 
-    def place(self, x=0.0, y=0.0, yaw=0.0, seed=0) -> Reading:
+    def place(self, x=0.0, y=0.0, yaw=0.0, seed=0) -> RobotState:
         """The first reading of an episode that begins here."""
-        start = Start.proposed(self.simulation.setup, 1)
+        start = InitialState.default(self.simulation.spec, 1)
         start.pose[:] = x, y, yaw
         return self.simulation.reset(start, np.random.default_rng(seed))
 
-    def drive(self, commands, duration=0.2) -> list[Reading]:
+    def drive(self, commands, duration=0.2) -> list[RobotState]:
         """The readings of a robot that is told each of `commands` (steps, 2) for `duration` [s]."""
         return [self.simulation.step(np.array([command]), duration) for command in commands]
 
     def gaps(self, readings) -> np.ndarray:
         """Distances between the base and the nearest wall [m], all around, shape (readings,)."""
-        return np.array([self.world.clearance(*reading.pose[0, :2]) for reading in readings]) - self.robot.radius
+        return (
+            np.array([self.world.clearance(*robot_state.pose[0, :2]) for robot_state in readings]) - self.robot.radius
+        )
 
     @staticmethod
     def gap(pose, other) -> tuple[float, float]:
@@ -68,7 +70,7 @@ def robot(request):
 def make_bullet():
     """A function from a setup to its simulation in PyBullet, which is closed after the test."""
     with ExitStack() as stack:
-        yield lambda setup: stack.enter_context(closing(BulletSimulation(setup)))
+        yield lambda spec: stack.enter_context(closing(BulletSimulation(spec)))
 
 
 @pytest.fixture
@@ -84,10 +86,10 @@ def make_track(make_setup, make_bullet):
 
 @pytest.fixture
 def start_at():
-    """A function from a setup and poses (robots, 3) to the start of episodes there."""
+    """A function from a setup and poses (num_envs, 3) to the start of episodes there."""
 
-    def start(setup: Setup, poses, world=0) -> Start:
-        start = Start.proposed(setup, len(poses), world)
+    def start(spec: SimulationSpec, poses, world=0) -> InitialState:
+        start = InitialState.default(spec, len(poses), world)
         start.pose[:] = poses
         return start
 

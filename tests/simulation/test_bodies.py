@@ -11,7 +11,7 @@ import pytest
 from tb2rl.core.errors import InputError
 from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.bodies import connect
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.physics import pybullet
@@ -22,7 +22,7 @@ BEAM = 1e-3  # [m] half the thickness of a beam: what a ray of single precision 
 
 
 def ranges_ahead(poses, world):
-    """The exact range [m] straight ahead from each of `poses` (robots, 3), shape (robots,)."""
+    """The exact range [m] straight ahead from each of `poses` (num_envs, 3), shape (num_envs,)."""
     ranges = np.empty((len(poses), 1))
     cast(poses, np.ones(1), np.zeros(1), world.boxes, world.posts, ranges)
     return ranges[:, 0]
@@ -41,20 +41,20 @@ def assert_rays_fit(simulation, world, poses, angles):
 
 @pytest.mark.parametrize("name", world_names())
 def test_pybullets_rays_and_the_exact_laser_see_the_same_walls(name, make_setup, make_bullet):
-    setup, rng = make_setup(name), np.random.default_rng(0)
-    (world,) = setup.worlds
+    spec, rng = make_setup(name), np.random.default_rng(0)
+    (world,) = spec.worlds
     poses, angles = world.random_poses(rng, 200, 0.05), rng.uniform(-math.pi, math.pi, 50)
-    assert_rays_fit(make_bullet(setup), world, poses, angles)
+    assert_rays_fit(make_bullet(spec), world, poses, angles)
 
 
 def test_an_episode_in_another_world_has_its_walls_and_no_others(make_setup, make_bullet):
-    setup, rng = make_setup("loop", "maze", "round"), np.random.default_rng(0)
-    simulation = make_bullet(setup)
+    spec, rng = make_setup("loop", "maze", "round"), np.random.default_rng(0)
+    simulation = make_bullet(spec)
     for number in (0, 1, 2, 1, 0):
-        world, start = setup.worlds[number], Start.proposed(setup, 1, world=number)
-        reading = simulation.reset(start, rng)
+        world, start = spec.worlds[number], InitialState.default(spec, 1, world=number)
+        robot_state = simulation.reset(start, rng)
         assert simulation.world is world
-        assert reading.pose[0] == pytest.approx(world.start)
+        assert robot_state.pose[0] == pytest.approx(world.start)
         assert_rays_fit(simulation, world, world.random_poses(rng, 20, 0.05), np.linspace(-3, 3, 20))
 
 
@@ -72,23 +72,23 @@ def field(boxes, posts):
 
 @pytest.mark.parametrize("world", [field(16, 0), field(9, 8), field(60, 60)], ids=lambda world: world.name)
 def test_no_obstacle_of_many_is_missing_and_all_go_when_the_world_does(world, make_setup, make_bullet):
-    setup, rng = make_setup("loop", world, beams=90, max_range=12.0), np.random.default_rng(0)
-    simulation = make_bullet(setup)
+    spec, rng = make_setup("loop", world, beams=90, max_range=12.0), np.random.default_rng(0)
+    simulation = make_bullet(spec)
     bodies = pybullet.getNumBodies(simulation._client)
     for number in (1, 0, 1):
-        reading = simulation.reset(Start.proposed(setup, 1, world=number), rng)
-        poses = setup.worlds[number].random_poses(rng, 60, 0.05)
-        assert_rays_fit(simulation, setup.worlds[number], poses, np.linspace(-3, 3, 40))
-    twin = KinematicSimulation(setup).reset(Start.proposed(setup, 1, world=1), rng)
-    np.testing.assert_allclose(reading.ranges, twin.ranges)
-    simulation.reset(Start.proposed(setup, 1), rng)
+        robot_state = simulation.reset(InitialState.default(spec, 1, world=number), rng)
+        poses = spec.worlds[number].random_poses(rng, 60, 0.05)
+        assert_rays_fit(simulation, spec.worlds[number], poses, np.linspace(-3, 3, 40))
+    twin = KinematicSimulation(spec).reset(InitialState.default(spec, 1, world=1), rng)
+    np.testing.assert_allclose(robot_state.ranges, twin.ranges)
+    simulation.reset(InitialState.default(spec, 1), rng)
     assert pybullet.getNumBodies(simulation._client) == bodies
 
 
 def test_the_robot_bumps_into_each_of_many_obstacles_and_not_into_the_floor(make_setup, make_bullet):
     world = field(10, 10)
-    setup, rng = make_setup(world, beams=1), np.random.default_rng(0)
-    simulation, start = make_bullet(setup), Start.proposed(setup, 1)
+    spec, rng = make_setup(world, beams=1), np.random.default_rng(0)
+    simulation, start = make_bullet(spec), InitialState.default(spec, 1)
     for x, y, *_ in [*world.boxes, *world.posts]:
         start.pose[:] = x - 0.5, y, 0.0
         simulation.reset(start, rng)
@@ -99,11 +99,11 @@ def test_the_robot_bumps_into_each_of_many_obstacles_and_not_into_the_floor(make
 
 def test_every_obstacle_of_many_is_drawn(make_setup, make_bullet, start_at):
     world = field(20, 20)
-    setup, rng = make_setup(world, beams=1), np.random.default_rng(0)
+    spec, rng = make_setup(world, beams=1), np.random.default_rng(0)
     poses = world.random_poses(rng, 30, 0.2)
-    simulation, twin = make_bullet(setup), KinematicSimulation(setup, len(poses))
-    expected = twin.reset(start_at(setup, poses), rng).look(64, 64)[1]
-    seen = [simulation.reset(start_at(setup, [pose]), rng).look(64, 64) for pose in poses]
+    simulation, twin = make_bullet(spec), KinematicSimulation(spec, len(poses))
+    expected = twin.reset(start_at(spec, poses), rng).look(64, 64)[1]
+    seen = [simulation.reset(start_at(spec, [pose]), rng).look(64, 64) for pose in poses]
     drawn = np.concatenate([depth for _, depth in seen])
     with np.errstate(invalid="ignore"):
         assert ((np.abs(drawn - expected) < 0.02) | (np.isinf(drawn) & np.isinf(expected))).mean() > 0.95
@@ -112,10 +112,10 @@ def test_every_obstacle_of_many_is_drawn(make_setup, make_bullet, start_at):
 
 
 def test_the_robot_bumps_into_the_walls_of_the_world_it_is_in(make_setup, make_bullet):
-    setup, rng = make_setup("wall", "circuit"), np.random.default_rng(0)
-    simulation = make_bullet(setup)
+    spec, rng = make_setup("wall", "circuit"), np.random.default_rng(0)
+    simulation = make_bullet(spec)
     for number in (0, 1):
-        start = Start.proposed(setup, 1, world=number)
+        start = InitialState.default(spec, 1, world=number)
         start.pose[:] = 0.75, 0.75, math.pi  # the circuit's first bend; open floor in the other
         simulation.reset(start, rng)
         assert simulation.step(np.array([[0.5, 0.0]]), 2.0).bumped[0] == bool(number)

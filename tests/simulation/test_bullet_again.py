@@ -7,7 +7,7 @@ import pytest
 
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.robots.turtlebot2 import LASER_NOISE, ROBOT
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 
 WALL = {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]}
 
@@ -57,20 +57,20 @@ def test_it_continues_from_a_restored_state_to_the_bit(steps, noise, make_track)
 
 
 def test_a_restored_state_brings_its_world_its_goal_and_its_robot_back(make_setup, make_bullet):
-    setup = make_setup("loop", "maze", beams=9)
-    simulation, rng = make_bullet(setup), np.random.default_rng(0)
-    start = Start.proposed(setup, 1, world=1)
+    spec = make_setup("loop", "maze", beams=9)
+    simulation, rng = make_bullet(spec), np.random.default_rng(0)
+    start = InitialState.default(spec, 1, world=1)
     start.goal[:], start.parameters[:, MAX_SPEED] = (3.0, 4.0), 0.2
     simulation.reset(start, rng)
     simulation.step(np.array([[0.5, 0.5]]), 1.0)
     state = simulation.state()
     expected = simulation.step(np.array([[0.5, 0.5]]), 1.0)
-    simulation.reset(Start.proposed(setup, 1, world=0), rng)
+    simulation.reset(InitialState.default(spec, 1, world=0), rng)
     simulation.step(np.array([[0.5, 0.5]]), 1.0)
     simulation.restore(state)
     again = simulation.step(np.array([[0.5, 0.5]]), 1.0)
-    assert simulation.world is setup.worlds[1]
-    np.testing.assert_array_equal(again.start.table, expected.start.table)
+    assert simulation.world is spec.worlds[1]
+    np.testing.assert_array_equal(again.initial_state.table, expected.initial_state.table)
     np.testing.assert_array_equal(again.pose, expected.pose)
     np.testing.assert_array_equal(again.ranges, expected.ranges)
     assert again.twist[0, 0] == pytest.approx(0.2, rel=0.02)
@@ -79,25 +79,25 @@ def test_a_restored_state_brings_its_world_its_goal_and_its_robot_back(make_setu
 @pytest.mark.parametrize("way", ["start", "state", "copy"])
 def test_worlds_that_were_there_before_change_nothing(way, make_setup, make_bullet):
     """A quarter of these drives differed in their last digits, and then in their ends, once a wall was touched."""
-    setup, rng, touched = make_setup("loop", "maze", beams=9), np.random.default_rng(3), 0
-    old = make_bullet(setup)
+    spec, rng, touched = make_setup("loop", "maze", beams=9), np.random.default_rng(3), 0
+    old = make_bullet(spec)
     for number in range(12):
-        start = Start.proposed(setup, 1, world=number % 2)
-        start.pose[:] = setup.poses_from(number % 2, rng.random((1, 4)), 0.3)
+        start = InitialState.default(spec, 1, world=number % 2)
+        start.pose[:] = spec.poses_from(number % 2, rng.random((1, 4)), 0.3)
         told = rng.uniform((0.2, -0.5), (0.6, 0.5), (30, 1, 2))
-        old.reset(Start(start.table.copy()), np.random.default_rng(0))
+        old.reset(InitialState(start.table.copy()), np.random.default_rng(0))
         if way == "copy":
             old.step(told[0], 0.2)
             other = copy.deepcopy(old)
         else:
-            other = make_bullet(setup)
+            other = make_bullet(spec)
             other.reset(start, np.random.default_rng(0))
         if way == "state":
             old.step(told[0], 0.2)
             other.restore(old.state())
         for each in told:
-            expected, reading = old.step(each, 0.2), other.step(each, 0.2)
-            np.testing.assert_equal(reading.state(), expected.state())
-            touched += reading.bumped[0]
+            expected, robot_state = old.step(each, 0.2), other.step(each, 0.2)
+            np.testing.assert_equal(robot_state.state(), expected.state())
+            touched += robot_state.bumped[0]
         other.close()
     assert touched > 20

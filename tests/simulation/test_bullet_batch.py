@@ -17,12 +17,12 @@ from tb2rl.core.errors import InputError
 from tb2rl.registry import find_world
 from tb2rl.robots.robot import RADIUS
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.bullet import BulletSimulation
 from tb2rl.simulation.bullet_batch import BulletBatch
 
 WORLDS = tuple(map(find_world, ("loop", "maze")))
-SETUP = Setup(ROBOT, replace(ROBOT.laser, beams=9, noise=0.02), WORLDS)
+SETUP = SimulationSpec(ROBOT, replace(ROBOT.laser, beams=9, noise=0.02), WORLDS)
 PERIOD = 0.2  # [s]
 
 
@@ -35,67 +35,67 @@ def make():
         batch.close()
 
 
-def starts(robots, seed=0) -> Start:
+def starts(num_envs, seed=0) -> InitialState:
     """Each in one of the worlds, with a heading of its own."""
-    start = Start.proposed(SETUP, robots, np.arange(robots) % 2)
-    start.pose[:, 2] = np.random.default_rng(seed).uniform(-3, 3, robots)
+    start = InitialState.default(SETUP, num_envs, np.arange(num_envs) % 2)
+    start.pose[:, 2] = np.random.default_rng(seed).uniform(-3, 3, num_envs)
     return start
 
 
-def commands(steps, robots) -> np.ndarray:
-    return np.random.default_rng(1).uniform((-0.2, -2), (0.6, 2), (steps, robots, 2))
+def commands(steps, num_envs) -> np.ndarray:
+    return np.random.default_rng(1).uniform((-0.2, -2), (0.6, 2), (steps, num_envs, 2))
 
 
-def begun(batch, seed=0) -> Reading:
-    return batch.reset(starts(batch.robots, seed), np.random.default_rng(seed))
+def begun(batch, seed=0) -> RobotState:
+    return batch.reset(starts(batch.num_envs, seed), np.random.default_rng(seed))
 
 
-def assert_same(reading: Reading, other: Reading) -> None:
-    np.testing.assert_equal(reading.state(), other.state())
+def assert_same(robot_state: RobotState, other: RobotState) -> None:
+    np.testing.assert_equal(robot_state.state(), other.state())
 
 
 def drive(batch, steps=10) -> list[dict]:
     """The readings of a drive from a start, in which the robots 0 and 3 begin anew after every fourth step."""
     seen = [begun(batch).state()]
-    for step, told in enumerate(commands(steps, batch.robots)):
-        reading = batch.step(told, PERIOD)
-        seen.append({**reading.state(), "moved": batch.moved})
+    for step, told in enumerate(commands(steps, batch.num_envs)):
+        robot_state = batch.step(told, PERIOD)
+        seen.append({**robot_state.state(), "moved": batch.moved})
         if step % 4 == 3:
             again = np.array([0, 3])
-            fresh = Start.proposed(SETUP, 2, np.array([step // 4 % 2, 1]))
-            reading, first = batch.restart(again, fresh, reading)
-            seen += [reading.state(), first.state()]
+            fresh = InitialState.default(SETUP, 2, np.array([step // 4 % 2, 1]))
+            robot_state, first = batch.restart(again, fresh, robot_state)
+            seen += [robot_state.state(), first.state()]
     return seen
 
 
 class Singles:
     """Simulations of one robot each, as a reference."""
 
-    def __init__(self, robots):
-        self.worlds, self.robots = [BulletSimulation(SETUP) for _ in range(robots)], robots
+    def __init__(self, num_envs):
+        self.worlds, self.num_envs = [BulletSimulation(SETUP) for _ in range(num_envs)], num_envs
 
     def reset(self, start, rng):
-        self.noise = rng.spawn(self.robots)
-        return self._joined([self._begin(i, start.table[i]) for i in range(self.robots)])
+        self.noise = rng.spawn(self.num_envs)
+        return self._joined([self._begin(i, start.table[i]) for i in range(self.num_envs)])
 
     def step(self, commands, duration):
-        before = [reading.pose[0] for reading in self.latest]
-        reading = self._joined([w.step(c[None], duration) for w, c in zip(self.worlds, commands, strict=True)])
-        self.moved = np.hypot(*(reading.pose - before)[:, :2].T)
-        return reading
+        before = [robot_state.pose[0] for robot_state in self.latest]
+        robot_state = self._joined([w.step(c[None], duration) for w, c in zip(self.worlds, commands, strict=True)])
+        self.moved = np.hypot(*(robot_state.pose - before)[:, :2].T)
+        return robot_state
 
-    def restart(self, robots, start, reading):
-        for i, row in zip(robots, start.table, strict=True):
+    def restart(self, num_envs, start, robot_state):
+        for i, row in zip(num_envs, start.table, strict=True):
             self.latest[i] = self._begin(i, row)
-        return self._joined(self.latest), self._joined([self.latest[i] for i in robots], keep=False)
+        return self._joined(self.latest), self._joined([self.latest[i] for i in num_envs], keep=False)
 
     def _begin(self, i, row):
-        return self.worlds[i].reset(Start(row[None].copy()), self.noise[i])
+        return self.worlds[i].reset(InitialState(row[None].copy()), self.noise[i])
 
     def _joined(self, readings, keep=True):
         self.latest = readings if keep else self.latest
-        states = [reading.state() for reading in readings]
-        return Reading.from_state({name: np.concatenate([state[name] for state in states]) for name in states[0]})
+        states = [robot_state.state() for robot_state in readings]
+        return RobotState.from_state({name: np.concatenate([state[name] for state in states]) for name in states[0]})
 
 
 @pytest.mark.parametrize("processes", [1, 2, 9])
@@ -121,16 +121,16 @@ def test_the_cameras_see_where_each_robot_is(make):
     batch = make(SETUP, 4, 2)
     begun(batch)
     told = commands(1, 4)[0]
-    reading = batch.step(told, PERIOD)
-    _, first = batch.restart(np.array([1, 2]), starts(2, seed=5), reading)
-    colours, depth = reading.look(24, 18)
+    robot_state = batch.step(told, PERIOD)
+    _, first = batch.restart(np.array([1, 2]), starts(2, seed=5), robot_state)
+    colours, depth = robot_state.look(24, 18)
     assert (colours.shape, colours.dtype, depth.shape) == ((4, 18, 24, 3), np.uint8, (4, 18, 24))
-    for some, robots in ((first, [1, 2]), (reading, [0, 1, 2, 3])):
+    for some, robots in ((first, [1, 2]), (robot_state, [0, 1, 2, 3])):
         for image, robot in zip(some.look(24, 18)[0], robots, strict=True):
             np.testing.assert_array_equal(image, colours[robot])
     assert len({image.tobytes() for image in colours}) == 4
     alone = BulletSimulation(SETUP)
-    alone.reset(Start(starts(4).table[3:]), np.random.default_rng(0))
+    alone.reset(InitialState(starts(4).table[3:]), np.random.default_rng(0))
     np.testing.assert_array_equal(alone.step(told[3:], PERIOD).look(24, 18)[0][0], colours[3])
     alone.close()
 
@@ -162,7 +162,7 @@ def test_the_next_way_is_counted_from_the_last_reading_though_physics_rounds_wha
 def test_a_state_in_a_world_that_is_not_there_is_refused(make):
     batch = make(SETUP, 2, 2)
     state = batch.state()
-    state["worlds"][1]["start"][0, 3] = 7
+    state["worlds"][1]["initial_state"][0, 3] = 7
     with pytest.raises(ValueError, match="a world that is not there"):
         batch.restore(state)
 

@@ -87,7 +87,7 @@ def test_laser_noise_is_gaussian_independent_and_of_its_deviation(make_track):
     noisy = make_track(WALL, beams=720, noise=LASER_NOISE)
     readings = [noisy.place(-1.0, seed=1), *noisy.drive([(0.0, 0.0)] * 49)]
     exact = make_track(WALL, beams=720).place(-1.0).ranges
-    ranges = np.concatenate([reading.ranges for reading in readings])
+    ranges = np.concatenate([robot_state.ranges for robot_state in readings])
     assert (np.isinf(ranges) == np.isinf(exact)).all()
     errors = ranges[:, np.isfinite(exact[0])] - exact[:, np.isfinite(exact[0])]
     assert errors.size > 20_000
@@ -103,7 +103,7 @@ def test_readings_stay_within_what_the_laser_can_measure(make_track):
     ranges = [track.place(-1.1, seed=seed).ranges[0, 1] for seed in range(300)]
     assert track.place(-4.5).ranges[0, 1] == math.inf
     assert min(ranges) == 0.5
-    assert all(reading <= 2.0 or reading == math.inf for reading in ranges)
+    assert all(robot_state <= 2.0 or robot_state == math.inf for robot_state in ranges)
 
 
 # ---- camera

@@ -8,9 +8,9 @@ import shapely
 
 from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.bullet import BulletSimulation
-from tb2rl.simulation.setup import WHEEL
+from tb2rl.simulation.spec import WHEEL
 
 TARGETS = {
     "a wall": {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]},
@@ -37,22 +37,22 @@ def heading_for_a_wall(world, rng):
 def test_300_commands_into_walls_neither_tip_it_nor_get_it_through_nor_move_a_wall(
     name, robot, make_setup, make_bullet
 ):
-    setup, rng = make_setup(name, robot=robot, beams=1), np.random.default_rng(0)
-    (world,) = setup.worlds
+    spec, rng = make_setup(name, robot=robot, beams=1), np.random.default_rng(0)
+    (world,) = spec.worlds
     limits = np.array([robot.max_speed, robot.max_turn_rate])
     probe, angles = world.random_poses(rng, 1, 0.0)[0], np.linspace(-3, 3, 50)
-    simulation = make_bullet(setup)
+    simulation = make_bullet(spec)
     walls, bumps = simulation.ray_ranges(probe, angles), 0
     for _ in range(10):
-        start = Start.proposed(setup, 1)
+        start = InitialState.default(spec, 1)
         start.pose[:] = heading_for_a_wall(world, rng)
         poses = [simulation.reset(start, rng).pose[0]]
         height = simulation.state()["position"][2]
         for step in range(30):
             command = limits * (rng.uniform(-1, 1, 2) if step % 2 else (rng.choice([1, 1, 1, -1]), 0))
-            reading = simulation.step(command[None], 0.195 / robot.max_speed)
-            poses.append(reading.pose[0])
-            bumps += reading.bumped[0]
+            robot_state = simulation.step(command[None], 0.195 / robot.max_speed)
+            poses.append(robot_state.pose[0])
+            bumps += robot_state.bumped[0]
             assert world.clearance(*poses[-1][:2]) - robot.radius >= -5e-3
             assert math.degrees(tilt(simulation)) < 3
             assert simulation.state()["position"][2] == pytest.approx(height, abs=5e-3)
@@ -69,7 +69,7 @@ def test_the_bumper_fires_when_the_laser_reads_contact_and_not_before(target, de
     for speed in (0.15 * robot.max_speed, 0.77 * robot.max_speed, robot.max_speed):
         track.place(-math.cos(angle), -math.sin(angle), angle)
         readings = track.drive([(speed, 0.0)] * int(1.5 / speed / 0.02), 0.02)
-        bumped = np.array([reading.bumped[0] for reading in readings])
+        bumped = np.array([robot_state.bumped[0] for robot_state in readings])
         assert bumped.any()
         assert abs(readings[bumped.argmax()].ranges.min() - robot.radius) < 0.01
         assert (track.gaps(readings)[bumped] < 0.01).all()
@@ -88,7 +88,7 @@ def test_the_bumper_feels_what_is_behind(robot, make_track):
     track = make_track(TARGETS["a wall"], robot)
     track.place(-0.5, 0.0, math.pi)
     readings = track.drive([(-0.5, 0.0)] * 120, 0.02)
-    bumped = np.array([reading.bumped[0] for reading in readings])
+    bumped = np.array([robot_state.bumped[0] for robot_state in readings])
     assert bumped.any()
     assert (track.gaps(readings)[bumped] < 0.01).all()
 
@@ -96,19 +96,19 @@ def test_the_bumper_feels_what_is_behind(robot, make_track):
 def test_the_bumper_remembers_a_touch_within_a_long_step(make_track):
     track = make_track(TARGETS["a thin post"])
     track.place(-0.3, 0.03 + ROBOT.radius - 0.01)
-    (reading,) = track.drive([(0.5, 0.0)], 1.5)
-    assert reading.bumped[0]
-    assert track.gaps([reading]) > 0.1  # and has long passed
+    (robot_state,) = track.drive([(0.5, 0.0)], 1.5)
+    assert robot_state.bumped[0]
+    assert track.gaps([robot_state]) > 0.1  # and has long passed
 
 
 def test_a_touch_is_felt_when_larger_wheels_drive_faster_than_the_top_speed(make_track):
     track = make_track(TARGETS["a thin post"])
-    start = Start.proposed(track.simulation.setup, 1)
+    start = InitialState.default(track.simulation.spec, 1)
     start.pose[:], start.table[:, WHEEL] = (-0.9, 0.03 + ROBOT.radius - 0.01, 0.0), 2.0
     track.simulation.reset(start, np.random.default_rng(0))
-    (reading,) = track.drive([(ROBOT.max_speed, 0.0)], 1.5)
-    assert reading.bumped[0]
-    assert track.gaps([reading]) > 0.1
+    (robot_state,) = track.drive([(ROBOT.max_speed, 0.0)], 1.5)
+    assert robot_state.bumped[0]
+    assert track.gaps([robot_state]) > 0.1
 
 
 def test_contacts_are_asked_for_only_where_a_touch_is_possible(make_track, monkeypatch):

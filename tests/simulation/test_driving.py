@@ -9,7 +9,7 @@ import pytest
 from tb2rl.core.errors import InputError
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION, WHEEL_SEPARATION
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 
 REACH = ROBOT.wheel_separation / 2  # [m]
 
@@ -61,7 +61,7 @@ def test_commands_beyond_the_limits_are_cut(make_track):
 def test_it_starts_from_rest_and_gains_speed_as_a_robot_would(make_track):
     track = make_track()
     assert (track.place().twist == 0).all()
-    speeds = np.array([reading.twist[0, 0] for reading in track.drive([(0.5, 0.0)] * 50, 0.01)])
+    speeds = np.array([robot_state.twist[0, 0] for robot_state in track.drive([(0.5, 0.0)] * 50, 0.01)])
     assert speeds[1] < 0.25
     assert speeds[-1] >= 0.95 * 0.5
     assert np.diff(speeds, prepend=0).max() / 0.01 < 10  # [m/s^2]
@@ -80,7 +80,7 @@ def test_it_stands_still_when_told_to(robot, make_track):
 
 def varied(track, column, factor):
     """The reading after one step ahead of a robot with one of its parameters times `factor`, and after 2 s more."""
-    start = Start.proposed(track.simulation.setup, 1)
+    start = InitialState.default(track.simulation.spec, 1)
     start.parameters[:, column] *= factor
     track.simulation.reset(start, np.random.default_rng(0))
     return track.drive([(5.0, 0.0)], 0.1)[0], track.drive([(5.0, 0.0)], 2.0)[0]
@@ -94,7 +94,7 @@ def test_an_episode_may_have_another_top_speed_and_the_next_one_the_robots_own(m
 
 def test_an_episode_may_have_another_largest_turn_rate(make_track):
     track = make_track()
-    start = Start.proposed(track.simulation.setup, 1)
+    start = InitialState.default(track.simulation.spec, 1)
     start.parameters[:, MAX_TURN_RATE] = 1.0
     track.simulation.reset(start, np.random.default_rng(0))
     assert track.drive([(0.0, 9.0)], 2.0)[0].twist[0, 1] == pytest.approx(1.0, rel=0.01)
@@ -109,7 +109,7 @@ def test_an_episode_may_have_weaker_motors(make_track):
 @pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_an_episode_may_have_another_wheel_separation_of_which_the_robot_knows(factor, make_track):
     track = make_track()
-    start = Start.proposed(track.simulation.setup, 1)
+    start = InitialState.default(track.simulation.spec, 1)
     start.parameters[:, WHEEL_SEPARATION] *= factor
     track.simulation.reset(start, np.random.default_rng(0))
     after = track.drive([(0.2, 1.0)], 2.0)[0]
@@ -123,7 +123,7 @@ def test_a_radius_other_than_the_urdfs_is_refused(make_track):
 
 
 def test_a_robot_of_other_limits_keeps_them(make_setup, make_bullet):
-    setup = make_setup(robot=replace(ROBOT, max_speed=0.2))
-    simulation = make_bullet(setup)
-    simulation.reset(Start.proposed(setup, 1), np.random.default_rng(0))
+    spec = make_setup(robot=replace(ROBOT, max_speed=0.2))
+    simulation = make_bullet(spec)
+    simulation.reset(InitialState.default(spec, 1), np.random.default_rng(0))
     assert simulation.step(np.array([[1.0, 0.0]]), 2.0).twist[0, 0] == pytest.approx(0.2, rel=0.01)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tb2rl.registry import find_world
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.worlds import World
 
@@ -34,9 +34,9 @@ def seconds_of(works, times=20):
 
 def step_in(worlds, make_setup):
     """A step of robots at the starts of some worlds, which turn on the spot."""
-    setup, rng = make_setup(*worlds, beams=36), np.random.default_rng(0)
-    simulation = KinematicSimulation(setup, ROBOTS)
-    start = Start.proposed(setup, ROBOTS, rng.integers(len(worlds), size=ROBOTS))
+    spec, rng = make_setup(*worlds, beams=36), np.random.default_rng(0)
+    simulation = KinematicSimulation(spec, ROBOTS)
+    start = InitialState.default(spec, ROBOTS, rng.integers(len(worlds), size=ROBOTS))
     start.pose[:, 2] = rng.uniform(-3, 3, ROBOTS)
     simulation.reset(start, rng)
     turns = np.column_stack([np.zeros(ROBOTS), rng.uniform(-1, 1, ROBOTS)])
@@ -59,7 +59,7 @@ def test_a_step_of_pybullet_among_250_posts_costs_at_most_half_more_than_in_loop
     steps = []
     for world in (find_world("loop"), posts_between(250, 0)):
         simulation = make_bullet(make_setup(world, beams=36))
-        simulation.reset(Start.proposed(simulation.setup, 1), np.random.default_rng(0))
+        simulation.reset(InitialState.default(simulation.spec, 1), np.random.default_rng(0))
         simulation.step(np.array([[0.0, 0.5]]), 0.2)
         steps.append(simulation.advance)
     loop, posts = seconds_of(steps, times=60)

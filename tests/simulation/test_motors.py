@@ -8,7 +8,7 @@ import pytest
 from tb2rl.registry import find_robot, robot_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation.motors import measure_motors
-from tb2rl.simulation.setup import PHYSICS_RATE
+from tb2rl.simulation.spec import PHYSICS_RATE
 
 FASTEST, COUPLED = ROBOT.wheel_acceleration, ROBOT.wheel_coupling  # [m/s^2]
 
@@ -32,9 +32,9 @@ def test_every_robots_numbers_are_what_its_motors_do(name):
 def test_the_rims_speed_up_in_pybullet_as_the_numbers_say(told, expected, make_track):
     track = make_track()
     track.place()
-    v, w = np.concatenate([reading.twist for reading in track.drive([told] * 6, 1 / PHYSICS_RATE)]).T
-    rims = np.stack([v - w * ROBOT.wheel_separation / 2, v + w * ROBOT.wheel_separation / 2], axis=1)
-    np.testing.assert_allclose((rims[5] - rims[0]) / 5 * PHYSICS_RATE, expected, atol=0.03)
+    v, w = np.concatenate([robot_state.twist for robot_state in track.drive([told] * 6, 1 / PHYSICS_RATE)]).T
+    wheel_speeds = np.stack([v - w * ROBOT.wheel_separation / 2, v + w * ROBOT.wheel_separation / 2], axis=1)
+    np.testing.assert_allclose((wheel_speeds[5] - wheel_speeds[0]) / 5 * PHYSICS_RATE, expected, atol=0.03)
 
 
 def test_the_numbers_are_measured_and_not_believed():

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import tb2rl
 
 def drive(seed):
-    env = tb2rl.make_env("maze", noise=0.01)
+    env = tb2rl.make_env("maze", laser_noise=0.01)
     env.reset(seed=seed)
     actions = np.random.default_rng(seed).integers(3, size=10)
     poses = [env.step(action)[4]["pose"] for action in actions]

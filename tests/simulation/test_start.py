@@ -5,14 +5,14 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import SIMULATIONS, Reading, Start, simulate
+from tb2rl.simulation import SIMULATIONS, InitialState, RobotState, simulate
 
 
 def test_a_start_is_what_the_world_proposes(make_setup):
-    setup = make_setup("loop", "maze", "wall")
-    start = Start.proposed(setup, 4, np.array([2, 0, 1, 2]))
+    spec = make_setup("loop", "maze", "wall")
+    start = InitialState.default(spec, 4, np.array([2, 0, 1, 2]))
     for robot, number in enumerate([2, 0, 1, 2]):
-        world = setup.worlds[number]
+        world = spec.worlds[number]
         assert start.pose[robot].tolist() == list(world.start)
         assert start.world[robot] == number
         assert start.bounds[robot].tolist() == list(world.bounds)
@@ -22,34 +22,34 @@ def test_a_start_is_what_the_world_proposes(make_setup):
 
 
 def test_all_robots_begin_in_the_first_world_unless_it_is_said(make_setup):
-    setup = make_setup("loop", "maze")
-    assert Start.proposed(setup, 3).world.tolist() == [0, 0, 0]
-    assert Start.proposed(setup, 2, 1).pose.tolist() == [list(setup.worlds[1].start)] * 2
+    spec = make_setup("loop", "maze")
+    assert InitialState.default(spec, 3).world.tolist() == [0, 0, 0]
+    assert InitialState.default(spec, 2, 1).pose.tolist() == [list(spec.worlds[1].start)] * 2
 
 
 def test_a_start_that_is_changed_leaves_the_next_one_as_it_was(make_setup):
-    setup = make_setup("wall")
-    start = Start.proposed(setup, 2)
+    spec = make_setup("wall")
+    start = InitialState.default(spec, 2)
     before = start.table.copy()
     start.pose[:], start.goal[:], start.bounds[:], start.parameters[:] = 1.0, 2.0, 3.0, 4.0
     assert (start.table != before).sum(axis=1).min() >= 14
-    np.testing.assert_array_equal(Start.proposed(setup, 2).table, before)
+    np.testing.assert_array_equal(InitialState.default(spec, 2).table, before)
 
 
 @pytest.mark.parametrize("name", SIMULATIONS)
 def test_every_simulation_begins_where_it_is_told_at_rest_and_says_so(name, make_setup, start_at):
-    setup = make_setup("loop", "maze", beams=3)
-    simulation = simulate(name, setup)
-    start = start_at(setup, [(9.0, 1.0, 1.5)], world=1)
+    spec = make_setup("loop", "maze", beams=3)
+    simulation = simulate(name, spec)
+    start = start_at(spec, [(9.0, 1.0, 1.5)], world=1)
     start.goal[:] = 4.0, 2.0
-    reading = simulation.reset(start, np.random.default_rng(0))
-    assert simulation.robots == 1
-    assert reading.pose == pytest.approx(np.array([[9.0, 1.0, 1.5]]))
-    assert reading.odometry == pytest.approx(np.array([[9.0, 1.0, 1.5]]))
-    assert reading.twist.tolist() == [[0.0, 0.0]]
-    assert reading.bumped.tolist() == [False]
+    robot_state = simulation.reset(start, np.random.default_rng(0))
+    assert simulation.num_envs == 1
+    assert robot_state.pose == pytest.approx(np.array([[9.0, 1.0, 1.5]]))
+    assert robot_state.odometry == pytest.approx(np.array([[9.0, 1.0, 1.5]]))
+    assert robot_state.twist.tolist() == [[0.0, 0.0]]
+    assert robot_state.bumped.tolist() == [False]
     after = simulation.step(np.array([[0.1, 0.0]]), 0.2)
-    for seen in (reading, after):
+    for seen in (robot_state, after):
         assert (seen.start.world.tolist(), seen.goal.tolist()) == ([1], [[4.0, 2.0]])
     simulation.close()
     simulation.close()  # once more does no harm
@@ -75,10 +75,10 @@ def test_the_nearest_range_is_that_of_each_robot(make_reading):
 
 
 def test_a_reading_comes_back_from_its_state_whatever_became_of_it(make_reading):
-    reading = make_reading(nearest=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
-    state = reading.state()
-    reading.start.goal[:] = 0.0
-    again = Reading.from_state(state)
+    robot_state = make_reading(nearest=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
+    state = robot_state.state()
+    robot_state.initial_state.goal[:] = 0.0
+    again = RobotState.from_state(state)
     assert again.goal.tolist() == [[3.0, 4.0]] * 2
     assert again.nearest.tolist() == [1.0, 2.0]
     assert again.twist.tolist() == [[0.5, 0.1]] * 2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tb2rl.simulation.streams import GeneratorDraws, StreamDraws, normal, uniform
+from tb2rl.simulation.random_streams import GeneratorDraws, StreamDraws, normal, uniform
 
 
 def draws_of(keys, counts):
@@ -18,7 +18,7 @@ def test_a_generator_gives_all_robots_its_next_numbers():
 
 def test_a_robot_draws_the_next_numbers_of_its_own_stream():
     draws = draws_of([5, 6], [0, 10])
-    assert draws.robots == 2
+    assert draws.num_envs == 2
     numbers = np.hstack([draws.uniform(3), draws.uniform(2)])
     assert draws.counts.tolist() == [5, 15]
     for robot, (key, first) in enumerate([(5, 0), (6, 10)]):

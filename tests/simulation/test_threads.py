@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tb2rl.simulation import threads
-from tb2rl.simulation.threads import share_out
+from tb2rl.simulation.threads import parallel_for
 
 
 @pytest.mark.parametrize("count", [1, 2, 10, 1001])
@@ -21,7 +21,7 @@ def test_every_part_is_done_once(count, number, lead, monkeypatch):
     def work(first, last, amount):
         done[first:last] += amount
 
-    share_out(work, count, lead, 3)
+    parallel_for(work, count, lead, 3)
     assert (done == 3).all()
 
 
@@ -29,7 +29,7 @@ def test_an_error_in_any_part_arrives(monkeypatch):
     monkeypatch.setattr(threads, "THREADS", 2)
     for wrong in (0, 5):
         with pytest.raises(ZeroDivisionError):
-            share_out(lambda first, last, wrong=wrong: 1 / (first - wrong), 10, 0)
+            parallel_for(lambda first, last, wrong=wrong: 1 / (first - wrong), 10, 0)
 
 
 @pytest.mark.skipif(not hasattr(threads.os, "fork"), reason="this system does not fork")

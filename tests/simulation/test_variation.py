@@ -12,10 +12,10 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import SIMULATIONS, Start, simulate
+from tb2rl.simulation import SIMULATIONS, InitialState, simulate
 from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.setup import LEFT_COUNT, RIGHT_COUNT
-from tb2rl.simulation.streams import GeneratorDraws, StreamDraws
+from tb2rl.simulation.random_streams import GeneratorDraws, StreamDraws
+from tb2rl.simulation.spec import LEFT_COUNT, RIGHT_COUNT
 from tb2rl.simulation.variation import NONE, PRESETS, Variation, find_variation
 from tb2rl.worlds import World
 
@@ -24,13 +24,13 @@ WALL_AHEAD = World.from_shapes("wall ahead", [(1.5, 0.0, 1.0, 20.0, 0.0)], start
 BOTH = pytest.mark.parametrize("simulation", SIMULATIONS)
 
 
-def streams(robots: int, key: int = 0) -> StreamDraws:
-    return StreamDraws(np.arange(robots, dtype=np.uint64) + np.uint64(key), np.zeros(robots, dtype=np.uint64))
+def streams(num_envs: int, key: int = 0) -> StreamDraws:
+    return StreamDraws(np.arange(num_envs, dtype=np.uint64) + np.uint64(key), np.zeros(num_envs, dtype=np.uint64))
 
 
-def varied(setup, robots=1, **ranges) -> Start:
-    start = Start.proposed(setup, robots)
-    Variation(**ranges).vary(start, streams(robots))
+def varied(spec, num_envs=1, **ranges) -> InitialState:
+    start = InitialState.default(spec, num_envs)
+    Variation(**ranges).vary(start, streams(num_envs))
     return start
 
 
@@ -40,11 +40,11 @@ def begin(make_setup):
     begun = []
 
     def begin(simulation, world="loop", beams=1, has_gyro=False, **ranges):
-        setup = make_setup(*([world] if world else []), beams=beams)
-        setup = replace(setup, robot=replace(setup.robot, gyro=has_gyro))
-        made = simulate(simulation, setup)
+        spec = make_setup(*([world] if world else []), beams=beams)
+        spec = replace(spec, robot=replace(spec.robot, gyro=has_gyro))
+        made = simulate(simulation, spec)
         begun.append(made)
-        return made, made.reset(varied(setup, **ranges), np.random.default_rng(0))
+        return made, made.reset(varied(spec, **ranges), np.random.default_rng(0))
 
     yield begin
     for made in begun:
@@ -78,7 +78,7 @@ def test_wheels_farther_apart_turn_slower_than_they_are_told_and_odometry_does_n
 def test_encoders_that_count_otherwise_change_odometry_alone(simulation, begin, make_setup):
     made, _ = begin(simulation, None)
     true = made.step(np.array([[0.4, 0.0]]), 2.0)
-    start = Start.proposed(made.setup, 1)
+    start = InitialState.default(made.spec, 1)
     start.table[:, [LEFT_COUNT, RIGHT_COUNT]] = 0.99, 1.01
     made.reset(start, np.random.default_rng(0))
     after = made.step(np.array([[0.4, 0.0]]), 2.0)
@@ -130,9 +130,9 @@ def test_the_laser_reads_the_wall_ahead_with_its_flaws(simulation, ranges, seen,
 @BOTH
 def test_a_laser_out_of_place_reads_what_a_right_one_would_read_there(simulation, begin):
     made, _ = begin(simulation, "maze", beams=36)
-    start = varied(made.setup, mount_x=(0.1, 0.1), mount_y=(0.05, 0.05), mount_yaw=(0.3, 0.3))
+    start = varied(made.spec, mount_x=(0.1, 0.1), mount_y=(0.05, 0.05), mount_yaw=(0.3, 0.3))
     x, y, yaw = start.pose[0]
-    there = Start.proposed(made.setup, 1)
+    there = InitialState.default(made.spec, 1)
     ahead, aside = 0.1 * np.array([math.cos(yaw), math.sin(yaw)]), 0.05 * np.array([-math.sin(yaw), math.cos(yaw)])
     there.pose[:] = *((x, y) + ahead + aside), yaw + 0.3
     seen = made.reset(start, np.random.default_rng(0)).ranges
@@ -154,7 +154,7 @@ def test_some_beams_are_dropped_others_each_time(simulation, begin):
 @BOTH
 def test_noise_takes_the_place_of_the_lasers_own(simulation, begin):
     exact = begin(simulation, WALL_AHEAD, beams=400)[1].ranges
-    noisy = begin(simulation, WALL_AHEAD, beams=400, noise=(0.05, 0.05))[1].ranges
+    noisy = begin(simulation, WALL_AHEAD, beams=400, laser_noise=(0.05, 0.05))[1].ranges
     seen = np.isfinite(exact) & (exact < 29.0)
     assert (noisy[seen] - exact[seen]).std() == pytest.approx(0.05, rel=0.15)
 
@@ -170,21 +170,21 @@ def test_a_heavy_robot_gains_speed_slower_and_a_floor_without_grip_lets_the_whee
 
 
 def test_after_a_heavy_episode_the_robot_is_its_own_again_to_the_bit(make_setup, make_bullet):
-    setup, told = make_setup(beams=3), np.array([[0.6, 1.0]])
-    fresh, used = make_bullet(setup), make_bullet(setup)
-    used.reset(varied(setup, mass=(2.0, 2.0), friction=(0.3, 0.3)), np.random.default_rng(0))
+    spec, told = make_setup(beams=3), np.array([[0.6, 1.0]])
+    fresh, used = make_bullet(spec), make_bullet(spec)
+    used.reset(varied(spec, mass=(2.0, 2.0), friction=(0.3, 0.3)), np.random.default_rng(0))
     used.step(told, 1.0)
     ends = []
     for each in (fresh, used):
-        each.reset(Start.proposed(setup, 1), np.random.default_rng(0))
+        each.reset(InitialState.default(spec, 1), np.random.default_rng(0))
         ends.append(each.step(told, 1.0).pose)
     np.testing.assert_array_equal(*ends)
 
 
 def test_a_copy_of_a_heavy_robot_is_as_heavy(make_setup, make_bullet):
-    setup, told = make_setup(beams=3), np.array([[0.6, 1.0]])
-    made = make_bullet(setup)
-    made.reset(varied(setup, mass=(2.0, 2.0), friction=(0.3, 0.3)), np.random.default_rng(0))
+    spec, told = make_setup(beams=3), np.array([[0.6, 1.0]])
+    made = make_bullet(spec)
+    made.reset(varied(spec, mass=(2.0, 2.0), friction=(0.3, 0.3)), np.random.default_rng(0))
     made.step(told, PERIOD)
     with closing(deepcopy(made)) as copied:
         np.testing.assert_array_equal(copied.step(told, PERIOD).pose, made.step(told, PERIOD).pose)
@@ -195,23 +195,23 @@ def test_a_copy_of_a_heavy_robot_is_as_heavy(make_setup, make_bullet):
 
 def test_varied_robots_end_where_they_do_in_pybullet(make_setup, make_bullet):
     """Drives of 5 s at random commands, until the first touch, by what only PyBullet has apart."""
-    setup, rng, count = make_setup("maze", beams=1), np.random.default_rng(1), 60
+    spec, rng, count = make_setup("maze", beams=1), np.random.default_rng(1), 60
     strong = replace(PRESETS["strong"], mass=(1.0, 1.0), friction=(1.0, 1.0))
-    start = Start.proposed(setup, count)
-    start.pose[:] = setup.worlds[0].random_poses(rng, count, 0.3)
+    start = InitialState.default(spec, count)
+    start.pose[:] = spec.worlds[0].random_poses(rng, count, 0.3)
     strong.vary(start, GeneratorDraws(rng, count))
     commands = rng.uniform((-ROBOT.max_speed, -2.0), (ROBOT.max_speed, 2.0), (25, count, 2))
-    twin, physics = KinematicSimulation(setup, count), make_bullet(setup)
-    twin.reset(Start(start.table.copy()), rng)
+    twin, physics = KinematicSimulation(spec, count), make_bullet(spec)
+    twin.reset(InitialState(start.table.copy()), rng)
     readings = [twin.step(told, PERIOD) for told in commands]
     missed, counted = [], []
     for i in range(count):
-        physics.reset(Start(start.table[i : i + 1]), rng)
-        for told, reading in zip(commands[:, i : i + 1], readings, strict=True):
+        physics.reset(InitialState(start.table[i : i + 1]), rng)
+        for told, robot_state in zip(commands[:, i : i + 1], readings, strict=True):
             real = physics.step(told, PERIOD)
-            if real.bumped[0] or reading.bumped[i]:
+            if real.bumped[0] or robot_state.bumped[i]:
                 break
-            apart = real.pose[0] - reading.pose[i], real.odometry[0] - reading.odometry[i]
+            apart = real.pose[0] - robot_state.pose[i], real.odometry[0] - robot_state.odometry[i]
         missed.append(apart[0])
         counted.append(apart[1])
     for each in (np.array(missed), np.array(counted)):
@@ -224,37 +224,37 @@ def test_varied_robots_end_where_they_do_in_pybullet(make_setup, make_bullet):
 @pytest.mark.parametrize("preset", ["mild", "strong"])
 def test_states_of_varied_robots_go_on_to_the_bit(preset, make_setup, make_bullet):
     for simulation in SIMULATIONS:
-        setup = make_setup("loop", beams=20)
-        robots = 1 if simulation == "bullet" else 30
-        made = make_bullet(setup) if simulation == "bullet" else KinematicSimulation(setup, robots)
-        start = Start.proposed(setup, robots)
-        PRESETS[preset].vary(start, streams(robots, key=5))
+        spec = make_setup("loop", beams=20)
+        num_envs = 1 if simulation == "bullet" else 30
+        made = make_bullet(spec) if simulation == "bullet" else KinematicSimulation(spec, num_envs)
+        start = InitialState.default(spec, num_envs)
+        PRESETS[preset].vary(start, streams(num_envs, key=5))
         made.reset(start, np.random.default_rng(0))
-        made.step(np.full((robots, 2), 0.4), PERIOD)
+        made.step(np.full((num_envs, 2), 0.4), PERIOD)
         state = made.state()
-        expected = [made.step(np.full((robots, 2), 0.5), PERIOD).state() for _ in range(3)]
-        made.reset(Start.proposed(setup, robots), np.random.default_rng(1))
+        expected = [made.step(np.full((num_envs, 2), 0.5), PERIOD).state() for _ in range(3)]
+        made.reset(InitialState.default(spec, num_envs), np.random.default_rng(1))
         made.restore(state)
         for one in expected:
-            np.testing.assert_equal(made.step(np.full((robots, 2), 0.5), PERIOD).state(), one)
+            np.testing.assert_equal(made.step(np.full((num_envs, 2), 0.5), PERIOD).state(), one)
 
 
 def test_a_robot_whose_episode_begins_anew_counts_from_there(make_setup):
-    setup = make_setup("loop", beams=3)
-    twin = KinematicSimulation(setup, 3)
-    twin.reset(varied(setup, 3, wheel_radius=(0.9, 1.1)), np.random.default_rng(0))
+    spec = make_setup("loop", beams=3)
+    twin = KinematicSimulation(spec, 3)
+    twin.reset(varied(spec, 3, wheel_radius=(0.9, 1.1)), np.random.default_rng(0))
     last = twin.step(np.full((3, 2), 0.4), 1.0)
-    reading, first = twin.restart(np.array([1]), varied(setup, 1, wheel_radius=(0.9, 1.1)), last)
+    robot_state, first = twin.restart(np.array([1]), varied(spec, 1, wheel_radius=(0.9, 1.1)), last)
     np.testing.assert_array_equal(first.odometry, first.pose)
-    np.testing.assert_array_equal(reading.odometry[1], first.pose[0])
-    assert (reading.odometry[[0, 2]] != reading.pose[[0, 2]]).any(axis=1).all()
+    np.testing.assert_array_equal(robot_state.odometry[1], first.pose[0])
+    assert (robot_state.odometry[[0, 2]] != robot_state.pose[[0, 2]]).any(axis=1).all()
 
 
 # ---- what is drawn
 
 
 def test_without_variation_nothing_is_drawn_and_nothing_changes(make_setup):
-    start, draws = Start.proposed(make_setup("loop"), 5), streams(5)
+    start, draws = InitialState.default(make_setup("loop"), 5), streams(5)
     table = start.table.copy()
     NONE.vary(start, draws)
     np.testing.assert_array_equal(start.table, table)
@@ -262,7 +262,7 @@ def test_without_variation_nothing_is_drawn_and_nothing_changes(make_setup):
 
 
 def test_each_number_lies_in_its_range_and_robots_differ(make_setup):
-    start = Start.proposed(make_setup("loop"), 2000)
+    start = InitialState.default(make_setup("loop"), 2000)
     PRESETS["strong"].vary(start, streams(2000))
     make_setup("loop").check_table(start.table)  # what a checkpoint may hold
     shares = start.parameters / ROBOT.parameters
@@ -270,7 +270,7 @@ def test_each_number_lies_in_its_range_and_robots_differ(make_setup):
     assert (np.abs(shares[:, 4] - 1.0) <= 0.2).all()
     np.testing.assert_allclose(shares[:, 4], shares[:, 5])
     assert len(np.unique(shares[:, 4])) == 2000
-    for latency in (start.command_latency, start.reading_latency):
+    for latency in (start.command_latency, start.observation_latency):
         assert np.mean(latency) == pytest.approx(0.5, abs=0.05)
         assert set(latency) == {0, 1}
 
@@ -278,7 +278,7 @@ def test_each_number_lies_in_its_range_and_robots_differ(make_setup):
 def test_a_changed_range_changes_no_other_number(make_setup):
     tables = []
     for setting in ({"preset": "mild"}, {"preset": "mild", "bias": 0.2}):
-        start = Start.proposed(make_setup("loop"), 50)
+        start = InitialState.default(make_setup("loop"), 50)
         find_variation(setting).vary(start, streams(50))
         tables.append(start.table)
     differ = (tables[0] != tables[1]) & ~np.isnan(tables[0])
@@ -294,7 +294,7 @@ def test_a_preset_is_a_start_for_changes():
     assert find_variation("mild") == find_variation({"preset": "mild"}) == PRESETS["mild"]
     changed = find_variation({"preset": "mild", "latency": [0, 2], "bias": 0.05})
     assert changed == replace(PRESETS["mild"], latency=(0, 2), bias=(0.05, 0.05))
-    assert find_variation({"reading_latency": 2}) == Variation(reading_latency=(2, 2))
+    assert find_variation({"observation_latency": 2}) == Variation(observation_latency=(2, 2))
 
 
 def test_strong_is_wider_than_mild_in_everything():
@@ -314,7 +314,7 @@ def test_strong_is_wider_than_mild_in_everything():
         ({"latency": 99}, "task.variation.latency"),
         ({"wheel_radius": 0}, "task.variation.wheel_radius"),
         ({"wheel_radius": math.nan}, "task.variation.wheel_radius"),
-        ({"noise": -1}, "task.variation.noise"),
+        ({"laser_noise": -1}, "task.variation.laser_noise"),
         ({"mass": [1]}, "task.variation.mass"),
         ({"dropped": "many"}, "task.variation.dropped"),
         ({3: 4}, "a key must be the name"),

@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.simulation.outlines import COS, SIN, X, Y
-from tb2rl.simulation.setup import CROWD
 from tb2rl.simulation.social_force import social_force
+from tb2rl.simulation.spec import CROWD
 from tb2rl.simulation.walking import HURRY, SPEED
 from tb2rl.worlds import World
-from tb2rl.worlds.movers import find_movers
+from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 
 STEP = 0.2  # [s]
 # By SocialForce of the library PySocialForce 1.1.2, its factor 5.1 divided out: where the other one is, from here, the
@@ -56,14 +56,17 @@ print(worst, compared)
 def walk(make_setup):
     """A function from worlds, movers and steps to their outlines over time, beside standing robots."""
 
-    def walk(movers, *worlds, steps=100, robots=1, seed=0, duration=STEP):
-        setup = replace(make_setup(*worlds, beams=1), movers=find_movers(movers, "movers"))
-        start = Start.proposed(setup, robots)
-        start.table[:, CROWD] = np.random.default_rng(seed).random(robots)
-        twin = KinematicSimulation(setup, robots)
+    def walk(dynamic_obstacles, *worlds, steps=100, num_envs=1, seed=0, duration=STEP):
+        spec = replace(
+            make_setup(*worlds, beams=1),
+            dynamic_obstacles=find_dynamic_obstacles(dynamic_obstacles, "dynamic_obstacles"),
+        )
+        start = InitialState.default(spec, num_envs)
+        start.table[:, CROWD] = np.random.default_rng(seed).random(num_envs)
+        twin = KinematicSimulation(spec, num_envs)
         readings = [twin.reset(start, np.random.default_rng(0))]
-        readings += [twin.step(np.zeros((robots, 2)), duration) for _ in range(steps)]
-        return np.array([reading.movers for reading in readings]), twin
+        readings += [twin.step(np.zeros((num_envs, 2)), duration) for _ in range(steps)]
+        return np.array([robot_state.dynamic_obstacles for robot_state in readings]), twin
 
     return walk
 
@@ -90,7 +93,7 @@ def test_two_at_one_place_or_at_rest_to_each_other_are_no_trouble():
 @pytest.mark.parametrize("closed", [False, True])
 def test_a_mover_follows_its_path_at_its_speed_there_and_back_or_around(closed, walk):
     corners = np.array([(3.0, 3.0), (6.0, 3.0), (6.0, 5.0)])
-    movers = {"posts": 1, "path": corners.tolist(), "closed": closed, "speed": 0.7}
+    dynamic_obstacles = {"posts": 1, "path": corners.tolist(), "closed": closed, "speed": 0.7}
     way = np.array([*corners, corners[0]] if closed else [*corners, corners[1], corners[0]])
     lengths = np.hypot(*np.diff(way, axis=0).T)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -100,7 +103,7 @@ def test_a_mover_follows_its_path_at_its_speed_there_and_back_or_around(closed, 
         leg = np.searchsorted(ends, distance, side="right") - 1
         return way[leg] + (distance - ends[leg]) / lengths[leg] * (way[leg + 1] - way[leg])
 
-    outlines, _ = walk(movers, steps=120)
+    outlines, _ = walk(dynamic_obstacles, steps=120)
     places = outlines[:, 0, 0, [X, Y]]
     begins = np.linspace(0, ends[-1], 20001)
     first = begins[np.argmin([np.hypot(*(at(d) - places[0])) + np.hypot(*(at(d + 0.14) - places[1])) for d in begins])]
@@ -114,7 +117,7 @@ def test_a_box_looks_where_it_goes(walk):
 
 
 def test_where_on_a_path_it_begins_is_drawn_for_each_robot(walk):
-    outlines, _ = walk({"posts": 1, "path": [[3, 3], [7, 3]]}, robots=200, steps=0)
+    outlines, _ = walk({"posts": 1, "path": [[3, 3], [7, 3]]}, num_envs=200, steps=0)
     begins = outlines[0, :, 0, X]
     assert np.histogram(begins, 4, (3, 7))[0].min() > 30
 
@@ -122,12 +125,12 @@ def test_where_on_a_path_it_begins_is_drawn_for_each_robot(walk):
 @pytest.mark.parametrize("kind", ["people", "posts", "boxes"])
 @pytest.mark.parametrize("world", ["loop", "maze"])
 def test_movers_walk_far_at_their_speed_and_through_no_wall(kind, world, walk):
-    outlines, twin = walk({kind: 3, "radius": 0.25, "size": [0.4, 0.4]}, world, robots=8, steps=150)
-    places, clearance = outlines[..., [X, Y]], twin.setup.worlds[0].clearance
+    outlines, twin = walk({kind: 3, "radius": 0.25, "size": [0.4, 0.4]}, world, num_envs=8, steps=150)
+    places, clearance = outlines[..., [X, Y]], twin.spec.worlds[0].clearance
     least = min(clearance(*place) for place in places.reshape(-1, 2))
     assert least > (0.24 if kind == "people" else 0.178)  # where a robot can be, there they may begin
     speeds = np.hypot(*np.moveaxis(np.diff(places, axis=0), -1, 0)) / STEP
-    wanted = twin.state()["movers"]["table"][..., SPEED]
+    wanted = twin.state()["dynamic_obstacles"]["table"][..., SPEED]
     assert ((wanted >= 0.5) & (wanted <= 1.0)).all()
     assert (speeds <= HURRY * wanted + 1e-9).all()
     assert np.median(speeds / wanted) > 0.8
@@ -137,42 +140,45 @@ def test_movers_walk_far_at_their_speed_and_through_no_wall(kind, world, walk):
 def test_the_corners_of_a_large_box_stay_out_of_walls(walk):
     around = [(10.1 * math.cos(yaw), 10.1 * math.sin(yaw), 0.2, 20.4, yaw) for yaw in np.arange(4) * math.pi / 2]
     hall = World.from_shapes("hall", around, start=(0, 0, 0))
-    outlines, _ = walk({"boxes": 1, "size": [3, 3]}, hall, robots=30, steps=150)
+    outlines, _ = walk({"boxes": 1, "size": [3, 3]}, hall, num_envs=30, steps=150)
     cos, sin = np.abs(outlines[..., [COS, SIN]]).T
     assert (np.abs(outlines[..., [X, Y]]).T + 1.5 * (cos + sin)).max() < 10.0
 
 
 def test_people_walk_around_each_other(walk):
-    outlines, _ = walk({"people": 6}, "loop", robots=10, steps=200)
+    outlines, _ = walk({"people": 6}, "loop", num_envs=10, steps=200)
     places = outlines[..., [X, Y]]
     apart = np.hypot(*np.moveaxis(places[:, :, :, None] - places[:, :, None], -1, 0)) + 9 * np.eye(6)
     assert apart.min() > 0.4  # two radii are 0.5: shoulders may brush
-    through, _ = walk({"posts": 6}, "loop", robots=10, steps=200)
+    through, _ = walk({"posts": 6}, "loop", num_envs=10, steps=200)
     through = through[..., [X, Y]]
     assert (np.hypot(*np.moveaxis(through[:, :, :, None] - through[:, :, None], -1, 0)) + 9 * np.eye(6)).min() < 0.2
 
 
 def test_where_an_episode_begins_there_is_room_around_the_robot(walk):
-    outlines, twin = walk([{"people": 2, "boxes": 2}, {"posts": 1, "path": [[0, -3], [8, 0]]}], robots=300, steps=0)
-    start = twin.setup.worlds[0].start
+    outlines, twin = walk([{"people": 2, "boxes": 2}, {"posts": 1, "path": [[0, -3], [8, 0]]}], num_envs=300, steps=0)
+    start = twin.spec.worlds[0].start
     assert np.hypot(*np.moveaxis(outlines[0][..., [X, Y]] - start[:2], -1, 0)).min() > 1.5
 
 
 def test_each_episode_has_a_crowd_of_its_own_that_its_number_decides(walk):
-    first, _ = walk({"people": 2, "posts": 1}, "loop", robots=5, seed=3)
-    again, _ = walk({"people": 2, "posts": 1}, "loop", robots=5, seed=3)
+    first, _ = walk({"people": 2, "posts": 1}, "loop", num_envs=5, seed=3)
+    again, _ = walk({"people": 2, "posts": 1}, "loop", num_envs=5, seed=3)
     np.testing.assert_array_equal(first, again)
     assert len(np.unique(first[0, :, 0, X])) == 5
-    assert not np.array_equal(first, walk({"people": 2, "posts": 1}, "loop", robots=5, seed=4)[0])
+    assert not np.array_equal(first, walk({"people": 2, "posts": 1}, "loop", num_envs=5, seed=4)[0])
 
 
 def test_whether_people_see_the_robot_is_a_setting(make_setup, start_at):
     run_into = {}  # share of standing robots that someone runs into within 20 s
     for sees in (False, True):
-        setup = replace(make_setup("loop", beams=1), movers=find_movers({"people": 4, "avoid_robot": sees}, "movers"))
-        start = Start.proposed(setup, 200)
+        spec = replace(
+            make_setup("loop", beams=1),
+            dynamic_obstacles=find_dynamic_obstacles({"people": 4, "avoid_robot": sees}, "dynamic_obstacles"),
+        )
+        start = InitialState.default(spec, 200)
         start.table[:, CROWD] = np.random.default_rng(0).random(200)
-        twin, touched = KinematicSimulation(setup, 200), np.zeros(200, dtype=bool)
+        twin, touched = KinematicSimulation(spec, 200), np.zeros(200, dtype=bool)
         twin.reset(start, np.random.default_rng(0))
         for _ in range(100):
             touched |= twin.step(np.zeros((200, 2)), STEP).bumped

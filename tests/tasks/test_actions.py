@@ -74,8 +74,8 @@ def test_a_named_command_is_described_by_its_name():
 
 
 def test_the_fastest_command_counts_backwards_too():
-    assert NAMED.fastest == 0.5
-    assert Commands(back=(-0.7, 0.0), on=(0.5, 0.0)).fastest == 0.7
+    assert NAMED.max_speed == 0.5
+    assert Commands(back=(-0.7, 0.0), on=(0.5, 0.0)).max_speed == 0.7
 
 
 def test_no_command_at_all_is_refused():
@@ -83,7 +83,7 @@ def test_no_command_at_all_is_refused():
         Commands()
 
 
-@pytest.mark.parametrize("name", ["space", "names", "table", "fastest", "within", "plus", "commands", "nearest"])
+@pytest.mark.parametrize("name", ["space", "names", "table", "max_speed", "within", "plus", "commands", "nearest"])
 def test_a_name_that_means_something_else_is_refused(name):
     with pytest.raises(InputError, match=f"an action cannot be called '{name}'"):
         Commands(forward=(0.5, 0.0), **{name: (0.1, 0.0)})
@@ -92,7 +92,7 @@ def test_a_name_that_means_something_else_is_refused(name):
 @pytest.mark.parametrize("actions", [NAMED, ANY], ids=["named", "any"])
 def test_actions_travel_to_other_processes(actions):
     again = pickle.loads(pickle.dumps(actions))
-    assert (again.space, again.names, again.fastest) == (actions.space, actions.names, actions.fastest)
+    assert (again.space, again.names, again.max_speed) == (actions.space, actions.names, actions.max_speed)
 
 
 # ---- within what a robot can do
@@ -102,23 +102,23 @@ def test_actions_travel_to_other_processes(actions):
 def test_what_a_robot_can_do_stays_to_the_bit(actions):
     some = np.arange(3) if actions is NAMED else np.random.default_rng(0).uniform(-1, 1, (100, 2))
     np.testing.assert_array_equal(actions.within(TURTLEBOT2).commands(some), actions.commands(some))
-    assert actions.within(TURTLEBOT2).fastest == actions.fastest == 0.5
+    assert actions.within(TURTLEBOT2).max_speed == actions.max_speed == 0.5
 
 
 def test_named_commands_are_cut_to_what_a_robot_can_do():
     cut = NAMED.plus(back=(-0.7, 9.0)).within(BURGER)
     assert cut.commands(np.arange(4)).tolist() == [[0.22, 0.0], [0.05, 1.0], [0.05, -1.0], [-0.22, 2.84]]
-    assert (cut.names, cut.back, cut.space.n, cut.fastest) == (("forward", "left", "right", "back"), 3, 4, 0.22)
-    assert NAMED.fastest == 0.5
+    assert (cut.names, cut.back, cut.space.n, cut.max_speed) == (("forward", "left", "right", "back"), 3, 4, 0.22)
+    assert NAMED.max_speed == 0.5
 
 
 def test_minus_one_to_one_spans_what_a_robot_can_do():
     cut = Velocities(forward=(-0.1, 0.5), turn=(-2.0, 9.0)).within(BURGER)
     ends = cut.commands(np.array([(-1.0, -1.0), (1.0, 1.0), (0.0, 0.0)]))
     assert ends == pytest.approx(np.array([(-0.1, -2.0), (0.22, 2.84), (0.06, 0.42)]))
-    assert (cut.space, cut.fastest) == (ANY.space, 0.22)
+    assert (cut.space, cut.max_speed) == (ANY.space, 0.22)
     assert cut.commands(cut.nearest(np.array((0.2, 0.0)))[None])[0] == pytest.approx((0.2, 0.0), abs=1e-6)
-    assert ANY.fastest == 0.5
+    assert ANY.max_speed == 0.5
 
 
 # ---- any velocities
@@ -188,7 +188,7 @@ def test_going_back_is_a_kind_too():
 
 def test_velocities_are_described_by_their_numbers():
     assert ANY.describe(ANY.nearest(np.array((0.31, -0.2)))) == "0.31, -0.20"
-    assert ANY.fastest == 0.5
+    assert ANY.max_speed == 0.5
 
 
 @pytest.mark.parametrize("action", [(0.5, -0.5), [1, -1], np.array([0.5, 0.5], np.float32)])

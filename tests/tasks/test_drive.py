@@ -12,14 +12,14 @@ STAND = np.zeros((1, 2), np.float32)
 
 
 def reward(after, action=STAND, **settings):
-    return Drive(**settings).judge(after, action, after).reward
+    return Drive(**settings).outcome(after, action, after).reward
 
 
 def test_actions_span_all_speeds_and_turn_rates():
     actions = Drive().actions
     ends = actions.commands(np.array([[-1.0, -1.0], [1.0, 1.0], [-1.0, 0.0]]))
     assert ends.tolist() == [[0.0, -2.0], [0.65, 2.0], [0.0, 0.0]]
-    other = Drive(fastest=0.3, turn_rate=1.0).actions
+    other = Drive(max_speed=0.3, turn_rate=1.0).actions
     assert other.commands(np.ones((1, 2))).tolist() == [[0.3, 1.0]]
 
 
@@ -48,8 +48,8 @@ def test_a_wide_circle_can_cost_more_than_a_sharp_turn_now_and_then(make_reading
 
 def test_a_crash_is_what_it_is_at_the_other_task(make_reading):
     after = make_reading([0.49, 0.51, 3.0], bumped=[False, False, True], twist=[(0.5, 0.0)] * 3)
-    mine, theirs = (task.judge(after, np.zeros(3), after) for task in (Drive(), Wander()))
+    mine, theirs = (task.outcome(after, np.zeros(3), after) for task in (Drive(), Wander()))
     assert mine.terminated.tolist() == theirs.terminated.tolist() == [True, False, True]
-    assert mine.failed.keys() == theirs.failed.keys() == {"crash"}
+    assert mine.failed.keys() == theirs.failed.keys() == {"collision"}
     assert mine.reward.tolist() == pytest.approx([-2.0, 0.1, -2.0])
     assert mine.succeeded is None

@@ -8,27 +8,27 @@ import pytest
 from tb2rl.core.errors import InputError
 from tb2rl.envs.make import make_env, make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks import Commands, Velocities
 from tb2rl.tasks.navigate import Navigate
 
 FIVE = {"generator": "mixed", "worlds": 5, "difficulty": 0.5}
 
 
-def begun(robots=200, **settings):
+def begun(num_envs=200, **settings):
     """A scene, the starts of some episodes in it, and the twin that is there."""
     scene = make_scene(make_task("navigate", {"world": FIVE, **settings}), "raw")
-    start = scene.task.begin(scene.setup, GeneratorDraws(np.random.default_rng(0), robots))
-    return scene, start, KinematicSimulation(scene.setup, robots)
+    start = scene.task.initial_state(scene.spec, GeneratorDraws(np.random.default_rng(0), num_envs))
+    return scene, start, KinematicSimulation(scene.spec, num_envs)
 
 
 def stand(scene, simulation, start, *places):
-    """The readings of the same robots at other places of their episodes: shape (robots, 2) each, heading east."""
+    """The readings of the same robots at other places of their episodes: shape (num_envs, 2) each, heading east."""
     readings = []
     for place in places:
-        there = Start(start.table.copy())
+        there = InitialState(start.table.copy())
         there.pose[:, :2], there.pose[:, 2] = place, 0.0
         readings.append(simulation.reset(there, np.random.default_rng(0)))
     return readings
@@ -36,9 +36,9 @@ def stand(scene, simulation, start, *places):
 
 def test_an_episode_leads_from_anywhere_to_a_goal_that_can_be_reached():
     _, start, simulation = begun()
-    reading = simulation.reset(start, np.random.default_rng(0))
-    assert (reading.to_go < 60).all(), "there is a way"
-    assert np.mean(reading.to_go) > 3.0
+    robot_state = simulation.reset(start, np.random.default_rng(0))
+    assert (robot_state.path_length < 60).all(), "there is a way"
+    assert np.mean(robot_state.path_length) > 3.0
     assert len(np.unique(start.world)) == 5
     assert len(np.unique(start.goal, axis=0)) > 10
 
@@ -46,8 +46,8 @@ def test_an_episode_leads_from_anywhere_to_a_goal_that_can_be_reached():
 def test_with_a_fixed_start_it_leads_from_the_worlds_start_to_the_worlds_goal():
     scene, start, _ = begun(start="fixed")
     for row, world in zip(start.table, start.world.astype(int), strict=True):
-        assert tuple(row[:3]) == scene.setup.worlds[world].start
-        assert tuple(row[4:6]) == scene.setup.worlds[world].goal[:2]
+        assert tuple(row[:3]) == scene.spec.worlds[world].start
+        assert tuple(row[4:6]) == scene.spec.worlds[world].goal[:2]
 
 
 def test_a_goal_of_the_users_own_is_where_every_episode_leads():
@@ -70,11 +70,11 @@ def make_task_scene(world, goal):
 def test_a_step_pays_the_way_that_became_shorter_and_not_the_straight_line():
     scene, start, simulation = begun(world="maze", step_reward=0.0, margin_reward=0.0)
     here = start.pose[:, :2]
-    near = scene.setup.ways.ahead(start.world.astype(int), start.way.astype(int), here, 0.05)
+    near = scene.spec.ways.lookahead_point(start.world.astype(int), start.way.astype(int), here, 0.05)
     before, after = stand(scene, simulation, start, here, near)
-    forth = scene.task.judge(before, np.zeros((200, 2)), after)
-    back = scene.task.judge(after, np.zeros((200, 2)), before)
-    far = before.to_go > 0.6
+    forth = scene.task.outcome(before, np.zeros((200, 2)), after)
+    back = scene.task.outcome(after, np.zeros((200, 2)), before)
+    far = before.path_length > 0.6
     assert (forth.reward[far] > 0.05).all()
     np.testing.assert_allclose(forth.reward[far], -back.reward[far])
     closer = np.hypot(*(before.goal - after.pose[:, :2]).T) < np.hypot(*(before.goal - before.pose[:, :2]).T)
@@ -82,13 +82,13 @@ def test_a_step_pays_the_way_that_became_shorter_and_not_the_straight_line():
 
 
 def test_it_succeeds_within_the_radius_and_fails_at_a_touch():
-    scene, start, simulation = begun(robots=3, world="loop", goal=(4.0, 4.0))
-    (reading,) = stand(scene, simulation, start, [(4.0, 3.72), (4.0, 3.68), (4.0, 3.9)])
-    reading = type(reading)(**{**vars(reading), "bumped": np.array([False, False, True])})
-    outcome = scene.task.judge(reading, np.zeros((3, 2)), reading)
+    scene, start, simulation = begun(num_envs=3, world="loop", goal=(4.0, 4.0))
+    (robot_state,) = stand(scene, simulation, start, [(4.0, 3.72), (4.0, 3.68), (4.0, 3.9)])
+    robot_state = type(robot_state)(**{**vars(robot_state), "bumped": np.array([False, False, True])})
+    outcome = scene.task.outcome(robot_state, np.zeros((3, 2)), robot_state)
     assert outcome.succeeded["goal"].tolist() == [True, False, False]
-    assert outcome.failed["crash"].tolist() == [False, False, True]
-    assert outcome.reward[[0, 2]].tolist() == [scene.task.goal_reward, scene.task.crash_reward]
+    assert outcome.failed["collision"].tolist() == [False, False, True]
+    assert outcome.reward[[0, 2]].tolist() == [scene.task.goal_reward, scene.task.collision_reward]
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_actions_are_speeds_or_five_commands():
     commands = Navigate(named_actions=True).actions
     assert isinstance(commands, Commands)
     assert commands.names == ("forward", "left", "right", "spin_left", "spin_right")
-    assert math.isclose(commands.fastest, Navigate().fastest)
+    assert math.isclose(commands.max_speed, Navigate().max_speed)
 
 
 @pytest.mark.parametrize("guide", ["goal", "plan"])
@@ -118,9 +118,9 @@ def test_following_the_way_reaches_the_goal_in_both_simulations(guide, simulatio
     env.reset(seed=0)
     info = {"ended": ""}
     while not info["ended"]:
-        reading = env.reading
-        east, north = (reading.ahead(0.6) - reading.pose[:, :2])[0]
-        off = math.remainder(math.atan2(north, east) - reading.pose[0, 2], math.tau)
+        robot_state = env.robot_state
+        east, north = (robot_state.lookahead_point(0.6) - robot_state.pose[:, :2])[0]
+        off = math.remainder(math.atan2(north, east) - robot_state.pose[0, 2], math.tau)
         action = np.array([1.0 - min(2.0, 3.0 * abs(off)), np.clip(1.5 * off, -1.0, 1.0)])
         info = env.step(action)[-1]
     env.close()

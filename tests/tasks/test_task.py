@@ -11,15 +11,15 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.values import build
 from tb2rl.registry import find_robot, find_task, find_world, task_names
 from tb2rl.robots.robot import WHEEL_ACCELERATION
-from tb2rl.simulation.setup import BOUNDS, CROWD, GOAL, POSE, WORLD
-from tb2rl.simulation.streams import GeneratorDraws, StreamDraws
+from tb2rl.simulation.random_streams import GeneratorDraws, StreamDraws
+from tb2rl.simulation.spec import BOUNDS, CROWD, GOAL, POSE, WORLD
 from tb2rl.tasks import Commands
 from tb2rl.tasks.wander import Wander
-from tb2rl.worlds.movers import find_movers
+from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 
 
-def draws(robots=1, seed=0):
-    return GeneratorDraws(np.random.default_rng(seed), robots)
+def draws(num_envs=1, seed=0):
+    return GeneratorDraws(np.random.default_rng(seed), num_envs)
 
 
 def world_of(name):
@@ -43,24 +43,24 @@ def test_every_task_tells_the_robot_what_it_can_do(name):
 
 @pytest.mark.parametrize("name", task_names())
 def test_every_task_judges_several_robots_as_it_would_each_alone(name, make_reading, make_setup):
-    task, rng, robots = find_task(name)(), np.random.default_rng(0), 200
-    setup = make_setup(world_of(name))
-    start = task.begin(setup.within(0), draws())
-    ways = SimpleNamespace(setup=setup)  # of the simulation that readings come from
+    task, rng, num_envs = find_task(name)(), np.random.default_rng(0), 200
+    spec = make_setup(world_of(name))
+    start = task.initial_state(spec.within(0), draws())
+    ways = SimpleNamespace(spec=spec)  # of the simulation that readings come from
     aim = {"goal": start.goal[0], "bounds": start.bounds[0], "eye": ways}
-    poses = rng.uniform((-2, -4, -3), (7, 4, 3), (2, robots, 3))
-    nearest, bumped = rng.uniform(0.1, 4, robots), rng.random(robots) < 0.2
+    poses = rng.uniform((-2, -4, -3), (7, 4, 3), (2, num_envs, 3))
+    nearest, bumped = rng.uniform(0.1, 4, num_envs), rng.random(num_envs) < 0.2
     task.actions.space.seed(0)
-    action = np.array([task.actions.space.sample() for _ in range(robots)])
+    action = np.array([task.actions.space.sample() for _ in range(num_envs)])
     before, after = (make_reading(nearest, bumped=bumped, pose=pose, **aim) for pose in poses)
-    together = task.judge(before, action, after)
-    assert together.reward.shape == together.terminated.shape == (robots,)
+    together = task.outcome(before, action, after)
+    assert together.reward.shape == together.terminated.shape == (num_envs,)
     assert together.terminated.any()
     assert not together.terminated.all()
     assert (together.succeeded is not None) == task.goal_task
-    for i in range(robots):
+    for i in range(num_envs):
         before, after = (make_reading(nearest[i], bumped=bumped[i], pose=pose[i], **aim) for pose in poses)
-        alone = task.judge(before, action[i : i + 1], after)
+        alone = task.outcome(before, action[i : i + 1], after)
         assert alone.reward == together.reward[i]
         assert alone.terminated == together.terminated[i]
         for endings, of_all in ((alone.failed, together.failed), (alone.succeeded or {}, together.succeeded or {})):
@@ -70,12 +70,12 @@ def test_every_task_judges_several_robots_as_it_would_each_alone(name, make_read
 
 @pytest.mark.parametrize("name", task_names())
 def test_every_task_begins_anywhere_or_at_the_start_of_its_world(name, make_setup):
-    setup = make_setup(world_of(name))
-    (world,) = setup.worlds
-    random = find_task(name)(start_clearance=0.5).begin(setup, draws(100))
+    spec = make_setup(world_of(name))
+    (world,) = spec.worlds
+    random = find_task(name)(start_clearance=0.5).initial_state(spec, draws(100))
     assert len(np.unique(random.pose, axis=0)) == 100
     assert min(world.clearance(x, y) for x, y, _ in random.pose) >= 0.5 - 1e-3
-    fixed = find_task(name)(start="fixed").begin(setup, draws(3))
+    fixed = find_task(name)(start="fixed").initial_state(spec, draws(3))
     assert fixed.pose.tolist() == [list(world.start)] * 3
     assert (fixed.world == 0).all()
 
@@ -83,16 +83,16 @@ def test_every_task_begins_anywhere_or_at_the_start_of_its_world(name, make_setu
 @pytest.mark.parametrize("name", task_names())
 def test_where_a_robot_begins_depends_on_its_own_stream_alone(name, make_setup):
     task, keys = find_task(name)(), np.arange(5, dtype=np.uint64)
-    setup = make_setup(world_of(name))
-    together = task.begin(setup, StreamDraws(keys, np.zeros(5, np.uint64)))
-    alone = task.begin(setup, StreamDraws(keys[3:4], np.zeros(1, np.uint64)))
+    spec = make_setup(world_of(name))
+    together = task.initial_state(spec, StreamDraws(keys, np.zeros(5, np.uint64)))
+    alone = task.initial_state(spec, StreamDraws(keys[3:4], np.zeros(1, np.uint64)))
     np.testing.assert_array_equal(together.table[3], alone.table[0])
     assert len(np.unique(together.pose, axis=0)) == 5
 
 
 def test_a_random_start_follows_from_the_seed(make_setup):
-    setup = make_setup("loop")
-    poses = [Wander().begin(setup, draws(4, seed)).pose for seed in (1, 1, 2)]
+    spec = make_setup("loop")
+    poses = [Wander().initial_state(spec, draws(4, seed)).pose for seed in (1, 1, 2)]
     assert (poses[0] == poses[1]).all()
     assert (poses[0] != poses[2]).all()
 
@@ -101,15 +101,15 @@ def test_every_task_observes_the_laser_first(make_setup):
     for name in task_names():
         task = find_task(name)()
         first, *_ = task.sensors(make_setup(world_of(name), beams=5))
-        assert (first.name, first.unit, first.shape, first.edges) == ("laser", "m", (5,), task.edges)
+        assert (first.name, first.unit, first.shape, first.bins) == ("laser", "m", (5,), task.range_bins)
 
 
 @pytest.mark.parametrize("name", task_names())
 def test_a_varied_robot_begins_where_any_other_would(name, make_setup):
-    task, setup, keys = find_task(name), make_setup(world_of(name)), np.arange(5, dtype=np.uint64)
-    plain = task().begin(setup, StreamDraws(keys, np.zeros(5, np.uint64)))
+    task, spec, keys = find_task(name), make_setup(world_of(name)), np.arange(5, dtype=np.uint64)
+    plain = task().initial_state(spec, StreamDraws(keys, np.zeros(5, np.uint64)))
     none, strong = (
-        task(variation=preset).begin_varied(setup, StreamDraws(keys, np.zeros(5, np.uint64)))
+        task(variation=preset).randomized_initial_state(spec, StreamDraws(keys, np.zeros(5, np.uint64)))
         for preset in ("none", "strong")
     )
     np.testing.assert_array_equal(none.table, plain.table)
@@ -123,9 +123,9 @@ def test_a_varied_robot_begins_where_any_other_would(name, make_setup):
 def test_movers_change_nothing_that_was_drawn_before_them(name, variation, make_setup):
     task, keys = find_task(name)(variation=variation), np.arange(5, dtype=np.uint64)
     bare = make_setup(world_of(name))
-    moving = replace(bare, movers=find_movers({"people": 1}, "movers"))
+    moving = replace(bare, dynamic_obstacles=find_dynamic_obstacles({"people": 1}, "dynamic_obstacles"))
     alone, among = (
-        task.begin_varied(setup, StreamDraws(keys, np.zeros(5, np.uint64))).table for setup in (bare, moving)
+        task.randomized_initial_state(spec, StreamDraws(keys, np.zeros(5, np.uint64))).table for spec in (bare, moving)
     )
     np.testing.assert_array_equal(among[:, :CROWD], alone[:, :CROWD])
     assert (alone[:, CROWD] == 0).all()
@@ -146,7 +146,7 @@ from tb2rl.tasks import Commands, Outcome, Task
 class TurnRate(Sensor):
     name, unit = "turn rate", "rad/s"
     low, high = -4.0, 4.0
-    edges = (0.0,)
+    bins = (0.0,)
 
     def read(self, reading):
         return reading.twist[:, 1:]
@@ -163,7 +163,7 @@ class Spin(Task):
     def sensors(self, setup):
         return (*super().sensors(setup), TurnRate())
 
-    def judge(self, before, action, after):
+    def outcome(self, before, action, after):
         rate = abs(after.twist[:, 1])
         return Outcome(reward=rate, failed={"dizzy": rate > 3.0})
 
@@ -172,7 +172,7 @@ class Forgot(Task):
     rate: float = 1.0
     actions = Commands(left=(0.0, 1.0))
 
-    def judge(self, before, action, after):
+    def outcome(self, before, action, after):
         return Outcome(reward=after.twist[:, 1])
 
 

@@ -10,7 +10,7 @@ FAR, INF = 3.0, math.inf
 
 
 def judge(task, action, after):
-    return task.judge(after, np.array(action), after)
+    return task.outcome(after, np.array(action), after)
 
 
 def test_wander_pays_for_going_straight_and_a_little_for_turning(make_reading):
@@ -26,13 +26,13 @@ def test_a_crash_replaces_the_reward_of_the_robot_that_crashed_only(make_reading
     after = make_reading([0.49, 0.51, 0.3, FAR], bumped=[False, False, False, True])
     outcome = judge(Wander(), [0, 0, 1, 0], after)
     assert outcome.reward.tolist() == [-200, 5, -200, -200]
-    assert outcome.failed["crash"].tolist() == [True, False, True, True]
+    assert outcome.failed["collision"].tolist() == [True, False, True, True]
     assert outcome.terminated.tolist() == [True, False, True, True]
     assert outcome.succeeded is None
 
 
 def test_wanders_numbers_are_settings(make_reading):
-    task = Wander(crash_range=1.0, crash_reward=-1.0, forward_reward=0.1, turn_reward=0.0, turn_rate=0.3)
+    task = Wander(collision_range=1.0, collision_reward=-1.0, forward_reward=0.1, turn_reward=0.0, turn_rate=0.3)
     assert judge(task, [0, 1, 0], make_reading([FAR, FAR, 0.9])).reward.tolist() == [0.1, 0, -1]
     assert task.actions.table[1:, 1].tolist() == [0.3, -0.3]
     other = Wander(forward_speed=0.2, turn_speed=0.1)

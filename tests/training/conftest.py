@@ -37,9 +37,9 @@ MY_TASKS = """
         "Any speeds within a range."
         actions = Velocities(forward=(-0.1, 0.5), turn=(-1.0, 1.0))
 
-        def judge(self, before, action, after):
+        def outcome(self, before, action, after):
             crashed = after.bumped | (after.nearest < 0.5)
-            return Outcome(np.where(crashed, -10.0, after.twist[:, 0]), failed={"crash": crashed})
+            return Outcome(np.where(crashed, -10.0, after.twist[:, 0]), failed={"collision": crashed})
 
     @dataclass(frozen=True)
     class Pictured(Wander):

@@ -26,7 +26,7 @@ from tb2rl.runs.folder import Run
 STEPS = 20_000
 SB3, CONTRIB = "stable_baselines3", "sb3_contrib"
 NORMALISED = ["train.norm_obs=true", "train.norm_reward=true"]
-FRAMES = ["task.frames=4"]
+FRAMES = ["task.frame_stack=4"]
 CAMERA = ["task.observe=[laser, {camera: {width: 36, height: 36}}]"]
 SMALL = ["agent.policy_kwargs.net_arch=[64,64]"]
 ON_POLICY = ["agent.n_steps=64", "agent.batch_size=128", "agent.n_epochs=4"]
@@ -53,7 +53,7 @@ TRAININGS = {  # agent, task, settings
 def begin(name: str, run: str, cwd: Path) -> tuple[subprocess.Popen, Path]:
     """The process of a training, and its folder."""
     agent, task, settings = TRAININGS[name]
-    train = ["task.noise=0.01", "train.simulation=kinematic", "train.n_envs=16", "train.stop_score=null"]
+    train = ["task.laser_noise=0.01", "train.simulation=kinematic", "train.n_envs=16", "train.stop_score=null"]
     train += [f"train.eval_freq={STEPS // 5}", "train.eval_episodes=20", "train.eval_steps=100", "train.keep=2"]
     flags = ["--name", run, "--total-timesteps", str(STEPS), "--save-freq", str(STEPS // 2)]
     words = ["--agent", agent, "--task", task, *flags, "--set", *train, *settings]

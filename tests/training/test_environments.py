@@ -23,7 +23,7 @@ def env(request, small):
     """Environments of each kind, with episodes of four steps and rewards that are halved."""
     simulation, environments = KINDS[request.param]
     config = small(
-        settings={"task.noise": 0.01, "task.start_clearance": 0.8},
+        settings={"task.laser_noise": 0.01, "task.start_clearance": 0.8},
         simulation=simulation,
         n_envs=environments,
         episode_steps=4,

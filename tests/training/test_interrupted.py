@@ -18,10 +18,10 @@ from tb2rl.runs.folder import Run
 from tb2rl.train import main
 from tb2rl.training.training import resume, train_config
 
-SMALL = {"agent.policy_kwargs.net_arch": [8], "task.observation": "raw", "task.noise": 0.01}
+SMALL = {"agent.policy_kwargs.net_arch": [8], "task.observation": "raw", "task.laser_noise": 0.01}
 OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 200, "agent.batch_size": 16, "agent.gradient_steps": 1}
 AGENTS = {
-    "qlearn": ("maze", {"task.noise": 0.01}),
+    "qlearn": ("maze", {"task.laser_noise": 0.01}),
     "ppo": ("maze", {**SMALL, "agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 1}),
     "sac": ("drive", {**SMALL, **OFF_POLICY, "agent.train_freq": 8}),
 }

@@ -35,8 +35,8 @@ OFF_POLICY = {"agent.learning_starts": 32, "agent.buffer_size": 200, "agent.batc
 BOTH = {"norm_obs": True, "norm_reward": True}
 TRAININGS = {
     "PPO": ("stable_baselines3:PPO", "maze", ON_POLICY),
-    "PPO, frames": ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.frames": 3}),
-    "PPO, an image beside": ("stable_baselines3:PPO", "my_tasks:Pictured", {**ON_POLICY, "task.frames": 2}),
+    "PPO, frames": ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.frame_stack": 3}),
+    "PPO, an image beside": ("stable_baselines3:PPO", "my_tasks:Pictured", {**ON_POLICY, "task.frame_stack": 2}),
     "SAC": ("stable_baselines3:SAC", "my_tasks:Glide", {**OFF_POLICY, "train.eval_simulation": "bullet"}),
     "DQN, an image beside": ("stable_baselines3:DQN", "my_tasks:Pictured", OFF_POLICY),
     "RecurrentPPO": (

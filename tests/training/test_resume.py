@@ -15,10 +15,10 @@ OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 200, "agent.batc
 EXPLORING = {"agent.use_sde": True}  # with matrices of noise, drawn once a rollout
 MEMORY = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
 NORMALISED = {"train.norm_obs": True, "train.norm_reward": True}
-FRAMES = {"task.frames": 4}
-VARIED, MOVING = {"task.variation": "strong"}, {"task.movers": [{"people": 2}, {"boxes": 1}]}
+FRAMES = {"task.frame_stack": 4}
+VARIED, MOVING = {"task.variation": "strong"}, {"task.dynamic_obstacles": [{"people": 2}, {"boxes": 1}]}
 CAMERA, TOLD = {"camera": {"width": 36, "height": 36}}, ["twist", "last_action"]
-SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.noise": 0.01}
+SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw", "task.laser_noise": 0.01}
 ALGORITHMS = {
     "A2C": (f"{SB3}:A2C", "maze", {"agent.n_steps": 8}),
     "A2C, noisy": (f"{SB3}:A2C", "my_tasks:Glide", {"agent.n_steps": 8, **EXPLORING}),
@@ -74,7 +74,7 @@ LONGER = {
     "SAC",
     "TD3",
     "RecurrentPPO",
-    *(name for name in ALGORITHMS if any(w in name for w in ("frames", "normalised", "camera", "movers"))),
+    *(name for name in ALGORITHMS if any(w in name for w in ("frames", "normalised", "camera", "dynamic_obstacles"))),
 }
 TWIN_ONLY = {"A2C, noisy", "PPO, often noisy", "DQN, three steps", "SAC, fixed entropy", "TQC, noisy"}
 TWIN_ONLY |= {"TRPO", "CrossQ", "RecurrentPPO, an image", "RecurrentPPO, noisy", "PPO, only rewards normalised"}
@@ -130,7 +130,7 @@ def test_evaluations_and_curves_go_on_without_a_gap(
 ):
     train = {"simulation": simulation, "n_envs": environments, "total_timesteps": 2048, "save_freq": 1024, "keep": 9}
     train |= {"eval_freq": 512, "eval_episodes": 2, "eval_steps": 20, "episode_steps": 60, "stop_score": None}
-    config = small(agent, TASKS.get(agent, "maze"), SOON[agent] | {"task.noise": 0.01}, **train)
+    config = small(agent, TASKS.get(agent, "maze"), SOON[agent] | {"task.laser_noise": 0.01}, **train)
     whole = train_config(config, tmp_path / "whole").run
     resumed = killed(whole, tmp_path / "resumed")
     assert 0 < resume(resumed.folder).timesteps < 2048

@@ -93,7 +93,7 @@ def test_a_training_in_many_worlds_resumes_to_the_bit(
     simulation, environments, steps, small, killed, differences, tmp_path
 ):
     world = {"task.world": {"generator": "mixed", "worlds": 512}, "task.start_clearance": 0.25}
-    ppo = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2, "task.crash_range": 0.0}
+    ppo = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2, "task.collision_range": 0.0}
     train = {"simulation": simulation, "total_timesteps": steps, "n_envs": environments, "episode_steps": 10, "keep": 9}
     train |= {"save_freq": steps // 2, "eval_freq": steps // 2, "eval_episodes": 5, "eval_steps": 5}
     whole = train_config(small("ppo", "maze", {**world, **ppo}, **train), tmp_path / "whole").run
@@ -102,5 +102,5 @@ def test_a_training_in_many_worlds_resumes_to_the_bit(
     states = [read_checkpoint(run.checkpoints[0]) for run in (whole, resumed)]
     assert differences(*states) == []
     state = states[0]["training"]["environments"]["simulation"]
-    places = [part["start"][:, 3] for part in ([state] if simulation == "kinematic" else state["worlds"])]
+    places = [part["initial_state"][:, 3] for part in ([state] if simulation == "kinematic" else state["worlds"])]
     assert len(np.unique(places)) > 0.6 * environments, "robots in worlds of their own"

@@ -17,9 +17,9 @@ from tb2rl.training.statistics import Statistics, tutorial_scores
 from tb2rl.training.training import train_config
 
 ENDINGS = {  # settings with which all episodes of a task end in one way, and whether it counts as failed
-    "crash": ("maze", {"task.crash_range": 3.0}, 1.0),
+    "collision": ("maze", {"task.collision_range": 3.0}, 1.0),
     "out of bounds": ("wall", {"task.bounds": [90.0, 90.0, 91.0, 91.0]}, 1.0),
-    "goal": ("wall", {"task.goal_tolerance": 90.0, "task.crash_range": 0.0}, 0.0),
+    "goal": ("wall", {"task.goal_tolerance": 90.0, "task.collision_range": 0.0}, 0.0),
     "time limit": ("maze", {"train.episode_steps": 2, "task.start_clearance": 0.8}, 0.0),
 }
 

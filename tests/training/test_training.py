@@ -217,12 +217,12 @@ def test_a_turtlebot3_is_trained_evaluated_and_driven_by_what_came_of_it(agent, 
     assert (env.scene.robot.name, env.scene.task.control_period) == ("turtlebot3", 0.4)
     env.close()
     evaluation = evaluate(policy, episodes=1, steps=5, workers=1)
-    assert 0.0 < evaluation.summary()["mean_speed"] <= evaluation.scene.actions.fastest == 0.22
+    assert 0.0 < evaluation.summary()["mean_speed"] <= evaluation.scene.actions.max_speed == 0.22
 
 
 def test_evaluations_on_the_way_are_in_worlds_that_it_is_not_trained_in(small):
     for judge in ("kinematic", "bullet"):
         world = {"task.world": {"generator": "rooms", "worlds": 4, "difficulty": 0.0}}
         evaluator = training.make_evaluator(small(settings=world, eval_simulation=judge, eval_episodes=2))
-        assert [world.name for world in evaluator.scene.setup.worlds] == [f"rooms {i} (validation)" for i in range(4)]
+        assert [world.name for world in evaluator.scene.spec.worlds] == [f"rooms {i} (validation)" for i in range(4)]
         evaluator.close()

@@ -124,7 +124,7 @@ def test_settings_that_fail_while_learning_are_named(agent, setting, small, tmp_
 
 def test_an_error_in_a_task_keeps_its_traceback(small, tmp_path, monkeypatch):
     configs = {simulation: small(simulation=simulation, n_envs=1) for simulation in ("kinematic", "bullet")}
-    monkeypatch.setattr(Wander, "judge", lambda *_: np.zeros(3) + np.zeros(4))
+    monkeypatch.setattr(Wander, "outcome", lambda *_: np.zeros(3) + np.zeros(4))
     for simulation, config in configs.items():
         with pytest.raises(ValueError, match="could not be broadcast") as bug:
             train_config(config, tmp_path / simulation)

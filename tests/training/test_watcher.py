@@ -10,7 +10,7 @@ from tb2rl.training.training import resume, train_config
 from tb2rl.training.watcher import ADVICE, Watcher
 
 TROUBLES = {
-    "failing": {"task.crash_range": 1.5, "agent.exploration_fraction": 0.1},
+    "failing": {"task.collision_range": 1.5, "agent.exploration_fraction": 0.1},
     "spinning": {
         "task.forward_reward": 0.0,
         "task.turn_reward": 5.0,
@@ -73,7 +73,7 @@ def test_a_robot_that_cannot_drive_fast_is_not_said_to_turn_on_the_spot(small, t
 
 
 def test_a_return_is_not_flat_after_a_single_look():
-    watcher = Watcher(total_timesteps=900, control_period=0.2, fastest=0.5)
+    watcher = Watcher(total_timesteps=900, control_period=0.2, max_speed=0.5)
     watcher.restore(
         {
             "_next": 0,
@@ -90,7 +90,7 @@ def test_a_return_is_not_flat_after_a_single_look():
 
 
 def test_it_goes_on_with_what_it_has_seen():
-    watcher, other = (Watcher(total_timesteps=900, control_period=0.2, fastest=0.5) for _ in range(2))
+    watcher, other = (Watcher(total_timesteps=900, control_period=0.2, max_speed=0.5) for _ in range(2))
     seen = {"_next": 7, "_latest": [[1.0, 10, 1.5, True]], "_history": [[100, 2.0]], "_largest_reward": 5.0}
     watcher.restore({**seen, "warned": ["flat"]})
     other.restore(watcher.state())

@@ -46,8 +46,8 @@ def test_whole_ends_make_whole_numbers():
 
 
 def test_what_a_user_fixed_is_not_searched():
-    tree = {"agent.gamma": 0, "agent.learning_rate.start": 0, "agent.learning_rate_end": 0, "task.edges": 0}
-    fixed = {"agent.learning_rate": 0.1, "task.edges": [1.0]}
+    tree = {"agent.gamma": 0, "agent.learning_rate.start": 0, "agent.learning_rate_end": 0, "task.range_bins": 0}
+    fixed = {"agent.learning_rate": 0.1, "task.range_bins": [1.0]}
     assert [*without_fixed(tree, fixed)] == ["agent.gamma", "agent.learning_rate_end"]
 
 

@@ -134,8 +134,11 @@ def test_steps_decide_between_equal_rates_and_nothing_else():
 
 
 def test_the_preset_of_a_trial_makes_the_config_that_it_trained_with(search):
-    space = {"agent.learning_rate.start": {"low": 0.1, "high": 0.9}, "task.edges": {"choices": [[0.7], [0.6, 1.0]]}}
-    it = search(space=space, settings={"task.noise": 0.01, "task.robot": "turtlebot3"})
+    space = {
+        "agent.learning_rate.start": {"low": 0.1, "high": 0.9},
+        "task.range_bins": {"choices": [[0.7], [0.6, 1.0]]},
+    }
+    it = search(space=space, settings={"task.laser_noise": 0.01, "task.robot": "turtlebot3"})
     with open_study(it) as study:
         run_trials(it, study, 1)
         (trial,) = study.trials
@@ -143,7 +146,7 @@ def test_the_preset_of_a_trial_makes_the_config_that_it_trained_with(search):
     trained = Run.open(it.run_folder(0, it.seeds[0])).config
     again = resolve(preset=str(file), settings={"train.seed": it.seeds[0], "train.save_freq": 0})
     assert again == trained
-    assert (again.task.noise, again.task.robot) == (0.01, "turtlebot3")
+    assert (again.task.laser_noise, again.task.robot) == (0.01, "turtlebot3")
     assert file.read_text().splitlines()[1].startswith("# In PyBullet 75.0 % of 4 episodes are good")
 
 

@@ -46,7 +46,7 @@ class Cruise(Task):
 
     actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
 
-    def judge(self, before, action, after):
+    def outcome(self, before, action, after):
         return Outcome(2 * after.twist[:, 0], failed={"bump": after.bumped, "strayed": after.pose[:, 1] > 0.0})
 
 
@@ -56,13 +56,13 @@ class Errands(Wander):
 
     goal_task = True
 
-    def begin(self, setup, draws):
-        start = super().begin(setup, draws)
+    def initial_state(self, spec, draws):
+        start = super().initial_state(spec, draws)
         start.goal[:] = draws.uniform(2)
         return start
 
-    def judge(self, before, action, after):
-        outcome = super().judge(before, action, after)
+    def outcome(self, before, action, after):
+        outcome = super().outcome(before, action, after)
         return replace(outcome, succeeded={"goal": np.zeros(len(outcome.reward), dtype=bool)})
 
 
@@ -91,7 +91,7 @@ def _episode(path, actions, ended="time limit", failed=None) -> Episode:
     """An episode along a path (steps + 1, 2); a crash counts as failed, other endings as `failed` says."""
     path, actions = np.asarray(path, dtype=np.float32), np.asarray(actions)
     actions = actions.astype(np.uint8 if actions.ndim == 1 else np.float32)
-    failed = ended == "crash" if failed is None else failed
+    failed = ended == "collision" if failed is None else failed
     return Episode((0.0, 0.0, 0.0), ended, failed, ended == "goal", False, len(actions), 123.4, 5.0, path, actions)
 
 
@@ -213,7 +213,7 @@ def seeds(tmp_path_factory) -> Path:
     for seed in (0, 1):
         run = folder / f"seed-{seed}"
         train("qlearn", total_timesteps=24_000, eval_freq=12_000, seed=seed, folder=run, **QUICK)
-        _evaluated(run, episodes=3, steps=50, ended="crash")
+        _evaluated(run, episodes=3, steps=50, ended="collision")
     return folder
 
 

@@ -18,7 +18,7 @@ from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.viz.action_map import HEADINGS, OVER, UNMET, action_map
-from tb2rl.worlds.movers import find_movers
+from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 
 
 def test_the_map_shows_what_the_policy_does_where_training_met_the_state(seeds):
@@ -39,7 +39,11 @@ def test_the_map_shows_what_the_policy_does_where_training_met_the_state(seeds):
 
 
 def test_known_is_a_share_of_the_states_that_the_robot_can_go_on_from():
-    task = {"name": "maze", "beam_indices": [3], "crash_range": 0.8}  # one beam, four classes: 0.7, 1.0, 1.7 m between
+    task = {
+        "name": "maze",
+        "beam_indices": [3],
+        "collision_range": 0.8,
+    }  # one beam, four classes: 0.7, 1.0, 1.7 m between
     config = config_from({"agent": {"name": "qlearn"}, "task": task})
     policy = make_algorithm(config, Spaces.vectorised(config))
     assert action_map(policy, config.scene).known == 0.0
@@ -50,14 +54,14 @@ def test_known_is_a_share_of_the_states_that_the_robot_can_go_on_from():
 
 
 def test_the_map_is_of_the_world_without_what_moves_there():
-    config = resolve("qlearn", settings={"task.edges": [1, 3, 5], "task.beams": 5})  # classes of what is far away
+    config = resolve("qlearn", settings={"task.range_bins": [1, 3, 5], "task.beams": 5})  # classes of what is far away
     policy, scene = make_algorithm(config, Spaces.vectorised(config)), config.scene
     policy.policy.visits[:] = 1
     policy.policy.q[:] = th.from_numpy(np.random.default_rng(0).random(policy.policy.q.shape))
     shown = action_map(policy, scene).actions
-    world = replace(scene.world, movers=find_movers({"posts": 9}, "movers"))
-    crowded = replace(scene, setup=replace(scene.setup, worlds=(world, *scene.setup.worlds[1:])))
-    for other in (crowded, scene.changed(movers={"people": 9})):
+    world = replace(scene.world, dynamic_obstacles=find_dynamic_obstacles({"posts": 9}, "dynamic_obstacles"))
+    crowded = replace(scene, spec=replace(scene.spec, worlds=(world, *scene.spec.worlds[1:])))
+    for other in (crowded, scene.changed(dynamic_obstacles={"people": 9})):
         np.testing.assert_array_equal(action_map(policy, other).actions, shown)
 
 
@@ -117,7 +121,7 @@ def test_the_map_is_empty_just_where_an_episode_ends_at_once(task, seeds, goal_r
         for heading, place in np.ndindex(shown.actions.shape):
             _, info = env.reset(options={"pose": pose_of(shown, heading, place)})
             at_goal = np.abs(shown.places[place] - goal).max() <= getattr(env.task, "goal_tolerance", 0.0)
-            over.append(info["min_range"] < env.task.crash_range or at_goal)
+            over.append(info["min_range"] < env.task.collision_range or at_goal)
     assert 0 < sum(over) < len(over)
     assert ((shown.actions == OVER).ravel() == over).all()
 
@@ -131,7 +135,7 @@ bounds: [-5, -1.002, 5, 1]
 
 def test_a_world_that_is_narrower_than_a_square_of_the_map_has_one_place(tmp_path):
     (tmp_path / "slit.yaml").write_text(SLIT)
-    settings = {"task.world": str(tmp_path / "slit.yaml"), "task.start_clearance": 0.178, "task.crash_range": 0.0}
+    settings = {"task.world": str(tmp_path / "slit.yaml"), "task.start_clearance": 0.178, "task.collision_range": 0.0}
     config = resolve("qlearn", settings=settings)
     shown = action_map(make_algorithm(config, Spaces.vectorised(config)), config.scene)
     assert shown.actions.shape == (HEADINGS, 1)

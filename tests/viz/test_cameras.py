@@ -76,8 +76,8 @@ def test_a_task_without_a_goal_shows_none_though_its_world_has_one(camera, make,
         (tmp_path / f"{name}.yaml").write_text(text + more)
         config = make.config(task, world=str(tmp_path / f"{name}.yaml"), start="fixed")
         policy, env = open_env(make.policy(), config, {}, steps=1)
-        with closing(env), closing(CAMERAS[camera](env.scene)) as eye:
-            pictures[name] = eye.picture(next(shots(roll_out(env, policy, 0), period=0.2, rate=10)))
+        with closing(env), closing(CAMERAS[camera](env.scene)) as camera:
+            pictures[name] = camera.picture(next(shots(roll_out(env, policy, 0), period=0.2, rate=10)))
     assert (pictures["goal"] == pictures["no"]).all()
     assert len(green(pictures["aim"])) > len(green(pictures["no"])) + 50
 
@@ -88,7 +88,7 @@ def test_each_episode_shows_its_own_goal(make, errands):
     with closing(env), closing(CAMERAS["above"](env.scene)) as camera:
         for seed in range(3):
             shown = list(shots(roll_out(env, policy, seed), period=0.2, rate=10))
-            x, y = shown[0].moment.start.goal[0]
+            x, y = shown[0].moment.initial_state.goal[0]
             picture = camera.picture(shown[0])
             row, column = place(world, picture, x + 0.2, y)  # the ring's right end
             found = green(picture[row - 3 : row + 4, column - 3 : column + 4])
@@ -101,8 +101,8 @@ def test_a_turtlebot3_is_shown_smaller_than_a_turtlebot2(camera, make):
     for robot in ("turtlebot2", "turtlebot3"):
         config = make.config(start="fixed", beams=1, robot=robot)
         policy, env = open_env(make.policy(), config, {}, steps=1)
-        with closing(env), closing(CAMERAS[camera](env.scene)) as eye:
-            picture = eye.picture(next(shots(roll_out(env, policy, 0), period=0.2, rate=10)))
+        with closing(env), closing(CAMERAS[camera](env.scene)) as camera:
+            picture = camera.picture(next(shots(roll_out(env, policy, 0), period=0.2, rate=10)))
         dark.append((picture.max(axis=2) < 90).sum())
     assert 0.1 * dark[0] < dark[1] < 0.5 * dark[0]
 
@@ -113,7 +113,7 @@ def test_a_robot_of_another_size_is_shown_as_large_as_it_is(make):
     for larger in (1.0, 2.0):
         robot = replace(scene.robot, radius=larger * scene.robot.radius)
         policy, env = open_env(make.policy(), make.config(start="fixed", beams=1), {}, steps=1)
-        bigger = replace(env.scene, setup=replace(env.scene.setup, robot=robot))
+        bigger = replace(env.scene, spec=replace(env.scene.spec, robot=robot))
         with closing(env), closing(CAMERAS["above"](bigger)) as camera:
             picture = camera.picture(next(shots(roll_out(env, policy, 0), period=0.2, rate=10)))
         body = [int(BODY[i : i + 2], 16) for i in (1, 3, 5)]

@@ -38,7 +38,7 @@ def test_the_caption_says_what_the_robot_does(make):
         "reward": "+5",
         "return": "55",
     }
-    assert (end["ended"], end["reward"]) == ("crash", "-200")
+    assert (end["ended"], end["reward"]) == ("collision", "-200")
     assert "action" not in end
 
 
@@ -50,9 +50,9 @@ def test_an_action_of_velocities_is_described_by_them(action, described, make, c
 
 
 ENDINGS = {  # what fails, or does not, and with which steps
-    "crash": ("maze", {}, 100, True),
+    "collision": ("maze", {}, 100, True),
     "out of bounds": ("wall", {"bounds": [-1.0, -3.0, 0.5, 3.0]}, 100, True),
-    "goal": ("wall", {"goal": [1.0, 0.0], "crash_range": 0.0}, 100, False),
+    "goal": ("wall", {"goal": [1.0, 0.0], "collision_range": 0.0}, 100, False),
     "time limit": ("maze", {}, 5, False),
 }
 

@@ -94,7 +94,7 @@ def test_charts_on_one_page_do_not_share_ids():
 # ---- what happened where
 
 
-@pytest.mark.parametrize("failing", ["crash", "out of bounds"])
+@pytest.mark.parametrize("failing", ["collision", "out of bounds"])
 def test_starts_failures_and_the_goal_are_marked_where_they_are(failing, make):
     paths = [[(0, 0), (1, 2), (3, 1)], [(1, -2), (2, 2.5), (4, 2)], [(5, 1), (0, 1), (1, -1)]]
     endings = [(failing, True), ("goal", False), (failing, True)]
@@ -110,7 +110,7 @@ def test_starts_failures_and_the_goal_are_marked_where_they_are(failing, make):
     assert (places[y.argmax(), 1], places[x.argmax(), 0]) == (places[:, 1].min(), places[:, 0].max()), "y is up"
 
 
-@pytest.mark.parametrize("ended", ["time limit", "crash"])
+@pytest.mark.parametrize("ended", ["time limit", "collision"])
 def test_without_failures_or_a_goal_only_starts_are_marked(ended, make):
     picture = draw_ways(make.evaluation([make.episode([(0, 4), (1, 4)], [0], ended, failed=False)]))
     assert [len(marks(picture, kind)) for kind in ("starts", "failures", "goal")] == [1, 0, 0]
@@ -120,7 +120,7 @@ def test_each_of_several_worlds_has_a_picture_of_its_own(make):
     """Episodes are drawn where they drove, and those worlds come first where one failed."""
     worlds = [0, 0, 2, *range(3, 20)]
     ways = [
-        replace(make.episode([(1, 1), (2, world)], [0], "crash" if world == 2 else "time limit"), world=world)
+        replace(make.episode([(1, 1), (2, world)], [0], "collision" if world == 2 else "time limit"), world=world)
         for world in worlds
     ]
     generated = {"generator": "clutter", "worlds": 20, "difficulty": 0.3}
@@ -132,7 +132,7 @@ def test_each_of_several_worlds_has_a_picture_of_its_own(make):
     assert [len(marks(picture, f"starts-{world}")) for world in together] == [1, 2, *[1] * 10]
     assert [len(marks(picture, f"failures-{world}")) for world in together] == [1, *[0] * 11]
     ((x, y),), ((goal_x, goal_y),) = marks(picture, "starts-2"), marks(picture, "goal-2")
-    goal = evaluation.scene.setup.worlds[2].goal
+    goal = evaluation.scene.spec.worlds[2].goal
     scale = 72 * WIDTH / 3 / 8.2  # at most, [pt/m]
     assert np.sign([goal_x - x, y - goal_y]).tolist() == np.sign(np.subtract(goal[:2], 1.0)).tolist()
     assert 0.7 * scale < (goal_x - x) / (goal[0] - 1.0) <= scale

@@ -102,15 +102,15 @@ def test_settings_change_what_is_filmed(make, frames, tmp_path):
 def test_films_are_in_worlds_that_no_training_draws(make):
     world = {"generator": "rooms", "worlds": 5, "difficulty": 0.0}
     _, env = open_env(make.policy(), make.config(), {"world": world}, steps=7)
-    assert [world.name for world in env.scene.setup.worlds] == [f"rooms {i} (test)" for i in range(5)]
+    assert [world.name for world in env.scene.spec.worlds] == [f"rooms {i} (test)" for i in range(5)]
     env.close()
 
 
 def test_what_plays_is_loaded_and_held_against_its_task(seeds, make):
-    policy, env = open_env(seeds / "seed-0", None, {"noise": 0.1}, steps=7)
+    policy, env = open_env(seeds / "seed-0", None, {"laser_noise": 0.1}, steps=7)
     env.close()
     assert policy.num_timesteps == load(seeds / "seed-0").num_timesteps
-    assert (env.task.noise, env.task.episode_steps) == (0.1, 7)
+    assert (env.task.laser_noise, env.task.episode_steps) == (0.1, 7)
     with pytest.raises(InputError, match="knows the observation"):
         open_env(seeds / "seed-0", None, {"beams": 11}, steps=7)
     with pytest.raises(InputError, match="no config"):

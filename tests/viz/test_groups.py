@@ -64,9 +64,9 @@ def test_seeds_are_in_their_order_and_have_means(seeds):
 
 def test_what_differs_between_groups_is_named(seeds):
     first, second = subjects_of(seeds, ["a/x", "b/x"])
-    noisy = replace(second.config, task=replace(second.config.task, noise=0.1))
+    noisy = replace(second.config, task=replace(second.config.task, laser_noise=0.1))
     groups = grouped([first, replace(second, config=noisy)])
-    assert differences(groups) == {"task.noise": ["0.0", "0.1"], "train.eval_steps": ["100", "101"]}
+    assert differences(groups) == {"task.laser_noise": ["0.0", "0.1"], "train.eval_steps": ["100", "101"]}
     assert differences(groups[:1]) == {}
 
 

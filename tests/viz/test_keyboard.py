@@ -83,12 +83,12 @@ def drive_on(teleop: Teleop, v: float, w: float, steps: int) -> None:
 
 def test_the_robot_goes_where_it_is_steered(drive):
     teleop = drive()
-    x, _, yaw = teleop.reading.pose[0]
+    x, _, yaw = teleop.robot_state.pose[0]
     drive_on(teleop, 0.4, 0.0, 5)
-    assert teleop.reading.pose[0, 0] - x == pytest.approx(0.4, abs=0.05)
+    assert teleop.robot_state.pose[0, 0] - x == pytest.approx(0.4, abs=0.05)
     assert "as action forward: reward +5" in teleop.lines(24)
     drive_on(teleop, 0.0, 0.5, 5)
-    assert teleop.reading.pose[0, 2] - yaw == pytest.approx(0.5, abs=0.1)  # it has to gather speed
+    assert teleop.robot_state.pose[0, 2] - yaw == pytest.approx(0.5, abs=0.1)  # it has to gather speed
     assert next(line for line in teleop.lines(24) if line.startswith("robot")).split()[-2:] == ["+0.50", "rad/s"]
 
 
@@ -115,17 +115,17 @@ def test_velocities_are_rewarded_as_they_are_driven(drive, cruise):
     ("task", "settings", "said"),
     [
         ("maze", {}, "CRASH (nearest 0."),
-        ("maze", {"crash_range": 0.0}, "CRASH (touched a wall)"),
+        ("maze", {"collision_range": 0.0}, "CRASH (touched a wall)"),
         ("wall", {"bounds": [-1.0, -3.0, 0.5, 3.0]}, "OUT OF BOUNDS (nearest "),
         ("wall", {"goal": [1.0, 0.0]}, "GOAL (nearest "),
     ],
 )
 def test_an_ending_is_named_and_starts_again_at_rest(task, settings, said, drive):
     teleop = drive(task, **settings)
-    start = teleop.reading.pose[0]
+    start = teleop.robot_state.pose[0]
     drive_on(teleop, 0.6, 0.0, 200)
     assert any(line.startswith(said) and line.endswith("): a new start") for line in teleop.lines(24))
-    assert teleop.reading.pose[0] == pytest.approx(start, abs=1e-3)
+    assert teleop.robot_state.pose[0] == pytest.approx(start, abs=1e-3)
     assert not teleop.command.any()
 
 

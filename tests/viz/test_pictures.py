@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tb2rl.rendering.colours import FAILED, GOAL, PATH, START
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 from tb2rl.viz.pictures import draw_paths, goal_of
@@ -66,7 +66,7 @@ def test_a_goal_of_its_own_is_that_of_the_episode(make, driven):
 def test_a_task_without_a_goal_shows_none_though_its_world_has_one(make, driven):
     scene = make.config("maze", world="wall").scene
     assert centres(scene, draw_paths(scene, driven()), GOAL) is None
-    start = Start.proposed(scene.setup, 2)
+    start = InitialState.default(scene.spec, 2)
     assert np.isnan(goal_of(Wander(), start)).all()
     assert goal_of(ReachGoal(), start).tolist() == [5.0, 0.0]
 

@@ -14,14 +14,14 @@ from tb2rl.viz.shots import between, shots, speeds
 def moments(steps: int) -> list[SimpleNamespace]:
     """A drive along x, 0.1 m a step, that ends with the last one; a post goes the other way, as fast."""
     poses = [np.array([0.1 * step, 0.0, 0.0]) for step in range(steps + 1)]
-    movers = [np.array([(3.0 - pose[0], 1.0, -1.0, 0.0, 0.2, 0.0)]) for pose in poses]
+    dynamic_obstacles = [np.array([(3.0 - pose[0], 1.0, -1.0, 0.0, 0.2, 0.0)]) for pose in poses]
     return [
         SimpleNamespace(
             step=i + 1,
             before=poses[i],
             pose=poses[i + 1],
-            movers_before=movers[i],
-            movers=movers[i + 1],
+            dynamic_obstacles_before=dynamic_obstacles[i],
+            dynamic_obstacles=dynamic_obstacles[i + 1],
             info={"ended": "goal" if i == steps - 1 else None},
         )
         for i in range(steps)
@@ -38,8 +38,8 @@ def test_the_robot_is_shown_where_it_is_at_each_instant(rate, speed):
     assert [shot.pose[0] for shot in during] == pytest.approx([0.5 * shot.time for shot in during])
     assert len(end) == rate, "the end stays for a second"
     assert {(shot.time, shot.pose[0], shot.moment.step) for shot in end} == {(2.0, 1.0, 10)}
-    assert [shot.movers[0, 0] for shot in shown] == pytest.approx([3.0 - shot.pose[0] for shot in shown])
-    assert [shot.movers[0, 1:].tolist() for shot in shown] == [[1.0, -1.0, 0.0, 0.2, 0.0]] * len(shown)
+    assert [shot.dynamic_obstacles[0, 0] for shot in shown] == pytest.approx([3.0 - shot.pose[0] for shot in shown])
+    assert [shot.dynamic_obstacles[0, 1:].tolist() for shot in shown] == [[1.0, -1.0, 0.0, 0.2, 0.0]] * len(shown)
     for shot in shown:
         assert [pose[0] for pose in shot.path] == pytest.approx([0.1 * i for i in range(shot.moment.step)])
 

@@ -23,8 +23,8 @@ NO_GOAL = np.full(2, np.nan)
 @pytest.fixture
 def stage(make) -> Iterator[Stage]:
     """The worlds `wall` and `loop`, and the TurtleBot2."""
-    setup = replace(make.config("wall").scene.setup, worlds=(find_world("wall"), find_world("loop")))
-    with closing(Stage(setup)) as stage:
+    spec = replace(make.config("wall").scene.spec, worlds=(find_world("wall"), find_world("loop")))
+    with closing(Stage(spec)) as stage:
         yield stage
 
 

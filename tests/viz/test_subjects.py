@@ -71,7 +71,7 @@ def test_a_folder_whose_runs_lie_deeper_says_where(tmp_path):
 def test_a_run_is_read_with_its_evaluation_and_its_curves(seeds):
     subject = read_subject(seeds / "seed-1", "second")
     assert (subject.name, subject.kept, subject.trained) == ("second", True, 24_000)
-    assert [episode.ended for episode in subject.evaluation.episodes] == ["crash"] * 3
+    assert [episode.ended for episode in subject.evaluation.episodes] == ["collision"] * 3
     assert subject.failures == 3
     assert subject.summary["failure_free_rate"] == 0.0
     assert subject.curves.keys() >= {"rollout/ep_rew_mean", "failure_free_rate"}

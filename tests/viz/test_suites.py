@@ -100,8 +100,8 @@ def test_the_page_says_that_not_all_are_shown_and_where_a_drive_ended_otherwise(
 
 def test_a_drive_that_ends_otherwise_is_told(known, pages, tmp_path):
     result = driven(known(), "random")
-    crashed = replace(result, each=tuple(replace(one, ended="bump") for one in result.each))
-    text = pages(page([], [suite_section(tmp_path / "it.json", crashed)])).text
+    collided = replace(result, each=tuple(replace(one, ended="bump") for one in result.each))
+    text = pages(page([], [suite_section(tmp_path / "it.json", collided)])).text
     assert text.count("this time it ended by time limit") == 3
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import tb2rl.play as play
-from tb2rl.simulation import Start
+from tb2rl.simulation import InitialState
 from tb2rl.viz.cameras import CAMERAS
 from tb2rl.viz.window import Window, has_display
 
@@ -67,7 +67,7 @@ def test_the_window_shows_the_drive_in_its_own_time(screen, camera, tmp_path, mo
 def test_a_window_shows_poses_until_its_display_is_gone(screen, make):
     server = screen()
     scene = make.config("wall").scene
-    start = Start.proposed(scene.setup, 1)
+    start = InitialState.default(scene.spec, 1)
     with closing(Window(scene)) as window:
         assert window.show(start, np.zeros(3))
         server.terminate()

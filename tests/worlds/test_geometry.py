@@ -21,7 +21,7 @@ def box(x, y, length, width, yaw=0.0):
 
 
 def look(poses, angles, boxes=(), posts=()):
-    """Ranges [m] from poses (robots, 3) along angles (beams,), shape (robots, beams)."""
+    """Ranges [m] from poses (num_envs, 3) along angles (beams,), shape (num_envs, beams)."""
     poses, angles = table(poses, 3), np.array(angles, dtype=float)
     ranges = np.empty((len(poses), len(angles)))
     cast(poses, np.cos(angles), np.sin(angles), table(boxes, 6), table(posts, 3), ranges)

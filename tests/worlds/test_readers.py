@@ -44,10 +44,10 @@ def test_a_start_and_a_goal_can_be_given_beside_any_file(file, text, tmp_path):
     reader = read if file == "my.own" else None
     before = read_world(tmp_path / file, reader)
     after = read_world(tmp_path / file, reader, Import(start=(3, 3, 1), goal=(3.5, 3, 0), bounds=(0, 0, 20, 20)))
-    assert (after.start, after.goal, after.bounds) == ((3, 3, 1), (3.5, 3, 0), (0, 0, 20, 20))
+    assert (after.initial_state, after.goal, after.bounds) == ((3, 3, 1), (3.5, 3, 0), (0, 0, 20, 20))
     assert np.allclose(after.boxes, before.boxes)
     assert np.allclose(after.posts, before.posts)
-    assert read_world(tmp_path / file, reader).start == before.start
+    assert read_world(tmp_path / file, reader).start == before.initial_state
 
 
 def test_a_start_beside_the_file_is_enough(tmp_path):
@@ -62,7 +62,7 @@ def test_a_file_is_read_once_and_again_when_it_changed(tmp_path):
     assert read_world(file) is before
     file.write_text("#.S.#")
     os.utime(file, ns=(0, 1))  # two writes within a tick of the file system's clock look alike
-    assert read_world(file).start != before.start
+    assert read_world(file).start != before.initial_state
 
 
 @pytest.mark.parametrize(

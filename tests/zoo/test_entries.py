@@ -49,7 +49,7 @@ def test_a_policy_drives_in_its_world(entry):
             break
     env.close()
     assert info["ended"] == ("goal" if entry.good == "success" else "")
-    at_most = 200 * env.scene.task.control_period * env.scene.actions.fastest  # [m]
+    at_most = 200 * env.scene.task.control_period * env.scene.actions.max_speed  # [m]
     assert info["distance"] > (0.5 * at_most if entry.good == "failure_free" else 1.0)
 
 
@@ -76,7 +76,7 @@ def test_its_figures_are_those_of_its_episodes(entry):
     assert figures["success_interval"] == pytest.approx(wilson_interval(sum(success), 100))
     assert figures["endings"] == Counter(episode["ended"] for episode in each)
     assert figures["mean_distance"] == pytest.approx(np.mean([episode["distance"] for episode in each]))
-    assert [episode["failed"] for episode in each] == [e["ended"] in ("crash", "out of bounds") for e in each]
+    assert [episode["failed"] for episode in each] == [e["ended"] in ("collision", "out of bounds") for e in each]
     assert config_from(figures["config"]).task == entry.config.task, "settings that came later have their default"
 
 
@@ -87,7 +87,7 @@ def test_it_was_driven_in_every_world_that_it_never_saw_and_can_drive_in(entry):
     assert entry.is_built
     for figures in entry.elsewhere.values():
         assert sum(figures["endings"].values()) == figures["episodes"] == EPISODES
-        failing = figures["endings"].get("crash", 0) + figures["endings"].get("out of bounds", 0)
+        failing = figures["endings"].get("collision", 0) + figures["endings"].get("out of bounds", 0)
         assert figures["failure_free_rate"] == pytest.approx(1 - failing / EPISODES)
 
 

@@ -114,7 +114,7 @@ def test_other_worlds_or_another_task_are_driven_anew(own_zoo, driven, small_sui
     assert only_contestant().summary("unseen") is None, "what was driven with another guide says nothing"
     keeper.main(["build"])
     assert len(driven) == 9
-    assert section(own_zoo)[2].startswith("| dwa-goal | plan (planner known) | ")
+    assert section(own_zoo)[2].startswith("| dwa-goal | plan (map known) | ")
 
 
 def test_an_interrupted_suite_goes_on_where_it_was(own_zoo, driven, monkeypatch, capsys):
@@ -219,7 +219,7 @@ def test_a_summary_of_another_policy_does_not_count(own_zoo, driven, capsys):
     [
         ("--agent ppo --set task.guide=plan", 0.99),
         ("--agent ppo --set task.guide=goal", 0.96),
-        ("--preset navigate-people --set task.reach=1.0", 0.9),
+        ("--preset navigate-people --set task.lookahead=1.0", 0.9),
         ("--agent qlearn --set task.named_actions=true task.guide=plan", 0.95),
         ("--agent qlearn --set task.named_actions=true task.guide=goal", 0.95),
     ],

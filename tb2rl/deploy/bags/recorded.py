@@ -15,13 +15,13 @@ class RecordedEnv(TurtleBot2Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         begun = super().reset(seed=seed, options=options)
-        if self.recorder is not None and self.reading is not None:
-            self.recorder.begin(self.reading)
+        if self.recorder is not None and self.robot_state is not None:
+            self.recorder.begin(self.robot_state)
         return begun
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         done = super().step(action)
-        if self.recorder is not None and self.reading is not None:
+        if self.recorder is not None and self.robot_state is not None:
             command = self.scene.actions.commands(self.scene.actions.checked(action))[0]
-            self.recorder.step(command, float(done[1]), self.reading)
+            self.recorder.step(command, float(done[1]), self.robot_state)
         return done

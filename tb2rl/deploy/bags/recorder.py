@@ -32,7 +32,7 @@ from tb2rl.core.files import replacing
 from tb2rl.deploy.bags.topics import BUMPER_EVENTS, message_types, rosbags_library
 from tb2rl.envs.scene import Scene
 from tb2rl.sensors.bumper import bumper_at
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
 BEGIN = 1.0  # [s] the clock as an episode begins: in ROS, 0 means that there is no time yet
 _TOPICS = {1: ("/move_base_simple/goal", "/mobile_base/events/bumper"), 2: ("/goal_pose", "/events/bumper")}
@@ -60,38 +60,38 @@ class Recorder:
         self._whole = replace(scene.laser, indices=None).angles
         self._new = {name.replace("/msg/", "/"): made for name, made in store.types.items()}
 
-    def begin(self, reading: Reading) -> None:
+    def begin(self, robot_state: RobotState) -> None:
         """The first reading of the episode."""
         if self._scene.task.goal_task:
-            pose = self._pose(np.array([*reading.goal[0], 0.0]))
+            pose = self._pose(np.array([*robot_state.goal[0], 0.0]))
             self._write(self._goal_topic, "geometry_msgs/PoseStamped", header=self._header(MAP), pose=pose)
-        self._sense(reading)
+        self._sense(robot_state)
 
-    def step(self, command: np.ndarray, reward: float, reading: Reading) -> None:
+    def step(self, command: np.ndarray, reward: float, robot_state: RobotState) -> None:
         """A control step.
 
         Args:
             command: What the policy said, v [m/s] and w [rad/s], shape (2,).
             reward: Of the step.
-            reading: What it led to.
+            robot_state: What it led to.
         """
         v, w = command.tolist()
         self._write("/cmd_vel", "geometry_msgs/Twist", linear=self._vector(v), angular=self._vector(0.0, 0.0, w))
         self._step += 1
-        self._sense(reading)
+        self._sense(robot_state)
         self._write("/reward", "std_msgs/Float64", data=reward)
 
-    def _sense(self, reading: Reading) -> None:
-        pose, odometry = reading.pose[0], reading.odometry[0]
+    def _sense(self, robot_state: RobotState) -> None:
+        pose, odometry = robot_state.pose[0], robot_state.odometry[0]
         self._write("/clock", "rosgraph_msgs/Clock", clock=self._time())
         transforms = [self._transform(MAP, ODOM, _difference(pose, odometry)), self._transform(ODOM, BASE, odometry)]
         self._write("/tf", "tf2_msgs/TFMessage", transforms=transforms)
-        self._write_odometry("/ground_truth", MAP, pose, reading.twist[0])
-        self._write_odometry("/odom", ODOM, odometry, reading.odometry_twist[0])
-        self._write("/kobuki/laser/scan", "sensor_msgs/LaserScan", **self._scan(reading.ranges[0]))
-        self._write("/bumper", "std_msgs/Bool", data=bool(reading.bumped[0]))
-        nearest = self._scene.laser.angles[np.argmin(reading.ranges[0])]
-        self._press(bumper_at(nearest) if reading.bumped[0] else None)
+        self._write_odometry("/ground_truth", MAP, pose, robot_state.twist[0])
+        self._write_odometry("/odom", ODOM, odometry, robot_state.odometry_twist[0])
+        self._write("/kobuki/laser/scan", "sensor_msgs/LaserScan", **self._scan(robot_state.ranges[0]))
+        self._write("/bumper", "std_msgs/Bool", data=bool(robot_state.bumped[0]))
+        nearest = self._scene.laser.angles[np.argmin(robot_state.ranges[0])]
+        self._press(bumper_at(nearest) if robot_state.bumped[0] else None)
 
     def _press(self, bumper: int | None) -> None:
         """Say which bumper was let go and which is pressed now, if that is another."""

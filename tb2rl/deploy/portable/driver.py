@@ -194,7 +194,7 @@ class Driver:
             return seen.lacks
         waypoint = None
         if self._needs.goal == "plan" and self._planner and self._goal:
-            waypoint = self._planner.ahead(self._pose, self._goal, self._needs.reach)
+            waypoint = self._planner.lookahead_point(self._pose, self._goal, self._needs.lookahead)
             if waypoint is None:
                 return "the planner finds no way to the goal"
         if not self._going:

@@ -24,7 +24,7 @@ class Encoding:
     Attributes:
         needs: The same.
         acceleration: Ahead since the last control step, by the odometry [m/s^2].
-        trail: Where it was in the last minute, x and y [m], about once a second.
+        pose_history: Where it was in the last minute, x and y [m], about once a second.
         trail_period: From one of these places to the next [s].
         told: The last commands, v [m/s] and w [rad/s], the newest first.
 
@@ -39,7 +39,7 @@ class Encoding:
                 raise ValueError("this runner does not know the sensor {}".format(settings["name"]))
             self._sensors.append((settings, _SENSORS[settings["name"]]))
         self._told = max(settings.get("reads_commands", 0) for settings, _ in self._sensors)
-        self._as_classes, self._frames = observation["mode"] == "discrete", observation["frames"]
+        self._as_classes, self._frame_stack = observation["mode"] == "discrete", observation["frame_stack"]
         self.needs = needs
         self._every = max(1, round(1.0 / needs.period))
         self.trail_period = self._every * needs.period
@@ -49,7 +49,7 @@ class Encoding:
         """Forget what was observed: an episode begins."""
         self._past: List[np.ndarray] = []
         self._speed = self.acceleration = 0.0
-        self.trail: Deque[Point] = deque(maxlen=max(1, round(_KEPT / self.trail_period)))
+        self.pose_history: Deque[Point] = deque(maxlen=max(1, round(_KEPT / self.trail_period)))
         self._steps = 0
         self.told: Deque[Point] = deque(maxlen=self._told)
 
@@ -58,16 +58,16 @@ class Encoding:
         self.acceleration, self._speed = (sensed.twist[0] - self._speed) / self.needs.period, sensed.twist[0]
         self.told.extendleft([sensed.command] * (1 if self._steps else self._told))
         if self._steps % self._every == 0:
-            self.trail.append(sensed.pose[:2])
+            self.pose_history.append(sensed.pose[:2])
         self._steps += 1
         parts = [self._encoded(read(sensed, settings, self), settings) for settings, read in self._sensors]
         latest = np.concatenate(parts)
-        self._past = self._past[1:] + [latest] if self._past else [latest] * self._frames
+        self._past = self._past[1:] + [latest] if self._past else [latest] * self._frame_stack
         return np.concatenate(self._past)[None]
 
     def _encoded(self, values: np.ndarray, settings: Settings) -> np.ndarray:
         if self._as_classes:
-            return (values[:, None] >= np.array(settings["edges"])).sum(axis=1)
+            return (values[:, None] >= np.array(settings["bins"])).sum(axis=1)
         return np.clip(values, np.float32(settings["low"]), np.float32(settings["high"])).astype(np.float32)
 
 
@@ -128,13 +128,13 @@ def _visited(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarr
     (x, y, yaw), (ahead, left) = sensed.pose, np.array(settings["around"]).T
     cos, sin = np.cos(yaw), np.sin(yaw)
     places = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left])
-    away = np.array(encoding.trail) - places[:, None]
+    away = np.array(encoding.pose_history) - places[:, None]
     return encoding.trail_period * (np.hypot(away[..., 0], away[..., 1]) < settings["near"]).sum(axis=1)
 
 
 def _last_action(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
     told = [encoding.told[k] for k in range(settings["reads_commands"])]
-    return (np.array(told) / np.array(settings["fastest"])).ravel()
+    return (np.array(told) / np.array(settings["max_speeds"])).ravel()
 
 
 _SENSORS: Dict[str, Callable[[Sensed, Settings, Encoding], np.ndarray]] = {

@@ -1,4 +1,4 @@
-"""The layers of an exported policy, run with numpy: each turns numbers (robots, n) into numbers (robots, m)."""
+"""The layers of an exported policy, run with numpy: each turns numbers (num_envs, n) into numbers (num_envs, m)."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class Network:
         self._memory: Dict[int, List[np.ndarray]] = {}
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """The actions: numbers of named actions, shape (robots,), or shares from -1 to 1, shape (robots, 2).
+        """The actions: numbers of named actions, shape (num_envs,), or shares from -1 to 1, shape (num_envs, 2).
 
         Args:
-            observations: Of the robots, shape (robots, n): float32, or integers for classes.
+            observations: Of the robots, shape (num_envs, n): float32, or integers for classes.
         """
         values = observations
         for number, (kind, arrays) in enumerate(self._layers):
@@ -56,7 +56,7 @@ def lstm(
     bias_ih: np.ndarray,
     bias_hh: np.ndarray,
 ) -> List[np.ndarray]:
-    """A step of a long short-term memory (Hochreiter & Schmidhuber 1997): what it says, and its cells, (robots, m).
+    """A step of a long short-term memory (Hochreiter & Schmidhuber 1997): what it says, and its cells, (num_envs, m).
 
     The weights are torch's: rows for the input gate, the forget gate, the new value and the output gate.
     """

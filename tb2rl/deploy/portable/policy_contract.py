@@ -39,7 +39,7 @@ class Needs:
         goal: None: it has no goal. "goal": it is told where its goal is. "plan": it is told a point on a planned way to
             it, too.
         goal_radius: How near to the goal it is to get [m].
-        reach: How far ahead on the planned way that point is [m].
+        lookahead: How far ahead on the planned way that point is [m].
 
     Raises:
         ValueError: For a number that is not finite or is negative, a period of 0, or ranges without extent.
@@ -55,12 +55,12 @@ class Needs:
     uses_odometry: bool = False
     goal: Optional[str] = None
     goal_radius: float = 0.3
-    reach: float = 1.5
+    lookahead: float = 1.5
 
     def __post_init__(self) -> None:
         if self.beams.ndim != 1 or not self.beams.size or not are_usable(self.beams):
             raise ValueError("beams takes finite angles, shape (beams,), at least one")
-        for name in ("min_range", "max_range", "period", "max_speed", "max_turn_rate", "goal_radius", "reach"):
+        for name in ("min_range", "max_range", "period", "max_speed", "max_turn_rate", "goal_radius", "lookahead"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ValueError("{} takes a finite number from 0, got {}".format(name, getattr(self, name)))
         if not (self.period > 0.0 and self.max_range > self.min_range):

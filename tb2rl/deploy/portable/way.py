@@ -13,8 +13,8 @@ from .policy_contract import Point, Pose, are_usable
 class Planner(Protocol):
     """What knows the way to a goal."""
 
-    def ahead(self, pose: Pose, goal: Point, reach: float) -> Optional[Point]:
-        """The point on the way that is `reach` [m] ahead of the robot, or the goal if it is nearer; None: no way.
+    def lookahead_point(self, pose: Pose, goal: Point, lookahead: float) -> Optional[Point]:
+        """The point on the way that is `lookahead` [m] ahead of the robot, or the goal if it is nearer; None: no way.
 
         All in the odometry frame.
         """
@@ -46,9 +46,9 @@ class PlannedWay:
         x, y = self._points[-1].tolist()
         return x, y
 
-    def ahead(self, pose: Pose, goal: Point, reach: float) -> Point:
+    def lookahead_point(self, pose: Pose, goal: Point, lookahead: float) -> Point:
         """See `Planner`; the way counts from where it is nearest to the robot."""
-        at = self._nearest(np.array(pose[:2])) + reach
+        at = self._nearest(np.array(pose[:2])) + lookahead
         x, y = (float(np.interp(at, self._behind, values)) for values in self._points.T)
         return x, y
 

@@ -21,7 +21,7 @@ from tb2rl.deploy.portable.scan import Seen
 from tb2rl.deploy.ros.graph import EMPTY, Graph
 from tb2rl.deploy.ros.messages import BILLION, Bump, Odometry, Scan, Velocity
 from tb2rl.deploy.ros.topics import DriverTopics
-from tb2rl.simulation import Reading, Setup, Start
+from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 
 RESETS = ("/gazebo/reset_world", "/reset_world")  # services of Gazebo that put a robot back, in ROS 1 and in ROS 2
 PUT_BACK = "put the robot where the episode is to begin, then press Enter: "
@@ -49,7 +49,7 @@ class RemoteRobot:
     between episodes, and at the end.
 
     Args:
-        setup: The robot, its laser, and the world that its episodes count in.
+        spec: The robot, its laser, and the world that its episodes count in.
         needs: What its policy needs to see.
         graph: Where it is; `close` leaves it.
         topics: By which names.
@@ -57,12 +57,12 @@ class RemoteRobot:
         limits: What it is to do at most; what is faster is slowed down on the same arc.
     """
 
-    robots = 1
+    num_envs = 1
 
     def __init__(
-        self, setup: Setup, needs: Needs, graph: Graph, topics: DriverTopics, mounting: Mounting, limits: Limits
+        self, spec: SimulationSpec, needs: Needs, graph: Graph, topics: DriverTopics, mounting: Mounting, limits: Limits
     ) -> None:
-        self.setup, self._graph, self._topics, self._limits = setup, graph, topics, limits
+        self.spec, self._graph, self._topics, self._limits = spec, graph, topics, limits
         self._reader = ScanReader(needs, mounting)
         self._simulated = graph.time_is_simulated()
         self._turn = threading.Condition(threading.RLock())  # whose it is: ours, or that of a thread of ROS
@@ -86,7 +86,7 @@ class RemoteRobot:
         self._watch.start()
         atexit.register(self.close)
 
-    def reset(self, start: Start, rng: np.random.Generator) -> Reading:
+    def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
         """See `tb2rl.simulation.Simulation`.
 
         Raises:
@@ -100,11 +100,11 @@ class RemoteRobot:
         self._stand(lambda: self._seen_count >= before + _SETTLED)
         self._stand(lambda: self._stands() or time.monotonic() > until)
         with self._turn:
-            self._start, self._origin, self._speed = start, self._odometry.pose, 0.0
+            self._initial_state, self._origin, self._speed = initial_state, self._odometry.pose, 0.0
             self._touched, self._due = False, -math.inf
             return self._reading(math.inf)
 
-    def step(self, commands: np.ndarray, duration: float) -> Reading:
+    def step(self, commands: np.ndarray, duration: float) -> RobotState:
         """See `tb2rl.simulation.Simulation`.
 
         Raises:
@@ -149,7 +149,7 @@ class RemoteRobot:
         """See `state`."""
         self.state()
 
-    def look(self, reading: Reading, width: int, height: int) -> NoReturn:
+    def look(self, robot_state: RobotState, width: int, height: int) -> NoReturn:
         """Not by ROS.
 
         Raises:
@@ -285,11 +285,11 @@ class RemoteRobot:
         if sys.stdin is not None and sys.stdin.isatty():
             input(PUT_BACK)
 
-    def _reading(self, duration: float) -> Reading:
+    def _reading(self, duration: float) -> RobotState:
         """What was sensed last, `duration` [s] after the last reading."""
         (x, y, yaw), (v, w) = self._odometry.pose, self._odometry.twist
         at_x, at_y, at_yaw = self._origin
-        start_x, start_y, start_yaw = self._start.pose[0].tolist()
+        start_x, start_y, start_yaw = self._initial_state.pose[0].tolist()
         cos, sin = math.cos(start_yaw - at_yaw), math.sin(start_yaw - at_yaw)
         east, north = x - at_x, y - at_y
         turned = math.remainder(start_yaw + yaw - at_yaw, math.tau)
@@ -297,4 +297,6 @@ class RemoteRobot:
         touched, self._touched = self._touched or self._pressed, False
         faster, self._speed = (v - self._speed) / duration, v
         twist, told = np.array([v, w]), np.array(self._told)
-        return Reading.of_one((pose, twist, pose, twist, self._seen.ranges, touched, told, faster), self._start, self)
+        return RobotState.of_one(
+            (pose, twist, pose, twist, self._seen.ranges, touched, told, faster), self._initial_state, self
+        )

@@ -60,7 +60,7 @@ class RosRobot:
         scene = robot_scene(scene, self.goal)
         graph = join(self.ros, NAME, self.arguments)
         try:
-            robot = RemoteRobot(scene.setup, needs_in(scene), graph, topics, self.mounting, self.limits)
+            robot = RemoteRobot(scene.spec, needs_in(scene), graph, topics, self.mounting, self.limits)
         except BaseException:
             graph.close()
             raise
@@ -93,7 +93,7 @@ def robot_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:
         InputError: If a policy cannot do there what it does in the scene.
     """
     task, planned = scene.task, needs_in(scene).goal == "plan"
-    worlds = scene.setup.worlds
+    worlds = scene.spec.worlds
     if planned and len(worlds) > 1:
         raise InputError(f"a way is planned on one map, and {scene.place} are {len(worlds)}: name yours by task.world")
     if goal is not None and not hasattr(task, "goal"):
@@ -103,9 +103,9 @@ def robot_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:
         raise InputError("say where to get, such as --goal 3,0.5: m ahead and to the left of where the robot begins")
     if not planned:
         worlds = (floor((0.0, 0.0), goal or (0.0, 0.0)),)
-    worlds = tuple(replace(world, movers=()) for world in worlds)
+    worlds = tuple(replace(world, dynamic_obstacles=()) for world in worlds)
     goals = {} if goal is None else {"goal": goal}
-    return scene.in_worlds(worlds, start="fixed", variation="none", movers=None, noise=0.0, **goals)
+    return scene.in_worlds(worlds, start="fixed", variation="none", dynamic_obstacles=None, laser_noise=0.0, **goals)
 
 
 def parse_mounting(text: str) -> Mounting:

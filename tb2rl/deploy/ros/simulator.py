@@ -22,8 +22,8 @@ from tb2rl.deploy.ros.messages import (
 from tb2rl.envs.scene import Scene
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors.bumper import bumper_at
-from tb2rl.simulation import Reading, simulate
-from tb2rl.simulation.streams import GeneratorDraws
+from tb2rl.simulation import RobotState, simulate
+from tb2rl.simulation.random_streams import GeneratorDraws
 
 COMMAND_TIMEOUT = 600_000_000  # [ns] kobuki_node: a base that hears nothing for so long stops
 FINEST = 0.025  # [s] two steps of the physics: commands are obeyed, and odometry is told, this often
@@ -45,7 +45,7 @@ class Record:
     touches: int = 0  # how often it ran into something
     nearest: float = math.inf  # [m] shortest range
 
-    def note(self, before: Reading, after: Reading, seconds: float) -> None:
+    def note(self, before: RobotState, after: RobotState, seconds: float) -> None:
         """Take in one tick."""
         self.seconds += seconds
         self.distance += float(np.hypot(*(after.pose - before.pose)[0, :2]))
@@ -75,13 +75,13 @@ class Simulator:
     """
 
     def __init__(self, scene: Scene, simulation: str, seed: int, scan_rate: float, coarse: bool) -> None:
-        laser = replace(scene.robot.laser, noise=scene.task.noise)
-        self._setup, self._task = replace(scene.setup, laser=laser), scene.task
+        laser = replace(scene.robot.laser, noise=scene.task.laser_noise)
+        self._spec, self._task = replace(scene.spec, laser=laser), scene.task
         self.has_colours = simulation == "bullet"
         self.ticks_per_scan = 1 if coarse else math.ceil(1.0 / (scan_rate * FINEST) - 1e-9)
         self._tick = round(BILLION / (scan_rate * self.ticks_per_scan))  # [ns]
         self._rng, self._ticks, self._time = np.random.default_rng(seed), 0, 0
-        self._simulation = simulate(simulation, self._setup)
+        self._simulation = simulate(simulation, self._spec)
         self.put_back()
 
     @property
@@ -91,11 +91,11 @@ class Simulator:
 
     def put_back(self, clock: bool = False) -> None:
         """Begin again at a start of the task, at rest; `clock`: and at time 0."""
-        start = self._task.begin_varied(self._setup, GeneratorDraws(self._rng))
-        self._reading = self._simulation.reset(start, self._rng)
+        initial_state = self._task.randomized_initial_state(self._spec, GeneratorDraws(self._rng))
+        self._reading = self._simulation.reset(initial_state, self._rng)
         self._time = 0 if clock else self._time
         self._command, self._told = np.zeros((1, 2)), self._time
-        x, y, yaw = start.pose[0].tolist()
+        x, y, yaw = initial_state.pose[0].tolist()
         self.record = Record((x, y, yaw))
 
     def drive(self, velocity: Velocity) -> None:
@@ -123,7 +123,7 @@ class Simulator:
         return Clock(self._time)
 
     def scan(self) -> Scan:
-        laser, period = self._setup.laser, self._tick * self.ticks_per_scan / BILLION
+        laser, period = self._spec.laser, self._tick * self.ticks_per_scan / BILLION
         return Scan(
             self._time, LASER, *_sweep(laser), period, laser.min_range, laser.max_range, self._reading.ranges[0]
         )
@@ -138,7 +138,7 @@ class Simulator:
         """Where the robot is by its odometry, and where laser and camera are on it."""
         x, y, yaw = self._reading.odometry[0].tolist()
         base = Transform(ODOM, BASE, (x, y, 0.0), upright(yaw))
-        return Transforms(self._time, (base, *_mounts(self._setup.robot)))
+        return Transforms(self._time, (base, *_mounts(self._spec.robot)))
 
     def images(self) -> tuple[Image | None, Image]:
         """What the camera sees, in colours (PyBullet alone has them) and as depths."""
@@ -146,7 +146,7 @@ class Simulator:
         coloured = None if colours is None else Image(self._time, CAMERA, colours[0])
         return coloured, Image(self._time, CAMERA, depth[0])
 
-    def _bumps(self, before: Reading) -> list[Bump]:
+    def _bumps(self, before: RobotState) -> list[Bump]:
         """What was pressed or let go in a tick."""
         was, now = self._bumper(before), self._bumper(self._reading)
         if was == now:
@@ -154,12 +154,12 @@ class Simulator:
         told = [] if was is None else [Bump(was, False)]
         return told if now is None else [*told, Bump(now, True)]
 
-    def _bumper(self, reading: Reading) -> int | None:
+    def _bumper(self, robot_state: RobotState) -> int | None:
         """Which of the bumpers is pressed."""
-        beam = int(np.argmin(reading.ranges[0]))
-        if not reading.bumped[0] or reading.ranges[0, beam] > self._setup.robot.radius + _AT_THE_HULL:
+        beam = int(np.argmin(robot_state.ranges[0]))
+        if not robot_state.bumped[0] or robot_state.ranges[0, beam] > self._spec.robot.radius + _AT_THE_HULL:
             return None
-        return bumper_at(self._setup.laser.angles[beam])
+        return bumper_at(self._spec.laser.angles[beam])
 
 
 def _sweep(laser: Laser) -> tuple[float, float]:

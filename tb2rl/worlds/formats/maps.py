@@ -180,7 +180,7 @@ def write_map(world: World, path: Path, resolution: float = 0.05) -> tuple[Path,
     x0, y0, x1, y1 = world.bounds
     if not (resolution > 0 and (x1 - x0) * (y1 - y0) / resolution**2 <= MOST_CELLS):
         raise InputError(f"a map of {world.name} in cells of {resolution:g} m has more than {MOST_CELLS} cells")
-    if world.movers:
+    if world.dynamic_obstacles:
         text = f"world {world.name}: a map has nothing that moves: its movers are left out"
         warnings.warn(one_line(text), WorldWarning, stacklevel=2)
     cells = occupied_cells(world, resolution)[::-1]

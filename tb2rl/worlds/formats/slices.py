@@ -79,8 +79,8 @@ class Slice:
             ends = [
                 np.column_stack([outline, np.full(len(outline), z)]) @ pose[:3, :3].T + pose[:3, 3] for z in (low, high)
             ]
-            edges = [(end, np.roll(end, -1, axis=0)) for end in ends] + [(ends[0], ends[1])]
-            begins, stops = (np.concatenate(points) for points in zip(*edges, strict=True))
+            bins = [(end, np.roll(end, -1, axis=0)) for end in ends] + [(ends[0], ends[1])]
+            begins, stops = (np.concatenate(points) for points in zip(*bins, strict=True))
             hulls.append(shapely.MultiPoint(_crossings(begins, stops, self.height)).convex_hull)
             heights += [begins[:, 2].min(), begins[:, 2].max()]
         if (side := self.side(min(heights), max(heights))) == "met":

@@ -14,7 +14,7 @@ from tb2rl.deploy.bags.recorded import RecordedEnv
 from tb2rl.deploy.bags.recorder import open_bag
 from tb2rl.deploy.bags.topics import message_types, rosbags_library
 from tb2rl.envs.make import make_env
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Recorded:
 
     path: Path
     env: RecordedEnv
-    readings: list[Reading]
+    readings: list[RobotState]
     commands: np.ndarray
     rewards: list[float]
     distance: float
@@ -37,11 +37,11 @@ def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) ->
     with open_bag(path, scene) as env.recorder:
         env.reset(seed=3)
         env.action_space.seed(3)
-        readings.append(env.reading)
+        readings.append(env.robot_state)
         for _ in range(steps):
             action = env.action_space.sample()
             _, reward, terminated, truncated, info = env.step(action)
-            readings.append(env.reading)
+            readings.append(env.robot_state)
             commands.append(env.scene.actions.commands(env.scene.actions.checked(action))[0])
             rewards.append(float(reward))
             distance = info["distance"]

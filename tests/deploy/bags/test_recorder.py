@@ -14,7 +14,7 @@ from tb2rl.core.errors import InputError, install_extra
 from tb2rl.deploy.bags.recorder import BEGIN, check_bag, open_bag
 
 highlevel = pytest.importorskip("rosbags.highlevel")
-STRAY = {"variation": "strong", "noise": 0.01}  # odometry is not the truth
+STRAY = {"variation": "strong", "laser_noise": 0.01}  # odometry is not the truth
 
 
 def said(path) -> dict[str, list]:
@@ -51,9 +51,9 @@ def test_the_librarys_own_reader_finds_what_happened(bag, record):
         messages = [message for _, message in found[topic]]
         same_poses([pose_of(each.pose.pose) for each in messages], [getattr(r, poses)[0] for r in driven.readings])
         moved = [(each.twist.twist.linear.x, each.twist.twist.angular.z) for each in messages]
-        assert moved == [tuple(getattr(reading, twists)[0].tolist()) for reading in driven.readings]
+        assert moved == [tuple(getattr(robot_state, twists)[0].tolist()) for robot_state in driven.readings]
     scans = np.array([message.ranges for _, message in found["/kobuki/laser/scan"]])
-    assert scans.tolist() == np.float32([reading.ranges[0] for reading in driven.readings]).tolist()
+    assert scans.tolist() == np.float32([robot_state.ranges[0] for robot_state in driven.readings]).tolist()
     told = [(message.linear.x, message.angular.z) for _, message in found["/cmd_vel"]]
     assert told == [tuple(command) for command in driven.commands.tolist()]
     assert [message.data for _, message in found["/reward"]] == driven.rewards
@@ -94,7 +94,7 @@ def test_the_transforms_lead_from_the_map_to_where_the_robot_truly_is(bag, recor
         assert links == [("map", "odom"), ("odom", "base_footprint")]
         (x, y, yaw), (dx, dy, turn) = (pose_of(each.transform) for each in message.transforms)
         places.append([*(np.array([x, y]) + turned(yaw) @ (dx, dy)), yaw + turn])
-    same_poses(places, [reading.pose[0] for reading in driven.readings])
+    same_poses(places, [robot_state.pose[0] for robot_state in driven.readings])
 
 
 @pytest.mark.parametrize(

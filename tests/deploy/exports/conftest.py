@@ -14,7 +14,7 @@ from tb2rl.commands.export import export_folder
 from tb2rl.deploy.network import in_a_row, network_of
 from tb2rl.deploy.portable.network import Network
 from tb2rl.deploy.portable.policy_contract import Sensed
-from tb2rl.envs.batch import Batch
+from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.encodings import stacked
 from tb2rl.runs.loading import config_of, load
 
@@ -39,18 +39,18 @@ def my_features(tmp_path_factory) -> Iterator[None]:
 
 def _met(policy, count: int) -> np.ndarray:
     """Observations (count, ...) that robots meet in the twin, which do as the policy says three times of four."""
-    config, robots = config_of(policy), min(count, 250)
+    config, num_envs = config_of(policy), min(count, 250)
     rng, seen = np.random.default_rng(1), []
     space = config.scene.action_space
     space.seed(1)
-    with closing(Batch(config.scene, robots)) as batch:
+    with closing(ControlLoop(config.scene, num_envs)) as batch:
         batch.seed(1)
         observations = batch.reset()
-        while len(seen) * robots < count:
+        while len(seen) * num_envs < count:
             seen.append(np.array(observations))
             chosen, _ = policy.predict(observations, deterministic=True)
-            by_chance = rng.random(robots) < 0.25
-            chosen[by_chance] = np.stack([space.sample() for _ in range(robots)])[by_chance]
+            by_chance = rng.random(num_envs) < 0.25
+            chosen[by_chance] = np.stack([space.sample() for _ in range(num_envs)])[by_chance]
             observations = batch.step(chosen).observations
     return np.concatenate(seen)[:count]
 
@@ -79,16 +79,16 @@ def runner():
     return _runner
 
 
-def _sensed(reading, robot: int, waypoint=None) -> Sensed:
+def _sensed(robot_state, robot: int, waypoint=None) -> Sensed:
     """What one robot of a reading senses; with a waypoint by its true pose, as a planner says it."""
-    pose = reading.odometry if waypoint is None else reading.pose
+    pose = robot_state.odometry if waypoint is None else robot_state.pose
     return Sensed(
-        ranges=reading.ranges[robot],
+        ranges=robot_state.ranges[robot],
         pose=tuple(pose[robot]),
-        twist=tuple(reading.odometry_twist[robot]),
-        bumped=bool(reading.bumped[robot]),
-        command=tuple(reading.command[robot]),
-        goal=tuple(reading.goal[robot]),
+        twist=tuple(robot_state.odometry_twist[robot]),
+        bumped=bool(robot_state.bumped[robot]),
+        command=tuple(robot_state.command[robot]),
+        goal=tuple(robot_state.goal[robot]),
         waypoint=None if waypoint is None else tuple(waypoint[robot]),
     )
 

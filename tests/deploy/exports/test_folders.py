@@ -23,7 +23,7 @@ from tb2rl.deploy.folder import program
 from tb2rl.deploy.portable.main import main as drive
 from tb2rl.deploy.portable.policy import ExportedPolicy
 from tb2rl.deploy.portable.policy_contract import Sensed
-from tb2rl.envs.batch import Batch
+from tb2rl.envs.batch import ControlLoop
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
@@ -36,8 +36,8 @@ SENSORS = ["laser", "bumper", "twist", {"last_action": {"count": 3}}, "free_path
 TASKS = {  # what no policy of the zoo observes
     "all that needs no goal": (PPO, "drive", {**RAW, "task.observe": SENSORS}),
     "classes": ("qlearn", "maze", {"task.observe": ["bumper", "twist", "last_action", "free_paths"]}),
-    "classes of a goal": ("qlearn", "wall", {"task.observe": ["goal", "goal_direction"], "task.frames": 2}),
-    "a goal": (PPO, "navigate", {**RAW, "task.frames": 3}),
+    "classes of a goal": ("qlearn", "wall", {"task.observe": ["goal", "goal_direction"], "task.frame_stack": 2}),
+    "a goal": (PPO, "navigate", {**RAW, "task.frame_stack": 3}),
     "a plan": (PPO, "navigate", {**RAW, "task.guide": "plan"}),
     "classes of a plan": ("qlearn", "navigate", {"task.named_actions": True, "task.observe": ["waypoint_bearing"]}),
     "some beams": (PPO, "maze", {**RAW, "task.beams": 720, "task.beam_indices": [0, 144, 360, 576]}),
@@ -65,15 +65,15 @@ def assert_senses_and_acts_the_same(policy, folder: Path, sensed, steps: int) ->
     exported = [ExportedPolicy(folder) for _ in range(2)]
     guided = exported[0].needs.goal == "plan"
     scene.action_space.seed(0)
-    with closing(Batch(scene, 2)) as batch:
+    with closing(ControlLoop(scene, 2)) as batch:
         batch.seed(0)
         observations, ended = batch.reset(), np.arange(2)
         for _ in range(steps):
             for robot in ended:
                 exported[robot].begin()
-            waypoints = batch.reading.ahead(exported[0].needs.reach) if guided else None
+            waypoints = batch.robot_state.lookahead_point(exported[0].needs.lookahead) if guided else None
             for robot, one in enumerate(exported):
-                now = sensed(batch.reading, robot, waypoints)
+                now = sensed(batch.robot_state, robot, waypoints)
                 seen = observations[robot]
                 expected, _ = policy.predict(seen, deterministic=True)
                 command = one.act(now)
@@ -82,7 +82,7 @@ def assert_senses_and_acts_the_same(policy, folder: Path, sensed, steps: int) ->
                 np.testing.assert_allclose(command, scene.actions.commands(expected[None])[0], rtol=0.0, atol=1e-5)
             step = batch.step(np.stack([scene.action_space.sample() for _ in range(2)]))
             observations = step.observations
-            ended = step.finals.robots if step.finals else ()
+            ended = step.finished.indices if step.finished else ()
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in NAMES])
@@ -99,10 +99,10 @@ def test_every_sensor_that_a_robot_has_is_read_as_in_the_simulation(kind, untrai
 
 
 def test_a_policy_that_drew_a_map_is_told_a_plan_on_a_robot(untrained, tmp_path):
-    folder = untrained(PPO, "navigate", {**RAW, "task.guide": "plan", "task.planner": "seen", "task.reach": 1.2})
+    folder = untrained(PPO, "navigate", {**RAW, "task.guide": "plan", "task.map": "online", "task.lookahead": 1.2})
     export_folder(folder, tmp_path)
     needs = ExportedPolicy(tmp_path).needs
-    assert (needs.goal, needs.reach, needs.uses_odometry) == ("plan", 1.2, True)
+    assert (needs.goal, needs.lookahead, needs.uses_odometry) == ("plan", 1.2, True)
 
 
 def test_the_inertial_unit_is_read_as_drivers_of_tb2rl_read_it(untrained, loaded, tmp_path):

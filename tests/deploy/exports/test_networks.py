@@ -15,10 +15,10 @@ from tb2rl.runs.layers import resolve
 from tb2rl.runs.normalisation import driving_policy
 
 RAW = {"task.observation": "raw"}
-NEAR = {**RAW, "agent.policy_kwargs.features_extractor_class": "tb2rl.envs.features:Nearness"}
+NEAR = {**RAW, "agent.policy_kwargs.features_extractor_class": "tb2rl.envs.features:InverseRange"}
 BUFFER = {"agent.buffer_size": 10}
 AGENTS = {
-    "frames": ("ppo", "maze", {"task.frames": 3}),
+    "frame_stack": ("ppo", "maze", {"task.frame_stack": 3}),
     "normalised": ("stable_baselines3:PPO", "wall", {**RAW, "train.norm_obs": True}),
     "classes": ("stable_baselines3:DQN", "wall", {**BUFFER, "task.observation": "discrete"}),
     "ELU": ("ppo", "maze", {"agent.policy_kwargs.activation_fn": "torch.nn:ELU"}),
@@ -38,7 +38,7 @@ AGENTS = {
 }
 IMAGES = {
     "an image": {"task.observe": [{"camera": {"depth": True, "width": 36, "height": 36}}]},
-    "two frames of an image": {"task.observe": [{"camera": {"width": 36, "height": 36}}], "task.frames": 2},
+    "two frames of an image": {"task.observe": [{"camera": {"width": 36, "height": 36}}], "task.frame_stack": 2},
     "an image beside numbers": {"task.observe": ["laser", {"camera": {"width": 36, "height": 36}}]},
     "normalised beside an image": {
         "task.observe": ["laser", {"camera": {"width": 36, "height": 36}}],
@@ -126,7 +126,7 @@ def test_a_graph_reads_images(kind):
     ("settings", "words"),
     [
         ({"agent.policy_kwargs.activation_fn": "torch.nn:GELU"}, ["GELU", "ReLU, "]),
-        ({"agent.policy_kwargs.features_extractor_class": "my_features:Doubled", **RAW}, ["Doubled", "Nearness"]),
+        ({"agent.policy_kwargs.features_extractor_class": "my_features:Doubled", **RAW}, ["Doubled", "InverseRange"]),
     ],
 )
 def test_what_is_not_known_is_refused(settings, words):

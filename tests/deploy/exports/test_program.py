@@ -118,7 +118,7 @@ def follower(robot, tmp_path_factory):
     """The folder of a policy that is told a plan, and so needs odometry, too."""
     folder = tmp_path_factory.mktemp("follower")
     about = json.loads((robot / "policy.json").read_text())
-    about["needs"] |= {"goal": "plan", "uses_odometry": True, "reach": 1.5}
+    about["needs"] |= {"goal": "plan", "uses_odometry": True, "lookahead": 1.5}
     (folder / "policy.json").write_text(json.dumps(about))
     (folder / "weights.npz").write_bytes((robot / "weights.npz").read_bytes())
     return folder

@@ -148,7 +148,7 @@ def test_what_the_laser_sees_is_what_the_policy_was_trained_with(env, rover):
     rover.ranges = np.full(361, 0.3)
     env.step(FORWARD)
     observation, _, terminated, _, info = env.step(FORWARD)
-    assert (observation.tolist(), terminated, info["ended"]) == ([0] * 7, True, "crash")
+    assert (observation.tolist(), terminated, info["ended"]) == ([0] * 7, True, "collision")
 
 
 def test_steps_last_on_average_what_they_should_however_seldom_scans_come(in_turns, env, rover):
@@ -251,7 +251,7 @@ def test_no_copies_no_states_no_images(env, rover):
     from copy import deepcopy
 
     env.reset()
-    for forbidden in (lambda: deepcopy(env), env.state, lambda: env.reading.look(8, 8), env.camera):
+    for forbidden in (lambda: deepcopy(env), env.state, lambda: env.robot_state.look(8, 8), env.camera):
         with pytest.raises(InputError):
             forbidden()
 
@@ -269,7 +269,7 @@ def test_it_drives_no_faster_than_its_limits(rover):
     env.reset()
     env.step(FORWARD)
     assert max(rover.told) == (0.25, 0.0)
-    assert env.reading.command.tolist() == [[0.25, 0.0]]
+    assert env.robot_state.command.tolist() == [[0.25, 0.0]]
     env.close()
 
 
@@ -311,10 +311,10 @@ def test_a_film_holds_all_of_the_way(rover, tmp_path):
 
 
 def test_the_floor_of_a_robot_knows_no_walls_and_nothing_varies():
-    scene = make_scene(make_task("maze", {"variation": "strong", "movers": {"people": 2}}), "discrete")
+    scene = make_scene(make_task("maze", {"variation": "strong", "dynamic_obstacles": {"people": 2}}), "discrete")
     robot = robot_scene(scene)
     assert len(robot.world.boxes) == len(robot.world.posts) == 0
-    assert (robot.task.start, robot.task.variation, robot.setup.anything_moves) == ("fixed", "none", False)
+    assert (robot.task.start, robot.task.variation, robot.spec.has_dynamic_obstacles) == ("fixed", "none", False)
 
 
 def test_goals_are_where_the_user_says_and_maps_those_of_who_plans():
@@ -327,7 +327,7 @@ def test_goals_are_where_the_user_says_and_maps_those_of_who_plans():
     many = make_scene(make_task("navigate", {"world": ["loop", "circuit"], "guide": "plan"}), "raw")
     with pytest.raises(InputError, match="name yours"):
         robot_scene(many)
-    seen = make_scene(make_task("navigate", {"world": "loop", "guide": "plan", "planner": "seen"}), "raw")
+    seen = make_scene(make_task("navigate", {"world": "loop", "guide": "plan", "map": "online"}), "raw")
     assert robot_scene(seen, (2.0, 0.0)).world.name == "floor"
     with pytest.raises(InputError, match="such as navigate"):
         robot_scene(make_scene(make_task("maze", {}), "discrete"), (1.0, 0.0))

@@ -62,7 +62,7 @@ def test_scans_are_those_of_the_tutorials_laser_ten_times_a_second(probe):
     assert seconds(last["header"]["stamp"]) - seconds(first["header"]["stamp"]) == pytest.approx(0.4)
     env = tb2rl.make_env("maze", "raw", start="fixed", beams=720)
     env.reset(seed=0)
-    np.testing.assert_allclose(first["ranges"], env.unwrapped.reading.ranges[0], atol=0.002)
+    np.testing.assert_allclose(first["ranges"], env.unwrapped.robot_state.ranges[0], atol=0.002)
 
 
 def stands(odometry):

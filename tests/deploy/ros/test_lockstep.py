@@ -19,10 +19,10 @@ def test_in_lockstep_a_drive_is_the_environments_to_the_bit_and_a_signal_ends_it
     commands = [(0.5, 0.0), (0.05, 1.0), (0.5, 0.0), (0.05, -1.0), (0.5, 0.0)] * 8
     env = tb2rl.make_env("maze", "raw", simulation="kinematic", beams=720)
     env.reset(seed=3)
-    expected = [env.unwrapped.reading.ranges[0]]
+    expected = [env.unwrapped.robot_state.ranges[0]]
     for _, w in commands:
         env.step(0 if w == 0.0 else 1 if w > 0.0 else 2)
-        expected.append(env.unwrapped.reading.ranges[0])
+        expected.append(env.unwrapped.robot_state.ranges[0])
     with graph.start("simulate", *options, "--set", "task.start=random") as simulated, graph.probe() as probe:
         probe.listen(SCAN, SCANS)
         scans = probe.ask("answer", topic="/cmd_vel", scans=SCAN, commands=commands)

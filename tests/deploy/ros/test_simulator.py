@@ -62,7 +62,7 @@ def test_a_scan_is_the_robots_whole_laser_whatever_beams_the_task_reads():
     assert (scan.range_min, scan.range_max) == (0.1, 30.0)
     env = tb2rl.make_env("maze", "raw", simulation="kinematic", start="fixed", beams=720)
     env.reset(seed=0)
-    np.testing.assert_array_equal(scan.ranges, env.unwrapped.reading.ranges[0])
+    np.testing.assert_array_equal(scan.ranges, env.unwrapped.robot_state.ranges[0])
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
@@ -75,7 +75,7 @@ def test_coarse_ticks_are_the_steps_of_an_environment_to_the_bit(simulation):
         robot.drive(Velocity(v, w))
         robot.advance()
         env.step(action)
-        np.testing.assert_array_equal(robot.scan().ranges, env.unwrapped.reading.ranges[0])
+        np.testing.assert_array_equal(robot.scan().ranges, env.unwrapped.robot_state.ranges[0])
 
 
 def test_it_is_put_back_at_its_start_and_time_goes_on_unless_it_is_to_begin_again():

@@ -23,7 +23,7 @@ from sensor_msgs.msg import LaserScan
 from std_srvs.srv import Empty
 
 ACTIONS = ((0.5, 0.0), (0.05, 0.3), (0.05, -0.3))  # forward, left, right: v [m/s], w [rad/s]
-KEPT, FARTHEST, CRASH = 144, 6, 0.5  # every so many readings; [m]; [m]
+KEPT, FARTHEST, COLLISION = 144, 6, 0.5  # every so many readings; [m]; [m]
 ALPHA, GAMMA, EPSILON = 0.1, 0.7, 0.9
 
 
@@ -81,9 +81,9 @@ class Environment:
         self.move(*ACTIONS[action])
         self.gazebo.pause()
         state = self.observe()
-        crashed = any(0.0 < reading < CRASH for reading in self.kept())
-        reward = -200 if crashed else 5 if action == 0 else 1
-        return state, reward, crashed
+        collided = any(0.0 < robot_state < COLLISION for robot_state in self.kept())
+        reward = -200 if collided else 5 if action == 0 else 1
+        return state, reward, collided
 
     def move(self, linear, angular):
         command = Twist()
@@ -96,7 +96,9 @@ class Environment:
 
     def observe(self):
         self.filtered.publish(self.scan)
-        return tuple(FARTHEST if reading == float("inf") else min(int(reading), FARTHEST) for reading in self.kept())
+        return tuple(
+            FARTHEST if robot_state == float("inf") else min(int(robot_state), FARTHEST) for robot_state in self.kept()
+        )
 
 
 def train(episodes, steps, seconds):

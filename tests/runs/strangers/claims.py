@@ -17,7 +17,7 @@ CLAIMS: dict[str, list[Any]] = {
     "train.device": ["cuda", "cuda:99", "meta", "nowhere"],
     "task.beams": [10**7, 10**9, 10**12, 2**63],
     "task.beam_indices": [[10**12], [0] * 10**6, [2**63]],
-    "task.edges": [[float(i + 1) for i in range(10**4)]],
+    "task.range_bins": [[float(i + 1) for i in range(10**4)]],
     "task.world": ["", "\0", ".", "/", "/dev/zero", "/etc/passwd", "x" * 300 + ".yaml", "a/" * 5000, "os:getcwd"],
     "task.robot": ["", ":", "os:getcwd", "tb2rl.robots:Robot", "x" * 10**6],
     "task.name": ["", ":", "os:mkdir", "tb2rl.tasks:Task", "asyncio.windows_events:X"],

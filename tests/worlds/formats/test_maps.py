@@ -14,11 +14,11 @@ from PIL import Image
 
 from tb2rl.core.errors import InputError, WorldWarning
 from tb2rl.registry import find_world, world_names
+from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
 from tb2rl.worlds.formats.imports import Import
 from tb2rl.worlds.formats.maps import write_map
 from tb2rl.worlds.geometry import cast
-from tb2rl.worlds.movers import find_movers
 from tb2rl.worlds.readers import read_world
 from tb2rl.worlds.world import World
 
@@ -255,6 +255,11 @@ def test_a_map_is_read_again_when_its_picture_changed(read, tmp_path):
 
 
 def test_a_map_of_a_world_with_movers_says_that_it_leaves_them_out(tmp_path):
-    world = World.from_shapes("hall", start=START, bounds=(-1, -1, 1, 1), movers=find_movers({"people": 1}, "movers"))
+    world = World.from_shapes(
+        "hall",
+        start=START,
+        bounds=(-1, -1, 1, 1),
+        dynamic_obstacles=find_dynamic_obstacles({"people": 1}, "dynamic_obstacles"),
+    )
     with pytest.warns(WorldWarning, match=r"world hall: .* movers are left out"):
         write_map(world, tmp_path / "hall.yaml")

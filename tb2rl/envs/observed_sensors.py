@@ -11,13 +11,13 @@ from tb2rl.core.values import checked
 from tb2rl.registry import import_object
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.names import SENSORS
-from tb2rl.simulation import Setup
+from tb2rl.simulation import SimulationSpec
 from tb2rl.tasks import Task
 
 _ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
-def observed_sensors(task: Task, own: tuple[Sensor, ...], setup: Setup) -> tuple[Sensor, ...]:
+def observed_sensors(task: Task, own: tuple[Sensor, ...], spec: SimulationSpec) -> tuple[Sensor, ...]:
     """The sensors that `task.observe` lists; those of the task itself if it is None.
 
     A sensor that is named without arguments, and that the task has or offers, is the task's: with its settings.
@@ -25,15 +25,15 @@ def observed_sensors(task: Task, own: tuple[Sensor, ...], setup: Setup) -> tuple
     Args:
         task: The task.
         own: Its own sensors.
-        setup: The robot and the worlds.
+        spec: The robot and the worlds.
 
     Raises:
         InputError: For an unknown name, arguments that do not fit, or a sensor that is listed twice.
     """
     if task.observe is None:
         return own
-    present = [*own, *task.offers(setup)]
-    sensors = [sensor for entry in task.observe for sensor in _sensors(entry, present, setup)]
+    present = [*own, *task.available_sensors(spec)]
+    sensors = [sensor for entry in task.observe for sensor in _sensors(entry, present, spec)]
     names = [sensor.name for sensor in sensors]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
@@ -41,17 +41,17 @@ def observed_sensors(task: Task, own: tuple[Sensor, ...], setup: Setup) -> tuple
     return tuple(sensors)
 
 
-def _sensors(entry: str | Mapping[str, Any], present: list[Sensor], setup: Setup) -> list[Sensor]:
+def _sensors(entry: str | Mapping[str, Any], present: list[Sensor], spec: SimulationSpec) -> list[Sensor]:
     """What one entry of the list means: a name, or {name: arguments}."""
     ((name, arguments),) = [(entry, None)] if isinstance(entry, str) else entry.items()
     kinds = _kinds(name)
     if not arguments:
         found = [next((sensor for sensor in present if type(sensor) is kind), None) for kind in kinds]
-        return [sensor or _made(kind, name, {}, setup) for sensor, kind in zip(found, kinds, strict=True)]
+        return [sensor or _made(kind, name, {}, spec) for sensor, kind in zip(found, kinds, strict=True)]
     if len(kinds) > 1:
         singly = " and ".join(f"{kind.__module__}:{kind.__name__}" for kind in kinds)
         raise InputError(f"task.observe.{name}: it takes no arguments, being several sensors: {singly}")
-    return [_made(kinds[0], name, arguments, setup)]
+    return [_made(kinds[0], name, arguments, spec)]
 
 
 def _kinds(name: str) -> tuple[type[Sensor], ...]:
@@ -69,9 +69,9 @@ def _kinds(name: str) -> tuple[type[Sensor], ...]:
     return (found,)
 
 
-def _made(kind: type[Sensor], name: str, arguments: Mapping[str, Any], setup: Setup) -> Sensor:
+def _made(kind: type[Sensor], name: str, arguments: Mapping[str, Any], spec: SimulationSpec) -> Sensor:
     """A sensor with what the robot decides, and with arguments that are held against its class."""
-    where, given, taken = f"task.observe.{name}", kind.given(setup), inspect.signature(kind).parameters
+    where, given, taken = f"task.observe.{name}", kind.given(spec), inspect.signature(kind).parameters
     for key in arguments:
         if key not in taken or key in given:
             raise unknown(f"argument of {where}:", key, taken.keys() - given.keys())

@@ -23,7 +23,7 @@ Path = Annotated[tuple[tuple[_Coordinate, _Coordinate], ...], Len(2, 1000)]
 
 
 @dataclass(frozen=True)
-class Movers:
+class DynamicObstacles:
     """Some things that move in the same way, such as four people: `{people: 4}`.
 
     People are round. They walk to random points, as people do: around walls, each other and what else moves. Posts and
@@ -54,12 +54,12 @@ class Movers:
         return (*path, *path[:1]) if self.closed else path
 
 
-def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
+def find_dynamic_obstacles(setting: Any, where: str) -> tuple[DynamicObstacles, ...]:
     """What a setting means: a mapping such as {people: 4}, a list of them, or None.
 
     Args:
-        setting: As YAML or keyword arguments bring it; or of `Movers`.
-        where: What it is, for the message: "task.movers".
+        setting: As YAML or keyword arguments bring it; or of `DynamicObstacles`.
+        where: What it is, for the message: "task.dynamic_obstacles".
 
     Raises:
         InputError: If it does not fit.
@@ -69,21 +69,23 @@ def find_movers(setting: Any, where: str) -> tuple[Movers, ...]:
     entries = setting if isinstance(setting, list | tuple) else [setting]
     if len(entries) > MOST:
         raise InputError(f"{where}: must be at most {MOST} entries, got {len(entries)}")
-    movers = []
+    dynamic_obstacles = []
     for entry in entries:
-        if not isinstance(entry, Mapping | Movers):
+        if not isinstance(entry, Mapping | DynamicObstacles):
             text = f"{where}: must say how many of what, such as {{people: 4}}, or be a list; got {entry!r}"
             raise InputError(one_line(text))
-        movers.append(entry if isinstance(entry, Movers) else build(Movers, entry, where))
-        _check(movers[-1], where)
-    check_number(movers, where)
-    return tuple(movers)
+        dynamic_obstacles.append(
+            entry if isinstance(entry, DynamicObstacles) else build(DynamicObstacles, entry, where)
+        )
+        _check(dynamic_obstacles[-1], where)
+    check_number(dynamic_obstacles, where)
+    return tuple(dynamic_obstacles)
 
 
-def among(movers: Sequence[Movers]) -> str:
+def among(dynamic_obstacles: Sequence[DynamicObstacles]) -> str:
     """How many of what, in words: "among 8 people and 1 box"; "" if there are none."""
     kinds, counts = {"people": "person", "posts": "post", "boxes": "box"}, Counter[tuple[str, float]]()
-    for group in movers:
+    for group in dynamic_obstacles:
         counts.update({(kind, group.presence): getattr(group, kind) for kind in kinds})
     said = [
         f"{count} {kind if count > 1 else kinds[kind]}{f' in {presence:.0%} of the episodes' if presence < 1 else ''}"
@@ -93,19 +95,19 @@ def among(movers: Sequence[Movers]) -> str:
     return f"among {' and '.join(said)}" if said else ""
 
 
-def check_number(movers: Sequence[Movers], where: str) -> None:
+def check_number(dynamic_obstacles: Sequence[DynamicObstacles], where: str) -> None:
     """Raise an `InputError` if there are more than `MOST`; `where` is what they are of, for the message."""
-    count = sum(group.count for group in movers)
+    count = sum(group.count for group in dynamic_obstacles)
     if count > MOST:
         raise InputError(f"{where}: must be at most {MOST} movers, got {count}")
 
 
-def said_of(group: Movers) -> dict[str, Any]:
-    """What `find_movers` makes such a group of: all that is not as usual."""
-    return {key: value for key, value in asdict(group).items() if value != getattr(Movers, key)}
+def said_of(group: DynamicObstacles) -> dict[str, Any]:
+    """What `find_dynamic_obstacles` makes such a group of: all that is not as usual."""
+    return {key: value for key, value in asdict(group).items() if value != getattr(DynamicObstacles, key)}
 
 
-def _check(group: Movers, where: str) -> None:
+def _check(group: DynamicObstacles, where: str) -> None:
     if not group.count:
         raise InputError(f"{where}: must say how many people, posts or boxes there are, such as {{people: 4}}")
     if group.people and group.path is not None:

@@ -9,14 +9,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from tb2rl.simulation import Reading
+from tb2rl.simulation import RobotState
 
 
-class Memory(ABC):
+class EpisodeState(ABC):
     """Some values for each robot, which a reading brings to the sensors.
 
     Attributes:
-        field: Of `Reading`, under which sensors find it.
+        field: Of `RobotState`, under which sensors find it.
     """
 
     field: ClassVar[str]
@@ -25,29 +25,29 @@ class Memory(ABC):
         self._rows: dict[str, np.ndarray] = {}  # by name, one row a robot
 
     @abstractmethod
-    def blank(self, robots: int) -> dict[str, np.ndarray]:
-        """The values of so many robots that remember nothing, by name, each of shape (robots, ...)."""
+    def blank(self, num_envs: int) -> dict[str, np.ndarray]:
+        """The values of so many robots that remember nothing, by name, each of shape (num_envs, ...)."""
 
     @abstractmethod
-    def go_on(self, reading: Reading) -> None:
+    def go_on(self, robot_state: RobotState) -> None:
         """Note what all robots read now."""
 
-    def begin(self, reading: Reading) -> None:
+    def begin(self, robot_state: RobotState) -> None:
         """Forget all; the episodes of all robots begin."""
-        self._rows = self.blank(len(reading.pose))
-        self.go_on(reading)
+        self._rows = self.blank(len(robot_state.pose))
+        self.go_on(robot_state)
 
-    def begin_some(self, robots: np.ndarray, reading: Reading) -> None:
-        """Forget what some robots, by their indices (n,), remember; `reading`, of these alone, is their first."""
+    def begin_some(self, indices: np.ndarray, robot_state: RobotState) -> None:
+        """Forget what some robots, by their indices (n,), remember; `robot_state`, of these alone, is their first."""
         some = copy(self)
-        some.begin(reading)
+        some.begin(robot_state)
         for name, values in some._rows.items():
-            self._rows[name][robots] = values
+            self._rows[name][indices] = values
 
-    def of(self, robots: np.ndarray) -> Self:
+    def of(self, indices: np.ndarray) -> Self:
         """What some robots, by their indices (n,), remember."""
         some = copy(self)
-        some._rows = {name: values[robots] for name, values in self._rows.items()}
+        some._rows = {name: values[indices] for name, values in self._rows.items()}
         return some
 
     def state(self) -> dict[str, Any]:

@@ -25,24 +25,24 @@ class Delay:
         """Where the episodes of all robots begin: `first`, with a row for each, stands for what was before."""
         self._past = [deepcopy(first) for _ in range(self._most)]
 
-    def begin_some(self, robots: np.ndarray, first: Observations) -> None:
+    def begin_some(self, indices: np.ndarray, first: Observations) -> None:
         """The same for the robots with indices `robots` (n,) alone, n rows."""
         for past in self._past:
-            put_rows(past, robots, first)
+            put_rows(past, indices, first)
 
-    def pass_on(self, latest: Observations, late: np.ndarray) -> Observations:
+    def push(self, latest: Observations, late: np.ndarray) -> Observations:
         """What arrives at the robots now.
 
         Args:
-            latest: What comes in: an array (robots, ...), or a mapping of such arrays.
-            late: By how many control steps each robot is late, shape (robots,).
+            latest: What comes in: an array (num_envs, ...), or a mapping of such arrays.
+            late: By how many control steps each robot is late, shape (num_envs,).
         """
         if not self._most:
             return latest
         arriving = deepcopy(latest)
         for steps, past in enumerate(self._past, start=1):
-            robots = np.flatnonzero(late == steps)
-            put_rows(arriving, robots, rows(past, robots))
+            indices = np.flatnonzero(late == steps)
+            put_rows(arriving, indices, rows(past, indices))
         self._past = [latest, *self._past[:-1]]
         return arriving
 

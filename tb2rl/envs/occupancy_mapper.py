@@ -13,55 +13,55 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import njit
-from tb2rl.envs.memory import Memory
-from tb2rl.simulation import Reading, Setup
-from tb2rl.simulation.setup import BOUNDS
+from tb2rl.envs.episode_state import EpisodeState
+from tb2rl.simulation import RobotState, SimulationSpec
+from tb2rl.simulation.spec import BOUNDS
 from tb2rl.worlds.floor import SIDE
-from tb2rl.worlds.ways import KEEP_OFF, march_from, points_ahead
+from tb2rl.worlds.goal_paths import KEEP_OFF, march_from, points_ahead
 
 _EVERY = 6  # control steps from one plan to the next
 _HIT, _SURE = 4, 20  # what a beam that ends in a square adds, where one that passes takes 1; at most, both ways
 
 
-class Explorer(Memory):
+class OccupancyMapper(EpisodeState):
     """Maps of what some robots have seen, and their ways to the goal on them.
 
     Args:
-        setup: The robot, its laser and the worlds, of which only the size is used.
+        spec: The robot, its laser and the worlds, of which only the size is used.
     """
 
-    field = "explored"
+    field = "occupancy_map"
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, spec: SimulationSpec) -> None:
         super().__init__()
-        bounds = setup.table[:, BOUNDS]
+        bounds = spec.table[:, BOUNDS]
         self._size = tuple(np.ceil((bounds[:, [3, 2]] - bounds[:, [1, 0]]).max(axis=0) / SIDE).astype(int) + 1)
-        self._radius, self._angles, self._most = setup.robot.radius, setup.laser.angles, setup.laser.max_range
+        self._radius, self._angles, self._most = spec.robot.radius, spec.laser.angles, spec.laser.max_range
 
-    def blank(self, robots: int) -> dict[str, np.ndarray]:
+    def blank(self, num_envs: int) -> dict[str, np.ndarray]:
         return {
-            "hits": np.zeros((robots, *self._size), np.int8),
-            "way": np.empty((robots, *self._size), np.float32),
-            "age": np.full(robots, _EVERY),
+            "hits": np.zeros((num_envs, *self._size), np.int8),
+            "way": np.empty((num_envs, *self._size), np.float32),
+            "age": np.full(num_envs, _EVERY),
         }
 
-    def go_on(self, reading: Reading) -> None:
+    def go_on(self, robot_state: RobotState) -> None:
         """Note what all robots see now; plan anew where it is time to."""
-        grids, rows, reach = self._grids(reading), self._rows, self._radius + KEEP_OFF
-        _note(np.array(reading.pose), np.array(reading.ranges), self._angles, self._most, grids, rows["hits"])
+        grids, rows, reach = self._grids(robot_state), self._rows, self._radius + KEEP_OFF
+        _note(np.array(robot_state.pose), np.array(robot_state.ranges), self._angles, self._most, grids, rows["hits"])
         rows["age"] += 1
         for i in np.flatnonzero(rows["age"] >= _EVERY):
-            clearance = np.minimum(self._inside(reading.start.bounds[i]), reach)
+            clearance = np.minimum(self._inside(robot_state.initial_state.bounds[i]), reach)
             _keep_off(rows["hits"][i], reach, clearance)
-            rows["way"][i] = march_from(clearance, self._radius, reading.goal[i], grids[i])
+            rows["way"][i] = march_from(clearance, self._radius, robot_state.goal[i], grids[i])
             rows["age"][i] = 0
 
-    def ahead(self, reading: Reading, reach: float) -> np.ndarray:
-        """See `Reading.ahead`."""
-        points, ways = np.empty((len(reading.pose), 2)), self._rows["way"]
+    def lookahead_point(self, robot_state: RobotState, reach: float) -> np.ndarray:
+        """See `RobotState.lookahead_point`."""
+        points, ways = np.empty((len(robot_state.pose), 2)), self._rows["way"]
         begins = np.arange(len(ways)) * math.prod(self._size)
-        place, goal = np.array(reading.pose), np.array(reading.goal)  # compiled once, for arrays of one kind
-        points_ahead(begins, self._grids(reading), ways.ravel(), place, goal, reach, points)
+        place, goal = np.array(robot_state.pose), np.array(robot_state.goal)  # compiled once, for arrays of one kind
+        points_ahead(begins, self._grids(robot_state), ways.ravel(), place, goal, reach, points)
         return points
 
     def _inside(self, bounds: np.ndarray) -> np.ndarray:
@@ -71,16 +71,16 @@ class Explorer(Memory):
         across, along = np.minimum(x, bounds[2] - bounds[0] - x), np.minimum(y, bounds[3] - bounds[1] - y)
         return np.maximum(np.minimum(across, along), 0.0)
 
-    def _grids(self, reading: Reading) -> np.ndarray:
+    def _grids(self, robot_state: RobotState) -> np.ndarray:
         """Rows, columns, x and y of the first square's middle, side of a square [m] of each robot's map."""
-        corners = reading.start.bounds[:, :2]
+        corners = robot_state.initial_state.bounds[:, :2]
         ones = np.ones((len(corners), 1))
         return np.column_stack([self._size * ones, corners, SIDE * ones])
 
 
 @njit(cache=True)
 def _note(poses, ranges, angles, most, grids, hits):
-    """Count in `hits` (robots, rows, columns) up where beams (robots, beams) end, and down where they pass.
+    """Count in `hits` (num_envs, rows, columns) up where beams (num_envs, beams) end, and down where they pass.
 
     Args:
         most: How far the laser sees [m]: so far a beam passes that hits nothing.

@@ -27,7 +27,7 @@ _NEAR = 0.25  # [m] from here on a way leads straight to the goal
 _GOAL_ROOM = 0.3  # [m] between a random goal and what stands around it, where there is so much
 
 
-class Ways:
+class GoalPaths:
     """The ways to some goals in each of some worlds; those to a goal are found when they are first asked for.
 
     A goal is named by its world's index and its number there: `OWN`, or 1 to `GOALS` for random ones, which are the
@@ -47,20 +47,28 @@ class Ways:
         self._used, self._room = 0, np.empty(0, dtype=np.float32)
 
     def goals(self, worlds: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        """Where goals are: x, y [m], shape (robots, 2), for worlds and numbers of shape (robots,)."""
+        """Where goals are: x, y [m], shape (num_envs, 2), for worlds and numbers of shape (num_envs,)."""
         return self._goals[self._fields(worlds, numbers)]
 
-    def to_go(self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """How long the ways are from places x, y [m], shape (robots, 2) or more columns, to goals [m], (robots,)."""
+    def path_length(self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """How long the ways are from places x, y [m], shape (num_envs, 2) or more columns, to goals [m],
+        (num_envs,).
+        """
         lengths, places = np.empty(len(places)), np.array(places)  # compiled once, for arrays of one kind
         fields = self._fields(worlds, numbers)
         _lengths(self._begins[fields], self._grids[worlds], self._room, places, lengths)
         return lengths
 
-    def ahead(self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray, reach: float) -> np.ndarray:
-        """The points on the ways that are `reach` [m] ahead, or the goals if these are nearer, shape (robots, 2)."""
+    def lookahead_point(
+        self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray, lookahead: float
+    ) -> np.ndarray:
+        """The points on the ways that are `lookahead` [m] ahead, or the goals if these are nearer, shape (num_envs,
+        2).
+        """
         fields, points, places = self._fields(worlds, numbers), np.empty((len(places), 2)), np.array(places)
-        points_ahead(self._begins[fields], self._grids[worlds], self._room, places, self._goals[fields], reach, points)
+        points_ahead(
+            self._begins[fields], self._grids[worlds], self._room, places, self._goals[fields], lookahead, points
+        )
         return points
 
     def _fields(self, worlds: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -107,7 +115,7 @@ class Ways:
 
 
 def march_from(clearance: np.ndarray, radius: float, goal: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """How far it is to a goal from all squares of a map, see `Ways`.
+    """How far it is to a goal from all squares of a map, see `GoalPaths`.
 
     Args:
         clearance: Of each square, at most `KEEP_OFF` more than the radius [m], shape (rows, columns).
@@ -171,7 +179,7 @@ def _corners(begin, grid, values, row, column):
 
 @njit(cache=True)
 def _lengths(begins, grids, values, places, lengths):
-    """Write how long the ways are (robots,), between the squares' middles linearly; see `Ways.to_go`."""
+    """Write how long the ways are (num_envs,), between the squares' middles linearly; see `GoalPaths.path_length`."""
     for i in range(places.shape[0]):
         row, column, up, right = _within_grid(grids[i], places[i, 0], places[i, 1])
         a, b, c, d = _corners(begins[i], grids[i], values, row, column)
@@ -207,10 +215,10 @@ def _downhill(begin, grid, values, row, column, up, right):
 
 
 @njit(cache=True)
-def points_ahead(begins, grids, values, places, goals, reach, points):
-    """Write the points ahead (robots, 2), downhill in how far it is; see `Ways.ahead`."""
+def points_ahead(begins, grids, values, places, goals, lookahead, points):
+    """Write the points ahead (num_envs, 2), downhill in how far it is; see `GoalPaths.ahead`."""
     for i in range(places.shape[0]):
-        x, y, left = places[i, 0], places[i, 1], reach
+        x, y, left = places[i, 0], places[i, 1], lookahead
         while left > 0.0:
             east, north = goals[i, 0] - x, goals[i, 1] - y
             straight = math.hypot(east, north)

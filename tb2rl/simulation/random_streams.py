@@ -35,7 +35,7 @@ def normal(key, count):
 
 @njit(cache=True)
 def uniforms(keys, counts, numbers):
-    """Fill `numbers` (robots, n) with the next n numbers of each robot's stream, and move its count on."""
+    """Fill `numbers` (num_envs, n) with the next n numbers of each robot's stream, and move its count on."""
     for i in range(numbers.shape[0]):
         for j in range(numbers.shape[1]):
             numbers[i, j] = uniform(keys[i], counts[i])
@@ -46,11 +46,11 @@ class Draws(Protocol):
     """A source of random numbers for robots whose episodes begin."""
 
     @property
-    def robots(self) -> int:
+    def num_envs(self) -> int:
         """How many robots draw."""
 
     def uniform(self, count: int) -> np.ndarray:
-        """The next `count` numbers in [0, 1) of each robot, shape (robots, count)."""
+        """The next `count` numbers in [0, 1) of each robot, shape (num_envs, count)."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class GeneratorDraws:
     """Draws from numpy's generator; all robots share it."""
 
     generator: np.random.Generator
-    robots: int = 1
+    num_envs: int = 1
 
     def uniform(self, count: int) -> np.ndarray:
-        return self.generator.random((self.robots, count))
+        return self.generator.random((self.num_envs, count))
 
 
 @dataclass(frozen=True)
@@ -69,15 +69,15 @@ class StreamDraws:
     """Draws from streams by counting, one for each robot.
 
     Attributes:
-        keys: Of the robots that draw, shape (robots,), uint64.
-        counts: How many numbers each has drawn so far, shape (robots,), uint64; moved on in place.
+        keys: Of the robots that draw, shape (num_envs,), uint64.
+        counts: How many numbers each has drawn so far, shape (num_envs,), uint64; moved on in place.
     """
 
     keys: np.ndarray
     counts: np.ndarray
 
     @property
-    def robots(self) -> int:
+    def num_envs(self) -> int:
         return len(self.keys)
 
     def uniform(self, count: int) -> np.ndarray:

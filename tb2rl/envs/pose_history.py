@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.envs.memory import Memory
-from tb2rl.simulation import Reading
+from tb2rl.envs.episode_state import EpisodeState
+from tb2rl.simulation import RobotState
 
 _KEPT = 64.0  # [s] the last minute
 
 
-class Trail(Memory):
+class PoseHistory(EpisodeState):
     """The places of some robots in the last minute, about one a second, by their odometry.
 
     Args:
         period: Of the control [s].
     """
 
-    field = "trail"
+    field = "pose_history"
 
     def __init__(self, period: float) -> None:
         super().__init__()
@@ -26,17 +26,19 @@ class Trail(Memory):
         self._seconds = self._every * period  # from one place to the next
         self._kept = max(1, round(_KEPT / self._seconds))
 
-    def blank(self, robots: int) -> dict[str, np.ndarray]:
-        return {"places": np.full((robots, self._kept, 2), np.inf), "steps": np.zeros(robots, dtype=np.int64)}
+    def blank(self, num_envs: int) -> dict[str, np.ndarray]:
+        return {"places": np.full((num_envs, self._kept, 2), np.inf), "steps": np.zeros(num_envs, dtype=np.int64)}
 
-    def go_on(self, reading: Reading) -> None:
+    def go_on(self, robot_state: RobotState) -> None:
         steps = self._rows["steps"]
         due = np.flatnonzero(steps % self._every == 0)
-        self._rows["places"][due, steps[due] // self._every % self._kept] = reading.odometry[due, :2]
+        self._rows["places"][due, steps[due] // self._every % self._kept] = robot_state.odometry[due, :2]
         steps += 1
 
     def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
-        """How long the robots were within `radius` [m] of points, x and y, (robots, n, 2): [s], shape (robots, n)."""
+        """How long the robots were within `radius` [m] of points, x and y, (num_envs, n, 2): [s], shape (num_envs,
+        n).
+        """
         counts = np.empty(points.shape[:2])
         _count(self._rows["places"], points, radius, counts)
         return self._seconds * counts
@@ -44,7 +46,7 @@ class Trail(Memory):
 
 @njit(cache=True, **UNCOUNTED)
 def _count(places, points, radius, counts):
-    """Count the places (robots, kept, 2) near each point (robots, n, 2)."""
+    """Count the places (num_envs, kept, 2) near each point (num_envs, n, 2)."""
     for robot in range(counts.shape[0]):
         for point in range(counts.shape[1]):
             x, y, count = points[robot, point, 0], points[robot, point, 1], 0
