@@ -97,7 +97,7 @@ def test_which_endings_count_as_failed_only_tasks_say():
 
 
 def test_only_the_physics_imports_pybullet():
-    assert mentioning(r"(?m)^\s*(import|from) pybullet") <= {"tb2rl/simulation/physics.py"}
+    assert mentioning(r"(?m)^\s*(import|from) pybullet") <= {"tb2rl/simulation/bullet/client.py"}
 
 
 def test_only_one_module_takes_numbas_compiler():

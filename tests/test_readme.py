@@ -168,7 +168,7 @@ def test_the_loop_of_ones_own_learns(folder, capsys):
 
 
 def test_the_motors_of_the_example_robot_are_as_measured(folder):
-    from tb2rl.simulation.motors import measure_motors
+    from tb2rl.simulation.bullet.motors import measure_motors
 
     save_files("tb2rl/robots/README.md", folder)
     robot = import_module("mini").ROBOT

@@ -94,7 +94,7 @@ def test_what_needs_pybullet_ends_in_one_line_that_says_what_to_install(run):
 def test_what_needs_pybullet_says_why_an_installed_one_cannot_be_imported(tmp_path, monkeypatch):
     (tmp_path / BROKEN[0]).write_text(BROKEN[1])
     monkeypatch.syspath_prepend(tmp_path)
-    for module in ("pybullet", "tb2rl.simulation.physics"):
+    for module in ("pybullet", "tb2rl.simulation.bullet.client"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setattr("tb2rl.simulation.bullet_trouble", bullet_trouble.__wrapped__)  # without its cache
     with pytest.raises(InputError, match=f'simulation="bullet" .* needs PyBullet, which {UNDEFINED}$'):

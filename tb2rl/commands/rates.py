@@ -14,7 +14,7 @@ from tb2rl.core.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.wander import Wander
 
 BEAMS = (6, 36, 720)
@@ -136,7 +136,7 @@ def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
     env.seed(0)
     env.reset()
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
-    assert isinstance(simulation, KinematicSimulation)
+    assert isinstance(simulation, KinematicSimulator)
     numbers = [np.empty(shape) for shape in ((num_envs, 2), (num_envs, 2), num_envs, num_envs)]
     results = *numbers, np.empty(num_envs, dtype=bool), np.empty(num_envs), np.empty((num_envs, beams))
     whole: list[float] = []

@@ -13,7 +13,7 @@ from multiprocessing import connection, forkserver, resource_tracker, spawn
 from typing import Any
 
 # Imported once, in the server that new processes are forked from.
-PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet_batch", "cloudpickle"]
+PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet.batch", "cloudpickle"]
 
 
 def process_context() -> Any:

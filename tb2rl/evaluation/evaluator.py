@@ -165,7 +165,7 @@ def _random_starts(scene: Scene, episodes: int, seed: int) -> InitialState:
     starts = begun(scene.changed(start="random").task)
     if scene.task.start == "fixed":  # then the goals are those of the worlds
         own = begun(scene.task)
-        starts.goal[:], starts.way[:] = own.goal, own.way
+        starts.goal[:], start.goal_path[:] = own.goal, own.way
     return starts
 
 

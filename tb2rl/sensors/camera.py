@@ -64,7 +64,7 @@ class Camera(Sensor):
             )
 
     def read(self, robot_state: RobotState) -> np.ndarray:
-        colours, depth = robot_state.look(*self.shape[:0:-1])
+        colours, depth = robot_state.render_camera(*self.shape[:0:-1])
         channels = [] if colours is None or not self.colour else [np.moveaxis(colours, -1, 1)]
         if self.depth:
             scaled = np.rint(np.minimum(depth * (255.0 / self.camera.range[1]), 255.0))

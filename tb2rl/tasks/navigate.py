@@ -113,12 +113,12 @@ class Navigate(Task):
     def initial_state(self, spec: SimulationSpec, draws: Draws) -> InitialState:
         initial_state = super().initial_state(spec, draws)
         if self.start == "fixed" or self.goal is not None:
-            initial_state.way[:] = OWN
+            initial_state.goal_path[:] = OWN
             return initial_state
         world, choices = initial_state.world.astype(int), 1 + (draws.uniform(2) * GOALS).astype(int)
-        ways = [spec.ways.path_length(world, choice, initial_state.pose) for choice in choices.T]
-        initial_state.way[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
-        initial_state.goal[:] = spec.ways.goals(world, initial_state.way.astype(int))
+        ways = [spec.goal_paths.path_length(world, choice, initial_state.pose) for choice in choices.T]
+        initial_state.goal_path[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
+        initial_state.goal[:] = spec.goal_paths.goals(world, initial_state.goal_path.astype(int))
         return initial_state
 
     def outcome(self, before: RobotState, action: np.ndarray, after: RobotState) -> Outcome:

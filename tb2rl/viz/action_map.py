@@ -14,7 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import Scene
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.worlds import World
 from tb2rl.worlds.world import box_shapes
@@ -67,7 +67,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     table: Any = policy.policy
     scene = scene.changed(laser_noise=0.0)
     places, side = _places(scene.world, scene.robot.radius)
-    simulation = KinematicSimulation(scene.spec.without_dynamic_obstacles(), len(places))
+    simulation = KinematicSimulator(scene.spec.without_dynamic_obstacles(), len(places))
     actions, states = [], []
     for initial_state in _starts(scene, places):
         robot_state = simulation.reset(initial_state, np.random.default_rng(0))

@@ -133,7 +133,7 @@ def test_an_episode_leads_to_the_goal_that_was_drawn_with_its_start():
     assert [each.goal for each in episodes] == [tuple(start.goal[0].tolist()) for start in evaluator.starts]
     assert len({(each.world, each.goal) for each in episodes}) > 4
     ways = [
-        config.scene.spec.ways.path_length(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts
+        config.scene.spec.goal_paths.path_length(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts
     ]
     assert min(ways) > config.task.goal_radius, "of two random goals it is the farther one"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.training.environments import make_vec_env, restore, state_of
 
 KINDS = {  # simulation, environments
@@ -71,7 +71,7 @@ def test_the_state_brings_back_everything_that_follows(env, tmp_path):
 
 
 def test_a_state_of_other_environments_is_refused(env, small, tmp_path):
-    simulation = "bullet" if isinstance(env.batch.simulation, KinematicSimulation) else "kinematic"
+    simulation = "bullet" if isinstance(env.batch.simulation, KinematicSimulator) else "kinematic"
     with closing(make_vec_env(small(simulation=simulation, n_envs=env.num_envs))) as other:
         other.seed(0)
         other.reset()

@@ -149,7 +149,7 @@ class RemoteRobot:
         """See `state`."""
         self.state()
 
-    def look(self, robot_state: RobotState, width: int, height: int) -> NoReturn:
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> NoReturn:
         """Not by ROS.
 
         Raises:

@@ -142,7 +142,7 @@ class Simulator:
 
     def images(self) -> tuple[Image | None, Image]:
         """What the camera sees, in colours (PyBullet alone has them) and as depths."""
-        colours, depth = self._reading.look(WIDTH, HEIGHT)
+        colours, depth = self._reading.render_camera(WIDTH, HEIGHT)
         coloured = None if colours is None else Image(self._time, CAMERA, colours[0])
         return coloured, Image(self._time, CAMERA, depth[0])
 

@@ -251,7 +251,7 @@ def test_no_copies_no_states_no_images(env, rover):
     from copy import deepcopy
 
     env.reset()
-    for forbidden in (lambda: deepcopy(env), env.state, lambda: env.robot_state.look(8, 8), env.camera):
+    for forbidden in (lambda: deepcopy(env), env.state, lambda: env.robot_state.render_camera(8, 8), env.camera):
         with pytest.raises(InputError):
             forbidden()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tb2rl.robots import Laser
 from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.outlines import cast_at_movers
+from tb2rl.simulation.obstacles.outlines import cast_at_movers
 from tb2rl.simulation.spec import BIAS, DROPPED, MOUNT, NOISE
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_one, limit_ranges

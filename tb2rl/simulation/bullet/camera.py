@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tb2rl.robots import Camera
-from tb2rl.simulation.physics import pybullet
+from tb2rl.simulation.bullet.client import pybullet
 
 
 def look_ahead(client: int, pose: np.ndarray, camera: Camera, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.outlines import COS, LENGTH, OUTLINE, SIN, WIDTH, X, Y, gap_to, reach_of
+from tb2rl.simulation.obstacles.outlines import COS, LENGTH, OUTLINE, SIN, WIDTH, X, Y, gap_to, reach_of
 from tb2rl.simulation.random_streams import StreamDraws
-from tb2rl.simulation.spec import CROWD, POSE, SimulationSpec
-from tb2rl.simulation.walking import (
+from tb2rl.simulation.spec import OBSTACLE_SEED, POSE, SimulationSpec
+from tb2rl.simulation.obstacles.motion import (
     AVOIDS,
     CLOSED,
     COUNT,
@@ -48,7 +48,7 @@ class DynamicObstacles:
         num_envs: How many.
 
     Attributes:
-        table: All that a moment says of them, shape (num_envs, movers, 24), see `tb2rl.simulation.walking`.
+        table: All that a moment says of them, shape (num_envs, movers, 24), see `tb2rl.simulation.obstacles.motion`.
         walks: Keys and counts of the random numbers of each robot's movers, shape (num_envs, 2), uint64.
         routes: The points of all paths [m], shape (points, 2).
     """
@@ -77,7 +77,7 @@ class DynamicObstacles:
             world_of: The number of each robot's world in it, shape (n,).
         """
         worlds = initial_state.world.astype(int)
-        table, keys = self._kinds[worlds], (initial_state.table[:, CROWD] * _NUMBERS).astype(np.uint64)
+        table, keys = self._kinds[worlds], (initial_state.table[:, OBSTACLE_SEED] * _NUMBERS).astype(np.uint64)
         draws = StreamDraws(keys, np.zeros(len(indices), dtype=np.uint64))
         numbers = draws.uniform(table.shape[1] * (_PLACES * 4 + 1)).reshape(len(indices), table.shape[1], -1)
         table[:, :, SPEED] = table[:, :, SLOWEST] + numbers[:, :, -1] * (table[:, :, FASTEST] - table[:, :, SLOWEST])

@@ -8,7 +8,7 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.robots import Camera
-from tb2rl.simulation.outlines import cast_all_at_movers
+from tb2rl.simulation.obstacles.outlines import cast_all_at_movers
 from tb2rl.worlds.geometry import cast_many
 from tb2rl.worlds.index import Index
 from tb2rl.worlds.world import WALL_HEIGHT

@@ -21,9 +21,10 @@ import numpy as np
 from tb2rl.core.errors import InputError
 from tb2rl.core.processes import main_hidden, process_context, processors
 from tb2rl.core.signals import ignore_ending_signals
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.robot_state import CameraSource, RobotState
+from tb2rl.simulation.simulator import Generators
 from tb2rl.simulation.spec import SimulationSpec
 
 _AWAKE = 5e-3  # [s] more than the worlds of a process take for a step
@@ -31,7 +32,7 @@ _let_others_run = getattr(os, "sched_yield", lambda: None)  # macOS and Windows 
 
 
 class BulletBatch:
-    """N robots that do not meet, with what `KinematicSimulation` offers a `ControlLoop`.
+    """N robots that do not meet, with what `KinematicSimulator` offers a `ControlLoop`.
 
     Args:
         spec: The robot, its laser and the worlds.
@@ -39,13 +40,13 @@ class BulletBatch:
         processes: Among how many processes to share them out, this one among them; None: one for each processor.
 
     Attributes:
-        moved: How far from where it was the last step took each robot [m], shape (num_envs,).
+        travelled: How far from where it was the last step took each robot [m], shape (num_envs,).
 
     Raises:
         InputError: If PyBullet cannot load the robot.
     """
 
-    moved: np.ndarray
+    travelled: np.ndarray
 
     def __init__(self, spec: SimulationSpec, num_envs: int, processes: int | None = None) -> None:
         self.spec, self.num_envs = spec, num_envs
@@ -79,27 +80,37 @@ class BulletBatch:
     def __reduce__(self) -> NoReturn:
         raise InputError("PyBullet's worlds in processes cannot be copied or sent; make others")
 
-    def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
-        noise = rng.spawn(self.num_envs)
+    def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
+        noise = rng.spawn(self.num_envs) if isinstance(rng, np.random.Generator) else list(rng)
         self._records["initial_state"] = initial_state.table
         self._ask("reset", [(noise[part],) for part in self._parts])
         return self._latest()
 
-    def step(self, commands: np.ndarray, duration: float) -> RobotState:
+    def step(self, commands: np.ndarray, duration: float, skip: np.ndarray | None = None) -> RobotState:
         before = self._poses
         self._records["command"] = commands
-        self._ask("step", [(duration,)] * len(self._parts))
+        skipped = [None if skip is None else skip[part] for part in self._parts]
+        self._ask("step", [(duration, each) for each in skipped])
         robot_state = self._latest()
         change = robot_state.pose - before
-        self.moved = np.hypot(change[:, 0], change[:, 1])
+        self.travelled = np.hypot(change[:, 0], change[:, 1])
         return robot_state
 
-    def restart(
-        self, indices: np.ndarray, initial_state: InitialState, robot_state: RobotState
+    def reset_at(
+        self,
+        indices: np.ndarray,
+        initial_state: InitialState,
+        robot_state: RobotState,
+        rng: Sequence[np.random.Generator] | None = None,
     ) -> tuple[RobotState, RobotState]:
-        """Begin new episodes of the robots with indices `robots` (n,), see `KinematicSimulation.restart`."""
         self._records["initial_state"][indices] = initial_state.table
-        self._ask("restart", [(here,) if here else None for here in self._among(indices)])
+        among = list(self._among(indices))
+        if rng is None:
+            noise: list[Any] = [None] * len(among)
+        else:
+            ends = np.cumsum([len(here) for here in among]).tolist()
+            noise = [rng[end - len(here) : end] for end, here in zip(ends, among, strict=True)]
+        self._ask("reset_at", [(here, new) if here else None for here, new in zip(among, noise, strict=True)])
         return self._latest(), self._reading(self._records[indices], _Eyes(self, indices))
 
     def state(self) -> dict[str, Any]:
@@ -119,8 +130,8 @@ class BulletBatch:
         self._poses = state["poses"].copy()
         return robot_state
 
-    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the cameras see at the latest reading, see `RobotState.look`."""
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the cameras see at the latest reading, see `RobotState.render_camera`."""
         return self.look_from(np.arange(self.num_envs), width, height)
 
     def look_from(self, indices: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -182,8 +193,8 @@ class _Eyes:
         """The robot, its laser and the worlds."""
         return self.batch.spec
 
-    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `RobotState.look`."""
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `RobotState.render_camera`."""
         return self.batch.look_from(self.indices, width, height)
 
 
@@ -200,7 +211,7 @@ class _Share:
     """
 
     def __init__(self, spec: SimulationSpec, num_envs: int) -> None:
-        self._worlds = [BulletSimulation(spec) for _ in range(num_envs)]
+        self._worlds = [BulletSimulator(spec) for _ in range(num_envs)]
         self._noise = [np.random.default_rng() for _ in range(num_envs)]
         initial_state = InitialState.default(spec, 1)
         self._first = [
@@ -217,20 +228,22 @@ class _Share:
             self._write(i, robot_state)
 
     def reset(self, noise: list[np.random.Generator]) -> None:
-        self._noise = noise
-        self.restart(range(len(noise)))
+        self.reset_at(range(len(noise)), noise)
 
-    def restart(self, indices: Iterable[int]) -> None:
-        """Begin anew; how stands in their records."""
-        for i in indices:
+    def reset_at(self, indices: Sequence[int], noise: Sequence[np.random.Generator] | None = None) -> None:
+        """Start new episodes; their initial states stand in the records."""
+        for number, i in enumerate(indices):
+            if noise is not None:
+                self._noise[i] = noise[number]
             initial_state = InitialState(self._records["initial_state"][i : i + 1].copy())
             self._write(i, self._worlds[i].reset(initial_state, self._noise[i]))
 
-    def step(self, duration: float) -> None:
-        """Drive on; what the robots are told stands in their records."""
+    def step(self, duration: float, skip: np.ndarray | None = None) -> None:
+        """Drive by the commands in the records."""
         commands = self._records["command"].copy()
         for i, world in enumerate(self._worlds):
-            self._sensed[i] = world.drive(commands[i : i + 1], duration)
+            if skip is None or not skip[i]:
+                self._sensed[i] = world.drive(commands[i : i + 1], duration)
 
     def state(self) -> list[dict[str, Any]]:
         return [world.state() for world in self._worlds]

@@ -1,8 +1,8 @@
 """The compiled control steps of the fast twin, of many robots, among things that move or where nothing does.
 
-Arrays are as in `tb2rl.simulation.kernels`. Movers (num_envs, movers, 24), their `walks` (num_envs, 2), keys and
+Arrays are as in `tb2rl.simulation.kinematic.motion`. Movers (num_envs, movers, 24), their `walks` (num_envs, 2), keys and
 counts of
-their random numbers, and `routes` (points, 2) are as in `tb2rl.simulation.walking`; where nothing moves they are None,
+their random numbers, and `routes` (points, 2) are as in `tb2rl.simulation.obstacles.motion`; where nothing moves they are None,
 and numba leaves out what concerns them.
 """
 
@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.simulation.kernels import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
-from tb2rl.simulation.outlines import LENGTH, X, Y, reach_of
+from tb2rl.simulation.kinematic.motion import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
+from tb2rl.simulation.obstacles.outlines import LENGTH, X, Y, reach_of
 from tb2rl.simulation.spec import PHYSICS_RATE, POSE, WHEEL, WORLD
-from tb2rl.simulation.walking import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
+from tb2rl.simulation.obstacles.motion import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
 from tb2rl.worlds.geometry import shortest_of
 
 

@@ -110,7 +110,7 @@ def cast_all_at_movers(poses, cos_beams, sin_beams, dynamic_obstacles, ranges):
         cast_at_movers(poses[i, 0], poses[i, 1], poses[i, 2], cos_beams, sin_beams, dynamic_obstacles, i, ranges, i)
 
 
-def towards(points: np.ndarray, dynamic_obstacles: np.ndarray) -> np.ndarray:
+def directions_to_nearest(points: np.ndarray, dynamic_obstacles: np.ndarray) -> np.ndarray:
     """Which way from each point the nearest of its movers is.
 
     Args:

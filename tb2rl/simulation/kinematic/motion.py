@@ -14,7 +14,7 @@ import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.robots import robot
-from tb2rl.simulation.outlines import cast_at_movers
+from tb2rl.simulation.obstacles.outlines import cast_at_movers
 from tb2rl.simulation.random_streams import normal, uniform
 from tb2rl.simulation.spec import (
     ASSUMED_SEPARATION,
@@ -182,7 +182,7 @@ def sense(
         streams: Key of each robot's stream of random numbers, and how often it has read, shape (num_envs, 2), uint64.
         over_x, over_y: Room to calculate in, shape (beams,).
         ranges: Of all robots; its row is the result [m], shape (num_envs, beams).
-        dynamic_obstacles: Of all robots, see `tb2rl.simulation.outlines`; None: nothing moves.
+        dynamic_obstacles: Of all robots, see `tb2rl.simulation.obstacles.outlines`; None: nothing moves.
         nearest_is_dynamic: Whether what is nearest to each robot is one of them, shape (num_envs,): its row is a
         result.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from tb2rl.robots import Robot
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.spec import PHYSICS_RATE, SimulationSpec
 from tb2rl.worlds import World
@@ -31,7 +31,7 @@ def _rim_accelerations(robot: Robot, v: float, w: float) -> tuple[float, float]:
     """Of the left and the right wheel's rim [m/s^2] while the motors push towards v [m/s] and w [rad/s]."""
     floor = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-10.0, -10.0, 10.0, 10.0))
     spec = SimulationSpec(robot, replace(robot.laser, beams=1, indices=None), (floor,))
-    simulation = BulletSimulation(spec)
+    simulation = BulletSimulator(spec)
     initial_state = InitialState.default(spec, 1)
     initial_state.parameters[:, [MAX_SPEED, MAX_TURN_RATE]] = 100.0, 1000.0
     simulation.reset(initial_state, np.random.default_rng(0))

@@ -13,7 +13,7 @@ import numpy as np
 from tb2rl.core.errors import InputError
 from tb2rl.robots import Robot
 from tb2rl.simulation import check_display
-from tb2rl.simulation.physics import pybullet
+from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 GRAVITY = 9.81  # [m/s^2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,14 +11,15 @@ import numpy as np
 
 from tb2rl.core.errors import InputError
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
-from tb2rl.simulation.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect, disconnects
-from tb2rl.simulation.camera import look_ahead
-from tb2rl.simulation.crowd import Crowd
+from tb2rl.simulation.bullet.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect, disconnects
+from tb2rl.simulation.bullet.camera import look_ahead
+from tb2rl.simulation.bullet.obstacle_bodies import Crowd
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.odometry import encoder_odometry, is_exact
-from tb2rl.simulation.physics import pybullet, quiet
+from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.robot_state import RobotState
-from tb2rl.simulation.scan import Scanner
+from tb2rl.simulation.simulator import Generators
+from tb2rl.simulation.bullet.scan import Scanner
 from tb2rl.simulation.spec import ASSUMED_SEPARATION, FRICTION, MASS, PHYSICS_RATE, WHEEL, SimulationSpec
 from tb2rl.worlds.world import WALL_HEIGHT
 
@@ -27,7 +28,7 @@ _OF_THE_CLIENT = {"_client", "_disconnect", "_walls", "_body", "_robot", "_wheel
 _AT_REST = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-class BulletSimulation:
+class BulletSimulator:
     """One robot in one world at a time.
 
     Args:
@@ -101,11 +102,11 @@ class BulletSimulation:
 
     # ---- the robot's life
 
-    def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
+    def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
         if self._client < 0:  # it was closed
             self._open()
         self._begin(initial_state)
-        self._rng = rng
+        self._rng = rng if isinstance(rng, np.random.Generator) else rng[0]
         x, y, yaw = map(float, initial_state.pose[0])
         self._crowd.begin(initial_state, self.world)
         self._put(*self._body.frame_at(x, y, yaw), _AT_REST, ((0.0, 0.0), (0.0, 0.0)))
@@ -137,8 +138,22 @@ class BulletSimulation:
         # In each part of a step PyBullet lets a motor push for as long as in the whole step.
         self._torque = self.spec.robot.wheel_torque * strength / self.spec.substeps
 
-    def step(self, commands: np.ndarray, duration: float) -> RobotState:
-        return RobotState.of_one(self.drive(commands, duration), self._initial_state, self)
+    def reset_at(
+        self,
+        indices: np.ndarray,
+        initial_state: InitialState,
+        robot_state: RobotState,
+        rng: Sequence[np.random.Generator] | None = None,
+    ) -> tuple[RobotState, RobotState]:
+        first = self.reset(initial_state, self._rng if rng is None else rng)
+        return first, first
+
+    def step(self, commands: np.ndarray, duration: float, skip: np.ndarray | None = None) -> RobotState:
+        x, y = self._place
+        robot_state = RobotState.of_one(self.drive(commands, duration), self._initial_state, self)
+        east, north = self._place[0] - x, self._place[1] - y
+        self.travelled = np.array([(east * east + north * north) ** 0.5])
+        return robot_state
 
     def drive(self, commands: np.ndarray, duration: float) -> tuple[Any, ...]:
         """`step`, for `BulletBatch`: what the robot senses now, see `RobotState.of_one`."""
@@ -292,7 +307,7 @@ class BulletSimulation:
         return np.array([hit[2] * reach if hit[0] >= 0 else np.inf for hit in hits])
 
     def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
-        """What the camera on the robot's front sees.
+        """The view of the robot's camera.
 
         Returns:
             Colours, shape (height, width, 3), uint8; depth along the optical axis [m], shape (height, width), float32,
@@ -300,7 +315,7 @@ class BulletSimulation:
         """
         return look_ahead(self._client, np.array(self._body.pose()), self.spec.robot.camera, width, height)
 
-    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the camera sees from where the robot was at a reading, see `RobotState.look`."""
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """The view from the pose of a robot state, see `RobotState.render_camera`."""
         colours, depth = look_ahead(self._client, robot_state.pose[0], self.spec.robot.camera, width, height)
         return colours[None], depth[None]
