@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
+from tb2rl import Agent
 from tb2rl.agents._guided import TURTLEBOT2, Guided, Seen, free_way, way_out
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.core.values import NonNegative, Positive
-from tb2rl.registry import Agent
 from tb2rl.robots.vehicle import Vehicle
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.dwa:DWA", observation="raw", only=True)

@@ -18,9 +18,9 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
+from tb2rl import Agent
 from tb2rl.agents._qtable import QTable, update_table
 from tb2rl.core.values import Fraction
-from tb2rl.registry import Agent
 
 AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True, actions="named")
 

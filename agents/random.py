@@ -6,7 +6,7 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
-from tb2rl.registry import Agent
+from tb2rl import Agent
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.random:RandomPolicy", observation="discrete")
 

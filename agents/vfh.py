@@ -12,10 +12,10 @@ import numpy as np
 from annotated_types import Ge, Le
 from gymnasium import spaces
 
+from tb2rl import Agent
 from tb2rl.agents._guided import STANDING, TURNING, TURTLEBOT2, Guided, Seen
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.core.values import NonNegative, Positive
-from tb2rl.registry import Agent
 from tb2rl.robots.vehicle import Vehicle
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", observation="raw", only=True)

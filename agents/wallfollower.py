@@ -9,8 +9,8 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
+from tb2rl import Agent
 from tb2rl.core.errors import InputError
-from tb2rl.registry import Agent
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", observation="raw", only=True)
 

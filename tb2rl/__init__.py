@@ -22,6 +22,7 @@ if (Path(__file__).parent.parent / "pyproject.toml").is_file():
     __path__.append(str(Path(__file__).parent.parent))
 
 if TYPE_CHECKING:
+    from tb2rl.core.agent import Agent
     from tb2rl.core.errors import InputError
     from tb2rl.envs.make import make_env
     from tb2rl.evaluation.evaluator import evaluate
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["InputError", "evaluate", "load", "make_env", "train"]
+__all__ = ["Agent", "InputError", "evaluate", "load", "make_env", "train"]
 
 GYM_IDS = {
     "TurtleBot2Maze-v0": {"task": "maze"},
@@ -54,6 +55,7 @@ for _id, _arguments in GYM_IDS.items():
     )
 
 _HOMES = {
+    "Agent": "core.agent",
     "InputError": "core.errors",
     "evaluate": "evaluation.evaluator",
     "load": "runs.loading",

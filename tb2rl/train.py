@@ -16,8 +16,8 @@ import argparse
 from pathlib import Path
 
 from tb2rl.core.errors import ArgumentParser, command
+from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.where import add_where
-from tb2rl.registry import agent_names, task_names
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

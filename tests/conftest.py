@@ -23,11 +23,11 @@ import numpy as np
 import pytest
 
 from tb2rl.commands import suite as suite_command
-from tb2rl.registry import find_world
 from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.worlds import World
+from tb2rl.worlds.registry import find_world
 from tb2rl.worlds.suites import Suite
 
 # Tests send these; whatever starts pytest in the background (nohup, a shell's &) lets it and its children ignore them.

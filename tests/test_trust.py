@@ -10,10 +10,11 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
+from tb2rl.core.plugins import import_object
 from tb2rl.core.trust import distrusting, nothing_from
 from tb2rl.envs.worlds import files_named
-from tb2rl.registry import find_task, import_object
 from tb2rl.runs.loading import load
+from tb2rl.tasks.registry import find_task
 from tb2rl.training.training import resume
 
 TASK = """

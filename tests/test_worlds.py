@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 from tb2rl.commands import worlds
-from tb2rl.registry import find_world, world_names
 from tb2rl.worlds import World
 from tb2rl.worlds.__main__ import main
 from tb2rl.worlds.description import write_description
 from tb2rl.worlds.generators import FAMILIES
+from tb2rl.worlds.registry import find_world, world_names
 
 NARROW = "cell: 0.3\ndrawing: |\n  ###########\n  #....#....#\n  #.S.......#\n  #....#....#\n  ###########\n"
 POLE = (

@@ -10,8 +10,9 @@ from typing import Any
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError, one_line
-from tb2rl.registry import find_agent, import_object
+from tb2rl.core.plugins import import_object
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.config import config_from
 from tb2rl.runs.folder import Run

@@ -14,15 +14,16 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import parse_yaml, replacing
 from tb2rl.core.values import Worlds, checked
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
-from tb2rl.registry import find_robot, find_world, world_names
 from tb2rl.rendering.plan import draw_plan, sheet
 from tb2rl.robots import Robot
+from tb2rl.robots.registry import find_robot
 from tb2rl.worlds import World
 from tb2rl.worlds.access import Access, Door, find_access
 from tb2rl.worlds.description import write_description
 from tb2rl.worlds.formats.maps import write_map
 from tb2rl.worlds.generators import GENERATORS, Generated, generate
 from tb2rl.worlds.readers import files_of
+from tb2rl.worlds.registry import find_world, world_names
 
 _DRAWN = 64  # worlds on a sheet
 _DIFFICULTIES, _EACH = (0.0, 0.25, 0.5, 0.75, 1.0), 4  # columns of a generator's sheet, and worlds in each, or more

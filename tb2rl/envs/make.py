@@ -14,14 +14,15 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import HumanRendering
 
 from tb2rl.core.errors import InputError, UnknownArgumentError
+from tb2rl.core.plugins import TASKS, import_object, reference_to
 from tb2rl.core.values import build, untyped
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.vector_env import BatchVectorEnv, find_autoreset_mode
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.registry import TASKS, find_task, import_object, reference_to
 from tb2rl.simulation import ROS, check_display
 from tb2rl.tasks import Task
+from tb2rl.tasks.registry import find_task
 
 ENTRY_POINT, VECTOR_ENTRY_POINT = f"{__name__}:make_for_gymnasium", f"{__name__}:make_vector_for_gymnasium"
 _ARGUMENTS = ("observation", "render_mode", "simulation")  # of `make_env`, beside the task's settings

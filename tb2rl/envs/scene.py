@@ -21,8 +21,8 @@ from tb2rl.envs.observation_pipeline import ObservationPipeline, stacked_space
 from tb2rl.envs.occupancy_mapper import OccupancyMapper
 from tb2rl.envs.pose_history import PoseHistory
 from tb2rl.envs.worlds import are_generated, find_worlds, place_of
-from tb2rl.registry import find_robot
 from tb2rl.robots import Laser, Robot
+from tb2rl.robots.registry import find_robot
 from tb2rl.sensors import Sensor
 from tb2rl.simulation import InitialState, SimulationSpec, SimulatorType
 from tb2rl.simulation.random_streams import GeneratorDraws

@@ -18,9 +18,10 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError, one_line
+from tb2rl.core.plugins import import_object
 from tb2rl.envs.scene import Scene
-from tb2rl.registry import find_agent, import_object
 from tb2rl.robots.vehicle import Vehicle
 from tb2rl.runs.arguments import LIBRARY_ERRORS, agent_for, algorithm_arguments
 from tb2rl.runs.config import Config

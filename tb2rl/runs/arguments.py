@@ -20,9 +20,10 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.utils import LinearSchedule
 
+from tb2rl.core.agent import ANY_POLICY, Agent, find_agent
 from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.plugins import import_object
 from tb2rl.core.values import build, checked
-from tb2rl.registry import ANY_POLICY, Agent, find_agent, import_object
 
 LIBRARY_ERRORS = (  # what torch, numpy and Stable-Baselines3 raise for values of the right type that do not fit
     ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, RuntimeError, TypeError,

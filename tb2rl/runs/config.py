@@ -14,15 +14,16 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
 
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
 from tb2rl.core.trust import check_file
 from tb2rl.core.values import Count, CountOrZero, Fraction, Names, build
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.worlds import absolute_worlds, files_named
-from tb2rl.registry import find_agent, find_task
 from tb2rl.runs.arguments import agent_for, check_arguments
 from tb2rl.runs.plain import check_plain, check_sections, plain
 from tb2rl.tasks import Task
+from tb2rl.tasks.registry import find_task
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import find_file, parse_yaml, read_yaml, top_folder
+from tb2rl.core.plugins import reference_to
 from tb2rl.envs.scene import with_robots_settings
-from tb2rl.registry import find_agent, find_task, reference_to
 from tb2rl.runs.arguments import argument_names, is_schedule
 from tb2rl.runs.config import Config, TrainSettings, config_from
 from tb2rl.runs.plain import SECTIONS, check_plain, check_sections
 from tb2rl.tasks import Task
+from tb2rl.tasks.registry import find_task
 
 DEFAULT_AGENT, DEFAULT_TASK = "qlearn", "maze"
 

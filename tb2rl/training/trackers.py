@@ -22,7 +22,7 @@ from stable_baselines3.common.logger import Image, KVWriter, Logger
 
 from tb2rl.core.errors import InputError, UnwritableError, install_extra, one_line, unknown
 from tb2rl.core.files import read_text, write_text
-from tb2rl.registry import import_object
+from tb2rl.core.plugins import import_object
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import imports_limited
 from tb2rl.training.callbacks import StopOnInterrupt

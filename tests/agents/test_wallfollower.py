@@ -9,8 +9,8 @@ import pytest
 
 from tb2rl import evaluate, make_env
 from tb2rl.agents.wallfollower import WallFollower
+from tb2rl.core.plugins import robot_names
 from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.registry import robot_names
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.layers import resolve
 

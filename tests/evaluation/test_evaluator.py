@@ -13,16 +13,18 @@ import torch as th
 from stable_baselines3 import A2C
 
 from tb2rl import evaluate, make_env
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import agent_names
 from tb2rl.envs.scene import make_scene
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.execution.where import Where
-from tb2rl.registry import agent_names, find_agent, find_world
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
 from tb2rl.simulation import SIMULATIONS
 from tb2rl.tasks.wander import Wander
+from tb2rl.worlds.registry import find_world
 
 GUIDED = {"dwa", "pursuit", "vfh"}  # only drive to a goal: tests/agents/test_guided.py
 BASELINES = [name for name in agent_names() if find_agent(name).algorithm is None and name not in GUIDED]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import yaml
 
+from tb2rl.core.agent import find_agent
+from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.envs import worlds
-from tb2rl.registry import agent_names, find_agent, task_names
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.plain import check_plain, check_sections, plain

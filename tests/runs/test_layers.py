@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from tb2rl.core.files import top_folder
-from tb2rl.registry import agent_names, task_names
+from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.runs.config import TrainSettings
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.tasks.wander import Wander

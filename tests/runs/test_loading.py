@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tb2rl import make_env
-from tb2rl.registry import agent_names, find_agent
+from tb2rl.core.agent import find_agent
+from tb2rl.core.plugins import agent_names
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import config_from
 from tb2rl.runs.folder import Run

@@ -9,7 +9,8 @@ from contextlib import ExitStack, closing
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_robot, robot_names
+from tb2rl.core.plugins import robot_names
+from tb2rl.robots.registry import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.bullet.simulator import BulletSimulator

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.bullet.bodies import connect
@@ -17,6 +16,7 @@ from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.registry import world_names
 
 BEAM = 1e-3  # [m] half the thickness of a beam: what a ray of single precision may miss at an edge
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import find_world
 from tb2rl.robots.robot import RADIUS
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
-from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.simulation.bullet.batch import BulletBatch
+from tb2rl.simulation.bullet.simulator import BulletSimulator
+from tb2rl.worlds.registry import find_world
 
 WORLDS = tuple(map(find_world, ("loop", "maze")))
 SETUP = SimulationSpec(ROBOT, replace(ROBOT.laser, beams=9, noise=0.02), WORLDS)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.simulation.spec import WHEEL
+from tb2rl.worlds.registry import world_names
 
 TARGETS = {
     "a wall": {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]},

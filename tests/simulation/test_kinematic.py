@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.registry import world_names
 from tb2rl.robots.robot import MAX_SPEED, RADIUS, WHEEL_ACCELERATION, WHEEL_SEPARATION
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
@@ -16,6 +15,7 @@ from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.spec import PHYSICS_RATE
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.registry import world_names
 
 PERIOD = 0.2  # [s]
 OPEN = World.from_shapes("open", start=(0.0, 0.0, 0.0), bounds=(-40.0, -40.0, 40.0, 40.0))

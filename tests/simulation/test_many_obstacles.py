@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_world
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.worlds import World
+from tb2rl.worlds.registry import find_world
 
 ROBOTS = 512
 

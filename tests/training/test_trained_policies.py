@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tb2rl import evaluate, train
-from tb2rl.registry import agent_names, find_agent
+from tb2rl.core.agent import find_agent
+from tb2rl.core.plugins import agent_names
 
 
 @pytest.mark.slow

@@ -11,10 +11,11 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tb2rl import evaluate, load, make_env, train
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import agent_names
 from tb2rl.evaluation.evaluator import TRAINING_SEED
 from tb2rl.evaluation.twin import TwinEvaluator
-from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.simulation import SIMULATIONS

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import find_world
 from tb2rl.worlds.description import world_from, write_description
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles, find_dynamic_obstacles
+from tb2rl.worlds.registry import find_world
 
 HALL = {"start": [0, 0, 0], "bounds": [-5, -5, 5, 5]}
 PATH = {"posts": 1, "path": [[0, 1], [3, 1]]}
