@@ -12,8 +12,8 @@ import numpy as np
 
 from tb2rl.core.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.envs.vec_env import BatchVecEnv
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.wander import Wander
 
@@ -72,7 +72,7 @@ def measure_processes(environments: int, seconds: float) -> list[Figure]:
     They take turns: machines change from second to second. Processors that share a core, or a busy host, do less at
     once than one after the other: the last figure says how much of what they do at once is left.
     """
-    together = BatchVecEnv(make_scene(Wander(), "discrete"), environments, simulation="bullet")
+    together = TurtleBot2VecEnv(make_scene(Wander(), "discrete"), environments, simulation="bullet")
     together.seed(0)
     together.reset()
     rng, rates = np.random.default_rng(0), []
@@ -132,7 +132,7 @@ def measure_twin(seconds: float) -> list[Figure]:
 def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
     """The VecEnv's own step, everything included, and the twin's compiled kernel alone over the same commands."""
     scene = make_scene(Wander(beams=beams), "raw")
-    env = BatchVecEnv(scene, num_envs)
+    env = TurtleBot2VecEnv(scene, num_envs)
     env.seed(0)
     env.reset()
     simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)

@@ -14,7 +14,8 @@ from typing import Any
 from tb2rl.core.files import write_text
 from tb2rl.core.signals import ending_signals
 from tb2rl.envs.worlds import carry, worlds_of_files
-from tb2rl.evaluation.evaluator import PASSED, evaluate
+from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluator import PASSED
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.execution.job import Job
 from tb2rl.execution.running import run_jobs

@@ -11,12 +11,13 @@ from pathlib import Path
 from tb2rl.commands.seeds import say_trained, train_seeds
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
-from tb2rl.evaluation.evaluator import EPISODES, evaluate
+from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluator import EPISODES
 from tb2rl.execution.where import where_of
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
-from tb2rl.simulation import judging_simulation
+from tb2rl.simulation import default_simulator
 from tb2rl.training.training import Training, default_folder, resume, train_config
 from tb2rl.viz.table import print_evaluation
 
@@ -106,7 +107,7 @@ def _finish(training: Training, options: argparse.Namespace) -> None:
     if options.no_evaluation or training.interrupted:
         return
     run = training.run
-    where = "PyBullet" if judging_simulation() == "bullet" else "the fast twin"
+    where = "PyBullet" if default_simulator() == "bullet" else "the fast twin"
     print(f"standard evaluation of its best policy in {where}: {EPISODES} episodes, about half a minute", flush=True)
     evaluation = evaluate(load(run.folder), progress=True)
     print_evaluation(evaluation, f"{run.folder} in {run.config.scene.place}")

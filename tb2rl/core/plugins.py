@@ -1,6 +1,6 @@
 """Plugins by name: built-in objects, those of other packages, and references such as "module:Name".
 
-A name is a built-in one or an entry point of the group `tb2rl.agents`, `tb2rl.robots`, `tb2rl.tasks` or `tb2rl.worlds`.
+A name is a built-in one or an entry point of the group `tb2rl.agents`, `tb2rl.simulators` and so on.
 Built-in names win. Listing names imports nothing.
 """
 
@@ -18,9 +18,15 @@ from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import top_folder
 from tb2rl.core.trust import check_module
 
-Kind = Literal["agent", "robot", "task", "world"]
+Kind = Literal["agent", "filter", "robot", "simulator", "task", "world"]
 
+FILTERS = {"speed_limits": "tb2rl.envs.filters:SpeedLimits"}
 ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot3", "jackal")}
+SIMULATORS = {  # in the order of preference for evaluations
+    "bullet": "tb2rl.simulation.bullet:SIMULATOR",
+    "kinematic": "tb2rl.simulation.kinematic:SIMULATOR",
+    "ros": "tb2rl.deploy.ros.robot:SIMULATOR",
+}
 TASKS = {
     "drive": "tb2rl.tasks.drive:Drive",
     "maze": "tb2rl.tasks.wander:Wander",
@@ -38,6 +44,11 @@ def agent_names() -> list[str]:
 def robot_names() -> list[str]:
     """Names of all robots, built-in ones and entry points."""
     return sorted(_references("robot"))
+
+
+def simulator_names() -> list[str]:
+    """Names of all simulators, in the order of preference: built-in ones, then entry points."""
+    return [*SIMULATORS, *sorted(entry_point_references("simulator").keys() - SIMULATORS.keys())]
 
 
 def task_names() -> list[str]:
@@ -117,7 +128,7 @@ def _from_main(name: str) -> Any:
 
 
 def _references(kind: Kind) -> Mapping[str, str]:
-    built_in = {"agent": _agent_files(), "robot": ROBOTS, "task": TASKS}
+    built_in = {"agent": _agent_files(), "filter": FILTERS, "robot": ROBOTS, "simulator": SIMULATORS, "task": TASKS}
     return {**entry_point_references(kind), **built_in[kind]}
 
 

@@ -40,5 +40,5 @@ class CommandHistory(EpisodeState):
             self._rows["commands"][:, :1] = robot_state.command[:, None]
 
     def last(self, count: int) -> np.ndarray:
-        """v [m/s] and w [rad/s], the newest first, shape (num_envs, count, 2); 0 before the first."""
+        """V [m/s] and w [rad/s], the newest first, shape (num_envs, count, 2); 0 before the first."""
         return self._rows["commands"][:, :count]

@@ -6,14 +6,14 @@ Gymnasium's environment, the vector environments, evaluations and films all adva
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from tb2rl.envs.encodings import Observations, rows
 from tb2rl.envs.filters import CommandDelay
 from tb2rl.envs.scene import Scene
-from tb2rl.simulation import InitialState, RobotState, Simulator
+from tb2rl.simulation import InitialState, RobotState, Simulator, find_simulator
 from tb2rl.simulation.simulator import Generators
 from tb2rl.tasks import Outcome
 
@@ -60,6 +60,27 @@ class ControlLoop:
         self.scene, self.task, self.simulator, self.num_envs = scene, scene.task, simulator, simulator.num_envs
         self._actions, self._filters = scene.actions, scene.make_filters()
         self._observations = scene.observation_pipeline()
+
+    @classmethod
+    def open(
+        cls, scene: Scene, simulation: Any, num_envs: int = 1, window: bool = False, processes: int | None = None
+    ) -> Self:
+        """A loop with a simulator of its own.
+
+        Args:
+            scene: The task, the robot and the worlds; the simulator may adapt it.
+            simulation: What `find_simulator` takes.
+            num_envs: Number of environments.
+            window: Whether to open the simulator's window.
+            processes: Number of processes; None: what suits the simulator.
+
+        Raises:
+            InputError: If the simulator cannot run here, or cannot show what a sensor reads.
+        """
+        kind = find_simulator(simulation)
+        scene = kind.prepare(scene)
+        scene.check(kind)
+        return cls(scene, kind.open(scene.spec, num_envs, window, processes))
 
     def reset(self, initial_state: InitialState, rng: Generators) -> Observations:
         """Start an episode in every environment.

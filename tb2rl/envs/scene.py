@@ -116,8 +116,7 @@ class Scene:
             states.append(PoseHistory(self.task.control_period))
         commands = max(sensor.reads_commands for sensor in self.sensors)
         if commands:
-            latency = self.task.resolved_variation.latency[1]
-            states.append(CommandHistory(max(commands, latency + 1 if latency else 0), delayed=latency > 0))
+            states.append(CommandHistory(commands, delayed=self.task.resolved_variation.latency[1] > 0))
         return states
 
     @property

@@ -10,23 +10,18 @@ import numpy as np
 from tb2rl.envs.control_loop import ControlLoop, Transition
 from tb2rl.envs.encodings import Observations
 from tb2rl.envs.scene import Scene
-from tb2rl.simulation import InitialState, find_simulator
+from tb2rl.simulation import InitialState, Simulator
 from tb2rl.simulation.random_streams import StreamDraws
 
 
 class SeededLoop(ControlLoop):
     """Each environment draws from a random stream of its own, so its episodes do not depend on the others or on threads.
 
-    Args:
-        scene: The task, the robot and the worlds, and how the task is observed.
-        num_envs: Number of environments.
-        simulation: The simulator: a registered name, "module:Class" or a `SimulatorType`.
+    Made by `SeededLoop.open`, see `ControlLoop.open`.
     """
 
-    def __init__(self, scene: Scene, num_envs: int, simulation: Any) -> None:
-        simulator_type = find_simulator(simulation)
-        scene.check(simulator_type)
-        super().__init__(scene, simulator_type.open(scene.spec, num_envs))
+    def __init__(self, scene: Scene, simulator: Simulator) -> None:
+        super().__init__(scene, simulator)
         self.seed(None)
 
     def seed(self, seed: Any) -> None:

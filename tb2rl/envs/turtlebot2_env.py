@@ -16,7 +16,7 @@ from tb2rl.core.values import Pose, checked
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
-from tb2rl.simulation import InitialState, RobotState, Simulator, default_simulator, find_simulator
+from tb2rl.simulation import InitialState, RobotState, Simulator, default_physics, find_simulator
 from tb2rl.simulation.random_streams import GeneratorDraws
 
 _RENDER_MODES = ("rgb_array", "human")
@@ -50,7 +50,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         scene: The task, its robot and world, and how it is observed; see `make_env` for one by names.
         render_mode: None, "rgb_array" (top-down image, no window) or "human" (the simulator's own window).
         simulation: The simulator: a registered name, "module:Class", a `SimulatorType`, or an object that names one by
-            `simulator_type`; None: `default_simulator`.
+            `simulator_type`; None: `default_physics`.
 
     A copy (`copy.deepcopy`, `pickle`) goes its own way from where the original is; one with a window cannot be copied.
 
@@ -63,14 +63,12 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     def __init__(self, scene: Scene, render_mode: str | None = None, simulation: Any = None) -> None:
         if render_mode is not None and render_mode not in _RENDER_MODES:
             raise unknown("render_mode", render_mode, _RENDER_MODES)
-        kind = default_simulator() if simulation is None else find_simulator(simulation)
-        scene = kind.prepare(scene)
-        scene.check(kind)
-        self.scene, self.task, self.render_mode = scene, scene.task, render_mode
+        kind = default_physics() if simulation is None else find_simulator(simulation)
+        self.loop = ControlLoop.open(scene, kind, window=render_mode == "human")
+        self.scene, self.task, self.render_mode = self.loop.scene, self.loop.task, render_mode
         modes = [mode for mode in _RENDER_MODES if mode != "human" or kind.has_window]
         self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
-        self.observation_space, self.action_space = scene.observation_space, scene.action_space
-        self.loop = ControlLoop(scene, kind.open(scene.spec, window=render_mode == "human"))
+        self.observation_space, self.action_space = self.scene.observation_space, self.scene.action_space
         self._started = False
         self._gym_spec: EnvSpec | None = None
         self.path: list[np.ndarray] = []  # poses since the reset, for images: only with a render_mode

@@ -26,11 +26,11 @@ class TurtleBot2VecEnv(VecEnv):
         scene: The task, the robot and the worlds, and how the task is observed.
         num_envs: Number of environments.
         reward_scale: Factor on the rewards that `step` returns; `episode` holds the unscaled return.
-        simulation: The simulator, see `SeededLoop`.
+        simulation: The simulator, see `find_simulator`.
     """
 
     def __init__(self, scene: Scene, num_envs: int, reward_scale: float = 1.0, simulation: Any = "kinematic") -> None:
-        self.loop = SeededLoop(scene, num_envs, simulation)
+        self.loop = SeededLoop.open(scene, simulation, num_envs)
         self.render_mode = None
         self.reward_scale = reward_scale
         super().__init__(num_envs, scene.observation_space, scene.action_space)

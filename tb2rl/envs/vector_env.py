@@ -35,7 +35,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         scene: The task, the robot and the worlds, and how the task is observed.
         num_envs: Number of environments.
         autoreset_mode: A mode, or its name.
-        simulation: The simulator, see `SeededLoop`.
+        simulation: The simulator, see `find_simulator`.
 
     Raises:
         InputError: If that is not a number of environments, or not a mode.
@@ -52,7 +52,8 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         self._mode = find_autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
-        self.loop, self.num_envs = SeededLoop(scene, checked(Count, num_envs, "num_envs"), simulation), num_envs
+        self.num_envs = checked(Count, num_envs, "num_envs")
+        self.loop = SeededLoop.open(scene, simulation, num_envs)
         self._started, self._observations = False, None
         self.single_observation_space, self.single_action_space = scene.observation_space, scene.action_space
         self.observation_space = batch_space(scene.observation_space, num_envs)

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
+from pydantic import AfterValidator
 
 from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
@@ -22,8 +23,19 @@ from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.worlds import absolute_worlds, files_named
 from tb2rl.runs.arguments import agent_for, check_arguments
 from tb2rl.runs.plain import check_plain, check_sections, plain
+from tb2rl.simulation import batch_simulator, default_physics, find_simulator
 from tb2rl.tasks import Task
 from tb2rl.tasks.registry import find_task
+
+
+def _simulator(name: str) -> str:
+    simulator = find_simulator(name)
+    if simulator.is_robot:
+        raise ValueError(f"cannot be {name!r}: a training needs a simulator")
+    return simulator.name
+
+
+Simulation = Annotated[str, AfterValidator(_simulator)]  # a name that `find_simulator` takes
 
 
 @dataclass(frozen=True)
@@ -34,7 +46,7 @@ class TrainSettings:
     episodes: Count | None = None  # stop after so many, over all environments, if that comes first
     episode_steps: Count | None = None  # time limit while training, more starts if it is short; None: the task's
     seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
-    simulation: Literal["bullet", "kinematic"] = "bullet"  # what it trains in; PyBullet judges either way
+    simulation: Simulation = field(default_factory=lambda: default_physics().name)  # what it trains in
     n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # environments, shared out among parallel processes
     device: str = "cpu"
     torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # two: 15 % for ppo in the twin, nothing for dqn
@@ -42,7 +54,7 @@ class TrainSettings:
     norm_obs: bool = False  # numbers observed, by the mean and spread of all so far: Stable-Baselines3's VecNormalize
     norm_reward: bool = False  # by the spread of discounted returns; whatever the reward_scale
     eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
-    eval_simulation: Literal["bullet", "kinematic"] = "kinematic"  # where these drive: the twin drives all at once
+    eval_simulation: Simulation = field(default_factory=lambda: batch_simulator().name)  # in which all drive at once
     eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in PyBullet and of images
     eval_steps: Count = 1000  # control steps at most in an episode of these
     best_by: Literal["success", "return"] = "success"  # what makes one the best: good episodes, or mean return

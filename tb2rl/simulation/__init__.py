@@ -12,10 +12,11 @@ from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.simulator import (
     Simulator,
     SimulatorType,
+    batch_simulator,
     check_display,
+    default_physics,
     default_simulator,
     find_simulator,
-    simulator_names,
 )
 from tb2rl.simulation.spec import SimulationSpec
 
@@ -26,8 +27,9 @@ __all__ = [
     "SimulationSpec",
     "Simulator",
     "SimulatorType",
+    "batch_simulator",
     "check_display",
+    "default_physics",
     "default_simulator",
     "find_simulator",
-    "simulator_names",
 ]

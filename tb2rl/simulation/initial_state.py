@@ -46,7 +46,7 @@ class InitialState:
 
     @property
     def pose(self) -> np.ndarray:
-        """x [m], y [m], yaw [rad], shape (num_envs, 3)."""
+        """X [m], y [m], yaw [rad], shape (num_envs, 3)."""
         return self.table[:, POSE]
 
     @property

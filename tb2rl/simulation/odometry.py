@@ -14,7 +14,7 @@ import numpy as np
 
 from tb2rl.robots.robot import WHEEL_SEPARATION
 from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.spec import ASSUMED_SEPARATION, GYRO, LEFT_ENCODER, RIGHT_ENCODER, WHEEL, ENCODERS
+from tb2rl.simulation.spec import ASSUMED_SEPARATION, ENCODERS, GYRO, LEFT_ENCODER, RIGHT_ENCODER, WHEEL
 
 
 def is_exact(initial_state: InitialState) -> bool:

@@ -38,7 +38,7 @@ class CommandHistory(Protocol):
     """The latest commands, before their latency."""
 
     def last(self, count: int) -> np.ndarray:
-        """v [m/s] and w [rad/s], the newest first, shape (num_envs, count, 2); 0 before the first."""
+        """V [m/s] and w [rad/s], the newest first, shape (num_envs, count, 2); 0 before the first."""
 
 
 class CameraSource(Protocol):
@@ -92,7 +92,7 @@ class RobotState:
     camera: CameraSource | None = None
     dynamic_obstacles: np.ndarray | None = None
     nearest_is_dynamic: np.ndarray | None = None
-    nearest: np.ndarray = field(default=None, kw_only=True)  # type: ignore[assignment]
+    nearest: np.ndarray = field(default=None, kw_only=True)  # type: ignore[arg-type]
     occupancy_map: OccupancyMap | None = field(default=None, kw_only=True)
     pose_history: PoseHistory | None = field(default=None, kw_only=True)
     command_history: CommandHistory | None = field(default=None, kw_only=True)

@@ -6,6 +6,7 @@ the group `tb2rl.simulators`.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.core.plugins import find_plugin, plugin_names
+from tb2rl.core.plugins import find_plugin, simulator_names
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.spec import SimulationSpec
@@ -97,6 +98,7 @@ class SimulatorType:
         has_colours: Whether its cameras see colours; all see depth.
         varies_dynamics: Whether a variation of mass and friction has an effect.
         in_processes: Whether many environments need processes to be fast; otherwise one process steps thousands.
+        max_camera_height: Height up to which a camera can be mounted [m].
         is_robot: Whether it drives a real robot or one in somebody else's simulator: there is one environment, time
             passes by itself, and no state can be restored.
         unavailable: Returns why it cannot run here ("is not installed"), or None.
@@ -112,6 +114,7 @@ class SimulatorType:
     has_colours: bool = False
     varies_dynamics: bool = False
     in_processes: bool = False
+    max_camera_height: float = math.inf
     is_robot: bool = False
     unavailable: Callable[[], str | None] = lambda: None
     install: str = ""
@@ -149,11 +152,6 @@ class SimulatorType:
 NOT_INSTALLED = "is not installed"  # the usual reason of `SimulatorType.unavailable`
 
 
-def simulator_names() -> list[str]:
-    """Every registered simulator, in the order of preference: the built-in ones, then those of other packages."""
-    return plugin_names("simulator")
-
-
 def find_simulator(name: Any) -> SimulatorType:
     """The type of a registered name, of "module:Class", or of an object that names its own by `simulator_type`.
 
@@ -176,12 +174,29 @@ def find_simulator(name: Any) -> SimulatorType:
     return SimulatorType(name, getattr(found, "title", found.__name__), found, **capabilities)
 
 
+def default_physics() -> SimulatorType:
+    """The first registered physics that can run here; if none can, the first one, which then says why."""
+    first = None
+    for each in map(find_simulator, simulator_names()):
+        if each.is_physics and each.unavailable() is None:
+            return each
+        first = first or (each if each.is_physics else None)
+    assert first is not None  # there is a built-in one
+    return first
+
+
+def batch_simulator() -> SimulatorType:
+    """The first registered simulator that steps thousands of environments in one process."""
+    types = map(find_simulator, simulator_names())
+    return next(each for each in types if not (each.in_processes or each.is_robot))
+
+
 @cache
 def default_simulator() -> SimulatorType:
-    """Where evaluations and films drive: the first registered physics that can run here, else any simulator."""
-    types = [find_simulator(name) for name in simulator_names()]
-    usable = [each for each in types if not each.is_robot and each.unavailable() is None]
-    return next((each for each in usable if each.is_physics), usable[0])
+    """Where evaluations and films drive: the default physics, or where none can run any simulator that can."""
+    physics = default_physics()
+    others = (each for each in map(find_simulator, simulator_names()) if not each.is_robot)
+    return physics if physics.unavailable() is None else next(each for each in others if each.unavailable() is None)
 
 
 def check_display() -> None:

@@ -14,7 +14,6 @@ from stable_baselines3.common.logger import Image
 from tb2rl.core.signals import ending_signals
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.evaluator import Evaluator
-from tb2rl.evaluation.twin import TwinEvaluator
 from tb2rl.runs.config import TrainSettings
 from tb2rl.runs.folder import Run
 from tb2rl.runs.normalisation import driving_policy
@@ -43,7 +42,7 @@ class Evaluate(BaseCallback):
     def __init__(
         self,
         run: Run,
-        evaluator: Evaluator | TwinEvaluator,
+        evaluator: Evaluator,
         settings: TrainSettings,
         evaluated: Callable[[Evaluation], object] | None = None,
     ) -> None:

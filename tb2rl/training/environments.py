@@ -7,20 +7,19 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
 
-from tb2rl.envs.vec_env import BatchVecEnv
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.runs.config import Config
-from tb2rl.simulation import check_bullet
+from tb2rl.simulation import find_simulator
 from tb2rl.training.trees import fill
 
 
-def make_vec_env(config: Config) -> BatchVecEnv:
+def make_vec_env(config: Config) -> TurtleBot2VecEnv:
     """The environments of a training: one batch of the fast twin, or of PyBullet's worlds in parallel processes."""
     settings = config.train
     steps = settings.episode_steps
     scene = config.scene if steps is None else config.scene.changed(episode_steps=steps)
-    if settings.simulation == "bullet":
-        check_bullet("a training in simulation 'bullet' (unlike 'kinematic', its fast twin)")
-    return BatchVecEnv(scene, settings.n_envs, settings.reward_scale, settings.simulation)
+    find_simulator(settings.simulation).check(f"a training in simulation {settings.simulation!r}")
+    return TurtleBot2VecEnv(scene, settings.n_envs, settings.reward_scale, settings.simulation)
 
 
 def state_of(env: VecEnv) -> Any:
@@ -29,7 +28,7 @@ def state_of(env: VecEnv) -> Any:
     Where `VecNormalize` is around them, a tree with its own state beside theirs, but for its statistics, which are
     saved with the policy.
     """
-    batch: Any = env.unwrapped  # a `BatchVecEnv`
+    batch: Any = env.unwrapped  # a `TurtleBot2VecEnv`
     state = batch.state()
     around = unwrap_vec_normalize(env)
     if around is None:

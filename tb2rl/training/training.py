@@ -20,8 +20,7 @@ from stable_baselines3.common.logger import Logger
 from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import has_images
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import TRAINING_SEED, Evaluator
-from tb2rl.evaluation.twin import TwinEvaluator
+from tb2rl.evaluation.evaluator import TRAINING_SEED, Evaluator, random_initial_states
 from tb2rl.runs.algorithm import check_device, check_learns, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import Config
@@ -29,6 +28,7 @@ from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import content_config, load
 from tb2rl.runs.parameters import load_parameters
+from tb2rl.simulation import default_simulator, find_simulator
 from tb2rl.tasks import Task
 from tb2rl.training import state
 from tb2rl.training.callbacks import Checkpoints, Evaluate, StopAfterEpisodes, StopOnInterrupt
@@ -243,26 +243,24 @@ def stopped_early(config: Config, timesteps: int) -> str:
     )
 
 
-def make_evaluator(
-    config: Config, purpose: Purpose = "validation", seed: int = TRAINING_SEED
-) -> Evaluator | TwinEvaluator:
-    """What drives evaluations as a training's settings say.
+def make_evaluator(config: Config, purpose: Purpose = "validation", seed: int = TRAINING_SEED) -> Evaluator:
+    """The evaluator of a training, by its settings.
 
     Args:
         config: Of the training.
-        purpose: What the worlds are for, if they are generated. In those for validation it says which policy of a
-            training is the best.
-        seed: Of the start poses and of all noise.
+        purpose: Of the worlds, if they are generated; by those for validation the best policy is chosen.
+        seed: Of the initial states and of all noise.
     """
     settings, scene = config.train, config.scene.worlds_for(purpose)
-    episodes, conditions = settings.eval_episodes, (settings.eval_steps, seed)
-    if settings.eval_simulation == "kinematic":
-        many = _FEW if has_images(scene.observation_space) else _MANY
-        try:
-            return TwinEvaluator(scene, episodes or many, *conditions)
-        except InputError as error:
-            print(f"evaluations on the way are in PyBullet, and slower: {error}", flush=True)
-    return Evaluator(scene, episodes or _FEW, *conditions)
+    simulator = find_simulator(settings.eval_simulation)
+    try:
+        scene.check(simulator)
+    except InputError as error:
+        simulator = default_simulator()
+        print(f"evaluations on the way use {simulator.title}, and are slower: {error}", flush=True)
+    slow = simulator.in_processes or has_images(scene.observation_space)
+    states = random_initial_states(scene, settings.eval_episodes or (_FEW if slow else _MANY), seed)
+    return Evaluator(scene, states, settings.eval_steps, seed, simulation=simulator)
 
 
 def _restore(

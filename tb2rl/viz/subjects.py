@@ -16,7 +16,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import top_folder
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run, config_file, read_config
 from tb2rl.runs.hub import HUB, name_of

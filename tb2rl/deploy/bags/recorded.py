@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, SupportsFloat
 
 from tb2rl.deploy.bags.recorder import Recorder
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 
 
 class RecordedEnv(TurtleBot2Env):

@@ -12,14 +12,13 @@ from dataclasses import asdict, dataclass, field, replace
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import build
-from tb2rl.deploy import Limits, Mounting
+from tb2rl.deploy import Limits, Mounting, Needs
 from tb2rl.deploy.ros.graph import join
 from tb2rl.deploy.ros.remote import RemoteRobot
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics
 from tb2rl.deploy.trained import floor, needs_in
 from tb2rl.envs.scene import Scene
-from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.simulation import ROS, SIMULATIONS
+from tb2rl.simulation import SimulationSpec, SimulatorType
 
 NAME = "tb2rl_environment"  # of the node
 _UPSIDE_DOWN = "upside-down"
@@ -46,40 +45,41 @@ class RosRobot:
     goal: tuple[float, float] | None = None
     arguments: tuple[str, ...] = ()
 
-    def env(self, scene: Scene, render_mode: str | None = None) -> TurtleBot2Env:
-        """The environment, in the graph of ROS; there is one at a time.
+    def simulator_type(self) -> SimulatorType:
+        """The robot as a simulator, see `find_simulator`.
 
         Raises:
-            InputError: If this ROS is not installed, or what the scene's task needs is not to be had of a robot.
+            InputError: If there is no such ROS.
         """
         if self.ros not in TURTLEBOT2:
             raise InputError(f"there is ROS 1 and ROS 2, got {self.ros!r}")
         if self.arguments and self.ros == 1:
             raise InputError("--ros-args is for --ros 2")
+        return SimulatorType(
+            name="ros",
+            title="a robot with ROS",
+            make=self._connect,
+            is_robot=True,
+            prepare=lambda scene: robot_scene(scene, self.goal),
+        )
+
+    def _connect(self, spec: SimulationSpec, num_envs: int) -> RemoteRobot:
         topics = build(DriverTopics, {**asdict(TURTLEBOT2[self.ros]), **self.topics}, "topics")
-        scene = robot_scene(scene, self.goal)
         graph = join(self.ros, NAME, self.arguments)
         try:
-            robot = RemoteRobot(scene.spec, needs_in(scene), graph, topics, self.mounting, self.limits)
+            return RemoteRobot(spec, needs_of(spec), graph, topics, self.mounting, self.limits)
         except BaseException:
             graph.close()
             raise
-        return TurtleBot2Env(scene, render_mode, robot)
 
 
-def ros_robot(simulation: RosRobot | str) -> RosRobot:
-    """The robot itself, or a TurtleBot2 with ROS 1 for "ros": what evaluations and films take as `simulation`.
+def needs_of(spec: SimulationSpec) -> Needs:
+    """The beams that a task reads of the robot's scans."""
+    laser, robot = spec.laser, spec.robot
+    return Needs(laser.angles, laser.min_range, laser.max_range, 1.0, robot.max_speed, robot.max_turn_rate, robot.name)
 
-    Raises:
-        InputError: For another name.
-    """
-    if isinstance(simulation, str):
-        if simulation != ROS:
-            raise InputError(
-                f"simulation takes {', '.join(map(repr, SIMULATIONS))}, {ROS!r} or a RosRobot, got {simulation!r}"
-            )
-        return RosRobot()
-    return simulation
+
+SIMULATOR = RosRobot().simulator_type()
 
 
 def robot_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:

@@ -17,7 +17,7 @@ from tb2rl.deploy.ros.messages import Bump, Clock, Image, Odometry, Scan, Transf
 from tb2rl.deploy.ros.simulator import Simulator
 from tb2rl.deploy.ros.topics import Topics, parse_topics
 from tb2rl.runs.layers import parse_settings, resolve
-from tb2rl.simulation import judging_simulation
+from tb2rl.simulation import default_simulator, find_simulator
 
 SCAN_RATES = (2.0, 40.0)  # [Hz] a base that is commanded more seldom stops in between
 _LATE = 0.1  # [s] of wall-clock time: what was lost beyond is not made up for
@@ -30,14 +30,14 @@ _ALONE = 1.0  # [s] of wall-clock time after which who hears scans, and sends no
 def run(options: argparse.Namespace) -> None:
     """Simulate until a signal ends it, then say how far it came."""
     check(options)
-    topics, name = parse_topics(options.topics, Topics()), options.simulation or judging_simulation()
+    topics, name = parse_topics(options.topics, Topics()), find_simulator(options.simulation or default_simulator())
     config = resolve("random", options.task, settings={"task.start": "fixed"} | parse_settings(options.set))
     with closing(join(options.ros, "tb2rl_simulation")) as graph:
         for ending in ending_signals():
             signal.signal(ending, signal.default_int_handler)
         simulator = Simulator(config.scene, name, options.seed, options.scan_rate, coarse=options.lockstep is not None)
         with closing(Server(simulator, graph, topics, options.rate, options.lockstep)) as server:
-            print(f"simulating {config.task_name} in {config.scene.place} ({name}) on ROS {options.ros}", flush=True)
+            print(f"simulating {config.task_name} in {config.scene.place} ({name.name}) on ROS {options.ros}", flush=True)
             with suppress(KeyboardInterrupt):
                 server.run()
 

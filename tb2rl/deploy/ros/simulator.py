@@ -22,7 +22,7 @@ from tb2rl.deploy.ros.messages import (
 from tb2rl.envs.scene import Scene
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors.bumper import bumper_at
-from tb2rl.simulation import RobotState, simulate
+from tb2rl.simulation import RobotState, SimulatorType
 from tb2rl.simulation.random_streams import GeneratorDraws
 
 COMMAND_TIMEOUT = 600_000_000  # [ns] kobuki_node: a base that hears nothing for so long stops
@@ -68,20 +68,20 @@ class Simulator:
 
     Args:
         scene: The robot, its worlds, and where it starts.
-        simulation: "bullet" or "kinematic".
+        simulation: The type of simulator.
         seed: Of the starts and of the laser's noise.
         scan_rate: How often the laser sweeps [Hz].
         coarse: Let a tick be as long as a sweep: for who commands the robot no more often.
     """
 
-    def __init__(self, scene: Scene, simulation: str, seed: int, scan_rate: float, coarse: bool) -> None:
+    def __init__(self, scene: Scene, simulation: SimulatorType, seed: int, scan_rate: float, coarse: bool) -> None:
         laser = replace(scene.robot.laser, noise=scene.task.laser_noise)
         self._spec, self._task = replace(scene.spec, laser=laser), scene.task
-        self.has_colours = simulation == "bullet"
+        self.has_colours = simulation.has_colours
         self.ticks_per_scan = 1 if coarse else math.ceil(1.0 / (scan_rate * FINEST) - 1e-9)
         self._tick = round(BILLION / (scan_rate * self.ticks_per_scan))  # [ns]
         self._rng, self._ticks, self._time = np.random.default_rng(seed), 0, 0
-        self._simulation = simulate(simulation, self._spec)
+        self._simulation = simulation.open(self._spec)
         self.put_back()
 
     @property

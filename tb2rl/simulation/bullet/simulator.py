@@ -11,15 +11,24 @@ import numpy as np
 
 from tb2rl.core.errors import InputError
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, RADIUS, WHEEL_ACCELERATION
-from tb2rl.simulation.bullet.bodies import TOUCH, WALL_GROUP, add_floor, add_robot, add_walls, clear, connect, disconnects
+from tb2rl.simulation.bullet.bodies import (
+    TOUCH,
+    WALL_GROUP,
+    add_floor,
+    add_robot,
+    add_walls,
+    clear,
+    connect,
+    disconnects,
+)
 from tb2rl.simulation.bullet.camera import look_ahead
+from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.bullet.obstacle_bodies import Crowd
+from tb2rl.simulation.bullet.scan import Scanner
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.odometry import encoder_odometry, is_exact
-from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.simulator import Generators
-from tb2rl.simulation.bullet.scan import Scanner
 from tb2rl.simulation.spec import ASSUMED_SEPARATION, FRICTION, MASS, PHYSICS_RATE, WHEEL, SimulationSpec
 from tb2rl.worlds.world import WALL_HEIGHT
 

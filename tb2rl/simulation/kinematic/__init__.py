@@ -6,6 +6,7 @@ from typing import Any
 
 from tb2rl.simulation.simulator import SimulatorType
 from tb2rl.simulation.spec import SimulationSpec
+from tb2rl.worlds.world import WALL_HEIGHT
 
 
 def make(spec: SimulationSpec, num_envs: int) -> Any:
@@ -15,4 +16,4 @@ def make(spec: SimulationSpec, num_envs: int) -> Any:
     return KinematicSimulator(spec, num_envs)
 
 
-SIMULATOR = SimulatorType(name="kinematic", title="kinematic simulator", make=make)
+SIMULATOR = SimulatorType(name="kinematic", title="kinematic simulator", make=make, max_camera_height=WALL_HEIGHT)

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE, WHEEL_SEPARATION
-from tb2rl.simulation.kinematic.depth import depth_images
-from tb2rl.simulation.obstacles.dynamic_obstacles import dynamic_obstacles_of
 from tb2rl.simulation.initial_state import InitialState
+from tb2rl.simulation.kinematic.depth import depth_images
+from tb2rl.simulation.kinematic.stepping import begin_some, sense_some, step_block, step_block_among
+from tb2rl.simulation.kinematic.threads import parallel_for
+from tb2rl.simulation.obstacles.dynamic_obstacles import dynamic_obstacles_of
 from tb2rl.simulation.odometry import as_counted, integrate_odometry, is_exact
 from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.simulator import Generators
 from tb2rl.simulation.spec import ASSUMED_SEPARATION, PHYSICS_RATE, WHEEL, SimulationSpec
-from tb2rl.simulation.kinematic.stepping import begin_some, sense_some, step_block, step_block_among
-from tb2rl.simulation.kinematic.threads import parallel_for
 from tb2rl.worlds.index import join
 
 ROBOT, BEAM = 0.25e-6, 4e-9  # [s] what a step costs a thread, for each robot and for each of its beams

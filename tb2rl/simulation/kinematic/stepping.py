@@ -14,9 +14,9 @@ import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kinematic.motion import MAX_SPEED, RADIUS, WHEEL_SEPARATION, move, sense
+from tb2rl.simulation.obstacles.motion import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
 from tb2rl.simulation.obstacles.outlines import LENGTH, X, Y, reach_of
 from tb2rl.simulation.spec import PHYSICS_RATE, POSE, WHEEL, WORLD
-from tb2rl.simulation.obstacles.motion import AVOIDS, HALT, HURRY, SPEED, THINK, share_until_touch, think, walk
 from tb2rl.worlds.geometry import shortest_of
 
 

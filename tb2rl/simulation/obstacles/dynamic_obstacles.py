@@ -10,9 +10,6 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.obstacles.outlines import COS, LENGTH, OUTLINE, SIN, WIDTH, X, Y, gap_to, reach_of
-from tb2rl.simulation.random_streams import StreamDraws
-from tb2rl.simulation.spec import OBSTACLE_SEED, POSE, SimulationSpec
 from tb2rl.simulation.obstacles.motion import (
     AVOIDS,
     CLOSED,
@@ -30,6 +27,9 @@ from tb2rl.simulation.obstacles.motion import (
     STRAIGHT,
     STRIDE,
 )
+from tb2rl.simulation.obstacles.outlines import COS, LENGTH, OUTLINE, SIN, WIDTH, X, Y, gap_to, reach_of
+from tb2rl.simulation.random_streams import StreamDraws
+from tb2rl.simulation.spec import OBSTACLE_SEED, POSE, SimulationSpec
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles as Group
 from tb2rl.worlds.geometry import clearance_one
 

@@ -14,8 +14,8 @@ import numpy as np
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.simulation.kinematic.motion import RADIUS
 from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, X, Y, gap_to, reach_of
-from tb2rl.simulation.random_streams import uniform
 from tb2rl.simulation.obstacles.social_force import social_force
+from tb2rl.simulation.random_streams import uniform
 from tb2rl.simulation.spec import BOUNDS
 from tb2rl.worlds.geometry import clearance_one
 
