@@ -25,7 +25,7 @@ def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world,
     Args:
         x, y, yaw: Pose of the laser [m, m, rad].
         cos_beams, sin_beams: Beam directions in the laser's frame, shape (beams,).
-        boxes, posts, parts, lists: The `Index` of all worlds.
+        boxes, posts, parts, lists: The `WorldIndex` of all worlds.
         world: Number of the robot's world in it.
         over_x, over_y: Room to calculate in, shape (beams,); to allocate it here would cost as much as the work.
         ranges: Result [m], shape (num_envs, beams).

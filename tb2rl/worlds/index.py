@@ -19,11 +19,11 @@ FEW = 100  # obstacles; up to here the plain loops are faster, with 36 beams
 _ENTRIES = 32  # for each obstacle, at most: obstacles that cover many cells, or each other, get larger cells
 _SMALLEST = 1e-6  # [m] side of a cell
 _SLACK = 1e-6  # of a cell's side, by which obstacles are taken to be larger; rounding is far less
-# The columns of `Index.parts`.
+# The columns of `WorldIndex.parts`.
 X, Y, SIDE, COLUMNS, ROWS, CELLS, BOXES, BOXES_END, POSTS, POSTS_END = range(10)
 
 
-class Index(NamedTuple):
+class WorldIndex(NamedTuple):
     """The obstacles of some worlds, and where to look for them.
 
     Attributes:
@@ -41,15 +41,15 @@ class Index(NamedTuple):
     lists: np.ndarray
 
 
-def index_of(boxes: np.ndarray, posts: np.ndarray, few: int = FEW) -> Index:
+def index_of(boxes: np.ndarray, posts: np.ndarray, few: int = FEW) -> WorldIndex:
     """The index of one world of `boxes` (n, 6) and `posts` (n, 3); without a grid if it has `few` obstacles."""
     grid, lists = np.zeros(5), np.empty(0, dtype=np.int32)
     if len(boxes) + len(posts) > few:
         grid, lists = _make_grid(boxes, posts)
-    return Index(boxes, posts, np.array([[*grid, 0, 0, len(boxes), 0, len(posts)]]), lists)
+    return WorldIndex(boxes, posts, np.array([[*grid, 0, 0, len(boxes), 0, len(posts)]]), lists)
 
 
-def join(indices: Sequence[Index]) -> Index:
+def join(indices: Sequence[WorldIndex]) -> WorldIndex:
     """One index of several worlds, in this order."""
     if len(indices) == 1:
         return indices[0]
@@ -65,11 +65,11 @@ def join(indices: Sequence[Index]) -> Index:
         entries = own[borders:]
         entries += np.where(entries < 0, -part[POSTS], part[BOXES])
     boxes, posts = (np.concatenate([index[table] for index in indices]) for table in (0, 1))
-    return Index(boxes, posts, parts, np.concatenate(lists))
+    return WorldIndex(boxes, posts, parts, np.concatenate(lists))
 
 
 def _make_grid(boxes: np.ndarray, posts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The grid of a world: the first five columns of `Index.parts`, and its `lists`."""
+    """The grid of a world: the first five columns of `WorldIndex.parts`, and its `lists`."""
     count = len(boxes) + len(posts)
     half_length, half_width, cos, sin = boxes[:, 2:].T
     x_reach, y_reach = half_length * abs(cos) + half_width * abs(sin), half_length * abs(sin) + half_width * abs(cos)
@@ -91,7 +91,7 @@ def _make_grid(boxes: np.ndarray, posts: np.ndarray) -> tuple[np.ndarray, np.nda
 
 @njit(cache=True)
 def _list_obstacles(boxes, posts, reaches, grid, most):
-    """The `lists` of a grid, see `Index`; an empty array if they had more than `most` entries.
+    """The `lists` of a grid, see `WorldIndex`; an empty array if they had more than `most` entries.
 
     `reaches` (obstacles, 2) are how far each one extends from its centre along x and y [m], boxes before posts.
     """

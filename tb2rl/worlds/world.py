@@ -19,7 +19,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Point, Pose
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles, find_dynamic_obstacles
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
-from tb2rl.worlds.index import Index, index_of
+from tb2rl.worlds.index import WorldIndex, index_of
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
 _ROUNDING = 1e-9  # [m]
@@ -102,7 +102,7 @@ class World:
         return world
 
     @cached_property
-    def index(self) -> Index:
+    def index(self) -> WorldIndex:
         """Where to look for its obstacles: what laser and clearance read."""
         return index_of(self.boxes, self.posts)
 

@@ -10,7 +10,7 @@ from tb2rl.core.compiled import njit
 from tb2rl.robots import Camera
 from tb2rl.simulation.obstacles.outlines import cast_all_at_movers
 from tb2rl.worlds.geometry import cast_many
-from tb2rl.worlds.index import Index
+from tb2rl.worlds.index import WorldIndex
 from tb2rl.worlds.world import WALL_HEIGHT
 
 
@@ -18,7 +18,7 @@ def depth_images(
     camera: Camera,
     poses: np.ndarray,
     world_of: np.ndarray,
-    index: Index,
+    index: WorldIndex,
     width: int,
     height: int,
     dynamic_obstacles: np.ndarray | None = None,
