@@ -23,7 +23,7 @@ from tb2rl.tasks.actions import Actions, Commands, Velocities
 from tb2rl.tasks.outcome import Outcome, collision_endings
 from tb2rl.tasks.task import Beams, Clearance, Period, Task
 from tb2rl.worlds import World
-from tb2rl.worlds.goal_paths import GOALS, OWN, shortest_way
+from tb2rl.worlds.goal_paths import GOALS, OWN, shortest_path_length
 
 _TOLD = 3  # actions: with commands and readings a step late, what the robot is still to do, and one more
 _TOWARDS = 0.02  # [m/s] slower than this towards something is not driving into it; to turn is not either, it is round
@@ -104,7 +104,7 @@ class Navigate(Task):
             return worlds
         placed = tuple(world.with_places(None, (*self.goal, 0.0)) for world in worlds)
         for world in placed:
-            if shortest_way(world, robot.radius) == math.inf:
+            if shortest_path_length(world, robot.radius) == math.inf:
                 x, y = self.goal
                 where = f"from the start to the goal ({x:g}, {y:g})"
                 raise InputError(f"world {world.name}: {robot.name} finds no way {where}")

@@ -17,7 +17,7 @@ import numpy as np
 from tb2rl.core.errors import InputError, unknown
 from tb2rl.worlds.formats.barn import read_barn
 from tb2rl.worlds.generators import FAMILIES, Generated, generate, generator_of
-from tb2rl.worlds.goal_paths import shortest_way
+from tb2rl.worlds.goal_paths import shortest_path_length
 from tb2rl.worlds.places import Places
 from tb2rl.worlds.world import World
 
@@ -40,7 +40,7 @@ class Suite:
         name: What it is called.
         worlds: Each with a goal, too.
         families: What kind each world is of.
-        ways: How long the shortest way from start to goal is in each [m], see `shortest_way`.
+        ways: How long the shortest way from start to goal is in each [m], see `shortest_path_length`.
         time_limit: Of an episode [s].
         goal_radius: How near to the goal is there [m]; None: the task says it.
         references: Length of the way that the score of BARN goes by, in each [m]; None: there is no such score.
@@ -107,7 +107,7 @@ def barn(path: Path) -> Suite:
     """
     found = read_barn(path)
     worlds = tuple(each.world for each in found)
-    ways = tuple(shortest_way(world, RADIUS) for world in worlds)
+    ways = tuple(shortest_path_length(world, RADIUS) for world in worlds)
     for world, way in zip(worlds, ways, strict=True):
         if not math.isfinite(way):
             raise InputError(f"{path}: world {world.name} has no way from its start to its goal")
@@ -125,7 +125,7 @@ def _placed(world: World, number: int) -> tuple[World, float]:
 
     while True:  # where a third of the floor can be reached, there is always such a way
         placed = replace(world, start=draw(START_CLEARANCE), goal=draw(GOAL_CLEARANCE))
-        way = shortest_way(placed, RADIUS)
+        way = shortest_path_length(placed, RADIUS)
         if LEAST_WAY <= way < math.inf:
             return placed, way
 

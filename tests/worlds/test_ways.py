@@ -8,7 +8,7 @@ import pytest
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
 from tb2rl.worlds.generators import GENERATORS, Generated, generate
-from tb2rl.worlds.goal_paths import GOALS, OWN, GoalPaths, shortest_way
+from tb2rl.worlds.goal_paths import GOALS, OWN, GoalPaths, shortest_path_length
 
 BOUNDS = (0.0, 0.0, 8.0, 8.0)
 OPEN = World.from_shapes("open", start=(1.0, 4.0, 0.0), goal=(7.0, 4.0, 0.0), bounds=BOUNDS)
@@ -38,7 +38,7 @@ def test_on_an_open_floor_a_way_is_as_long_as_the_straight_line():
 def test_a_way_goes_round_a_wall_and_keeps_off_it():
     ways, worlds, goals, there = to_own_goal(WALL, (2.0, 2.0))
     corner = math.dist((2.0, 2.0), (3.9, 6.0 + ROBOT.radius)) + 0.2 + math.dist((4.1, 6.0 + ROBOT.radius), (6.0, 2.0))
-    assert 1.0 < shortest_way(WALL, ROBOT.radius) / corner < 1.05
+    assert 1.0 < shortest_path_length(WALL, ROBOT.radius) / corner < 1.05
     assert corner < ways.path_length(worlds, goals, there)[0] < corner + 1.5, "near a wall it counts as longer"
     above = ways.lookahead_point(worlds, goals, there, 4.9)[0]
     assert above[1] - 6.0 > ROBOT.radius + 0.05, "it passes the corner with room to spare"
@@ -87,7 +87,7 @@ def test_random_goals_have_room_and_can_be_reached_and_are_the_same_in_every_pro
 
 
 def test_where_no_way_leads_nothing_is_short():
-    assert shortest_way(CLOSED, ROBOT.radius) == math.inf
+    assert shortest_path_length(CLOSED, ROBOT.radius) == math.inf
     ways, worlds, goals, there = to_own_goal(CLOSED, (2.0, 4.0))
     assert np.isfinite(ways.path_length(worlds, goals, there)).all()
     assert np.isfinite(ways.lookahead_point(worlds, goals, there, 1.0)).all()

@@ -50,10 +50,10 @@ def solvable(
         floor = Floor.of(world, _REACH)
         row, column = divmod(int(floor.clearance.argmax()), floor.clearance.shape[1])
         # Half a square less than half the passage: no middle of a square need be in the middle of a door.
-        steps = floor.steps_from(*floor.middle(row, column), passage / 2 - SIDE / 2)
+        steps = floor.steps_from(*floor.centre(row, column), passage / 2 - SIDE / 2)
         if (steps >= 0).sum() * SIDE**2 >= FREE * size[0] * size[1]:
             far = divmod(int(steps.argmax()), steps.shape[1])
-            start, goal = floor.middle(row, column), floor.middle(*far)
+            start, goal = floor.centre(row, column), floor.centre(*far)
             return replace(world, start=(*start, rng.uniform(-math.pi, math.pi)), goal=(*goal, 0.0))
     raise InputError(
         f"generator {draw.__module__.rpartition('.')[2]}: in {_ATTEMPTS} worlds of {size[0]:g} x {size[1]:g} m with "
