@@ -59,7 +59,7 @@ class SuiteEvaluation:
     def figures(self, family: str | None = None) -> Figures:
         """The figures of one family, or of all worlds."""
         worlds = [i for i, each in enumerate(self.suite.families) if family in (None, each)]
-        drives, ways = [self.drives[i] for i in worlds], np.array(self.suite.ways)[worlds]
+        drives, ways = [self.drives[i] for i in worlds], np.array(self.suite.path_lengths)[worlds]
         reached = [drive.success for drive in drives]
         distances, times = ([getattr(drive, name) for drive in drives] for name in ("distance", "time"))
         longest = np.argsort(-ways, kind="stable")[: math.ceil(len(worlds) / 10)]

@@ -17,7 +17,7 @@ from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.worlds import World
-from tb2rl.worlds.world import box_shapes
+from tb2rl.worlds.world import box_polygons
 
 HEADINGS = 16
 UNMET, OVER = -1, -2  # in place of an action
@@ -46,7 +46,7 @@ class ActionMap:
     @property
     def walls(self) -> list[list[tuple[float, ...]]]:
         """The corners of each box of the world [m]."""
-        return [list(box.exterior.coords) for box in box_shapes(self.world.boxes)]
+        return [list(box.exterior.coords) for box in box_polygons(self.world.boxes)]
 
 
 def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:

@@ -80,7 +80,7 @@ class Floor:
 
 
 def nearest_square(at: float, first: float, side: float, count: float) -> int:
-    """Row or column, of `count` whose first centre is at `first` [m], that is nearest to a coordinate [m]; 0 for NaN."""
+    """Row or column, of `count` whose first centre is at `first` [m], nearest to a coordinate [m]; 0 for NaN."""
     return 0 if math.isnan(at) else int(min(max(round((at - first) / side), 0), count - 1))
 
 

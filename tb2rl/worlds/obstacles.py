@@ -1,4 +1,4 @@
-"""Distances from points and rays to single boxes and posts, compiled; rows are as in `World.boxes` and `World.posts`."""
+"""Distances from points and rays to single boxes and posts, compiled; rows as in `World.boxes` and `World.posts`."""
 
 from __future__ import annotations
 

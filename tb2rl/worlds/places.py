@@ -1,7 +1,7 @@
 """Start poses in any of many worlds, drawn without Python code per robot.
 
-`World.poses_from` is exact, but its first poses take a second in a world of hundreds of posts. Here poses are drawn from
-squares of `tb2rl.worlds.floor`.
+`World.poses_from` is exact, but its first poses take a second in a world of hundreds of posts. Here poses are drawn
+from squares of `tb2rl.worlds.floor`.
 """
 
 from __future__ import annotations

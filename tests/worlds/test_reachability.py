@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.worlds.access import find_access
+from tb2rl.worlds.reachability import find_reachability
 from tb2rl.worlds.world import World
 
 RADIUS = 0.178  # of a TurtleBot2
@@ -23,14 +23,14 @@ def rooms(*doors, goal=None):
 
 
 def test_wide_doors_let_the_robot_through():
-    access = find_access(rooms(1.0, 0.8, goal=(8, 1, 0)), RADIUS)
-    assert (access.parts, access.doors, access.goal_reached) == ((), (), True)
+    access = find_reachability(rooms(1.0, 0.8, goal=(8, 1, 0)), RADIUS)
+    assert (access.unreached, access.doors, access.goal_reached) == ((), (), True)
     assert access.reached == pytest.approx(access.floor, rel=0.02)
 
 
 def test_a_narrow_door_is_named_with_its_width_and_what_is_behind_it():
-    access = find_access(rooms(1.0, 0.3, goal=(8, 1, 0)), RADIUS)
-    (door,), (part,) = access.doors, access.parts
+    access = find_reachability(rooms(1.0, 0.3, goal=(8, 1, 0)), RADIUS)
+    (door,), (part,) = access.doors, access.unreached
     assert door.width == pytest.approx(0.3, abs=0.002)
     assert door.place == pytest.approx((6, 1.5), abs=0.2)
     assert (part.area, part.closed) == (pytest.approx(8.7, rel=0.03), False)
@@ -40,24 +40,24 @@ def test_a_narrow_door_is_named_with_its_width_and_what_is_behind_it():
 
 
 def test_every_narrow_door_is_named():
-    access = find_access(rooms(0.2, 0.3, 0.35), RADIUS)
+    access = find_reachability(rooms(0.2, 0.3, 0.35), RADIUS)
     assert sorted(door.width for door in access.doors) == pytest.approx([0.2, 0.3, 0.35], abs=0.002)
-    assert len(access.parts) == 3
+    assert len(access.unreached) == 3
 
 
 @pytest.mark.parametrize(("radius", "doors"), [(0.149, 0), (0.151, 1)])
 def test_whether_a_door_is_narrow_depends_on_the_robot(radius, doors):
-    assert len(find_access(rooms(0.3), radius).doors) == doors
+    assert len(find_reachability(rooms(0.3), radius).doors) == doors
 
 
 def test_a_room_without_a_door_is_closed():
     world = rooms(0.9)
     boxes = [(x, y, 2 * a, 2 * b, 0) for x, y, a, b, _, _ in world.boxes] + [(3, 1.5, 0.1, 1.0, 0)]
-    access = find_access(World.from_shapes("closed", boxes, start=world.start), RADIUS)
+    access = find_reachability(World.from_shapes("closed", boxes, start=world.start), RADIUS)
     assert access.doors == ()
-    assert [part.closed for part in access.parts] == [True]
+    assert [part.closed for part in access.unreached] == [True]
 
 
 def test_a_start_in_a_wall_is_refused():
     with pytest.raises(InputError, match="inside a wall"):
-        find_access(World.from_shapes("full", [(0, 0, 1, 1, 0)], start=(0, 0, 0), bounds=(-9, -9, 9, 9)), RADIUS)
+        find_reachability(World.from_shapes("full", [(0, 0, 1, 1, 0)], start=(0, 0, 0), bounds=(-9, -9, 9, 9)), RADIUS)

@@ -7,7 +7,7 @@ import pytest
 
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
-from tb2rl.worlds.generators import GENERATORS, Generated, generate
+from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate
 from tb2rl.worlds.goal_paths import GOALS, OWN, GoalPaths, shortest_path_length
 
 BOUNDS = (0.0, 0.0, 8.0, 8.0)
@@ -20,7 +20,7 @@ WALL = World.from_shapes(
 CLOSED = World.from_shapes(
     "closed", [(4.0, 4.0, 0.2, 8.0, 0.0)], start=(2.0, 4.0, 0.0), goal=(6.0, 4.0, 0.0), bounds=BOUNDS
 )
-MIXED = generate(Generated("mixed", worlds=10), GENERATORS["mixed"], "training")
+MIXED = generate(GeneratorSettings("mixed", worlds=10), GENERATORS["mixed"], "training")
 
 
 def to_own_goal(world, *places):
@@ -102,7 +102,7 @@ def test_a_world_without_a_goal_has_none():
 
 def test_a_way_never_ends_before_its_goal():
     """Between squares that are dear, the slope may lead to and fro across the way."""
-    worlds = generate(Generated("rooms", worlds=200), GENERATORS["rooms"], "training")
+    worlds = generate(GeneratorSettings("rooms", worlds=200), GENERATORS["rooms"], "training")
     ways, random, each = GoalPaths(worlds, ROBOT.radius), np.random.default_rng(0), np.repeat(np.arange(200), 100)
     places = random.uniform(0.3, 7.7, (len(each), 2))
     free = np.array([worlds[i].clearance(*place) > 0.2 for i, place in zip(each, places, strict=True)])
