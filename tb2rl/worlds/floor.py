@@ -12,7 +12,7 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.core.errors import InputError
-from tb2rl.worlds.obstacles import gap_to_post, squared_gap_to_box
+from tb2rl.worlds.grid import gap_to_post, squared_gap_to_box
 from tb2rl.worlds.world import World
 
 SIDE = 0.1  # [m] of a square; so between two neighbours, each 0.18 m from all walls, 0.17 m are free

@@ -12,9 +12,8 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.worlds.grid import clearance_in_grid, first_hit
+from tb2rl.worlds.grid import PARALLEL, clearance_in_grid, first_hit, gap_to_post, squared_gap_to_box
 from tb2rl.worlds.index import BOXES, BOXES_END, COLUMNS, POSTS, POSTS_END, WorldIndex, index_of
-from tb2rl.worlds.obstacles import PARALLEL, gap_to_post, squared_gap_to_box
 
 _FAST = {"nsz", "nnan", "arcp", "contract", "reassoc"}  # for loops over beams
 

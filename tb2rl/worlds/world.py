@@ -184,13 +184,13 @@ class World:
         return x0 <= point[0] <= x1 and y0 <= point[1] <= y1
 
     def random_poses(self, rng: np.random.Generator, count: int, clearance: float) -> np.ndarray:
-        """Poses spread evenly over the free space and all headings, shape (count, 3)."""
+        """Random poses, see `poses_from`, shape (count, 3)."""
         return self.poses_from(rng.random((count, 4)), clearance)
 
     def poses_from(self, draws: np.ndarray, clearance: float) -> np.ndarray:
-        """Turn four random numbers in [0, 1) each into a pose, (count, 4) to (count, 3); see `random_poses`.
+        """Turn four random numbers in [0, 1) each into a pose, (count, 4) to (count, 3).
 
-        The points are drawn from a triangulation of the free space, without rejection.
+        The poses are spread evenly over a triangulation of the free space and all headings.
         """
         poses = np.empty((len(draws), 3))
         place_in_triangles(draws, *self._free_triangles(clearance), poses)

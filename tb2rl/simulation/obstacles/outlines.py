@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.worlds.obstacles import PARALLEL
+from tb2rl.worlds.grid import PARALLEL
 
 X, Y, COS, SIN = range(4)  # [m, m] and the direction that a box looks in
 LENGTH, WIDTH = 4, 5  # [m] half of a box's; of what is round its radius, and 0

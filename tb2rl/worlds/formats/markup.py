@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -42,15 +43,13 @@ def read_limited(path: Path, largest: int = LARGEST_FILE) -> bytes:
     Raises:
         InputError: If it is no such file, or cannot be read.
     """
+    if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+        raise InputError(one_line(f"there is no file {path}"))  # nor a pipe or a device, which would never end
     try:
-        if not path.is_file():  # a pipe or a device would never end
-            raise InputError(one_line(f"there is no file {path}"))
-        if path.stat().st_size > largest:
-            raise InputError(f"{path} is too large: {path.stat().st_size / 2**20:.0f} MB, the limit is {largest >> 20}")
+        if (size := path.stat().st_size) > largest:
+            raise InputError(f"{path} is too large: {size / 2**20:.0f} MB, the limit is {largest >> 20}")
         return path.read_bytes()
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+    except OSError as error:
         raise InputError(one_line(f"cannot read {path}: {error}")) from None
 
 

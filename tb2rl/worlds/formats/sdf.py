@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -56,14 +57,13 @@ class _Reader:
     path: Path
     options: ImportOptions
     omissions: Omissions = field(default_factory=Omissions)
-    _files: dict[Path, Element] = field(default_factory=dict)
-    _found: dict[tuple[str, Path], Path | None] = field(default_factory=dict)
     _including: list[Path] = field(default_factory=list)
     _seen: int = 0
 
     def __post_init__(self) -> None:
         self._models = ModelPath(self.path, self.options.model_path)
         self.shapes = Shapes(self.options.laser_height, self._models, self.omissions)
+        self._root, self._find = cache(read_xml), cache(self._find_model)
 
     def read(self, root: Element) -> None:
         """Read the first world of an <sdf>, or its models."""
@@ -158,18 +158,14 @@ class _Reader:
                 self._read_model(model, around, sdf, state.of(model), pose)
         self._including.pop()
 
-    def _find(self, uri: str, folder: Path) -> Path | None:
+    def _find_model(self, uri: str, folder: Path) -> Path | None:
         """The file of the model that a URI in a file of a folder names; None if there is none."""
-        if (uri, folder) not in self._found:
-            place = self._models.find(uri, folder) if uri else None
-            sdf = None if place is None else model_file(place)
-            self._found[uri, folder] = sdf if sdf is not None and sdf.is_file() else None
-        return self._found[uri, folder]
+        place = self._models.find(uri, folder) if uri else None
+        sdf = None if place is None else model_file(place)
+        return sdf if sdf is not None and sdf.is_file() else None
 
     def _models_in(self, sdf: Path) -> Iterator[Element]:
-        if sdf not in self._files:
-            self._files[sdf] = read_xml(sdf)
-        for child in self._files[sdf]:
+        for child in self._root(sdf):
             if child.tag == "model":
                 yield child
             elif child.tag != "light":
