@@ -20,12 +20,10 @@ from tb2rl.robots.registry import find_robot
 from tb2rl.worlds import World
 from tb2rl.worlds.description import write_description
 from tb2rl.worlds.formats.maps import write_map
-from tb2rl.worlds.generators import GENERATORS, Generated, generate
-from tb2rl.worlds.readers import files_of
-from tb2rl.worlds.registry import find_world, world_names
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate
 from tb2rl.worlds.reachability import Door, Reachability, find_reachability
 from tb2rl.worlds.readers import source_files
+from tb2rl.worlds.registry import find_world, world_names
 
 _DRAWN = 64  # worlds in a picture
 _DIFFICULTIES, _EACH = (0.0, 0.25, 0.5, 0.75, 1.0), 4  # columns of a generator's picture, and least worlds in each

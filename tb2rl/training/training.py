@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -18,29 +18,24 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from tb2rl.core.errors import InputError
-from tb2rl.envs.encodings import has_images
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import TRAINING_SEED, Evaluator, random_initial_states
-from tb2rl.runs.algorithm import check_device, check_learns, make_algorithm
+from tb2rl.runs.algorithm import check_device, check_trainable, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
-from tb2rl.runs.config import Config
+from tb2rl.runs.config import Config, TrainSettings
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import content_config, load
 from tb2rl.runs.parameters import load_parameters
-from tb2rl.simulation import default_simulator, find_simulator
 from tb2rl.tasks import Task
 from tb2rl.training import state
-from tb2rl.training.callbacks import Checkpoints, Evaluate, StopAfterEpisodes, StopOnInterrupt
-from tb2rl.training.environments import make_vec_env
-from tb2rl.training.statistics import EpisodeLines, Statistics, TensorBoard, flat
-from tb2rl.training.trackers import Tracked, find_trackers, run_name, tracking
-from tb2rl.training.troubles import learning_troubles_named, machine_troubles_named
-from tb2rl.training.watcher import Watcher
-from tb2rl.worlds.generators import Purpose
+from tb2rl.training.callbacks import Checkpoints, EvaluationCallback, StopAfterEpisodes, StopOnSignal
+from tb2rl.training.diagnostics import TrainingDiagnostics
+from tb2rl.training.environments import make_evaluator, make_vec_env
+from tb2rl.training.error_translation import translate_learning_errors, translate_machine_errors
+from tb2rl.training.statistics import EpisodeLines, EpisodeStatistics, TensorBoard, flat
+from tb2rl.training.trackers import Tracked, Tracker, find_trackers, run_name, tracking
 
-_GO_ON = "raise --total-timesteps to go on"
-_MANY, _FEW = 1000, 20  # episodes of an evaluation: where all drive at once, and where a step takes time
+_ADVICE = "raise --total-timesteps to go on"
 
 
 def train(
@@ -52,55 +47,52 @@ def train(
     folder: str | Path | None = None,
     name: str | None = None,
     progress_bar: bool = False,
-    verbose: int = 0,
     **train_settings: Any,
 ) -> BaseAlgorithm:
     """Train an agent and leave a run folder.
 
     Args:
         agent: Its name in the registry, "module:Class", or the class of its algorithm.
-        task: The task's name, "module:Class", or its class. A class of a notebook or of a script is found again there;
+        task: The task's name, "module:Class", or its class. A class of a notebook or script can be loaded there only;
             for a run that is to be loaded anywhere else, save the class in a file.
         preset: The name of a file in `configs`, or the path of one.
         settings: Single settings by dotted key, such as {"task.world": "circuit"}.
         folder: The run folder; None: `runs/<task>/<agent>/<name>`.
-        name: Of the run folder there; None: date and time.
+        name: Of the run folder in `runs`; None: date and time.
         progress_bar: Whether to show the rate and the remaining time.
-        verbose: 1: a line for each episode.
         train_settings: Fields of `tb2rl.runs.config.TrainSettings`, such as total_timesteps, seed or n_envs.
 
     Returns:
         The run's best policy, as `load` gives it.
 
     Raises:
-        InputError: For anything in the arguments that does not fit.
+        InputError: For any argument that does not fit.
     """
     if folder is not None and name is not None:
         raise InputError("name= is for a run folder in runs/TASK/AGENT; give either it or folder=")
     given = {f"train.{key}": value for key, value in train_settings.items()}
     config = resolve(agent, task, preset, {**(settings or {}), **given})
-    return load(train_config(config, folder or default_folder(config, name), progress_bar, verbose).run.folder)
+    return load(train_config(config, folder or default_folder(config, name), progress_bar).run.folder)
 
 
 @dataclass(frozen=True)
 class Training:
-    """How a training went."""
+    """The result of a training.
+
+    Attributes:
+        timesteps: Control steps; of a resumed training, since it was resumed.
+        seconds: Of learning them, evaluations included.
+        lengths: Control steps of each episode.
+        interrupted: The number of the signal that ended it; 0: none.
+        stopped_after: Control steps since it began, if evaluations stopped it early.
+    """
 
     run: Run
-    timesteps: int  # control steps; of a resumed training those since
-    seconds: float  # of learning them, evaluations included
-    lengths: Sequence[int]  # control steps of each episode
-    interrupted: int  # the signal that asked it to end; 0: none
-    stopped_after: int | None  # control steps since it began, if evaluations stopped it before its time was up
-
-
-@dataclass(frozen=True)
-class _Checkpoint:
-    """Where a resumed training goes on."""
-
-    file: Path
-    content: Mapping[str, Any]
-    total_timesteps: int  # that it was to have
+    timesteps: int
+    seconds: float
+    lengths: Sequence[int]
+    interrupted: int
+    stopped_after: int | None
 
 
 def train_config(
@@ -108,20 +100,23 @@ def train_config(
     folder: str | Path,
     progress_bar: bool = False,
     verbose: int = 0,
-    began: Callable[[Path], object] | None = None,
-    evaluated: Callable[[Evaluation], object] | None = None,
-    place: Path | None = None,
+    on_start: Callable[[Path], object] | None = None,
+    on_evaluation: Callable[[Evaluation], object] | None = None,
+    tracked_folder: Path | None = None,
 ) -> Training:
-    """`train` for a resolved config.
+    """Train a resolved config.
 
     Args:
         config: What to train.
-        folder, progress_bar, verbose: As in `train`.
-        began: Is called with the run folder when nothing was refused.
-        evaluated: Is called with each evaluation on the way; what it raises ends the training.
-        place: Where the run folder belongs, if it is made elsewhere, as on another machine: trackers are told this.
+        folder: The run folder.
+        progress_bar: Whether to show the rate and the remaining time.
+        verbose: 1: a line for each episode.
+        on_start: Called with the run folder once nothing was refused.
+        on_evaluation: Called with each evaluation during training; an exception from it ends the training.
+        tracked_folder: The final place of a run folder that is made elsewhere, as on another machine, for trackers.
     """
-    return _train(config, Path(folder), None, progress_bar, verbose, began, evaluated, place)
+    trainer = Trainer(config, Path(folder), None, verbose, on_start, on_evaluation, tracked_folder)
+    return trainer.train(progress_bar)
 
 
 def resume(
@@ -129,14 +124,14 @@ def resume(
     total_timesteps: int | None = None,
     progress_bar: bool = False,
     verbose: int = 0,
-    began: Callable[[Path], object] | None = None,
+    on_start: Callable[[Path], object] | None = None,
 ) -> Training:
-    """Go on with the training of a run folder from its last checkpoint, as if nothing had happened.
+    """Continue the training of a run folder from its last checkpoint, as if it had not been interrupted.
 
     Args:
         folder: The run folder.
-        total_timesteps: A larger total than the run was begun with; schedules then stretch over it.
-        progress_bar, verbose, began: As in `train_config`.
+        total_timesteps: A larger total than the run began with; schedules then stretch over it.
+        progress_bar, verbose, on_start: As in `train_config`.
 
     Raises:
         InputError: If there is nothing to resume, or it does not fit.
@@ -147,143 +142,176 @@ def resume(
     file = run.checkpoints[0]
     content = read_checkpoint(file)
     config = run.config
-    begun = content_config(content, file)
-    # The folder may say more steps: of a resume that ended before its first checkpoint.
-    longer = replace(begun, train=replace(begun.train, total_timesteps=config.train.total_timesteps))
+    saved = content_config(content, file)
+    # The folder may say more steps, if an earlier resume ended before its first checkpoint.
+    longer = replace(saved, train=replace(saved.train, total_timesteps=config.train.total_timesteps))
     if longer != config or "training" not in content:
         raise InputError(f"{file} is not a checkpoint of the training that {folder} describes")
-    checkpoint = _Checkpoint(file, content, begun.train.total_timesteps)
     if total_timesteps is not None:
         if total_timesteps < config.train.total_timesteps:
             raise InputError(f"the run was begun with {config.train.total_timesteps} steps; ask for more, not for less")
         config = replace(config, train=replace(config.train, total_timesteps=total_timesteps))
     if content["timesteps"] >= config.train.total_timesteps:
-        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; {_GO_ON}")
-    return _train(config, run.folder, checkpoint, progress_bar, verbose, began)
+        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; {_ADVICE}")
+    checkpoint = _Checkpoint(file, content, saved.train.total_timesteps)
+    return Trainer(config, run.folder, checkpoint, verbose, on_start).train(progress_bar)
 
 
-def _train(
-    config: Config,
-    folder: Path,
-    checkpoint: _Checkpoint | None,
-    progress_bar: bool,
-    verbose: int,
-    began: Callable[[Path], object] | None,
-    evaluated: Callable[[Evaluation], object] | None = None,
-    place: Path | None = None,
-) -> Training:
-    settings = config.train
-    check_learns(config)
-    check_device(config)
-    trackers = find_trackers(settings.track, folder if checkpoint else None)
-    with machine_troubles_named(folder), ExitStack() as resources:
-        resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
-        th.set_num_threads(settings.torch_threads)
-        env = make_vec_env(config)
-        resources.callback(env.close)
-        algorithm = make_algorithm(config, env)
-        evaluator = make_evaluator(config) if settings.eval_freq else None
-        if evaluator:
-            resources.callback(evaluator.close)
-        run = Run(folder, config) if checkpoint else Run.create(folder, config)
-        refused = resources.enter_context(ExitStack())  # where a tracker cannot begin, nothing is left behind
-        if not checkpoint:
-            refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
-        resources.enter_context(run.lock())
-        statistics, checkpoints = Statistics(), Checkpoints(run, settings.save_freq, settings.keep)
-        stop = StopOnInterrupt(partial(checkpoints.save, in_rollout=True))
-        remembering: list[Any] = [
-            statistics,
+@dataclass(frozen=True)
+class _Checkpoint:
+    """The checkpoint from which a training continues, and the total of control steps that it was saved with."""
+
+    file: Path
+    content: Mapping[str, Any]
+    total_timesteps: int
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """Trains one config in its run folder; see `train_config` for its attributes.
+
+    Attributes:
+        checkpoint: The checkpoint to continue from; None: a new training.
+    """
+
+    config: Config
+    folder: Path
+    checkpoint: _Checkpoint | None = None
+    verbose: int = 0
+    on_start: Callable[[Path], object] | None = None
+    on_evaluation: Callable[[Evaluation], object] | None = None
+    tracked_folder: Path | None = None
+
+    def train(self, progress_bar: bool) -> Training:
+        """Check the config, open everything that the training needs, and learn."""
+        settings, scene = self.config.train, self.config.scene
+        check_trainable(self.config)
+        check_device(settings.device)
+        trackers = find_trackers(settings.track, self.folder if self.checkpoint else None)
+        with translate_machine_errors(self.folder), ExitStack() as resources:
+            resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
+            th.set_num_threads(settings.torch_threads)
+            env = resources.enter_context(closing(make_vec_env(scene, settings)))
+            algorithm = make_algorithm(self.config, env)
+            evaluator = resources.enter_context(make_evaluator(scene, settings)) if settings.eval_freq else None
+            run = Run(self.folder, self.config) if self.checkpoint else Run.create(self.folder, self.config)
+            refused = resources.enter_context(ExitStack())  # leaves no new folder behind if a tracker cannot begin
+            if not self.checkpoint:
+                refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
+            resources.enter_context(run.lock())
+            callbacks = self._callbacks(run, evaluator)
+            first = [self._restore(algorithm, run, callbacks)] if self.checkpoint else []
+            resources.enter_context(self._logging(algorithm, run, trackers, callbacks.stop))
+            refused.pop_all()
+            if self.on_start:
+                self.on_start(run.folder)
+            return self._learn(algorithm, run, callbacks, first, progress_bar)
+
+    def _callbacks(self, run: Run, evaluator: Any) -> _Callbacks:
+        settings, scene = self.config.train, self.config.scene
+        checkpoints = Checkpoints(run, settings.save_freq, settings.keep)
+        callbacks = _Callbacks(
+            EpisodeStatistics(),
             checkpoints,
-            Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.max_speed),
-        ]
-        if evaluator:
-            evaluation = Evaluate(run, evaluator, settings, evaluated)
-            remembering.append(evaluation)
-        if settings.episodes:
-            remembering.append(StopAfterEpisodes(settings.episodes))
-        checkpoints.others = remembering
-        watching: list[BaseCallback] = [*remembering, stop, *([EpisodeLines()] if verbose else [])]
-        if checkpoint:
-            watching.insert(0, _restore(algorithm, run, checkpoint, remembering))
-            if evaluator and evaluation.stopped:
-                if settings.total_timesteps == checkpoint.total_timesteps:
-                    raise InputError(f"{folder} has {stopped_early(config, algorithm.num_timesteps)}; {_GO_ON}")
-                evaluation.go_on()
-        done = algorithm.num_timesteps
-        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done, config.to_dict())]))
-        resources.callback(algorithm.logger.close)
-        tracked = Tracked(run.folder, run_name(config, place or run.folder), flat(config.to_dict()))
-        resources.enter_context(tracking(algorithm.logger, trackers, tracked, stop))
-        refused.pop_all()
-        if began:
-            began(run.folder)
-        started = time.monotonic()
+            TrainingDiagnostics(settings.total_timesteps, scene.task.control_period, scene.actions.max_speed),
+            EvaluationCallback(run, evaluator, settings, self.on_evaluation) if evaluator else None,
+            StopAfterEpisodes(settings.episodes) if settings.episodes else None,
+            StopOnSignal(partial(checkpoints.save, in_rollout=True)),
+        )
+        checkpoints.stateful = callbacks.stateful
+        return callbacks
+
+    def _restore(self, algorithm: BaseAlgorithm, run: Run, callbacks: _Callbacks) -> BaseCallback:
+        """Restore the checkpoint, and undo what was written after it; see `state.restore`."""
+        checkpoint, total = self.checkpoint, self.config.train.total_timesteps
+        assert checkpoint is not None
+        load_parameters(algorithm, checkpoint.content, checkpoint.file)
+        try:
+            first = state.restore(checkpoint.content["training"], algorithm, callbacks.stateful)
+        except InputError as error:
+            raise InputError(f"{checkpoint.file}: {error}") from None
+        if (evaluation := callbacks.evaluation) and evaluation.stopped:
+            if total == checkpoint.total_timesteps:
+                reason = early_stop(self.config.train, algorithm.num_timesteps)
+                raise InputError(f"{self.folder} has {reason}; {_ADVICE}")
+            evaluation.restart()
+        run.forget_evaluations(after=algorithm.num_timesteps)
+        run.write_config()
+        return first
+
+    @contextmanager
+    def _logging(
+        self, algorithm: BaseAlgorithm, run: Run, trackers: Sequence[type[Tracker]], stop: StopOnSignal
+    ) -> Iterator[None]:
+        """Log to TensorBoard and to the trackers."""
+        hyperparameters = flat(self.config.to_dict())
+        tensorboard = TensorBoard(run.folder / "tensorboard", algorithm.num_timesteps, hyperparameters)
+        logger = Logger(str(run.folder), [tensorboard])
+        algorithm.set_logger(logger)
+        name = run_name(self.config.task_name, self.config.agent_name, self.tracked_folder or run.folder)
+        with closing(logger), tracking(logger, trackers, Tracked(run.folder, name, hyperparameters), stop):
+            yield
+
+    def _learn(
+        self,
+        algorithm: BaseAlgorithm,
+        run: Run,
+        callbacks: _Callbacks,
+        first: Sequence[BaseCallback],
+        progress_bar: bool,
+    ) -> Training:
+        started, before, total = time.monotonic(), algorithm.num_timesteps, self.config.train.total_timesteps
+        listeners = [*first, *callbacks.stateful, callbacks.stop, *([EpisodeLines()] if self.verbose else [])]
+        stop, evaluation = callbacks.stop, callbacks.evaluation
         with stop:
-            with learning_troubles_named(algorithm, run):
-                left = settings.total_timesteps - done
-                algorithm.learn(left, watching, reset_num_timesteps=checkpoint is None, progress_bar=progress_bar)
+            with translate_learning_errors(algorithm, run):
+                is_new = self.checkpoint is None
+                algorithm.learn(total - before, listeners, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
             if not stop.stopped:
-                if evaluator and not evaluation.stopped:
+                if evaluation and not evaluation.stopped:
                     evaluation.evaluate(progress_bar)
-                checkpoints.save()  # it knows the best score, should more steps be asked
-        seconds = time.monotonic() - started
-    timesteps = algorithm.num_timesteps
-    stopped_after = timesteps if evaluator and evaluation.stopped else None
-    return Training(run, timesteps - done, seconds, statistics.lengths, stop.interrupted, stopped_after)
+                callbacks.checkpoints.save()  # holds the best score, in case the training is resumed
+        seconds, timesteps = time.monotonic() - started, algorithm.num_timesteps
+        stopped_after = timesteps if evaluation and evaluation.stopped else None
+        lengths = list(callbacks.statistics.lengths)
+        return Training(run, timesteps - before, seconds, lengths, stop.received, stopped_after)
 
 
-def stopped_early(config: Config, timesteps: int) -> str:
-    """Why a training that its evaluations stopped has ended, in a line."""
-    settings = config.train
+@dataclass(frozen=True)
+class _Callbacks:
+    """The callbacks of a training."""
+
+    statistics: EpisodeStatistics
+    checkpoints: Checkpoints
+    diagnostics: TrainingDiagnostics
+    evaluation: EvaluationCallback | None
+    limit: StopAfterEpisodes | None
+    stop: StopOnSignal
+
+    @property
+    def stateful(self) -> list[state.StatefulCallback]:
+        """The callbacks whose state belongs to a checkpoint, in its order."""
+        return [
+            each for each in (self.statistics, self.checkpoints, self.diagnostics, self.evaluation, self.limit) if each
+        ]
+
+
+def early_stop(settings: TrainSettings, timesteps: int) -> str:
+    """The reason of an early stop, in a line."""
     return (
         f"stopped after {timesteps} of {settings.total_timesteps} steps: {settings.stop_evaluations} evaluations in a "
         f"row reached {100 * (settings.stop_score or 0.0):g} %"
     )
 
 
-def make_evaluator(config: Config, purpose: Purpose = "validation", seed: int = TRAINING_SEED) -> Evaluator:
-    """The evaluator of a training, by its settings.
-
-    Args:
-        config: Of the training.
-        purpose: Of the worlds, if they are generated; by those for validation the best policy is chosen.
-        seed: Of the initial states and of all noise.
-    """
-    settings, scene = config.train, config.scene.worlds_for(purpose)
-    simulator = find_simulator(settings.eval_simulation)
-    try:
-        scene.check(simulator)
-    except InputError as error:
-        simulator = default_simulator()
-        print(f"evaluations on the way use {simulator.title}, and are slower: {error}", flush=True)
-    slow = simulator.in_processes or has_images(scene.observation_space)
-    states = random_initial_states(scene, settings.eval_episodes or (_FEW if slow else _MANY), seed)
-    return Evaluator(scene, states, settings.eval_steps, seed, simulation=simulator)
-
-
-def _restore(
-    algorithm: BaseAlgorithm, run: Run, checkpoint: _Checkpoint, remembering: Sequence[state.Stateful]
-) -> BaseCallback:
-    """Put a checkpoint into a training, and undo what was noted after it; see `state.restore`."""
-    load_parameters(algorithm, checkpoint.content, checkpoint.file)
-    try:
-        first = state.restore(checkpoint.content["training"], algorithm, remembering)
-    except InputError as error:
-        raise InputError(f"{checkpoint.file}: {error}") from None
-    run.forget_evaluations(after=algorithm.num_timesteps)
-    run.write_config()
-    return first
-
-
 def default_folder(config: Config, name: str | None = None) -> Path:
-    """`runs/<task>/<agent>/<name>`; without a name date and time, with a number where that is taken.
+    """`runs/<task>/<agent>/<name>`; without a name date and time, and a number if that exists.
 
     Raises:
         InputError: If the name is a path, or not printable.
     """
-    folder = Path("runs") / _file_name(config.task_name) / _file_name(config.agent_name)
+    folder = Path("runs", *(each.rpartition(":")[2] for each in (config.task_name, config.agent_name)))
     if name:
         if Path(name).name != name or name == ".." or not name.isprintable():
             raise InputError(f"--name (name=) is the name of a folder, of printable text without a path, got {name!r}")
@@ -291,7 +319,3 @@ def default_folder(config: Config, name: str | None = None) -> Path:
     name = datetime.now().strftime("%Y%m%d-%H%M%S")
     names = [name, *(f"{name}-{i}" for i in range(2, 1000))]
     return next(folder / name for name in names if not (folder / name).exists())
-
-
-def _file_name(name: str) -> str:
-    return name.rpartition(":")[2]

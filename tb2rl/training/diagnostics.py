@@ -1,20 +1,20 @@
-"""Names the usual ways of not learning while they happen: one line for each, with what to try, and in TensorBoard."""
+"""Diagnostics of a training: names the usual ways of not learning while they happen, with advice."""
 
 from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch as th
-from stable_baselines3.common.callbacks import BaseCallback
 
-_EPISODES = 100  # that count as the latest
-_ENOUGH = 20  # episodes to judge by
-_EARLIEST = 10_000  # control steps: before, nobody has learned anything
-_LOOKS = 100  # in a training
+from tb2rl.training.state import StatefulCallback
+
+_WINDOW = 100  # latest episodes that count
+_LEAST = 20  # episodes before anything is said of them
+_EARLIEST = 10_000  # [control steps] before, no agent has learned anything
+_CHECKS = 100  # in a training
 _AT_ONCE = 15  # [control steps] an episode that fails before this gives nothing to learn from
 _SLOW = 0.08  # [m/s] the tutorial's robot makes 0.05 while it turns
 _SLOW_SHARE = 0.4  # of the fastest command, of a robot that cannot drive much faster than that
@@ -28,38 +28,28 @@ ADVICE = {
 }
 
 
-class Watcher(BaseCallback):
-    """Looks at a training now and then.
+class TrainingDiagnostics(StatefulCallback):
+    """Checks a training periodically; prints advice once for each problem, and logs all of them.
 
     Args:
         total_timesteps: Control steps of the whole training.
         control_period: Of its task [s].
-        max_speed: Speed of the fastest command [m/s].
+        max_speed: Of the fastest command [m/s].
 
     Attributes:
-        warned: The keys of `ADVICE` that were said already; each is said once.
+        warned: Whether each part of `ADVICE` was printed.
     """
+
+    saved = ("_next", "_latest", "_history", "_largest_reward", "warned")
 
     def __init__(self, total_timesteps: int, control_period: float, max_speed: float) -> None:
         super().__init__()
         self.total, self.period, self._slow = total_timesteps, control_period, min(_SLOW, _SLOW_SHARE * max_speed)
         self._next = 0
-        self._latest: deque[tuple[float, int, float, bool]] = deque(
-            maxlen=_EPISODES
-        )  # return, length, distance, failed
-        self._history: list[tuple[int, float]] = []  # timesteps, mean return
+        self._latest: deque[tuple[float, int, float, bool]] = deque(maxlen=_WINDOW)  # return, length, distance, failed
+        self._history: deque[tuple[int, float]] = deque()  # timesteps, mean return
         self._largest_reward = 0.0
-        self.warned: list[str] = []
-
-    def state(self) -> dict[str, Any]:
-        names = ("_next", "_latest", "_history", "_largest_reward", "warned")
-        return {name: getattr(self, name) for name in names}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        self._next, self._largest_reward = int(state["_next"]), float(state["_largest_reward"])
-        self._latest.extend((float(r), int(n), float(d), bool(failed)) for r, n, d, failed in state["_latest"])
-        self._history = [(int(timesteps), float(mean)) for timesteps, mean in state["_history"]]
-        self.warned = list(map(str, state["warned"]))
+        self.warned = dict.fromkeys(ADVICE, False)
 
     def _on_step(self) -> bool:
         self._largest_reward = max(self._largest_reward, float(np.abs(self.locals["rewards"]).max()))
@@ -67,39 +57,38 @@ class Watcher(BaseCallback):
             info = self.locals["infos"][i]
             self._latest.append((info["episode"]["r"], info["episode"]["l"], info["distance"], info["failed"]))
         if self.num_timesteps >= self._next:
-            self._next = self.num_timesteps + max(1, self.total // _LOOKS)
-            self._look()
+            self._next = self.num_timesteps + max(1, self.total // _CHECKS)
+            self._check()
         return True
 
-    def _look(self) -> None:
-        seen = {"values": self._values_diverge()}
-        if len(self._latest) >= _ENOUGH and self.num_timesteps >= _EARLIEST:
+    def _check(self) -> None:
+        problems = {"values": self._values_diverge()}
+        if len(self._latest) >= _LEAST and self.num_timesteps >= _EARLIEST:
             returns, lengths, distances, failed = zip(*self._latest, strict=True)
             self._history.append((self.num_timesteps, float(np.mean(returns))))
             failures = sum(failed) / len(failed)
             late = self.num_timesteps >= self.total / 2
-            seen["failing"] = late and failures > 0.9 and float(np.mean(lengths)) < _AT_ONCE
-            seen["spinning"] = failures < 0.5 and sum(distances) / (sum(lengths) * self.period) < self._slow
-            seen["flat"] = failures > 0.5 and self._return_is_flat()
-        for problem, present in seen.items():
+            problems["failing"] = late and failures > 0.9 and float(np.mean(lengths)) < _AT_ONCE
+            problems["spinning"] = failures < 0.5 and sum(distances) / (sum(lengths) * self.period) < self._slow
+            problems["flat"] = failures > 0.5 and self._return_is_flat()
+        for problem, present in problems.items():
             self.logger.record(f"watch/{problem}", float(present))
-            if present and problem not in self.warned:
-                self.warned.append(problem)
+            if present and not self.warned[problem]:
+                self.warned[problem] = True
                 print(f"warning: after {self.num_timesteps} steps {ADVICE[problem]}", file=sys.stderr, flush=True)
 
     def _return_is_flat(self) -> bool:
-        """Whether the last third of the budget so far is no better in its second half, against the episodes' spread."""
+        """Whether the return of the last third of the budget rises less than a tenth of the episodes' spread."""
         since = self.num_timesteps - self.total / 3
         means = [mean for timesteps, mean in self._history if timesteps >= since]
         half = len(means) // 2
-        if self._history[0][0] > since or not half:  # too early, or there are no two looks to compare
+        if self._history[0][0] > since or not half:  # too early, or fewer than two checks
             return False
         spread = float(np.std([latest[0] for latest in self._latest]))
         return float(np.mean(means[half:]) - np.mean(means[:half])) < 0.1 * spread
 
     def _values_diverge(self) -> bool:
-        policy = self.model.policy
-        if not all(bool(th.isfinite(parameter).all()) for parameter in policy.parameters()):
+        if not all(bool(th.isfinite(parameter).all()) for parameter in self.model.policy.parameters()):
             return True
         gamma = getattr(self.model, "gamma", 1.0)
         if not gamma < 1.0 or not self._largest_reward:
@@ -107,7 +96,7 @@ class Watcher(BaseCallback):
         return self._largest_value() > _DIVERGED * self._largest_reward / (1.0 - gamma)
 
     def _largest_value(self) -> float:
-        """The largest value that the policy now expects, 0 where it has no values."""
+        """The largest value that the policy predicts now; 0 if it has no value function."""
         model: Any = self.model
         policy = model.policy
         if hasattr(policy, "q"):
@@ -116,9 +105,9 @@ class Watcher(BaseCallback):
             observations = policy.obs_to_tensor(model._last_obs)[0]
             if hasattr(policy, "q_net"):
                 return float(policy.q_net(observations).abs().max())
-            if hasattr(model, "_last_lstm_states"):  # the values depend on what is remembered, too
-                begins = th.as_tensor(model._last_episode_starts, dtype=th.float32, device=model.device)
-                return float(policy.predict_values(observations, model._last_lstm_states.vf, begins).abs().max())
+            if hasattr(model, "_last_lstm_states"):  # a recurrent value function needs its state, too
+                starts = th.as_tensor(model._last_episode_starts, dtype=th.float32, device=model.device)
+                return float(policy.predict_values(observations, model._last_lstm_states.vf, starts).abs().max())
             if hasattr(policy, "predict_values"):
                 return float(policy.predict_values(observations).abs().max())
         return 0.0
