@@ -12,12 +12,9 @@ from typing import Any
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import is_path
 from tb2rl.core.values import MOST_WORLDS, build
-from tb2rl.worlds import Import, World
-from tb2rl.worlds.generators import GENERATORS, Generated, Purpose, generate
-from tb2rl.worlds.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
-from tb2rl.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
 from tb2rl.worlds import ImportOptions, World
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, Purpose, generate
+from tb2rl.worlds.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
 
 _NAMED = 3  # worlds that a title names one by one
 

@@ -1,23 +1,23 @@
-"""Stable-Baselines3 callbacks of a training: evaluations, checkpoints and early stops."""
+"""Stable-Baselines3 callbacks of a training: evaluations, checkpoints, early stops, and the list of all."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
+from functools import partial
 from typing import Any
 
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Image
 
-from tb2rl.core.signals import ending_signals
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import Evaluator
-from tb2rl.runs.config import TrainSettings
 from tb2rl.runs.folder import Run
 from tb2rl.runs.normalisation import driving_policy
+from tb2rl.training.diagnostics import TrainingDiagnostics
 from tb2rl.training.state import StatefulCallback, capture
+from tb2rl.training.statistics import EpisodeLines, EpisodeStatistics
 from tb2rl.viz.pictures import draw_paths
 
 _PATHS_DRAWN = 5
@@ -30,9 +30,8 @@ class EvaluationCallback(StatefulCallback):
     """Evaluates the greedy policy periodically, keeps the best one, and stops the training once it is good enough.
 
     Args:
-        run: Gets the best policy, and a line for each evaluation.
-        evaluator: Drives the episodes.
-        settings: Frequency, the score that decides which policy is best, and when to stop.
+        run: Gets the best policy, and a line for each evaluation. Its settings say when to evaluate and to stop.
+        evaluator: See `make_evaluator`.
         on_evaluation: Called with each evaluation; an exception from it ends the training.
 
     Attributes:
@@ -41,18 +40,13 @@ class EvaluationCallback(StatefulCallback):
 
     saved = ("_next", "_reached", "stopped", "_best", "_elapsed")
 
-    def __init__(
-        self,
-        run: Run,
-        evaluator: Evaluator,
-        settings: TrainSettings,
-        on_evaluation: Callable[[Evaluation], object] | None = None,
-    ) -> None:
+    def __init__(self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None = None) -> None:
         super().__init__()
-        self.run, self.evaluator, self.settings, self._on_evaluation = run, evaluator, settings, on_evaluation
+        self.run, self.evaluator, self._on_evaluation = run, evaluator, on_evaluation
+        self.settings = run.config.train
         self.stopped = False
         self._reached = 0  # evaluations in a row that reached the score to stop at
-        self._next = settings.eval_freq
+        self._next = self.settings.eval_freq
         self._best = (-sys.float_info.max, -sys.float_info.max)
         self._elapsed = 0.0  # [s] since the training began
         self._clock = time.monotonic()
@@ -116,21 +110,16 @@ class EvaluationCallback(StatefulCallback):
 class Checkpoints(StatefulCallback):
     """Saves the state of the training periodically.
 
-    Args:
-        run: Gets the checkpoints.
-        freq: Control steps between checkpoints; 0: only the last.
-        keep: Number of latest checkpoints to keep.
-
     Attributes:
         stateful: All callbacks with a state, this one among them.
     """
 
     saved = ("_next",)
 
-    def __init__(self, run: Run, freq: int, keep: int) -> None:
+    def __init__(self, run: Run) -> None:
         super().__init__()
-        self.run, self.freq, self.keep = run, freq, keep
-        self._next = freq
+        self.run, self.freq, self.keep = run, run.config.train.save_freq, run.config.train.keep
+        self._next = self.freq
         self.stateful: Sequence[StatefulCallback] = ()
 
     def _on_rollout_start(self) -> None:
@@ -172,16 +161,13 @@ class StopOnSignal(BaseCallback):
     def __init__(self, save: Callable[[], object]) -> None:
         super().__init__()
         self.save, self.received, self.stopped = save, 0, False
-        self._handlers = ExitStack()
 
-    def __enter__(self) -> StopOnSignal:
-        self._handlers.enter_context(ending_signals(self._on_signal))
-        return self
+    def receive(self, number: int) -> None:
+        """Handle a signal; see `ending_signals`.
 
-    def __exit__(self, *_: object) -> None:
-        self._handlers.close()
-
-    def _on_signal(self, number: int) -> None:
+        Raises:
+            KeyboardInterrupt: At the second one.
+        """
         if self.received:
             raise KeyboardInterrupt
         self.received = number
@@ -196,3 +182,35 @@ class StopOnSignal(BaseCallback):
 
     def _on_step(self) -> bool:
         return not self.stopped
+
+
+class TrainingCallbacks(CallbackList):
+    """All callbacks of a training.
+
+    Args:
+        run: Its run.
+        evaluator: See `make_evaluator`; None: no evaluations.
+        on_evaluation: See `EvaluationCallback`.
+        verbose: 1: a line for each episode.
+
+    Attributes:
+        stateful: Those whose state belongs to a checkpoint, in its order.
+    """
+
+    def __init__(
+        self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None, verbose: int
+    ) -> None:
+        scene, settings = run.config.scene, run.config.train
+        period, max_speed = scene.task.control_period, scene.actions.max_speed
+        self.statistics, self.checkpoints = EpisodeStatistics(), Checkpoints(run)
+        self.evaluation = EvaluationCallback(run, evaluator, on_evaluation) if evaluator else None
+        self.stop = StopOnSignal(partial(self.checkpoints.save, in_rollout=True))
+        self.stateful: list[StatefulCallback] = [
+            self.statistics,
+            self.checkpoints,
+            TrainingDiagnostics(settings.total_timesteps, period, max_speed),
+            *([self.evaluation] if self.evaluation else []),
+            *([StopAfterEpisodes(settings.episodes)] if settings.episodes else []),
+        ]
+        self.checkpoints.stateful = self.stateful
+        super().__init__([*self.stateful, self.stop, *([EpisodeLines()] if verbose else [])])

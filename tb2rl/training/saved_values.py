@@ -45,9 +45,10 @@ def restore_into(present: Any, saved: Any, path: str) -> Any:
         if isinstance(saved, Mapping) and saved.keys() == present.keys():
             return {key: restore_into(part, saved[key], f"{path}.{key}") for key, part in present.items()}
     elif isinstance(present, deque):
-        entries = [tuple(entry) if isinstance(entry, list) else entry for entry in saved]
-        if isinstance(saved, list) and all(map(is_saved, entries)):
-            return deque(entries, maxlen=present.maxlen)
+        if isinstance(saved, list):
+            entries = [tuple(entry) if isinstance(entry, list) else entry for entry in saved]
+            if all(map(is_saved, entries)):
+                return deque(entries, maxlen=present.maxlen)
     elif isinstance(present, list | tuple):
         if isinstance(saved, list) and len(saved) == len(present):
             parts = [restore_into(part, saved[i], f"{path}.{i}") for i, part in enumerate(present)]

@@ -8,16 +8,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from tb2rl.core.errors import InputError
+from tb2rl.core.signals import ending_signals
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.runs.algorithm import check_device, check_trainable, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
@@ -28,11 +27,10 @@ from tb2rl.runs.loading import content_config, load
 from tb2rl.runs.parameters import load_parameters
 from tb2rl.tasks import Task
 from tb2rl.training import state
-from tb2rl.training.callbacks import Checkpoints, EvaluationCallback, StopAfterEpisodes, StopOnSignal
-from tb2rl.training.diagnostics import TrainingDiagnostics
+from tb2rl.training.callbacks import StopOnSignal, TrainingCallbacks
 from tb2rl.training.environments import make_evaluator, make_vec_env
 from tb2rl.training.error_translation import translate_learning_errors, translate_machine_errors
-from tb2rl.training.statistics import EpisodeLines, EpisodeStatistics, TensorBoard, flat
+from tb2rl.training.statistics import TensorBoard, flat
 from tb2rl.training.trackers import Tracked, Tracker, find_trackers, run_name, tracking
 
 _ADVICE = "raise --total-timesteps to go on"
@@ -199,74 +197,51 @@ class Trainer:
             if not self.checkpoint:
                 refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
             resources.enter_context(run.lock())
-            callbacks = self._callbacks(run, evaluator)
-            first = [self._restore(algorithm, run, callbacks)] if self.checkpoint else []
-            resources.enter_context(self._logging(algorithm, run, trackers, callbacks.stop))
+            callbacks = TrainingCallbacks(run, evaluator, self.on_evaluation, self.verbose)
+            if self.checkpoint:
+                self._restore(self.checkpoint, algorithm, callbacks)
+                run.forget_evaluations(after=algorithm.num_timesteps)
+                run.write_config()
+            resources.enter_context(self._logging(algorithm, trackers, callbacks.stop))
             refused.pop_all()
             if self.on_start:
                 self.on_start(run.folder)
-            return self._learn(algorithm, run, callbacks, first, progress_bar)
+            return self._learn(run, algorithm, callbacks, progress_bar)
 
-    def _callbacks(self, run: Run, evaluator: Any) -> _Callbacks:
-        settings, scene = self.config.train, self.config.scene
-        checkpoints = Checkpoints(run, settings.save_freq, settings.keep)
-        callbacks = _Callbacks(
-            EpisodeStatistics(),
-            checkpoints,
-            TrainingDiagnostics(settings.total_timesteps, scene.task.control_period, scene.actions.max_speed),
-            EvaluationCallback(run, evaluator, settings, self.on_evaluation) if evaluator else None,
-            StopAfterEpisodes(settings.episodes) if settings.episodes else None,
-            StopOnSignal(partial(checkpoints.save, in_rollout=True)),
-        )
-        checkpoints.stateful = callbacks.stateful
-        return callbacks
-
-    def _restore(self, algorithm: BaseAlgorithm, run: Run, callbacks: _Callbacks) -> BaseCallback:
-        """Restore the checkpoint, and undo what was written after it; see `state.restore`."""
-        checkpoint, total = self.checkpoint, self.config.train.total_timesteps
-        assert checkpoint is not None
+    def _restore(self, checkpoint: _Checkpoint, algorithm: BaseAlgorithm, callbacks: TrainingCallbacks) -> None:
         load_parameters(algorithm, checkpoint.content, checkpoint.file)
         try:
             first = state.restore(checkpoint.content["training"], algorithm, callbacks.stateful)
         except InputError as error:
             raise InputError(f"{checkpoint.file}: {error}") from None
-        if (evaluation := callbacks.evaluation) and evaluation.stopped:
-            if total == checkpoint.total_timesteps:
+        callbacks.callbacks.insert(0, first)
+        if callbacks.evaluation and callbacks.evaluation.stopped:
+            if self.config.train.total_timesteps == checkpoint.total_timesteps:
                 reason = early_stop(self.config.train, algorithm.num_timesteps)
                 raise InputError(f"{self.folder} has {reason}; {_ADVICE}")
-            evaluation.restart()
-        run.forget_evaluations(after=algorithm.num_timesteps)
-        run.write_config()
-        return first
+            callbacks.evaluation.restart()
 
     @contextmanager
     def _logging(
-        self, algorithm: BaseAlgorithm, run: Run, trackers: Sequence[type[Tracker]], stop: StopOnSignal
+        self, algorithm: BaseAlgorithm, trackers: Sequence[type[Tracker]], stop: StopOnSignal
     ) -> Iterator[None]:
-        """Log to TensorBoard and to the trackers."""
+        """Log to TensorBoard and to trackers."""
         hyperparameters = flat(self.config.to_dict())
-        tensorboard = TensorBoard(run.folder / "tensorboard", algorithm.num_timesteps, hyperparameters)
-        logger = Logger(str(run.folder), [tensorboard])
-        algorithm.set_logger(logger)
-        name = run_name(self.config.task_name, self.config.agent_name, self.tracked_folder or run.folder)
-        with closing(logger), tracking(logger, trackers, Tracked(run.folder, name, hyperparameters), stop):
+        tensorboard = TensorBoard(self.folder / "tensorboard", algorithm.num_timesteps, hyperparameters)
+        algorithm.set_logger(Logger(str(self.folder), [tensorboard]))
+        name = run_name(self.config.task_name, self.config.agent_name, self.tracked_folder or self.folder)
+        tracked = Tracked(self.folder, name, hyperparameters)
+        with closing(algorithm.logger), tracking(algorithm.logger, trackers, tracked, stop):
             yield
 
-    def _learn(
-        self,
-        algorithm: BaseAlgorithm,
-        run: Run,
-        callbacks: _Callbacks,
-        first: Sequence[BaseCallback],
-        progress_bar: bool,
-    ) -> Training:
-        started, before, total = time.monotonic(), algorithm.num_timesteps, self.config.train.total_timesteps
-        listeners = [*first, *callbacks.stateful, callbacks.stop, *([EpisodeLines()] if self.verbose else [])]
-        stop, evaluation = callbacks.stop, callbacks.evaluation
-        with stop:
+    def _learn(self, run: Run, algorithm: BaseAlgorithm, callbacks: TrainingCallbacks, progress_bar: bool) -> Training:
+        """Learn, then save and evaluate the final policy."""
+        started, before = time.monotonic(), algorithm.num_timesteps
+        left, is_new = self.config.train.total_timesteps - before, self.checkpoint is None
+        evaluation, stop = callbacks.evaluation, callbacks.stop
+        with ending_signals(stop.receive):
             with translate_learning_errors(algorithm, run):
-                is_new = self.checkpoint is None
-                algorithm.learn(total - before, listeners, reset_num_timesteps=is_new, progress_bar=progress_bar)
+                algorithm.learn(left, callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
             if not stop.stopped:
                 if evaluation and not evaluation.stopped:
@@ -276,25 +251,6 @@ class Trainer:
         stopped_after = timesteps if evaluation and evaluation.stopped else None
         lengths = list(callbacks.statistics.lengths)
         return Training(run, timesteps - before, seconds, lengths, stop.received, stopped_after)
-
-
-@dataclass(frozen=True)
-class _Callbacks:
-    """The callbacks of a training."""
-
-    statistics: EpisodeStatistics
-    checkpoints: Checkpoints
-    diagnostics: TrainingDiagnostics
-    evaluation: EvaluationCallback | None
-    limit: StopAfterEpisodes | None
-    stop: StopOnSignal
-
-    @property
-    def stateful(self) -> list[state.StatefulCallback]:
-        """The callbacks whose state belongs to a checkpoint, in its order."""
-        return [
-            each for each in (self.statistics, self.checkpoints, self.diagnostics, self.evaluation, self.limit) if each
-        ]
 
 
 def early_stop(settings: TrainSettings, timesteps: int) -> str:

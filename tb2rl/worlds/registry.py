@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import find_file, top_folder
 from tb2rl.core.plugins import entry_point_references, find_plugin
-from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.readers import READERS, read_world
 from tb2rl.worlds.world import World
 
@@ -29,7 +29,7 @@ def world_endings() -> list[str]:
     return sorted({*READERS, *_reader_references()})
 
 
-def find_world(reference: str, said: Import | None = None) -> World:
+def find_world(reference: str, said: ImportOptions | None = None) -> World:
     """The world of a built-in name, of a file's path, of "module:reader:path" or of "module:WORLD".
 
     A reader is a function from a path to a `World`; WORLD is a `World`, or a function without arguments that makes one.
