@@ -137,12 +137,11 @@ def test_a_training_whose_tracker_cannot_begin_leaves_nothing(small, tmp_path):
 
 
 @pytest.mark.parametrize("memory", ["{", '{"id": "../x", "step": 1}', '{"id": "x", "step": null}'])
-def test_a_damaged_memory_is_named(memory, small, killed, tmp_path):
-    whole = train_config(small(track=["my_trackers:Lines"], save_freq=64, keep=9, **LOGGED), tmp_path / "whole").run
-    folder = killed(whole, tmp_path / "run").folder
+def test_a_damaged_memory_is_named(memory, small, tmp_path):
+    folder = train_config(small(track=["my_trackers:Lines"]), tmp_path / "run").run.folder
     (folder / "tracker-my_trackers.Lines.json").write_text(memory)
     with pytest.raises(InputError, match=r"tracker-my_trackers\.Lines\.json is damaged"):
-        resume(folder)
+        resume(folder, 256)
 
 
 @pytest.mark.parametrize(
@@ -215,17 +214,26 @@ def test_a_cluster_needs_a_server_for_mlflow(store, small, tmp_path, monkeypatch
         train_seeds(small(track=["mlflow"]), [0], tmp_path / "run", Where(ray=True))
 
 
-def test_the_command_line_names_trackers(tmp_path, monkeypatch):
+@pytest.mark.parametrize("seeds", [[], pytest.param(["--seeds", "0,1"], marks=pytest.mark.slow)], ids=["one", "seeds"])
+def test_the_command_line_names_trackers(seeds, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    counts = {"--total-timesteps": "64", "--n-envs": "4", "--eval-freq": "0", "--save-freq": "0"}
-    short = ["--simulation", "kinematic", *(word for pair in counts.items() for word in pair)]
-    track = ["--track", "my_trackers:Lines", "--name", "mine"]
-    main([*short, *track, "--no-evaluation", "--no-progress"])
-    assert lines(tmp_path / "runs/maze/qlearn/mine")[-1] == {"ended": "finished"}
-    main([*short, *track[:-1], "seeds", "--seeds", "0,1"])
-    for seed in (0, 1):
-        begun, *_, last = lines(tmp_path / f"runs/maze/qlearn/seeds/seed-{seed}")
-        assert (begun["begun"], last) == (f"maze/qlearn/seeds/seed-{seed}", {"ended": "finished"})
+    flags = [
+        "--simulation",
+        "kinematic",
+        "--total-timesteps",
+        "64",
+        "--n-envs",
+        "4",
+        "--eval-freq",
+        "0",
+        "--save-freq",
+        "0",
+        "--no-progress",
+    ]
+    main([*flags, "--track", "my_trackers:Lines", "--name", "it", *(seeds or ["--no-evaluation"])])
+    for name in ("it/seed-0", "it/seed-1") if seeds else ("it",):
+        begun, *_, last = lines(tmp_path / "runs/maze/qlearn" / name)
+        assert (begun["begun"], last) == (f"maze/qlearn/{name}", {"ended": "finished"})
 
 
 def test_one_name_stands_for_a_list_and_none_comes_twice(small):

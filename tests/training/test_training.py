@@ -21,7 +21,13 @@ from tb2rl.training import training
 
 LEARNERS = [name for name in agent_names() if find_agent(name).algorithm is not None]
 LATE = {"agent.learning_starts": 400}  # to have learned something when QUICK ends
-SOON = {"dqn": LATE, "sac": LATE, "td3": LATE, "ppo": {"agent.n_steps": 64}, "recurrent_ppo": {"agent.n_steps": 64}}
+SOON = {
+    "dqn": LATE,
+    "sac": LATE,
+    "td3": LATE,
+    "ppo": {"agent.n_steps": 64, "agent.batch_size": 64},
+    "recurrent_ppo": {"agent.n_steps": 64},
+}
 QUICK = {"total_timesteps": 512, "n_envs": 2, "eval_freq": 256, "eval_episodes": 3, "eval_steps": 60, "save_freq": 256}
 BARE = {"total_timesteps": 128, "n_envs": 1, "eval_freq": 0, "save_freq": 0, "simulation": "kinematic"}
 
@@ -48,7 +54,10 @@ class Trained:
         self.end = parameters(self.algorithm.policy)
 
 
-@pytest.fixture(scope="module", params=LEARNERS)
+FAST = {"qlearn", "ppo", "sac"}
+
+
+@pytest.fixture(scope="module", params=[pytest.param(n, marks=[] if n in FAST else pytest.mark.slow) for n in LEARNERS])
 def trained(request, tmp_path_factory):
     """A quick training of each agent."""
     with pytest.MonkeyPatch.context() as patch:
