@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.deploy.bags import robot_state
+from tb2rl.deploy.bags import reading
 from tb2rl.deploy.bags.drive import Drive
-from tb2rl.deploy.bags.robot_state import is_bag, read_drive
+from tb2rl.deploy.bags.reading import is_bag, read_drive
 from tb2rl.deploy.bags.topics import BUMPER_EVENTS
 
 pytest.importorskip("rosbags")
@@ -167,7 +167,7 @@ def test_definitions_of_what_is_not_read_do_not_matter(bag, write, messages):
 
 
 def test_more_messages_than_anybody_looks_at_are_refused(stranger, monkeypatch):
-    monkeypatch.setattr(robot_state, "MOST", 30)
+    monkeypatch.setattr(reading, "MOST", 30)
     refused(stranger, "more than 30 messages on /robot/wheels, /robot/front, /robot/drive")
 
 
@@ -212,7 +212,7 @@ def test_a_file_that_means_gigabytes_is_refused(tmp_path, messages, monkeypatch)
 
     from rosbags import rosbag1
 
-    monkeypatch.setattr(robot_state, "MEMORY", 100 * 2**20)
+    monkeypatch.setattr(reading, "MEMORY", 100 * 2**20)
     limits = resource.getrlimit(resource.RLIMIT_AS), resource.getrlimit(resource.RLIMIT_FSIZE)
     new, path = messages(first=True), tmp_path / "drive.bag"
     bag = rosbag1.Writer(path)

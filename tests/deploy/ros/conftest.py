@@ -32,7 +32,7 @@ import pytest
 from tb2rl.deploy.ros.debian import PACKAGES
 from tb2rl.deploy.ros.messages import Heard, Message
 
-CHECKOUT = Path(__file__).parent.parent.parent
+CHECKOUT = Path(__file__).parents[3]
 DEBIANS_PYTHON = "/usr/bin/python3"
 PATIENCE = 300.0  # [s] for a process to begin or to end: the machine may be busy
 

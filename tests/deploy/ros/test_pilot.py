@@ -229,7 +229,7 @@ def test_goals_and_plans_of_another_frame_are_refused_and_early_ones_wait_for_od
 
 
 def test_it_follows_a_plan_to_its_end(robot, capsys):
-    it = robot(goal="plan", reach=1.0)
+    it = robot(goal="plan", lookahead=1.0)
     it.scan()
     it.hear("plan", Plan("odom", np.array([[1.0, 0.0], [1.0, 3.0]])))
     it.scan(6)
