@@ -1,13 +1,13 @@
-"""Real graphs of ROS 1 and ROS 2 for tests, on this machine's loopback alone, and programs that join them.
+"""Real graphs of ROS 1 and ROS 2, on this machine's loopback alone, and fakes of ROS and of wall-clock time.
 
     def test_it(graph):                                     # once in ROS 1, once in ROS 2
         with graph.start("simulate", "--rate", "5") as simulated, graph.probe() as probe:
             probe.listen("/odom", "nav_msgs/Odometry")
             (odometry,) = probe.take("/odom")
 
-A program is a process of its own, as on a robot: `start` gives one of `python -m tb2rl.ros`, once it has said its first
-line. ROS 1 is Debian's (see `.ci/run`), ROS 2 that of `make ros`, or what this Python has. Without them the tests are
-skipped, and say what is missing. `FakeGraph` is one of plain Python.
+`start` runs `python -m tb2rl.ros` in a process of its own and returns after its first line. ROS 1 is Debian's (see
+`.ci/run`), ROS 2 that of `make ros`, or of this Python. Without them the tests are skipped. Fast tests use `FakeNode`
+and `FakeClock`: a wait lets simulated time pass at once, and no test waits for real time.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -30,7 +31,7 @@ from typing import Any
 import pytest
 
 from tb2rl.deploy.ros.debian import PACKAGES
-from tb2rl.deploy.ros.messages import Heard, Message
+from tb2rl.deploy.ros.messages import IncomingMessage, OutgoingMessage
 
 CHECKOUT = Path(__file__).parents[3]
 DEBIANS_PYTHON = "/usr/bin/python3"
@@ -261,37 +262,47 @@ def _graph(version: int, folder: Path) -> Iterator[RosGraph]:
         yield graph
 
 
-class FakeEnd:
-    """An end of a topic that somebody is at the other end of, unless a test says else."""
+class FakeEndpoint:
+    """An endpoint that keeps what is published."""
 
     def __init__(self) -> None:
-        self.there, self.said = True, list[Message]()
+        self.peers, self.messages = True, list[OutgoingMessage]()
+        self.react: Callable[[Any], None] = lambda message: None  # a program at the other end
 
     def connected(self) -> bool:
-        return self.there
+        return self.peers
 
-    def say(self, message: Message) -> None:
-        self.said.append(message)
+    def publish(self, message: OutgoingMessage) -> None:
+        self.messages.append(message)
+        self.react(message)
 
 
-class FakeGraph:
-    """See `tb2rl.deploy.ros.graph.Graph`: it keeps what is published, and a test calls what listens and what serves."""
+class FakeNode:
+    """A `tb2rl.deploy.ros.node.Node` without ROS.
+
+    Attributes:
+        topics: Endpoints by topic.
+        receive: Functions that deliver a message, by topic.
+        services: Our services, and those of others.
+    """
 
     def __init__(self) -> None:
-        self.ends: dict[str, FakeEnd] = {}
-        self.heard: dict[str, Callable[[Any], None]] = {}
-        self.services: dict[str, Callable[[], str | None]] = {}  # ours, and those of others
-        self.over, self.time, self.simulated = False, 0.0, False
+        self.topics: dict[str, FakeEndpoint] = defaultdict(FakeEndpoint)
+        self.receive: dict[str, Callable[[Any], None]] = {}
+        self.services: dict[str, Callable[[], str | None]] = {}
+        self.over, self.time, self.sim_time = False, 0.0, False
 
-    def publisher(self, topic: str, kind: type[Message]) -> FakeEnd:
-        return self.ends.setdefault(topic, FakeEnd())
+    def create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> FakeEndpoint:
+        return self.topics[topic]
 
-    def listen(self, topic: str, kind: type[Heard], heard: Callable[[Any], None]) -> FakeEnd:
-        self.heard[topic] = heard
-        return self.ends.setdefault(topic, FakeEnd())
+    def create_subscription(
+        self, topic: str, message_type: type[IncomingMessage], callback: Callable[[Any], None]
+    ) -> FakeEndpoint:
+        self.receive[topic] = callback
+        return self.topics[topic]
 
-    def serve(self, service: str, kind: str, called: Callable[[], str | None]) -> None:
-        self.services[service] = called
+    def create_service(self, service: str, kind: str, callback: Callable[[], str | None]) -> None:
+        self.services[service] = callback
 
     def call(self, service: str, kind: str) -> bool:
         if service in self.services:
@@ -301,20 +312,61 @@ class FakeGraph:
     def now(self) -> float:
         return self.time
 
-    def time_is_simulated(self) -> bool:
-        return self.simulated
+    def uses_sim_time(self) -> bool:
+        return self.sim_time
 
-    def keep_time(self) -> None:
-        self.keeps_time = True
+    def announce_sim_time(self) -> None:
+        self.announced = True
 
-    def is_over(self) -> bool:
+    def is_shutdown(self) -> bool:
         return self.over
 
     def close(self) -> None:
         self.over = True
 
+    def commands(self, topic: str) -> list[tuple[float, float]]:
+        """The velocity commands so far."""
+        return [(each.linear, each.angular) for each in self.topics[topic].messages]
+
+
+class FakeClock:
+    """A `WallClock` whose time passes while somebody waits; `events` are called at each step of it."""
+
+    def __init__(self) -> None:
+        self.time, self.events = 0.0, list[Callable[[], None]]()
+        self._timers: list[list[Any]] = []
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        until = self.time + seconds
+        while self.time < until:
+            self.time = min(until, self.time + 0.02)
+            for timer in self._timers:
+                period, due, callback = timer
+                if self.time >= due:
+                    timer[1] = self.time + period
+                    callback()
+            for event in list(self.events):
+                event()
+
+    def wait(self, condition: threading.Condition | threading.Event, seconds: float) -> bool:
+        self.sleep(seconds)
+        return isinstance(condition, threading.Event) and condition.is_set()
+
+    def repeat(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
+        self._timers.append([seconds, self.time + seconds, callback])
+        return self._timers.clear
+
 
 @pytest.fixture
-def fake_graph() -> FakeGraph:
-    """A `FakeGraph`."""
-    return FakeGraph()
+def node() -> FakeNode:
+    """A `FakeNode`."""
+    return FakeNode()
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    """A `FakeClock`."""
+    return FakeClock()
