@@ -14,7 +14,7 @@ import pytest
 
 from tb2rl.deploy import Driver, Limits, Needs
 from tb2rl.deploy.ros.driver_node import DriverNode, run
-from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Goal, LaserScan, Odometry, Plan
+from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Goal, LaserScan, Odometry, Plan, Twist
 from tb2rl.deploy.ros.topics import TURTLEBOT2
 from tb2rl.ros import parse
 
@@ -344,6 +344,8 @@ def test_messages_become_values():
     for yaw in (-3.1, 0.7):
         rounded = (0.0, 0.0, 1.05 * math.sin(yaw / 2), 1.05 * math.cos(yaw / 2))
         assert Odometry.from_ros(odometry_message(quaternion=rounded)).pose[2] == pytest.approx(yaw)
+    command = SimpleNamespace(linear=SimpleNamespace(x=math.nan), angular=SimpleNamespace(z=1.0))
+    assert Twist.from_ros(command) == Twist(0.0, 0.0), "a command that is no number stops the base"
     stamped = SimpleNamespace(header=odometry_message().header, pose=odometry_message().pose.pose)
     assert Goal.from_ros(stamped).position == (1.0, 0.0)
     plan = Plan.from_ros(SimpleNamespace(header=stamped.header, poses=[stamped, stamped]))
