@@ -41,8 +41,8 @@ def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) ->
         robot_states = [env.robot_state]
         for _ in range(steps):
             action = env.action_space.sample()
-            _, reward, terminated, truncated, info = env.step(action)
-            assert not (terminated or truncated)
+            _, reward, _, _, info = env.step(action)
+            assert info["ended"] == ""
             robot_states.append(env.robot_state)
             commands.append(env.scene.actions.commands(env.scene.actions.checked(action))[0])
             rewards.append(float(reward))
