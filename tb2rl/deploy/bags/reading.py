@@ -6,9 +6,8 @@ would generate code from them. The library documents no exceptions for broken fi
 
 from __future__ import annotations
 
-import math
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,10 @@ import numpy as np
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.deploy.bags.drive import Drive
 from tb2rl.deploy.bags.messages import BagMessages, rosbags_library
-from tb2rl.deploy.bags.topics import KINDS, find_topics
+from tb2rl.deploy.bags.topics import FARTHEST, KINDS, find_topics
 
 ENDINGS = (".bag", ".mcap", ".db3")
 MOST = 2_000_000  # messages of a bag that are read: eleven hours at 50 Hz
-_FARTHEST = 1e9  # [m], [s] larger values are errors
 _LONGEST = 100_000  # characters of a definition; those of ROS have 1 500, and comments
 
 
@@ -75,7 +73,7 @@ def _read(path: Path, topics: Mapping[str, str]) -> Drive:
             message = messages.deserialize(raw, each.msgtype)
             for kind in kinds[each.topic]:
                 rows[kind].append((stamp - began) / 1e9)
-                rows[kind].extend(_COLUMNS[kind][1](message))
+                rows[kind].extend(KINDS[kind].convert(message))
     tables = {kind: _table(kind, rows[kind]) for kind in KINDS}
     if not len(tables["odom"]) + len(tables["ground_truth"]):
         raise InputError("its odometry has no valid pose")
@@ -95,45 +93,9 @@ def _check_definition(store: Any, connection: Any) -> None:
         raise InputError(f"its {connection.msgtype} on {connection.topic} is not the one of ROS")
 
 
-def _motion(message: Any) -> tuple[float, ...]:
-    position, rotation, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
-    sin = 2.0 * (rotation.w * rotation.z + rotation.x * rotation.y)
-    cos = 1.0 - 2.0 * (rotation.y * rotation.y + rotation.z * rotation.z)
-    return position.x, position.y, math.atan2(sin, cos), twist.linear.x, twist.angular.z
-
-
-def _nearest(message: Any) -> tuple[float, ...]:
-    ranges = message.ranges
-    valid = ranges[(ranges >= message.range_min) & (ranges <= min(message.range_max, _FARTHEST))]
-    return (float(valid.min(initial=math.inf)),)
-
-
-def _command(message: Any) -> tuple[float, ...]:
-    twist = getattr(message, "twist", message)
-    return twist.linear.x, twist.angular.z
-
-
-def _pressed(message: Any) -> tuple[float, ...]:
-    return (float(message.data if hasattr(message, "data") else message.state),)
-
-
-def _goal(message: Any) -> tuple[float, ...]:
-    return message.pose.position.x, message.pose.position.y
-
-
-_COLUMNS: Mapping[str, tuple[int, Callable[[Any], tuple[float, ...]]]] = {  # number of columns beside the time
-    "odom": (5, _motion),
-    "ground_truth": (5, _motion),
-    "scan": (1, _nearest),
-    "cmd_vel": (2, _command),
-    "bumper": (1, _pressed),
-    "goal": (2, _goal),
-}
-
-
 def _table(kind: str, rows: array[float]) -> np.ndarray:
     """Return the rows of a kind in the order of time, without those of NaN, infinite or implausible values."""
-    table = np.array(rows).reshape(-1, 1 + _COLUMNS[kind][0])
+    table = np.array(rows).reshape(-1, 1 + KINDS[kind].columns)
     table = table[np.argsort(table[:, 0], kind="stable")]
     checked = table[:, :1] if kind == "scan" else table  # the nearest range is inf where nothing was hit
-    return table[(np.abs(checked) < _FARTHEST).all(axis=1)]
+    return table[(np.abs(checked) < FARTHEST).all(axis=1)]

@@ -1,12 +1,43 @@
-"""Topics that hold the parts of a drive."""
+"""Parts of a drive: the topics that hold them, and the values of their messages."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.deploy.bags.messages import BUMPER_EVENTS
+
+FARTHEST = 1e9  # [m], [s] larger values are errors
+Row = tuple[float, ...]
+
+
+def _motion(message: Any) -> Row:
+    position, rotation, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
+    sin = 2.0 * (rotation.w * rotation.z + rotation.x * rotation.y)
+    cos = 1.0 - 2.0 * (rotation.y * rotation.y + rotation.z * rotation.z)
+    return position.x, position.y, math.atan2(sin, cos), twist.linear.x, twist.angular.z
+
+
+def _nearest(message: Any) -> Row:
+    ranges = message.ranges
+    valid = ranges[(ranges >= message.range_min) & (ranges <= min(message.range_max, FARTHEST))]
+    return (float(valid.min(initial=math.inf)),)
+
+
+def _command(message: Any) -> Row:
+    twist = getattr(message, "twist", message)
+    return twist.linear.x, twist.angular.z
+
+
+def _pressed(message: Any) -> Row:
+    return (float(message.data if hasattr(message, "data") else message.state),)
+
+
+def _goal(message: Any) -> Row:
+    return message.pose.position.x, message.pose.position.y
 
 
 @dataclass(frozen=True)
@@ -16,30 +47,31 @@ class Kind:
     Attributes:
         types: Types of messages that can hold it.
         names: Usual topics, the most likely first.
+        columns: Number of values in a message.
+        convert: Returns the values of a message.
         guessed: Whether any other topic of such a type is used, too.
     """
 
     types: tuple[str, ...]
     names: tuple[str, ...]
-    guessed: bool = True
+    columns: int
+    convert: Callable[[Any], Row]
+    guessed: bool = False
 
 
+_ODOMETRY, _SCAN, _GOAL = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/PoseStamped"
+_TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+_PRESSED = ("std_msgs/msg/Bool", *BUMPER_EVENTS.values())
+_TRUTH = ("/ground_truth", "/ground_truth/state", "/base_pose_ground_truth")
+_COMMANDS = ("/cmd_vel", "/mobile_base/commands/velocity", "/commands/velocity")
+_BUMPERS = ("/bumper", "/mobile_base/events/bumper", "/events/bumper")
 KINDS: Mapping[str, Kind] = {
-    "odom": Kind(("nav_msgs/msg/Odometry",), ("/odom", "/odometry/filtered")),
-    "ground_truth": Kind(
-        ("nav_msgs/msg/Odometry",), ("/ground_truth", "/ground_truth/state", "/base_pose_ground_truth"), guessed=False
-    ),
-    "scan": Kind(("sensor_msgs/msg/LaserScan",), ("/kobuki/laser/scan", "/scan")),
-    "cmd_vel": Kind(
-        ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
-        ("/cmd_vel", "/mobile_base/commands/velocity", "/commands/velocity"),
-    ),
-    "bumper": Kind(
-        ("std_msgs/msg/Bool", *BUMPER_EVENTS.values()),
-        ("/bumper", "/mobile_base/events/bumper", "/events/bumper"),
-        guessed=False,
-    ),
-    "goal": Kind(("geometry_msgs/msg/PoseStamped",), ("/move_base_simple/goal", "/goal_pose"), guessed=False),
+    "odom": Kind((_ODOMETRY,), ("/odom", "/odometry/filtered"), 5, _motion, guessed=True),
+    "ground_truth": Kind((_ODOMETRY,), _TRUTH, 5, _motion),
+    "scan": Kind((_SCAN,), ("/kobuki/laser/scan", "/scan"), 1, _nearest, guessed=True),
+    "cmd_vel": Kind(_TWISTS, _COMMANDS, 2, _command, guessed=True),
+    "bumper": Kind(_PRESSED, _BUMPERS, 1, _pressed),
+    "goal": Kind((_GOAL,), ("/move_base_simple/goal", "/goal_pose"), 2, _goal),
 }
 
 

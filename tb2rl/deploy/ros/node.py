@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar, TypeVar
 
@@ -18,36 +19,34 @@ QUEUE = 10  # messages that wait for a slow subscriber
 M = TypeVar("M", bound=IncomingMessage)
 
 
+@dataclass(frozen=True)
 class Endpoint:
     """Our end of a topic; `count_peers` counts the nodes at the other end."""
 
-    def __init__(self, count_peers: Callable[[], int]) -> None:
-        self._count_peers = count_peers
+    count_peers: Callable[[], int]
 
     def connected(self) -> bool:
         """Whether another node is connected."""
-        return self._count_peers() > 0
+        return self.count_peers() > 0
 
 
+@dataclass(frozen=True)
 class Publisher(Endpoint):
     """Publishes messages, if a node subscribes to them."""
 
-    def __init__(
-        self, count_peers: Callable[[], int], publish: Callable[[Any], None], messages: MessageFactory
-    ) -> None:
-        super().__init__(count_peers)
-        self._publish, self._messages = publish, messages
+    send: Callable[[Any], None]
+    messages: MessageFactory
 
     def publish(self, message: OutgoingMessage) -> None:
         if self.connected():
-            self._publish(message.to_ros(self._messages))
+            self.send(message.to_ros(self.messages))
 
 
+@dataclass(frozen=True)
 class NullPublisher(Endpoint):
     """Stands for a topic whose message type is not installed."""
 
-    def __init__(self) -> None:
-        super().__init__(lambda: 0)
+    count_peers: Callable[[], int] = lambda: 0
 
     def publish(self, message: OutgoingMessage) -> None:
         pass
@@ -114,12 +113,9 @@ class Node(ABC):
 
     @abstractmethod
     def create_service(self, service: str, kind: str, callback: Callable[[], str | None]) -> None:
-        """Offer a service that calls a function in a thread of ROS; skip a kind that this ROS lacks.
+        """Offer a service; "~/NAME" is below the name of the node. A kind that this ROS lacks is skipped.
 
-        Args:
-            service: Its name; "~/NAME" is below the name of the node.
-            kind: Type of the service.
-            callback: Returns the reason of a failure; None or "": success.
+        `callback` runs in a thread of ROS and returns the reason of a failure; None or "": success.
         """
 
     @abstractmethod
@@ -154,10 +150,7 @@ class Node(ABC):
 def create_node(version: int, name: str, arguments: Sequence[str] = ()) -> Node:
     """Join ROS 1 or ROS 2 as the environment configures it; only this ROS is imported.
 
-    Args:
-        version: 1 or 2.
-        name: Name of the node.
-        arguments: Command line arguments behind `--ros-args`; for ROS 2.
+    `arguments` are those behind `--ros-args` of a command line, for ROS 2.
 
     Raises:
         InputError: If this ROS is not installed, its master does not answer, or it rejects the arguments.

@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass, field, replace
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import build
 from tb2rl.deploy import Limits, Mounting, Needs
+from tb2rl.core.values import Positive, build, checked
+from tb2rl.deploy import Limits, Mounting
 from tb2rl.deploy.ros.node import create_node
 from tb2rl.deploy.ros.remote import RemoteRobot
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics
@@ -125,13 +127,5 @@ def parse_mounting(text: str) -> Mounting:
 
 
 def parse_limits(speed: float | None, option: str = "--speed") -> Limits:
-    """Return the limits for a speed [m/s]; None: those of the policy.
-
-    Raises:
-        InputError: If it is not positive and finite.
-    """
-    if speed is None:
-        return Limits()
-    if not 0.0 < speed < math.inf:
-        raise InputError(f"{option} takes m/s above 0, got {speed:g}")
-    return Limits(speed=speed)
+    """Return the limits for a speed [m/s]; None: those of the policy."""
+    return Limits() if speed is None else Limits(speed=checked(Positive, speed, option))

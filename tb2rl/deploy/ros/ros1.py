@@ -26,9 +26,6 @@ _SIM_TIME = "/use_sim_time"
 class Ros1Node(Node):
     """A node of ROS 1.
 
-    Args:
-        name: Name of the node.
-
     Raises:
         InputError: If no master answers.
     """

@@ -32,10 +32,6 @@ class Ros2Node(Node):
     It publishes scans and images with the QoS of sensor data (best effort, as laser drivers do), the rest reliably. It
     receives scans and odometry with either reliability.
 
-    Args:
-        name: Name of the node.
-        arguments: Command line arguments behind `--ros-args`.
-
     Raises:
         InputError: If ROS rejects the arguments.
     """

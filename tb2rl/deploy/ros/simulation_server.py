@@ -7,8 +7,11 @@ import math
 import signal
 import threading
 from contextlib import closing, suppress
+from typing import Annotated
 
-from tb2rl.core.errors import InputError
+from annotated_types import Ge, Le, Lt
+
+from tb2rl.core.values import CountOrZero, NonNegative, Positive, checked
 from tb2rl.deploy.portable.ending import ending_signals
 from tb2rl.deploy.ros.messages import BumperEvent, Clock, Image, LaserScan, Odometry, Transforms, Twist
 from tb2rl.deploy.ros.node import EMPTY, SET_PHYSICS, Node, NullPublisher, create_node
@@ -18,7 +21,7 @@ from tb2rl.deploy.ros.wall_clock import WallClock
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.simulation import default_simulator, find_simulator
 
-SCAN_RATES = (2.0, 40.0)  # [Hz] with fewer scans the base's command timeout would expire between commands
+SCAN_RATE = Annotated[float, Ge(2.0), Le(40.0)]  # [Hz] with fewer the base's timeout would expire between commands
 # All in seconds of wall-clock time:
 _MAX_DELAY = 0.1  # a longer delay is not made up for
 _YIELD = 1e-4  # gives the threads of ROS a chance to run in a simulation at full speed
@@ -46,16 +49,10 @@ def run(options: argparse.Namespace) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` for a number out of range."""
-    if not 0.0 <= options.rate < math.inf:
-        raise InputError(f"--rate must be a number from 0 (as fast as possible), got {options.rate:g}")
-    if not SCAN_RATES[0] <= options.scan_rate <= SCAN_RATES[1]:
-        raise InputError(
-            f"--scan-rate must be from {SCAN_RATES[0]:g} to {SCAN_RATES[1]:g} Hz, got {options.scan_rate:g}"
-        )
-    if options.lockstep is not None and not 0.0 < options.lockstep < threading.TIMEOUT_MAX:
-        raise InputError(f"--lockstep takes seconds above 0, got {options.lockstep:g}")
-    if options.seed < 0:
-        raise InputError(f"--seed must be at least 0, got {options.seed}")
+    checked(Annotated[NonNegative, Lt(math.inf)], options.rate, "--rate")
+    checked(SCAN_RATE, options.scan_rate, "--scan-rate")
+    checked(Annotated[Positive, Lt(threading.TIMEOUT_MAX)] | None, options.lockstep, "--lockstep")
+    checked(CountOrZero, options.seed, "--seed")
 
 
 class SimulationServer:
