@@ -1,8 +1,6 @@
-"""A node of ROS that does what a test tells it, in lines of JSON, and answers in JSON; it imports nothing of ours.
+"""A node of ROS that a test controls by lines of JSON; it imports nothing of ours.
 
-    probe.py 1|2
-
-It runs in a process of its own: rospy and rclpy change much of the Python that they are in.
+probe.py 1|2
 """
 
 from __future__ import annotations
@@ -26,18 +24,15 @@ def find(kind, part="msg"):
 
 
 def plain(value):
-    """A message as dicts, lists and numbers; octets as base64."""
+    """Convert a message to dicts, lists and numbers; uint8[] to base64."""
     if isinstance(value, bytes) or getattr(value, "typecode", "") == "B":
         return base64.b64encode(bytes(value)).decode()
     if hasattr(value, "__slots__"):
-        return {RENAMED.get(name.lstrip("_"), name.lstrip("_")): plain(getattr(value, name)) for name in slots(value)}
+        slots = [name for name in value.__slots__ if name != "_check_fields"]
+        return {RENAMED.get(name.lstrip("_"), name.lstrip("_")): plain(getattr(value, name)) for name in slots}
     if isinstance(value, str | int | float):
         return value
     return [plain(each) for each in value]
-
-
-def slots(message):
-    return [name for name in message.__slots__ if name != "_check_fields"]
 
 
 class Node1:
@@ -56,13 +51,10 @@ class Node1:
         publisher = self.rospy.Publisher(topic, find(kind), queue_size=10)
         return publisher.publish, publisher.get_num_connections
 
-    def call(self, service, kind):
+    def call(self, service, kind="std_srvs/Empty"):
         self.rospy.wait_for_service(service, PATIENCE)
         answer = self.rospy.ServiceProxy(service, find(kind, "srv"))()
         return [getattr(answer, "success", True), getattr(answer, "message", "")]
-
-    def parameter(self, name):
-        return self.rospy.get_param(name, None)
 
 
 class Node2:
@@ -89,7 +81,7 @@ class Node2:
         publisher = self.node.create_publisher(find(kind), topic, 10)
         return publisher.publish, publisher.get_subscription_count
 
-    def call(self, service, kind):
+    def call(self, service, kind="std_srvs/Empty"):
         kind = find(kind, "srv")
         client = self.node.create_client(kind, service)
         assert client.wait_for_service(PATIENCE), service
@@ -97,9 +89,6 @@ class Node2:
         future.add_done_callback(lambda _: answered.set())
         assert answered.wait(PATIENCE), service
         return [getattr(future.result(), "success", True), getattr(future.result(), "message", "")]
-
-    def parameter(self, name):
-        return None
 
 
 class Probe:
@@ -167,8 +156,14 @@ class Probe:
         return self.last
 
     def trigger(self, service):
-        """Call a service of std_srvs/Trigger: whether it did it, and what it said."""
+        """Call a service of std_srvs/Trigger; return whether it succeeded, and its message."""
         return self.node.call(service, "std_srvs/Trigger")
+
+    def call(self, service):
+        self.node.call(service)
+
+    def parameter(self, name):
+        return self.node.rospy.get_param(name, None)
 
     def drive(self, topic, linear, angular):
         """Publish a command, as soon as somebody listens."""
@@ -208,12 +203,6 @@ class Probe:
             publish(message)
 
         return say
-
-    def call(self, service, kind="std_srvs/Empty"):
-        self.node.call(service, kind)
-
-    def parameter(self, name):
-        return self.node.parameter(name)
 
 
 probe = Probe()

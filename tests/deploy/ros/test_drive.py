@@ -18,8 +18,7 @@ import tb2rl
 
 pytestmark = pytest.mark.slow
 ALL = "ALL_STARTS" in os.environ
-STARTS, REAL_TIME = (20, 60.0) if ALL else (1, 8.0)  # [s] of real time
-EPISODE = 300.0  # [s] 1 500 steps
+STARTS, STEPS, REAL_TIME = (20, 1500, 60.0) if ALL else (1, 300, 8.0)  # [s] of real time
 LOCKSTEP = ["--rate", "0", "--scan-rate", "5", "--lockstep", "60"]
 POLICY = {1: "zoo:maze-loop-ppo", 2: "zoo:maze-loop-qlearn"}  # by version of ROS
 VELOCITY = {1: "/cmd_vel_mux/input/navi", 2: "/cmd_vel"}
@@ -74,7 +73,7 @@ def test_in_lockstep_it_drives_as_in_an_evaluation_and_is_evaluated_as_here(grap
             wait_for(driven, "driving")
             for _ in range(STARTS):
                 probe.call("/gazebo/reset_world")
-                probe.ask("pass_time", seconds=EPISODE)
+                probe.ask("pass_time", seconds=STEPS / 5)
             assert driven.stop() == 0
         assert simulated.stop() == 0
         assert (simulated.errors, driven.errors) == ([], [])
@@ -83,16 +82,15 @@ def test_in_lockstep_it_drives_as_in_an_evaluation_and_is_evaluated_as_here(grap
     assert simulated.lines[-1] == "scans that no command answered: 0"
     assert (float(median) <= 3.0, float(most) <= 10.0) == (True, True), driven.lines[-1]
     with simulate(graph, *LOCKSTEP) as simulated:
-        with evaluate(graph, "--steps", "300", "--json", "result.json") as evaluating:
+        with evaluate(graph, "--steps", str(STEPS), "--json", "result.json") as evaluating:
             assert evaluating.wait() == 0, evaluating.errors
         assert simulated.stop() == 0
     result = json.loads((graph.folder / "result.json").read_text())
     assert (result["simulation"], {each["ended"] for each in result["each"]}) == ("ros", {"time limit"})
-    expected = tb2rl.evaluate(policy, episodes=4, workers=1).summary()["mean_speed"]
-    short = tb2rl.evaluate(policy, episodes=4, steps=300, workers=1).summary()["mean_speed"]
-    print(policy, f"driven {found}, {expected:.3f} here; evaluated {result['mean_speed']:.3f}, {short:.3f} here")
+    expected = tb2rl.evaluate(policy, episodes=4, steps=STEPS, workers=1).summary()["mean_speed"]
+    print(policy, f"driven at {found}, evaluated at {result['mean_speed']:.3f}, {expected:.3f} here")
     assert sum(found) / STARTS == pytest.approx(expected, rel=0.05)
-    assert result["mean_speed"] == pytest.approx(short, rel=0.05)
+    assert result["mean_speed"] == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.flaky(reruns=1)  # in real time

@@ -100,18 +100,20 @@ def test_it_starts_by_itself_after_five_scans_and_answers_each(robot, capsys):
     assert lines(capsys) == ["driving"]
 
 
-def test_services_start_and_stop_it(robot, capsys):
+def test_services_start_and_stop_it_and_so_does_a_contact(robot, capsys):
     it = robot(waits=True)
     it.scan(20)
     assert set(it.commands()) == {STILL}
-    assert it.call("start") == ""
-    it.scan()
-    assert it.commands() == [FORWARD]
-    assert it.call("stop") == ""
-    assert it.commands() == [STILL], "at once"
-    it.scan()
-    assert it.commands() == [STILL]
-    assert lines(capsys) == ["it stands: not started", "driving", "it stands: told to stop"]
+    for stop in (lambda: it.call("stop"), lambda: it.publish("bumper", BumperEvent(1, True))):
+        assert it.call("start") == ""
+        it.scan()
+        assert it.commands() == [FORWARD]
+        stop()
+        assert it.commands() == [STILL], "at once"
+        it.scan()
+        assert it.commands() == [STILL]
+    stands = [f"it stands: {reason}" for reason in ("not started", "told to stop", "the bumper was touched")]
+    assert lines(capsys) == [stands[0], "driving", stands[1], "driving", stands[2]]
 
 
 def test_a_serious_finding_prevents_the_start_and_is_in_the_diagnostics(robot, node, capsys):
@@ -195,19 +197,6 @@ def test_in_simulated_time_a_scan_may_arrive_before_its_clock(robot, node):
     assert it.commands() == [FORWARD] * 2
 
 
-def test_a_contact_ends_the_drive_until_the_next_start(robot):
-    it = robot()
-    it.scan(6)
-    it.commands()
-    it.publish("bumper", BumperEvent(1, True))
-    it.publish("bumper", BumperEvent(1, False))
-    it.scan(2)
-    assert it.commands() == [STILL] * 3
-    it.call("start")
-    it.scan()
-    assert it.commands() == [FORWARD]
-
-
 def test_goals_and_plans_in_another_frame_are_refused_and_early_ones_wait_for_odometry(robot, capsys):
     it = robot(goal="goal")
     it.publish("goal", Goal("map", (4.0, 0.0)))
@@ -215,16 +204,14 @@ def test_goals_and_plans_in_another_frame_are_refused_and_early_ones_wait_for_od
     assert lines(capsys) == ["this goal is refused: it is in the frame 'map', and the odometry in 'odom'"]
     it.publish("goal", Goal("odom", (math.nan, 0.0)))
     assert lines(capsys) == ["this goal is refused: its numbers are no position"]
-    it = robot(goal="plan")
-    it.scan()
-    it.publish("plan", Plan("odom", np.empty((0, 2))))
-    it.publish("plan", Plan("map", np.zeros((2, 2))))
-    assert len(lines(capsys)) == 2
 
 
 def test_it_follows_a_plan_to_its_end(robot, capsys):
     it = robot(goal="plan", lookahead=1.0)
     it.scan()
+    for refused in (Plan("odom", np.empty((0, 2))), Plan("map", np.zeros((2, 2)))):
+        it.publish("plan", refused)
+    assert len(lines(capsys)) == 2
     it.publish("plan", Plan("odom", np.array([[1.0, 0.0], [1.0, 3.0]])))
     it.scan(6)
     assert it.commands()[-1] == FORWARD

@@ -95,14 +95,12 @@ def test_a_reset_puts_it_at_its_start_and_the_clock_to_0_only_on_demand():
 def test_random_starts_depend_on_the_seed():
     def starts(seed):
         robot = make_robot(seed=seed, start="random")
-        found = [robot.odometry().pose]
-        for _ in range(3):
-            robot.reset()
-            found.append(robot.odometry().pose)
-        return found
+        first = robot.odometry().pose
+        robot.reset()
+        return [first, robot.odometry().pose]
 
     assert starts(1) == starts(1)
-    assert len({*starts(1), *starts(2)}) == 8
+    assert len({*starts(1), *starts(2)}) == 4
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
