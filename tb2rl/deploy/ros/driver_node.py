@@ -108,7 +108,7 @@ class DriverNode:
         node.create_subscription(topics.odometry, Odometry, guarded(self._on_odometry))
         bumper = node.create_subscription(topics.bumper, BumperEvent, guarded(self._on_bumper))
         if isinstance(bumper, NullPublisher):
-            _print("the bumper is not heard: the messages of the Kobuki are not installed")
+            _print("the bumper is ignored: the messages of the Kobuki are not installed")
         if self._needs.goal == "goal":
             node.create_subscription(topics.goal, Goal, guarded(self._on_goal))
         if self._needs.goal == "plan":

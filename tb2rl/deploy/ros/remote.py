@@ -109,7 +109,7 @@ class RemoteRobot:
             InputError: If sensors are missing, or the robot was closed.
         """
         if self._closed:
-            raise InputError("the robot was left when its environment was closed: make another one")
+            raise InputError("the environment of the robot is closed: make another one")
         self._stand_until(lambda: True)
         self._reset_pose()
         scans, deadline = self._ranges.count, self._wall.now() + _BRAKING
@@ -153,11 +153,11 @@ class RemoteRobot:
             return self._robot_state(duration)
 
     def __reduce__(self) -> NoReturn:
-        raise InputError("there is one robot with ROS: it cannot be copied")
+        raise InputError("a robot with ROS cannot be copied")
 
     def state(self) -> NoReturn:
         """Raise an `InputError`."""
-        raise InputError("a robot with ROS cannot be put back into a state")
+        raise InputError("a robot with ROS has no state to save or restore")
 
     def restore(self, state: Mapping[str, Any]) -> NoReturn:
         """Raise an `InputError`."""
@@ -176,7 +176,7 @@ class RemoteRobot:
 
     def render_camera(self, robot_state: RobotState, width: int, height: int) -> NoReturn:
         """Raise an `InputError`."""
-        raise InputError("a robot with ROS hands over no images here")
+        raise InputError("a robot with ROS has no images here")
 
     def close(self) -> None:
         """Stop the robot, and leave ROS."""

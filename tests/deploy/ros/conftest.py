@@ -2,7 +2,7 @@
 
     def test_it(graph):                                     # once in ROS 1, once in ROS 2
         with graph.start("simulate", "--rate", "5") as simulated, graph.probe() as probe:
-            probe.listen("/odom", "nav_msgs/Odometry")
+            probe.subscribe("/odom", "nav_msgs/Odometry")
             (odometry,) = probe.take("/odom")
 
 `start` runs `python -m tb2rl.ros` in a process of its own and returns after its first line. ROS 1 is Debian's (see
@@ -99,8 +99,8 @@ class Probe(Process):
         self._asked += 1
         return json.loads(self.wait_for_line(self._asked))
 
-    def listen(self, topic: str, kind: str) -> None:
-        self.ask("listen", topic=topic, kind=kind)
+    def subscribe(self, topic: str, kind: str) -> None:
+        self.ask("subscribe", topic=topic, kind=kind)
 
     def take(self, topic: str, count: int = 1, fresh: bool = True) -> list[dict[str, Any]]:
         return self.ask("take", topic=topic, count=count, fresh=fresh)
@@ -276,7 +276,7 @@ class FakeNode:
 
 
 class FakeClock:
-    """A `WallClock` whose time passes while somebody waits; `events` are called at each step of it."""
+    """A `WallClock` whose time passes in waits; `events` are called at each step of it."""
 
     def __init__(self) -> None:
         self.time, self.events = 0.0, list[Callable[[], None]]()

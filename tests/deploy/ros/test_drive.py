@@ -47,7 +47,7 @@ def simulate(graph, *more):
 def watching(graph):
     """A node that knows the time, and notices commands and motion."""
     with graph.probe() as probe:
-        probe.listen("/clock", "rosgraph_msgs/Clock")
+        probe.subscribe("/clock", "rosgraph_msgs/Clock")
         probe.ask("watch", velocity=VELOCITY[graph.version], odometry="/odom")
         yield probe
 
@@ -100,7 +100,7 @@ def test_in_real_time_it_drives_and_stops_at_a_service_a_signal_and_when_either_
             number = wait_for(driven, "dry run")
             assert driven.wait_for_line(number).startswith("it would drive 0.")
             assert driven.stop() == 0
-            assert probe.ask("watched")["told to move"] == 0.0
+            assert probe.ask("watched")["move command"] == 0.0
         with drive(graph, "--wait") as driven:
             check_services(driven, probe)
             assert driven.stop(signal.SIGTERM) == 0
@@ -112,30 +112,30 @@ def test_in_real_time_it_drives_and_stops_at_a_service_a_signal_and_when_either_
             probe.call("/gazebo/reset_world")  # ends the record
             speed = speeds(first.lines)[-1]
             assert speed > 0.25, f"{REAL_TIME} s took {took:.1f} s of wall-clock time"
-            probe.ask("watched", until="told to move", seconds=1.0)
+            probe.ask("watched", until="move command", seconds=1.0)
             first.close()
             gone = probe.ask("watched", seconds=2.0)
-            assert 0.0 < gone["told to stand"] - gone["told to move"] < 0.6, "after the robot was killed"
+            assert 0.0 < gone["stop command"] - gone["move command"] < 0.6, "after the robot was killed"
             seen = len(driven.lines)
             with simulate(graph):
                 wait_for(driven, "driving", seen - 1)
-                probe.ask("watched", until="told to move", seconds=1.0)
+                probe.ask("watched", until="move command", seconds=1.0)
                 driven.close()
                 killed = probe.ask("watched", seconds=3.0)
                 assert killed["went on"] < 0.9, "simulated seconds after the node was killed"
 
 
 def check_services(driven, probe):
-    probe.listen("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+    probe.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
     wait_for(driven, "it stands: not started")
     until = time.monotonic() + 300.0
     while (answer := probe.ask("trigger", service="/tb2rl_driver/start")) == [False, "no scan has come yet"]:
         assert time.monotonic() < until, "no scan within 300 s"
     assert answer == [True, ""]
-    probe.ask("watched", until="told to move")
+    probe.ask("watched", until="move command")
     assert probe.ask("trigger", service="/tb2rl_driver/stop") == [True, ""]
     stopped = probe.ask("watched", seconds=1.0)
-    assert stopped["told to stand"] > stopped["told to move"]
+    assert stopped["stop command"] > stopped["move command"]
     (status,) = probe.take("/diagnostics")[0]["status"]
     assert (status["name"], status["message"]) == ("tb2rl_driver: policy", "told to stop")
 
@@ -148,7 +148,7 @@ def test_an_evaluation_in_real_time_stops_the_robot_at_a_signal_and_says_that_it
             assert evaluating.stop({1: signal.SIGINT, 2: signal.SIGTERM}[graph.version]) == 130
             assert [line for line in evaluating.errors if "Traceback" in line] == []
             ended = probe.ask("watched", seconds=1.0)
-            assert ended["told to stand"] > ended["told to move"]
+            assert ended["stop command"] > ended["move command"]
         with evaluate(graph) as evaluating:
             probe.ask("watched", until="moved", seconds=1.0)
             simulated.close()

@@ -33,9 +33,9 @@ def simulated(graph):
 def connected(simulated, graph):
     """A node that receives and publishes."""
     with graph.probe() as probe:
-        probe.listen("/clock", "rosgraph_msgs/Clock")
-        probe.listen("/odom", "nav_msgs/Odometry")
-        probe.listen(SCAN, SCANS)
+        probe.subscribe("/clock", "rosgraph_msgs/Clock")
+        probe.subscribe("/odom", "nav_msgs/Odometry")
+        probe.subscribe(SCAN, SCANS)
         for topic in ("/cmd_vel", "/cmd_vel_mux/input/navi"):
             probe.drive(0.0, 0.0, topic)
         yield probe
@@ -78,16 +78,16 @@ def stands(odometry):
 
 
 def driven(probe, linear, angular, **topic):
-    """Odometry of every 0.025 s from before a command until the robot has obeyed it and stands again."""
-    heard = probe.take("/odom")
+    """Odometry of every 0.025 s from before a command until the robot has executed it and stands again."""
+    received = probe.take("/odom")
     probe.drive(linear, angular, **topic)
-    while stands(heard[-1]):  # a busy machine is late
-        heard += probe.take("/odom", fresh=False)
-        assert len(heard) < 1000, "it stands"
-    while not stands(heard[-1]):
-        heard += probe.take("/odom", fresh=False)
-        assert len(heard) < 2000, "it does not stop after 0.6 s without a command"
-    return heard
+    while stands(received[-1]):  # a busy machine is late
+        received += probe.take("/odom", fresh=False)
+        assert len(received) < 1000, "it stands"
+    while not stands(received[-1]):
+        received += probe.take("/odom", fresh=False)
+        assert len(received) < 2000, "it does not stop after 0.6 s without a command"
+    return received
 
 
 def back_at_the_start(probe):
@@ -137,8 +137,8 @@ def test_reset_simulation_sets_the_clock_back(probe):
 
 
 def test_the_camera_has_colours_and_depths(probe):
-    probe.listen("/camera/rgb/image_raw", "sensor_msgs/Image")
-    probe.listen("/camera/depth/image_raw", "sensor_msgs/Image")
+    probe.subscribe("/camera/rgb/image_raw", "sensor_msgs/Image")
+    probe.subscribe("/camera/depth/image_raw", "sensor_msgs/Image")
     (colours,) = probe.take("/camera/rgb/image_raw")
     (depth,) = probe.take("/camera/depth/image_raw")
     assert (colours["encoding"], colours["height"], colours["width"], colours["step"]) == ("rgb8", 240, 320, 960)
@@ -155,11 +155,11 @@ import sys, threading
 from tb2rl.deploy.ros.messages import Odometry
 from tb2rl.deploy.ros.node import create_node
 
-node, heard, again = create_node(int(sys.argv[1]), "listener"), [], threading.Event()
+node, received, again = create_node(int(sys.argv[1]), "listener"), [], threading.Event()
 
 def hear(odometry):
-    heard.append(odometry)
-    if len(heard) == 1:
+    received.append(odometry)
+    if len(received) == 1:
         raise OverflowError("a number is too large")
     again.set()
 
@@ -181,13 +181,13 @@ def test_ros1_has_transforms_bumper_events_and_a_parameter_for_simulated_time(pr
     if graph.version == 2:
         pytest.skip("tf2_msgs and kobuki_ros_interfaces are on robots alone, and each node has its own use_sim_time")
     assert probe.ask("parameter", name="/use_sim_time") is True
-    probe.listen("/tf", "tf2_msgs/TFMessage")
+    probe.subscribe("/tf", "tf2_msgs/TFMessage")
     (message,) = probe.take("/tf")
     frames = {each["child_frame_id"]: each["header"]["frame_id"] for each in message["transforms"]}
     assert frames["base_footprint"] == "odom"
     assert frames["laser_link"] == frames["camera_rgb_optical_frame"] == "base_footprint"
     where = message["transforms"][0]["transform"]["translation"]
     assert (where["x"], where["y"]) == pytest.approx(START[:2], abs=0.01)
-    probe.listen("/mobile_base/events/bumper", "kobuki_msgs/BumperEvent")
-    event = probe.ask("drive_until", topic="/cmd_vel", linear=0.6, angular=0.0, heard="/mobile_base/events/bumper")
+    probe.subscribe("/mobile_base/events/bumper", "kobuki_msgs/BumperEvent")
+    event = probe.ask("drive_until", topic="/cmd_vel", linear=0.6, angular=0.0, receives="/mobile_base/events/bumper")
     assert event == {"bumper": 1, "state": 1}

@@ -23,7 +23,7 @@ def test_in_lockstep_a_drive_is_the_environments_to_the_bit_and_a_signal_ends_it
         env.step(0 if w == 0.0 else 1 if w > 0.0 else 2)
         expected.append(env.unwrapped.robot_state.ranges[0])
     with graph.start("simulate", *options, "--set", "task.start=random") as simulated, graph.probe() as probe:
-        probe.listen(SCAN, SCANS)
+        probe.subscribe(SCAN, SCANS)
         scans = probe.ask("answer", topic="/cmd_vel", scans=SCAN, commands=commands)
         status = simulated.stop({1: signal.SIGINT, 2: signal.SIGTERM}[graph.version])
         assert (status, simulated.errors) == (0, [])
