@@ -10,7 +10,6 @@ from tb2rl.commands.policy import chosen_policy, chosen_time_limit
 from tb2rl.commands.robot import chosen_robot
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
-from tb2rl.core.files import write_text
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS

@@ -8,11 +8,7 @@ from tb2rl.robots.robot import Robot, check_robot
 
 
 def find_robot(name: str) -> Robot:
-    """The robot of a name, or of "module:ROBOT".
-
-    Raises:
-        InputError: If there is none (the message lists the known ones), or its parameters are impossible.
-    """
+    """The robot of a name, or of "module:ROBOT"."""
     found = find_plugin("robot", name)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")

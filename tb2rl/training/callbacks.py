@@ -91,7 +91,7 @@ class EvaluationCallback(StatefulCallback):
         if summary["best"]:
             self._best = score
             self.run.save(self.model, "best/policy")
-        self.run.note_evaluation(summary)
+        self.run.append_evaluation(summary)
         self._log(evaluation, summary)
         if self._on_evaluation:
             self._on_evaluation(evaluation)

@@ -23,7 +23,7 @@ from stable_baselines3.common.logger import Image, KVWriter, Logger
 from tb2rl.core.errors import InputError, UnwritableError, install_extra, one_line, unknown
 from tb2rl.core.files import read_text, write_text
 from tb2rl.core.plugins import import_object
-from tb2rl.runs.folder import imports_limited
+from tb2rl.runs.folder import restrict_imports
 from tb2rl.training.callbacks import StopOnSignal
 
 TRACKERS = {"mlflow": "tb2rl.training.mlflow_tracker:Mlflow", "wandb": "tb2rl.training.wandb_tracker:Wandb"}
@@ -147,7 +147,7 @@ def find_trackers(names: Sequence[str], folder: Path | None = None) -> list[type
     Raises:
         InputError: If there is no such tracker, or its library is not installed.
     """
-    with imports_limited(folder, trust=False):
+    with restrict_imports(folder, trust=False):
         return [_find_tracker(name) for name in names]
 
 

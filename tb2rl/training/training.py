@@ -200,7 +200,7 @@ class Trainer:
             callbacks = TrainingCallbacks(run, evaluator, self.on_evaluation, self.verbose)
             if self.checkpoint:
                 self._restore(self.checkpoint, algorithm, callbacks)
-                run.forget_evaluations(after=algorithm.num_timesteps)
+                run.drop_evaluations(after=algorithm.num_timesteps)
                 run.write_config()
             resources.enter_context(self._logging(algorithm, trackers, callbacks.stop))
             refused.pop_all()

@@ -16,8 +16,8 @@ from tb2rl.core.files import replacing
 from tb2rl.deploy.ros.robot import RosRobot, ros_robot
 from tb2rl.envs.scene import Scene
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
-from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.evaluation.moments import LARGEST_SEED, Moment, Policy, roll_out, time_limit
+from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.evaluation.spaces import check_observes
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load

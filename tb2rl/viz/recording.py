@@ -9,8 +9,8 @@ from typing import Any
 
 from tb2rl.deploy.bags.recorded import RecordedEnv
 from tb2rl.deploy.bags.recorder import check_bag, open_bag
-from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.evaluation.moments import Policy, time_limit
+from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.runs.config import Config
 from tb2rl.simulation import default_simulator
 from tb2rl.viz.film import STEPS, Listener, check_numbers, drives, open_scene

@@ -11,10 +11,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 from tb2rl.core.errors import InputError
-from tb2rl.core.values import build
-from tb2rl.deploy import Limits, Mounting, Needs
 from tb2rl.core.values import Positive, build, checked
-from tb2rl.deploy import Limits, Mounting
+from tb2rl.deploy import Limits, Mounting, Needs
 from tb2rl.deploy.ros.node import create_node
 from tb2rl.deploy.ros.remote import RemoteRobot
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics

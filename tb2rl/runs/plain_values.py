@@ -1,4 +1,4 @@
-"""Plain values: the only ones that the config of a run can hold."""
+"""Plain values (numbers, text, lists, mappings), the only ones that the config of a run holds."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _LARGEST = 1e12  # of any number
 
 
 def check_sections(tree: Any, where: str) -> dict[str, Any]:
-    """The tree as a dictionary of its sections.
+    """The tree as a dictionary of sections.
 
     Raises:
-        InputError: For another section than `SECTIONS`, or one that is not a mapping.
+        InputError: If a section is not one of `SECTIONS` or not a mapping.
     """
     if not isinstance(tree, Mapping):
         raise InputError(f"{where}: expected the sections agent, task and train, got {tree!r}")
@@ -28,15 +28,15 @@ def check_sections(tree: Any, where: str) -> dict[str, Any]:
 
 
 def check_plain(value: Any, where: str) -> None:
-    """Refuse what the config of a run cannot hold, or no computation survives.
+    """Check that a tree can be kept in the config of a run and computed with.
 
     Args:
         value: Any tree.
-        where: Its dotted key, for the message; "" for a whole config.
+        where: Its dotted key, for messages; "" for a whole config.
 
     Raises:
-        InputError: For a key that is not text, text that cannot be printed, a number that is not finite or is far too
-            large, or a value of any other kind.
+        InputError: For a key that is not text, text that is not printable, a number that is not finite or too large,
+            or a value of any other type.
     """
     if isinstance(value, Mapping | list | tuple):
         for key, part in value.items() if isinstance(value, Mapping) else enumerate(value):
@@ -54,8 +54,8 @@ def check_plain(value: Any, where: str) -> None:
         raise InputError(one_line(f"{where}: expected plain numbers, text, lists and mappings, got {value!r}"))
 
 
-def plain(value: Any) -> Any:
-    """A tree with dictionaries for mappings and lists for sequences, as YAML knows them."""
+def to_plain(value: Any) -> Any:
+    """The tree with dictionaries for mappings and lists for sequences, as YAML and JSON read them."""
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
-    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+        return {key: to_plain(item) for key, item in value.items()}
+    return [to_plain(item) for item in value] if isinstance(value, list | tuple) else value
