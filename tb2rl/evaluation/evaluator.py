@@ -93,7 +93,8 @@ class Evaluator:
         numbers = range(first, len(self.initial_states))
         executor = executor or self._executor
         if executor is None:
-            yield from _in_order(self._loops.drive(policy, self._starts(numbers)))
+            starts = self._starts(numbers)
+            yield from _in_order(self._loops.drive(policy, starts), starts)
             return
         size = min(_SLOTS, max(1, len(numbers) // (2 * executor.num_workers)))
         parts = [self._starts(numbers[i : i + size]) for i in range(0, len(numbers), size)]
@@ -179,12 +180,14 @@ class _Loops:
 
 def _drive(loops: _Loops, policy: Policy, starts: Sequence[EpisodeStart]) -> list[Episode]:
     """A part of an evaluation in a worker process, whose loops stay open."""
-    return list(_in_order(loops.drive(policy, starts)))
+    return list(_in_order(loops.drive(policy, starts), starts))
 
 
-def _in_order(numbered: Iterator[tuple[int, Episode]]) -> Iterator[Episode]:
-    """Episodes by their numbers, each when all before it are known."""
-    waiting: dict[int, Episode] = {}
-    for number, episode in numbered:
-        waiting[number] = episode
-    yield from (waiting[number] for number in sorted(waiting))
+def _in_order(numbered: Iterator[tuple[int, Episode]], starts: Sequence[EpisodeStart]) -> Iterator[Episode]:
+    """Episodes in the order of their starts, each as soon as it and all before it are known."""
+    known: dict[int, Episode] = {}
+    for start in starts:
+        while start.number not in known:
+            number, episode = next(numbered)
+            known[number] = episode
+        yield known.pop(start.number)
