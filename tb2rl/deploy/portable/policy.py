@@ -38,7 +38,7 @@ class ExportedPolicy:
             self.about = json.loads((Path(folder) / "policy.json").read_text(encoding="utf-8"))
             if self.about["format"] != POLICY_FORMAT:
                 raise ValueError(f"format {self.about['format']}; this program reads {POLICY_FORMAT}")
-            with np.load(str(Path(folder) / "weights.npz"), allow_pickle=False) as arrays:
+            with (Path(folder) / "weights.npz").open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 weights = {name: arrays[name] for name in arrays.files}
             self.needs = Needs(**{**self.about["needs"], "beams": np.array(self.about["needs"]["beams"])})
             self.filters = [_filter(entry) for entry in self.about.get("filters", ())]
