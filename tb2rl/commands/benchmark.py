@@ -23,7 +23,7 @@ from tb2rl.core.errors import InputError, unknown
 from tb2rl.core.plugins import agent_names
 from tb2rl.core.processes import processors
 from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluator import PASSED, evaluate
+from tb2rl.evaluation.evaluator import PASSED
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load

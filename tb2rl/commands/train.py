@@ -12,7 +12,7 @@ from tb2rl.commands.seeds import print_training, train_seeds
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluator import EPISODES, evaluate
+from tb2rl.evaluation.evaluator import EPISODES
 from tb2rl.execution.arguments import make_executor
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
