@@ -32,7 +32,7 @@ def reason(request, tmp_path, monkeypatch):
     """Why PyBullet cannot be imported in this process."""
     (tmp_path / "pybullet.py").write_text(request.param)
     monkeypatch.syspath_prepend(tmp_path)
-    for module in ("pybullet", "tb2rl.simulation.physics"):
+    for module in ("pybullet", "tb2rl.simulation.bullet.client"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     if request.param == MISSING:
         monkeypatch.setitem(sys.modules, "pybullet", None)

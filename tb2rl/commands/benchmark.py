@@ -27,7 +27,7 @@ from tb2rl.evaluation.evaluator import PASSED
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
-from tb2rl.simulation import SIMULATIONS, check_bullet
+from tb2rl.simulation import batch_simulator, default_physics, find_simulator
 from tb2rl.training.training import Training, train_config
 
 _STEPS = 50_000  # at most, of a training in PyBullet whose rate is measured
@@ -36,10 +36,11 @@ _STEPS = 50_000  # at most, of a training in PyBullet whose rate is measured
 def measure_training(options: argparse.Namespace) -> list[Figure]:
     """Training rate of each agent in each simulator."""
     figures = []
-    for simulation in SIMULATIONS:
+    for simulator in (default_physics(), batch_simulator()):
+        simulation = simulator.name
         for agent in learners():
             preset = resolve(agent, settings={"train.simulation": simulation}).train.total_timesteps
-            steps = preset if simulation == "kinematic" else min(preset, _STEPS)
+            steps = min(preset, _STEPS) if simulator.is_physics else preset
             training = _train(agent, simulation, 0, total_timesteps=steps, eval_freq=0, save_freq=0)
             rate = training.timesteps / training.seconds
             figures.append(Figure(f"training, {agent} in {simulation}", rate, "steps/s"))
@@ -117,10 +118,9 @@ def run(options: argparse.Namespace) -> None:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
         if part != "kinematic":
-            check_bullet(f"part {part}")
+            default_physics().check(f"part {part}")
     for simulation in options.simulations:
-        if simulation not in SIMULATIONS:
-            raise unknown("simulation", simulation, SIMULATIONS)
+        find_simulator(simulation).check()
     if not options.seconds > 0 or options.seeds < 1:
         raise InputError(f"--seconds must be above 0 and --seeds at least 1, got {options.seconds}, {options.seeds}")
     check_output(options.json)
