@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.report import main as report
 from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
 from tb2rl.runs.algorithm import make_baseline

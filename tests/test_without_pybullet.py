@@ -13,7 +13,7 @@ import pytest
 import tb2rl
 from tb2rl import benchmark
 from tb2rl.core.errors import InputError
-from tb2rl.simulation import bullet_trouble, judging_simulation
+from tb2rl.simulation import bullet_trouble, default_simulator
 from tb2rl.viz.film import film
 from tb2rl.viz.window import Window
 from tb2rl.zoo import __main__ as zoo
@@ -36,10 +36,10 @@ def reason(request, tmp_path, monkeypatch):
         monkeypatch.delitem(sys.modules, module, raising=False)
     if request.param == MISSING:
         monkeypatch.setitem(sys.modules, "pybullet", None)
-    for cached in (bullet_trouble, judging_simulation):
+    for cached in (bullet_trouble, default_simulator):
         cached.cache_clear()
     yield REASONS[request.param]
-    for cached in (bullet_trouble, judging_simulation):
+    for cached in (bullet_trouble, default_simulator):
         cached.cache_clear()
 
 

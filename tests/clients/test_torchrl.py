@@ -3,14 +3,12 @@
 import pytest
 import torch as th
 
-from tb2rl.simulation import SIMULATIONS
-
 pytest.importorskip("torchrl", reason="torchrl is not installed")
 envs = pytest.importorskip("torchrl.envs")
 utils = pytest.importorskip("torchrl.envs.utils")
 
 
-@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
 @pytest.mark.parametrize("env_id", ["tb2rl:TurtleBot2Maze-v0", "tb2rl:TurtleBot2MazeRaw-v0"])
 def test_the_checker_finds_nothing_and_a_rollout_is_seeded(env_id, simulation):
     env = envs.GymEnv(env_id, simulation=simulation)

@@ -8,13 +8,11 @@ from gymnasium import spaces
 from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import vector
 
-from tb2rl.simulation import SIMULATIONS
-
 RAW = "tb2rl:TurtleBot2MazeRaw-v0"
 ROBOTS = 3
 
 
-@pytest.fixture(params=SIMULATIONS)
+@pytest.fixture(params=("bullet", "kinematic"))
 def make(request):
     """`gymnasium.make_vec` for some robots; closed after the test."""
     made = []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tb2rl.deploy import Command, Driver, Mounting, Needs, Scan
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many
 

@@ -13,9 +13,9 @@ import pytest
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, simulate
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.obstacles.motion import NEXT, SPEED, STRIDE
 from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y
 from tb2rl.simulation.spec import OBSTACLE_SEED
-from tb2rl.simulation.obstacles.motion import NEXT, SPEED, STRIDE
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 from tb2rl.worlds.world import World
 

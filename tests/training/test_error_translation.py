@@ -67,7 +67,7 @@ def test_too_little_memory_is_named(small, tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("tb2rl.envs.vec_env.BatchVecEnv.step_wait", full)
+    monkeypatch.setattr("tb2rl.envs.vec_env.TurtleBot2VecEnv.step_wait", full)
     with pytest.raises(InputError, match=r"not enough memory: .*train\.n_envs"):
         train_config(small(), tmp_path / "run")
 

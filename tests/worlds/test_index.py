@@ -8,9 +8,8 @@ import pytest
 
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many, clearance_one
-from tb2rl.worlds.index import COLUMNS, FEW, ROWS, index_of, join
-from tb2rl.worlds.registry import find_world, world_names
 from tb2rl.worlds.index import COLUMNS, GRID_ABOVE, ROWS, index_of, join
+from tb2rl.worlds.registry import find_world, world_names
 
 BEAMS = np.cos(np.linspace(-3, 3, 60)), np.sin(np.linspace(-3, 3, 60))
 

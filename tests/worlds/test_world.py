@@ -10,7 +10,6 @@ from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
 from tb2rl.worlds.registry import find_world, world_names
-from tb2rl.worlds.world import box_shapes, post_shapes
 from tb2rl.worlds.world import box_polygons, post_polygons
 
 START = (0.0, 0.0, 0.0)

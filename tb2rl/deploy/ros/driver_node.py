@@ -22,8 +22,9 @@ from tb2rl.deploy.portable.driver import DRIVING, DRY_RUN, REACHED
 from tb2rl.deploy.portable.policy_contract import are_usable
 from tb2rl.deploy.portable.preflight import STALE
 from tb2rl.deploy.portable.termination import termination_signals
+from tb2rl.deploy.ros.connection import create_node
 from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Diagnostics, Goal, LaserScan, Odometry, Plan, Twist
-from tb2rl.deploy.ros.node import TRIGGER, Node, NullPublisher, create_node
+from tb2rl.deploy.ros.node import TRIGGER, Node, NullPublisher
 from tb2rl.deploy.ros.robot import parse_limits, parse_mounting
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics, parse_topics
 from tb2rl.deploy.ros.wall_clock import WallClock

@@ -13,8 +13,9 @@ from annotated_types import Ge, Le, Lt
 
 from tb2rl.core.values import CountOrZero, NonNegative, Positive, checked
 from tb2rl.deploy.portable.termination import termination_signals
+from tb2rl.deploy.ros.connection import create_node
 from tb2rl.deploy.ros.messages import BumperEvent, Clock, Image, LaserScan, Odometry, Transforms, Twist
-from tb2rl.deploy.ros.node import EMPTY, SET_PHYSICS, Node, NullPublisher, create_node
+from tb2rl.deploy.ros.node import EMPTY, SET_PHYSICS, Node, NullPublisher
 from tb2rl.deploy.ros.simulated_robot import SimulatedRobot
 from tb2rl.deploy.ros.topics import Topics, parse_topics
 from tb2rl.deploy.ros.wall_clock import WallClock

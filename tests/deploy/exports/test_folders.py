@@ -21,7 +21,7 @@ from tb2rl.deploy import SensorData, TrainedPolicy
 from tb2rl.deploy.folder import program
 from tb2rl.deploy.portable.main import main as drive
 from tb2rl.deploy.portable.policy import ExportedPolicy
-from tb2rl.envs.batch import ControlLoop
+from tb2rl.envs.seeded_loop import SeededLoop
 from tb2rl.runs.loading import config_of
 
 NAMES = sorted(entry.parent.name for entry in top_folder("zoo").glob("*/config.yaml"))
@@ -58,9 +58,9 @@ def compare_in_simulation(policy, folder: Path, steps: int) -> None:
     exported, trained = ([kind(of) for _ in range(2)] for kind, of in ((ExportedPolicy, folder), (TrainedPolicy, policy)))
     needs = exported[0].needs
     scene.action_space.seed(0)
-    with closing(ControlLoop(scene, 2)) as loop:
+    with closing(SeededLoop.open(scene, "kinematic", 2)) as loop:
         loop.seed(0)
-        observations, ended = loop.reset(), np.arange(2)
+        observations, ended = loop.reset_all(), np.arange(2)
         for _ in range(steps):
             for index in ended:
                 exported[index].reset(), trained[index].reset()
@@ -73,7 +73,7 @@ def compare_in_simulation(policy, folder: Path, steps: int) -> None:
                     np.testing.assert_allclose(one.act(sensed), expected, rtol=0.0, atol=1e-5)
                 np.testing.assert_array_equal(exported[index].observed[0], observations[index])
                 assert exported[index].observed.dtype == observations[index].dtype
-            step = loop.step(np.stack([scene.action_space.sample() for _ in range(2)]))
+            step = loop.step_and_reset(np.stack([scene.action_space.sample() for _ in range(2)]))
             observations = step.observations
             ended = step.finished.indices if step.finished else ()
 
