@@ -72,7 +72,7 @@ class TrainingDiagnostics(StatefulCallback):
             problems["spinning"] = failures < 0.5 and sum(distances) / (sum(lengths) * self.period) < self._slow
             problems["flat"] = failures > 0.5 and self._return_is_flat()
         for problem, present in problems.items():
-            self.logger.record(f"watch/{problem}", float(present))
+            self.logger.record(f"diagnostics/{problem}", float(present))
             if present and not self.warned[problem]:
                 self.warned[problem] = True
                 print(f"warning: after {self.num_timesteps} steps {ADVICE[problem]}", file=sys.stderr, flush=True)

@@ -38,7 +38,7 @@ def rollout(num_envs, steps=300):
 
 
 def test_results_do_not_depend_on_threads(monkeypatch):
-    monkeypatch.setattr("tb2rl.simulation.kinematic.WORTH_THREADS", 0.0)
+    monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.WORTH_THREADS", 0.0)
     monkeypatch.setattr("tb2rl.simulation.threads.THREADS", 1)
     alone = rollout(1000)
     monkeypatch.setattr("tb2rl.simulation.threads.THREADS", 3)

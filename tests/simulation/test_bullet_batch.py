@@ -235,7 +235,7 @@ def test_a_robot_that_cannot_be_loaded_leaves_no_process(tmp_path):
 
 def test_an_error_in_another_process_where_it_opens_its_worlds_arrives(monkeypatch):
     before = set(multiprocessing.active_children())
-    monkeypatch.setattr("tb2rl.simulation.bullet_batch.cloudpickle.dumps", lambda _: b"no setup")
+    monkeypatch.setattr("tb2rl.simulation.bullet.batch.cloudpickle.dumps", lambda _: b"no setup")
     with pytest.raises(pickle.UnpicklingError):
         BulletBatch(SETUP, 2, 2)
     assert set(multiprocessing.active_children()) <= before
@@ -252,5 +252,5 @@ def test_threads_drive_batches_of_their_own(make):
 def test_processes_that_start_anew_serve_as_well(make, monkeypatch):
     here = drive(make(SETUP, 4, 2))
     spawn = multiprocessing.get_context("spawn")
-    monkeypatch.setattr("tb2rl.simulation.bullet_batch.process_context", lambda: spawn)
+    monkeypatch.setattr("tb2rl.simulation.bullet.batch.process_context", lambda: spawn)
     np.testing.assert_equal(drive(make(SETUP, 4, 2)), here)

@@ -388,7 +388,7 @@ def test_threads_and_the_number_of_robots_change_nothing(make_setup, monkeypatch
     start, told = begin(spec, rng, 64), rng.uniform((-0.1, -1), (0.6, 1), (10, 64, 2))
     ends = []
     for worth, robots in ((0.0, 64), (1e9, 64), (1e9, 7)):
-        monkeypatch.setattr("tb2rl.simulation.kinematic.WORTH_THREADS", worth)
+        monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.WORTH_THREADS", worth)
         monkeypatch.setattr("tb2rl.simulation.kinematic.WAKING", 0.0)
         twin = KinematicSimulator(spec, robots)
         twin.reset(InitialState(start.table[:robots].copy()), np.random.default_rng(0))

@@ -237,12 +237,6 @@ def test_the_command_line_names_trackers(seeds, tmp_path, monkeypatch):
         assert (begun["begun"], last) == (f"maze/qlearn/{name}", {"ended": "finished"})
 
 
-def test_one_name_stands_for_a_list_and_none_comes_twice(small):
-    assert small(settings={"train.track": "wandb"}).train.track == ("wandb",)
-    with pytest.raises(InputError, match=r"train\.track: must be different names"):
-        small(track=["wandb", "wandb"])
-
-
 def test_a_run_is_called_by_its_path_in_runs_or_by_what_it_is(small, tmp_path):
     config = small("dqn", "my_tasks:Pictured")
     assert run_name(config.task_name, config.agent_name, tmp_path / "elsewhere") == "Pictured/dqn/elsewhere"

@@ -179,18 +179,6 @@ def test_an_existing_folder_is_left_alone(small, tmp_path):
     assert {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()} == before
 
 
-@pytest.mark.parametrize(("agent", "simulation"), list(zip(["qlearn", "ppo"], ("bullet", "kinematic"), strict=True)))
-def test_a_turtlebot3_is_trained_and_evaluated(agent, simulation, tmp_path):
-    own = {"agent.n_steps": 64, "agent.batch_size": 64} if agent == "ppo" else {}
-    settings = {"task.robot": "turtlebot3", "task.start": "fixed", **own}
-    policy = train(agent, settings=settings, folder=tmp_path / "run", **{**BARE, "simulation": simulation})
-    env = make_env(load(tmp_path / "run"))
-    assert (env.scene.robot.name, env.scene.task.control_period) == ("turtlebot3", 0.4)
-    env.close()
-    evaluation = evaluate(policy, episodes=1, steps=5, workers=1)
-    assert 0.0 < evaluation.summary()["mean_speed"] <= evaluation.scene.actions.max_speed == 0.22
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("agent", LEARNERS)
 def test_an_agent_learns_to_drive(agent, tmp_path):
