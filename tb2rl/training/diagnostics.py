@@ -96,7 +96,10 @@ class TrainingDiagnostics(StatefulCallback):
         return self._largest_value() > _DIVERGED * self._largest_reward / (1.0 - gamma)
 
     def _largest_value(self) -> float:
-        """The largest value that the policy predicts now; 0 if it has no value function."""
+        """The largest value that the policy predicts now; 0 if it has no value function.
+
+        Stable-Baselines3 keeps the last observations and LSTM states in private attributes only.
+        """
         model: Any = self.model
         policy = model.policy
         if hasattr(policy, "q"):

@@ -18,7 +18,7 @@ from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.folder import Run
 
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
-_WRITER = "_AsyncWriterThread"  # of tensorboard.summary.writer.event_file_writer
+_WRITER = "_AsyncWriterThread"  # of tensorboard.summary.writer.event_file_writer; nothing public tells it from others
 _LIBRARIES = {"stable_baselines3", "sb3_contrib", "torch", "numpy"}
 
 

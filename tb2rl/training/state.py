@@ -1,6 +1,7 @@
 """Capture and restore the state of a training, so that a resumed one continues bit by bit.
 
 A state is captured where a rollout starts: there an on-policy buffer is empty, and all collected data is learned.
+Stable-Baselines3 has no public access to the state of a learner, so this module uses its private attributes.
 """
 
 from __future__ import annotations
