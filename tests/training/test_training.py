@@ -130,7 +130,7 @@ def test_the_environment_of_a_policy_is_that_of_its_training(trained):
 
 
 @pytest.mark.parametrize("trained", ["qlearn", "ppo"], indirect=True)
-def test_tensorboard_shows_scalars_paths_and_hyperparameters(trained, scalars, evaluations):
+def test_tensorboard_shows_scalars_and_paths(trained, scalars, evaluations):
     run = Run.open(trained.folder)
     events = EventAccumulator(str(run.folder / "tensorboard")).Reload()
     wanted = {"rollout/failure_rate", "rollout/distance_mean"}
@@ -139,9 +139,6 @@ def test_tensorboard_shows_scalars_paths_and_hyperparameters(trained, scalars, e
     shown = dict(scalars(run, "eval/mean_return"))
     assert shown == {line["timesteps"]: pytest.approx(line["mean_return"]) for line in evaluations(run)}
     assert events.Tags()["images"] == ["eval/paths"]
-    hyperparameters = events.PluginTagToContent("hparams")["_hparams_/session_start_info"]
-    assert b"agent.name" in hyperparameters
-    assert run.config.agent_name.encode() in hyperparameters
 
 
 def test_a_task_may_be_given_as_its_class(tmp_path):
