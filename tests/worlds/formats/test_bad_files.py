@@ -67,7 +67,10 @@ BAD = {
     "zero-box": (solid(shape="<box><size>1 0 1</size></box>"), "above 0"),
     "no-size": (solid(shape="<box/>"), "no <size>"),
     "zero-scale": (solid(shape="<mesh><uri>model://mesh/mesh.stl</uri><scale>0 1 1</scale></mesh>"), "above 0"),
-    "zero-state": (world("<state><model name='m'><scale>0 1 1</scale></model></state>" + SOLID.format(pose="", shape=BOX)), "above 0"),
+    "zero-state": (
+        world(SOLID.format(pose="", shape=BOX) + "<state><model name='m'><scale>0 1 1</scale></model></state>"),
+        "above 0",
+    ),
     "line": (solid(shape=polyline((0, 0), (1, 1))), "three"),
     "crossing-line": (solid(shape=polyline((0, 0), (1, 1), (1, 0), (0, 1))), "crosses nothing"),
     "crossing-lines": (solid(shape=TRIANGLE + polyline((1, 0), (3, 0), (2, 2))), "must not touch or cross"),
