@@ -26,7 +26,7 @@ def test_a_mapping_means_one_group_and_a_list_several():
     ("setting", "message"),
     [
         ({}, "x: must say how many people, posts or boxes"),
-        ("people", "x: must say how many of what, such as {people: 4}"),
+        ("people", "x: must be a group such as {people: 4}, or a list"),
         ({"peeple": 4}, "unknown key of x 'peeple'; did you mean 'people'"),
         ({"people": 1.5}, "x.people: "),
         ([{"posts": 30}, {"people": 30}], "x: must be at most 50 dynamic obstacles, got 60"),

@@ -115,8 +115,8 @@ def test_worlds_of_barn_have_its_rules_and_its_reference_paths(tmp_path):
         assert (world.start, world.goal[:2]) == ((-2.25, 3.0, 1.57), (-2.25, 13.0))
         assert shapely.box(*world.bounds).covers(shapely.Point(*world.goal[:2]).buffer(1.5))
         assert shapely.box(*world.bounds).covers(shapely.Point(*world.start[:2]).buffer(1.5))
-    way = [(-2.25, 3.0), (-2.325, 5.175), (-2.325, 9.525), (-2.25, 13.0)]
-    assert suite.references[0] == pytest.approx(sum(math.dist(*pair) for pair in pairwise(way)))
+    path = [(-2.25, 3.0), (-2.325, 5.175), (-2.325, 9.525), (-2.25, 13.0)]
+    assert suite.references[0] == pytest.approx(sum(math.dist(*pair) for pair in pairwise(path)))
     assert suite.path_lengths[1] == pytest.approx(10.0, abs=0.15)
     assert suite.path_lengths[0] > suite.path_lengths[1], "round a post"
 
@@ -166,9 +166,9 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize(("arrays", "said"), BAD.values(), ids=list(BAD))
-def test_files_that_are_none_are_refused_in_a_line(arrays, said, tmp_path):
-    with pytest.raises(InputError, match=said) as refused:
+@pytest.mark.parametrize(("arrays", "message"), BAD.values(), ids=list(BAD))
+def test_a_bad_archive_is_refused_in_one_line(arrays, message, tmp_path):
+    with pytest.raises(InputError, match=message) as refused:
         barn(saved(tmp_path, **arrays))
     assert "\n" not in str(refused.value)
 

@@ -28,12 +28,12 @@ START = (0.0, 0.0, 0.0)
 def read(write, tmp_path):
     """A function that reads a map from the values of its pixels, the top row first."""
 
-    def read_map(pixels, picture="map.pgm", settings="", start=START, **said):
+    def read_map(pixels, picture="map.pgm", settings="", start=START, **options):
         Image.fromarray(np.array(pixels, dtype=np.uint8)).save(tmp_path / picture)
         text = f"image: {picture}\n{settings}"
         return read_world(
             write("map.yaml", text if "resolution" in text else f"resolution: 1.0\n{text}"),
-            options=ImportOptions(start=start, **said),
+            options=ImportOptions(start=start, **options),
         )
 
     return read_map
@@ -193,10 +193,10 @@ def test_a_map_of_too_many_cells_is_not_written(resolution, tmp_path):
 def test_start_and_goal_stand_in_the_file_or_beside_it(read):
     pixels = np.full((20, 20), 254)
     pixels[0, 0] = 0
-    said = "start: [3, 4, 0.5]\ngoal: [9, 9]\n"
-    of_file = read(pixels, settings=said, start=None)
+    text = "start: [3, 4, 0.5]\ngoal: [9, 9]\n"
+    of_file = read(pixels, settings=text, start=None)
     assert (of_file.start, of_file.goal) == ((3, 4, 0.5), (9, 9, 0))
-    beside = read(pixels, settings=said, start=(5, 5, 0), goal=(8, 8, 0))
+    beside = read(pixels, settings=text, start=(5, 5, 0), goal=(8, 8, 0))
     assert (beside.start, beside.goal) == ((5, 5, 0), (8, 8, 0))
 
 

@@ -141,13 +141,13 @@ def test_an_included_model_is_found_in_each_place(place, read, write, sdf, tmp_p
     write(f"{folder}/pole/model.sdf", f"<sdf version='1.6'>{sdf.solid(sdf.cylinder(), '1 0 0 0 0 0', 'pole')}</sdf>")
     if place == "variable":
         monkeypatch.setenv("GAZEBO_MODEL_PATH", f"/nowhere:{tmp_path / folder}")
-    said = {"model_path": (str(tmp_path / folder),)} if place == "setting" else {}
+    options = {"model_path": (str(tmp_path / folder),)} if place == "setting" else {}
     includes = (
         "<include><uri>model://pole</uri></include>"
         "<include><uri>model://pole</uri><name>second</name><pose>5 6 0 0 0 0</pose></include>"
         + state("<model name='second'><pose>7 7 0 0 0 0</pose></model>")
     )
-    world, warned = read(includes, name="worlds/mine.world", **said)
+    world, warned = read(includes, name="worlds/mine.world", **options)
     assert posts(world) == [(1, 0, 0.2), (7, 7, 0.2)]
     assert warned == []
 
