@@ -70,8 +70,6 @@ def find_dynamic_obstacles(setting: Any, where: str) -> tuple[DynamicObstacles, 
     if setting is None:
         return ()
     entries = setting if isinstance(setting, list | tuple) else [setting]
-    if len(entries) > MOST:
-        raise InputError(f"{where}: must be at most {MOST} entries, got {len(entries)}")
     groups = [_group(entry, where) for entry in entries]
     check_number(groups, where)
     return tuple(groups)

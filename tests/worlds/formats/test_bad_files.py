@@ -74,7 +74,6 @@ BAD = {
     "line": (solid(shape=polyline((0, 0), (1, 1))), "three"),
     "crossing-line": (solid(shape=polyline((0, 0), (1, 1), (1, 0), (0, 1))), "crosses nothing"),
     "crossing-lines": (solid(shape=TRIANGLE + polyline((1, 0), (3, 0), (2, 2))), "must not touch or cross"),
-    "many-lines": (solid(shape=200 * TRIANGLE), "more than 100 <polyline>"),
     "frames": (world("<frame name='f0'><pose relative_to='f0'>1 0 0 0 0 0</pose></frame>" + frames(0)), "itself"),
     "frame-chain": (world(frames(600)), "more than 100 frames"),
     "overlapping": (
