@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -33,7 +30,7 @@ def bits(worlds):
 # ---- every family
 
 
-@pytest.mark.parametrize(("difficulty", "size"), [(0.5, [8, 8]), (1.0, [8, 8]), (0.0, [4, 4]), (1.0, [12, 6])])
+@pytest.mark.parametrize(("difficulty", "size"), [(0.5, [10, 6]), (1.0, [6, 6]), (0.0, [4, 4])])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_robot_gets_from_the_start_to_a_third_of_the_enclosed_floor_and_to_the_goal(name, difficulty, size):
     for world in made(name, difficulty=difficulty, size=size, seed=7, worlds=1):
@@ -101,18 +98,11 @@ def test_mixed_are_all_families_in_equal_shares():
 # ---- seeds
 
 
-def test_a_world_follows_from_its_purpose_seed_and_number_alone_in_every_process():
-    worlds = made("mixed", "test", seed=3)
-    assert bits(worlds)[:5] == bits(made("mixed", "test", worlds=5, seed=3))
-    code = (
-        "import hashlib, numpy as np; np.random.seed(5); np.random.random(9)\n"
-        "from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate\n"
-        "worlds = generate(GeneratorSettings('mixed', worlds=10, seed=3), GENERATORS['mixed'], 'test')\n"
-        "print(hashlib.sha256(b''.join(w.boxes.tobytes() + w.posts.tobytes() for w in worlds)).hexdigest())\n"
-    )
-    here = b"".join(w.boxes.tobytes() + w.posts.tobytes() for w in worlds)
-    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert there.stdout.strip() == hashlib.sha256(here).hexdigest()
+def test_a_world_follows_from_its_purpose_seed_and_number_alone():
+    """Not from the process either: `test_suites` compares the first worlds of a suite to the bit."""
+    worlds = bits(made("mixed", seed=3))
+    assert worlds == bits(made("mixed", seed=3))
+    assert worlds[:5] == bits(made("mixed", worlds=5, seed=3))
 
 
 @pytest.mark.parametrize("name", NAMES)
