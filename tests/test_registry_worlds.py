@@ -8,7 +8,6 @@ import pytest
 
 from tb2rl import load, make_env
 from tb2rl.core.errors import InputError
-from tb2rl.core.files import is_path
 from tb2rl.envs.worlds import absolute_worlds
 from tb2rl.runs.loading import config_of
 from tb2rl.worlds.registry import find_world, world_names
@@ -79,11 +78,6 @@ def test_a_file_or_folder_of_the_same_name_does_not_replace_a_built_in_world(mak
     make(Path("loop"))
     assert absolute_worlds("loop") == "loop"
     assert config_of(load("zoo:maze-loop-qlearn")).task.world == "loop"
-
-
-@pytest.mark.parametrize(("name", "is_one"), [("loop", False), ("loop.csv", True), ("maps/loop", True)])
-def test_a_name_with_an_ending_or_a_folder_is_a_path(name, is_one):
-    assert is_path(name) == is_one
 
 
 @pytest.mark.parametrize("name", ["mine.txt", "mine.yaml"])

@@ -68,11 +68,6 @@ def test_a_beam_parallel_to_a_side_hits_or_misses(y, expected):
         assert look((4.0, y, math.pi), [AHEAD, BEHIND], obstacles)[0] == pytest.approx([expected, np.inf])
 
 
-@pytest.mark.parametrize("obstacle", [{"boxes": [box(0.2, 0.1, 1, 1, 0.3)]}, {"posts": [(0.2, 0.1, 0.5)]}])
-def test_inside_an_obstacle_every_range_is_zero(obstacle):
-    assert (look_from_origin(np.linspace(-3, 3, 60), **obstacle) == 0).all()
-
-
 def test_each_robot_sees_the_nearest_of_all_obstacles():
     boxes = [box(2, 0, 2, 0.2, 0.6), box(2, 1, 2, 0.2, -0.6), box(-1, 0, 1, 1, -0.6), box(0, -3, 1, 5)]
     posts, angles = [(0, 2, 0.5), (3, 3, 1)], np.linspace(-math.pi, math.pi, 500)

@@ -26,17 +26,6 @@ def test_a_pose_is_composed_from_model_to_model_to_link_to_collision(read, sdf):
     assert warned == []
 
 
-def test_a_box_keeps_its_size_and_its_yaw(read, sdf):
-    world, _ = read(sdf.solid(sdf.box("4 0.5 2"), "1 2 0.3 0 0 0.4"))
-    x, y, half_length, half_width, cos, sin = world.boxes[0]
-    corners = shapely.affinity.rotate(shapely.box(-2, -0.25, 2, 0.25), 0.4, use_radians=True)
-    expected = shapely.affinity.translate(corners, 1, 2)
-    assert len(world.boxes) == 1
-    assert world.obstacles.symmetric_difference(expected).area < 1e-9
-    assert sorted([half_length, half_width]) == pytest.approx([0.25, 2])
-    assert (x, y, math.hypot(cos, sin)) == pytest.approx((1, 2, 1))
-
-
 @pytest.mark.parametrize(("height", "posts_there"), [(0.25, 1), (0.6, 0)])
 def test_the_height_of_the_laser_says_where_shapes_are_cut(height, posts_there, read, sdf):
     world, warned = read(sdf.solid(sdf.cylinder(length=1.0)), laser_height=height)
@@ -51,17 +40,6 @@ def test_only_what_collides_is_an_obstacle_and_the_ground_is_none(read, sdf):
     visual = f"<visual name='v'><geometry>{sdf.box()}</geometry></visual>"
     world, warned = read(sdf.model(sdf.link(plane + visual)) + sdf.solid(sdf.cylinder()))
     assert (len(world.boxes), len(world.posts), warned) == (0, 1, [])
-
-
-def test_a_polyline_is_its_outline(read):
-    points = "".join(f"<point>{x} {y}</point>" for x, y in ((0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)))
-    shape = f"<polyline>{points}<height>1</height></polyline>"
-    collision = f"<collision name='c'><geometry>{shape}</geometry></collision>"
-    world, _ = read(f"<model name='m'><pose>10 0 0 0 0 1.2</pose><link name='l'>{collision}</link></model>")
-    expected = shapely.Polygon([(0, 0), (4, 0), (4, 1), (1, 1), (1, 3), (0, 3)])
-    expected = shapely.affinity.rotate(expected, 1.2, origin=(0, 0), use_radians=True)
-    expected = shapely.affinity.translate(expected, 10, 0)
-    assert world.obstacles.symmetric_difference(expected).area < 1e-3
 
 
 @pytest.mark.parametrize(("tilt", "scale"), [(0, 1.0), (0.3, 1 / math.cos(0.3))])

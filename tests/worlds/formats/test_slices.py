@@ -82,12 +82,3 @@ def test_an_outline_is_filled_and_nothing_sticks_out(corners):
     assert obstacles(cut).difference(outline.buffer(0.009)).area < 1e-9
     hole = outline.difference(obstacles(cut))
     assert hole.is_empty or max(shapely.maximum_inscribed_circle(part).length for part in shapely.get_parts(hole)) < 0.1
-
-
-def test_a_hole_in_an_outline_stays_free():
-    outline = shapely.Point(0, 0).buffer(2).difference(shapely.Point(0, 0).buffer(1))
-    cut = Slice(0.25)
-    cut.add_outline(outline)
-    assert obstacles(cut).intersection(shapely.Point(0, 0).buffer(0.99)).area < 1e-3
-    assert not obstacles(cut).contains(shapely.Point(0, 0))
-    assert obstacles(cut).contains(shapely.Point(0, 1.5))
