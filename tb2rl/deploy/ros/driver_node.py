@@ -67,13 +67,9 @@ class DriverNode:
     """Runs a driver on a robot of ROS; prints its state and the reason for which it stands.
 
     Args:
-        driver: The driver.
-        needs: Requirements of its policy.
-        node: Our node.
-        topics: Topic names.
+        needs: Requirements of the driver's policy.
         waits: Whether it waits for the service `~/start`; else it starts as soon as the preflight finds no error.
         dry_run: Whether it publishes no commands.
-        wall: Wall-clock time.
     """
 
     def __init__(

@@ -63,13 +63,9 @@ class SimulationServer:
     """Publishes the sensors and the clock of a robot, and executes commands.
 
     Args:
-        robot: The simulated robot.
-        node: Our node.
-        topics: Topic names.
         rate: Simulated seconds per second of wall-clock time; 0: as fast as possible.
         lockstep: Wait for connected programs and, after each scan, for the command that answers it, so many seconds of
             wall-clock time at most. None: the simulation does not wait.
-        wall: Wall-clock time.
     """
 
     def __init__(
