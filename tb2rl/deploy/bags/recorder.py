@@ -31,6 +31,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import replacing
 from tb2rl.deploy.bags.messages import BagMessages, rosbags_library
 from tb2rl.deploy.ros import messages as msg
+from tb2rl.deploy.ros.protocols import OutgoingMessage
 from tb2rl.deploy.ros.topics import TURTLEBOT2, Topics
 from tb2rl.envs.scene import Scene
 from tb2rl.sensors.bumper import bumper_at
@@ -103,7 +104,7 @@ class Recorder:
         """Simulated time [ns]."""
         return round((BEGIN + self._step * self._scene.task.control_period) * msg.BILLION)
 
-    def _write(self, topic: str, message: msg.OutgoingMessage) -> None:
+    def _write(self, topic: str, message: OutgoingMessage) -> None:
         self._write_ros(topic, message.to_ros(self._messages))
 
     def _write_number(self, topic: str, kind: str, number: float) -> None:

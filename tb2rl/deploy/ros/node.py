@@ -12,7 +12,8 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.deploy.ros.messages import OPTIONAL, IncomingMessage, MessageFactory, OutgoingMessage
+from tb2rl.deploy.ros.messages import OPTIONAL
+from tb2rl.deploy.ros.protocols import IncomingMessage, MessageFactory, OutgoingMessage
 
 EMPTY, TRIGGER, SET_PHYSICS = "std_srvs/Empty", "std_srvs/Trigger", "gazebo_msgs/SetPhysicsProperties"  # services
 QUEUE = 10  # messages that wait for a slow subscriber
