@@ -55,7 +55,9 @@ def sensor_data(robot_state, index: int, waypoints=None) -> SensorData:
 def compare_in_simulation(policy, folder: Path, steps: int) -> None:
     """Drive two robots at random; compare observations and commands of the program, of a driver and of the policy."""
     scene = config_of(policy).scene.changed(variation="none")  # without latency
-    exported, trained = ([kind(of) for _ in range(2)] for kind, of in ((ExportedPolicy, folder), (TrainedPolicy, policy)))
+    exported, trained = (
+        [kind(of) for _ in range(2)] for kind, of in ((ExportedPolicy, folder), (TrainedPolicy, policy))
+    )
     needs = exported[0].needs
     scene.action_space.seed(0)
     with closing(SeededLoop.open(scene, "kinematic", 2)) as loop:
@@ -200,7 +202,7 @@ def test_a_filter_of_ones_own_is_packed_into_the_program(alone, robot, tmp_path)
         assert answers[1]["why"] == "driving"
         assert ((answers[1]["v"], answers[1]["w"]) == (0.0, 0.0)) == stands
     (tmp_path / "my_filter.py").write_text(MY_FILTER + "\nclass Driver: pass\n")
-    with pytest.raises(InputError, match="drive.py defines Driver"):
+    with pytest.raises(InputError, match=r"drive\.py defines Driver"):
         program([tmp_path / "my_filter.py"])
 
 
