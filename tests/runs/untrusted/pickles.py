@@ -1,4 +1,4 @@
-"""A pickle in every array's bytes, and in place of every value of the tree, as text or base64."""
+"""A pickle in the bytes of every array, and as text or base64 in place of every value of the tree."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from surgery import (
 
 
 class Payload:
-    """What an attacker hides in a pickle: here it makes a folder."""
+    """Code that an attacker hides in a pickle: it makes a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -34,14 +34,14 @@ class Payload:
 
 def pickles(runs: Path, agent: str, marker: Path) -> Iterator[Case]:
     header, data = split(checkpoint_of(runs, agent).read_bytes())
-    plain = pickle.dumps(Payload(marker), 2)
+    pickled = pickle.dumps(Payload(marker), 2)
     for name, entry in arrays_of(header).items():
         first, last = entry["data_offsets"]
-        inside = data[:first] + plain.ljust(last - first, b".")[: last - first] + data[last:]
+        inside = data[:first] + pickled.ljust(last - first, b".")[: last - first] + data[last:]
         yield Case(f"in array {name}", agent, joined(header, inside), resumes=True)
-        changed = {**header, name: {"dtype": "U8", "shape": [len(plain)], "data_offsets": [len(data), -1]}}
-        yield Case(f"for array {name}", agent, packed(changed, {name: plain}, data), resumes=True)
+        changed = {**header, name: {"dtype": "U8", "shape": [len(pickled)], "data_offsets": [len(data), -1]}}
+        yield Case(f"for array {name}", agent, packed(changed, {name: pickled}, data), resumes=True)
     content = header_content(header)
-    texts = [pickle.dumps(Payload(marker), 0).decode("latin-1"), base64.b64encode(plain).decode()]
+    texts = [pickle.dumps(Payload(marker), 0).decode("latin-1"), base64.b64encode(pickled).decode()]
     for i, path in enumerate(places(content)):
         yield Case(f"at {path}", agent, with_content(header, data, changed_at(content, path, texts[i % 2])), i % 3 == 0)
