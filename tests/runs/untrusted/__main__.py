@@ -2,8 +2,8 @@
 
     python tests/runs/untrusted RUNS FAMILY FIRST WORK LINES
 
-RUNS: a folder with a run of each agent; FAMILY: "pickles AGENT", "damage COUNT", "claims" or "states"; FIRST: number of
-the first case; WORK: a working folder; LINES: gets a line of JSON before and after each case.
+RUNS: a folder with a run of each agent; FAMILY: "damage COUNT" or "states"; FIRST: number of the first case; WORK: a
+working folder; LINES: gets a line of JSON before and after each case.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from claims import claims, states
 from damage import damage
-from pickles import pickles
+from states import states
 from surgery import Case, agents, checkpoint_of
 
 from tb2rl.core.errors import InputError
@@ -47,19 +46,15 @@ def main(runs: str, family: str, first: str, work: str, lines: str) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, resource.RLIM_INFINITY))
     begin = int(first)
     with Path(lines).open("a", buffering=1) as report:
-        for number, case in enumerate(islice(cases(Path(runs), family, folder / "executed"), begin, None), begin):
+        for number, case in enumerate(islice(cases(Path(runs), family), begin, None), begin):
             about = {"number": number, "name": case.name, "agent": case.agent}
             report.write(json.dumps(about) + "\n")
             report.write(json.dumps({**about, **outcome(case, Path(runs), folder)}) + "\n")
 
 
-def cases(runs: Path, family: str, marker: Path) -> Iterator[Case]:
-    name, _, rest = family.partition(" ")
-    if name == "pickles":
-        return pickles(runs, rest, marker)
-    if name == "damage":
-        return damage(runs, int(rest))
-    return claims(runs) if name == "claims" else states(runs)
+def cases(runs: Path, family: str) -> Iterator[Case]:
+    name, _, count = family.partition(" ")
+    return damage(runs, int(count)) if name == "damage" else states(runs)
 
 
 def outcome(case: Case, runs: Path, folder: Path) -> dict[str, Any]:
@@ -74,10 +69,7 @@ def outcome(case: Case, runs: Path, folder: Path) -> dict[str, Any]:
             if hasattr(thread, "stop"):
                 thread.stop()
         shutil.rmtree(run)
-    executed = (folder / "executed").exists()
-    if executed:
-        (folder / "executed").rmdir()
-    return {**found, "executed": executed}
+    return found
 
 
 def attempt(function: Callable[[Path], Any], path: Path) -> dict[str, Any]:

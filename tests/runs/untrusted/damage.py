@@ -59,13 +59,6 @@ def other_length(rng: random.Random, agent: str, files: Files) -> bytes:
     return files[agent][: rng.randrange(len(files[agent]))]
 
 
-def other_header_length(rng: random.Random, agent: str, files: Files) -> bytes:
-    true = int.from_bytes(files[agent][:8], "little")
-    return (
-        rng.choice([0, 1, true - 1, true + 8, 10**8, 2**32, 2**63, 2**64 - 1]).to_bytes(8, "little") + files[agent][8:]
-    )
-
-
 # ---- arrays
 
 
@@ -90,13 +83,6 @@ def empty_array(rng: random.Random, agent: str, files: Files) -> bytes:
     dtype = rng.choice([header[name]["dtype"], "U8", "F64"])
     shape = rng.choice([[0], [0, 3], [8, 0], [0, 2**62, 2**62]])
     return packed({**header, name: {"dtype": dtype, "shape": shape}}, {name: b""}, data)
-
-
-def missing_array(rng: random.Random, agent: str, files: Files) -> bytes:
-    header, data = split(files[agent])
-    name = rng.choice(list(arrays_of(header)))
-    kept = {key: value for key, value in header.items() if key != name}
-    return packed(kept, {}, data) if rng.random() < 0.7 else joined(kept, data)
 
 
 def swapped_arrays(rng: random.Random, agent: str, files: Files) -> bytes:
@@ -175,10 +161,8 @@ DAMAGES: dict[Callable[[random.Random, str, Files], bytes], int] = {  # with wei
     flipped: 4,
     flipped_data: 3,
     other_length: 3,
-    other_header_length: 2,
     other_array_description: 6,
     empty_array: 3,
-    missing_array: 2,
     swapped_arrays: 3,
     parts_of_another_agent: 3,
     replaced_values: 12,

@@ -1,10 +1,9 @@
-"""Values that cost memory or time, or name something to import, open or overwrite: in the config and in the state."""
+"""Values that cost memory or time, and strange arrays, in the state of a training."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +11,6 @@ import numpy as np
 from surgery import Case, agents, at, changed_at, checkpoint_of, header_content, packed, places, split, with_content
 
 NAN = float("nan")
-CLAIMS: dict[str, list[Any]] = {
-    "train.n_envs": [10**6, 10**30],
-    "train.device": ["cuda:99", "meta"],
-    "task.beams": [10**7, 2**63],
-    "task.beam_indices": [[10**12], [0] * 10**6],
-    "task.world": ["", "\0", "/", "/dev/zero", "/etc/passwd", "a/" * 5000, "os:getcwd"],
-    "task.robot": [":", "os:getcwd", "tb2rl.robots:Robot", "x" * 10**6],
-    "task.name": ["os:mkdir", "tb2rl.tasks:Task", "asyncio.windows_events:X"],
-    "agent.name": [
-        "random", "qlearn", "dqn", "ppo", "stable_baselines3:SAC", "::", "os:mkdir", "torch:load", "..:x", "x" * 10**6,
-        "stable_baselines3.common.off_policy_algorithm:OffPolicyAlgorithm", "unittest.__main__:main",
-    ],
-    "agent.buffer_size": [10**9, 0, -1],
-    "agent.n_steps": [10**9, 0, -1],
-    "agent.replay_buffer_class": ["stable_baselines3:HerReplayBuffer", "os:mkdir"],
-    "agent.policy_kwargs": [None, [], {"lr_schedule": 1}],
-    "agent.policy_kwargs.net_arch": [[10**6, 10**6], [2**63], [8] * 10**4, [0], {"pi": [10**6, 10**6], "vf": [8]}],
-    "agent.policy_kwargs.activation_fn": ["torch.nn:Linear", "torch:load"],
-    "agent.policy_kwargs.features_extractor_class": ["torch.nn:Linear", "torch:load"],
-    "agent.policy_kwargs.optimizer_class": ["torch.optim:LBFGS", "torch:load"],
-}  # fmt: skip
 OPTIMIZER = "training/others/policy.optimizer"
 STATES: dict[str, list[Any]] = {
     "timesteps": [-1, 10**30, True, None],
@@ -62,22 +40,6 @@ STATES: dict[str, list[Any]] = {
 }  # fmt: skip
 TYPES = {"F32": "float32", "F64": "float64", "I64": "int64", "U32": "uint32", "U64": "uint64"}
 TYPES |= {"BOOL": "bool", "U8": "uint8"}
-
-
-def claims(runs: Path) -> Iterator[Case]:
-    """Configs with such values, over true arrays."""
-    for agent in agents(runs):
-        header, data = split(checkpoint_of(runs, agent).read_bytes())
-        content = header_content(header)
-        for key, values in CLAIMS.items():
-            for value in values:
-                changed = deepcopy(content)
-                *branch, last = key.split(".")
-                place = changed["config"]
-                for name in branch:
-                    place = place.setdefault(name, {})
-                place[last] = value
-                yield Case(f"{key}={value!r}"[:80], agent, with_content(header, data, changed))
 
 
 def states(runs: Path) -> Iterator[Case]:
