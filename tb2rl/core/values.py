@@ -159,10 +159,10 @@ def checked(kind: Any, value: Any, where: str) -> Any:
         first = next((one for one in found if one["type"] == _UNKNOWN), found[0])
         place = ".".join([where, *map(str, first["loc"])])
         missing = ", ".join(str(one["loc"][-1]) for one in found if one["type"] == "missing")
-        said = first["msg"].removeprefix("Value error, ")
+        problem = first["msg"].removeprefix("Value error, ")
         if missing and first["type"] == _UNKNOWN:
-            said += f" (and {missing} is missing)"
-        raise InputError(one_line(f"{place}: {said}, got {one_line(_shown(first['input']), 200)}")) from None
+            problem += f" (and {missing} is missing)"
+        raise InputError(one_line(f"{place}: {problem}, got {one_line(_shown(first['input']), 200)}")) from None
 
 
 def untyped(cls: type, key: str) -> bool:

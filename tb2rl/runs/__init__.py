@@ -1,5 +1,5 @@
-"""What a training was asked to do, and the folder that keeps everything about it: configs, checkpoints, loading.
+"""Runs: configs, run folders, checkpoints, loading of policies.
 
-Every file name in a run folder stands in `folder.py`, and what others want to keep there they hand over as trees of
-plain values and arrays. Imported from here: environments and what lies below them.
+`folder.py` has every file name of a run folder; other rooms hand over plain values and arrays. Imports environments and
+the rooms below.
 """

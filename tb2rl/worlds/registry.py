@@ -29,7 +29,7 @@ def world_endings() -> list[str]:
     return sorted({*READERS, *_reader_references()})
 
 
-def find_world(reference: str, said: ImportOptions | None = None) -> World:
+def find_world(reference: str, settings: ImportOptions | None = None) -> World:
     """The world of a built-in name, of a file's path, of "module:reader:path" or of "module:WORLD".
 
     A reader is a function from a path to a `World`; WORLD is a `World`, or a function without arguments that makes one.
@@ -38,7 +38,7 @@ def find_world(reference: str, said: ImportOptions | None = None) -> World:
 
     Args:
         reference: What names the world.
-        said: Settings beside a file, such as the start.
+        settings: Settings of a file, such as the start.
 
     Raises:
         InputError: If there is none, or its file does not describe a world.
@@ -46,7 +46,7 @@ def find_world(reference: str, said: ImportOptions | None = None) -> World:
     code = MADE_BY_CODE.fullmatch(reference)
     if code is None:
         path = find_file(reference, _worlds_folder(), "world")
-        found: Any = read_world(path, READERS.get(path.suffix) or _entry_point_reader(reference, path.suffix), said)
+        found: Any = read_world(path, READERS.get(path.suffix) or _entry_point_reader(reference, path.suffix), settings)
     elif code[2] is None:
         found = find_plugin("world", code[1])
         found = found if isinstance(found, World) else _made(code[1])
@@ -56,7 +56,7 @@ def find_world(reference: str, said: ImportOptions | None = None) -> World:
         if not inspect.signature(world_maker(code[1])).parameters:
             raise InputError(one_line(f"world {reference!r}: {code[1]} reads no file; write {code[1]}"))
         reader = world_maker(code[1], "path")
-        found = read_world(Path(code[2]), reader, said)
+        found = read_world(Path(code[2]), reader, settings)
     if not isinstance(found, World):
         raise InputError(one_line(f"world {reference!r} is not a tb2rl.worlds.World but {type(found).__name__}"))
     return found
