@@ -1,12 +1,12 @@
-"""Search for better settings, in the fast twin and then in PyBullet.
+"""Search for better settings with Optuna: trials in the kinematic simulator, the best of them in PyBullet.
 
     python -m tb2rl.tune --agent qlearn --task maze --trials 30
     python -m tb2rl.tune --agent ppo --preset mine.yaml --space my_space.yaml --minutes 60
     python -m tb2rl.tune --agent ppo --task navigate --set task.guide=plan --steps 2000000 --name with-plan
     python -m tb2rl.tune --agent ppo --task navigate --trials 1000 --on ray:10.0.0.1:6379
 
-The study is the folder runs/tune/NAME. The same command goes on with it, and the same command in another terminal works
-at it, too. In the end stand there best.yaml, which `train --preset` takes, and report.html.
+The study is the folder runs/tune/NAME. The same command continues it, also in several terminals at once. Results:
+best.yaml, for `train --preset`, and report.html.
 """
 
 from __future__ import annotations
@@ -23,31 +23,33 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = ArgumentParser(prog="python -m tb2rl.tune", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
     parser.add_argument("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
-    parser.add_argument("--preset", help="that the search begins with: a file of configs, or a path")
+    parser.add_argument("--preset", help="where the search begins: a file of configs, or a path")
     parser.add_argument(
-        "--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="what is not searched"
+        "--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="settings that are fixed"
     )
-    parser.add_argument("--space", metavar="FILE", help="what is searched (default: configs/tuning/AGENT.yaml)")
-    parser.add_argument("--trials", type=int, default=30, help="of the whole study (default: 30)")
-    parser.add_argument("--minutes", type=float, help="time for trials; what still runs then is dropped")
-    parser.add_argument("--seeds", type=int, default=2, help="trainings a trial (default: 2)")
+    parser.add_argument("--space", metavar="FILE", help="the search space (default: configs/tuning/AGENT.yaml)")
+    parser.add_argument("--trials", type=int, default=30, help="trials of the whole study (default: 30)")
+    parser.add_argument("--minutes", type=float, help="time limit of the trials; running ones are dropped")
+    parser.add_argument("--seeds", type=int, default=2, help="trainings of a trial (default: 2)")
     parser.add_argument("--steps", type=int, help="control steps of a training, over all environments")
     parser.add_argument(
-        "--simulation", default="kinematic", help="what to train in: the fast twin (default), or bullet"
+        "--simulation", default="kinematic", help="simulator of the trainings: kinematic (default) or bullet"
     )
-    parser.add_argument("--sampler", default="tpe", help="what proposes settings: tpe (default) or random")
-    parser.add_argument("--pruner", default="median", help="what ends bad trials: median (default), hyperband or none")
-    parser.add_argument("--seed", type=int, default=0, help="of the sampler (default: 0)")
+    parser.add_argument("--sampler", default="tpe", help="Optuna's sampler: tpe (default) or random")
+    parser.add_argument("--pruner", default="median", help="Optuna's pruner: median (default), hyperband or none")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sampler (default: 0)")
     add_executor_arguments(parser)
-    parser.add_argument("--fresh", type=int, default=3, help="seeds to compare best and default by; 0: do not")
-    parser.add_argument("--name", help="of the folder runs/tune/NAME (default: TASK-AGENT)")
-    parser.add_argument("--storage", metavar="URL", help="of a database (default: SQLite, in the folder)")
+    parser.add_argument(
+        "--fresh", type=int, default=3, help="seeds of the comparison of best and default settings; 0: none"
+    )
+    parser.add_argument("--name", help="name of the folder runs/tune/NAME (default: TASK-AGENT)")
+    parser.add_argument("--storage", metavar="URL", help="URL of a database (default: SQLite in the folder)")
     return parser.parse_args(arguments)
 
 
 @command
 def main(arguments: list[str] | None = None) -> None:
-    """Run trials, judge the best, write a preset and a page."""
+    """Run trials, evaluate the best ones, write a preset and a page."""
     options = parse(arguments)
     try:
         from tb2rl.commands.tune import run  # only now: it imports what takes seconds

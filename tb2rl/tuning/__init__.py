@@ -1,5 +1,5 @@
-"""Better settings: trials of settings that Optuna proposes, the best of them judged, and a page that says so.
+"""Hyperparameter search with Optuna: trials of settings, selection of the best ones in PyBullet, and a page.
 
-`study.py` is the place to begin. Imported from here: learning and what lies below it. Nothing but the command `tune`
-imports this room, for it needs Optuna, the extra `tune`.
+`study.py` is the place to begin. This room imports training and what lies below it. Only the command `tune` imports
+this room, because it needs Optuna, the extra `tune`.
 """

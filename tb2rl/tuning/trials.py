@@ -1,236 +1,150 @@
-"""Trials of a study: which one is next, how it is trained with several seeds, and what it scores."""
+"""Trials of a study: this process asks Optuna for settings, workers train with them, and it tells Optuna the result."""
 
 from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 
-from filelock import FileLock, Timeout
-from optuna import Study, Trial, TrialPruned
+from optuna import Study, Trial
+from optuna.exceptions import UpdateFinishedTrialError
+from optuna.storages import fail_stale_trials
 from optuna.trial import FrozenTrial, TrialState
 
-from tb2rl.core.errors import InputError, UnwritableError
-from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.runs.config import Config
-from tb2rl.runs.loading import load
-from tb2rl.training.environments import make_evaluator
-from tb2rl.training.training import train_config
-from tb2rl.tuning.storage import evaluations, sampler
-from tb2rl.tuning.study import Search
+from tb2rl.core.files import read_yaml
+from tb2rl.envs.worlds import worlds_of_files
+from tb2rl.execution.executor import Executor
+from tb2rl.execution.job import Job
+from tb2rl.tuning.storage import Heartbeats, make_sampler
+from tb2rl.tuning.study import DEFAULT, StudyFolder
+from tb2rl.tuning.training import run_trial
 
-SCORE_SEED = 20_200_000  # of the episodes in the twin that score a trial
-_TIE_BREAK = 0.004  # less than the half percent up to which rates count alike
-_AGAIN = 0.5  # [s] between looks at whether the others have ended
-FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
+_KNOWN = 300  # finished trials that the pruner of a trial knows, the latest: half a kilobyte each
+_POLL = 0.5  # [s] between looks at the trials of other processes
+_FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A trial that this process alone runs while it holds the lock."""
-
-    trial: Trial
-    lock: FileLock
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What one training of a trial came to."""
-
-    good_rate: float
-    mean_return: float
-    share: float  # of the control steps that it might have had
-
-
-def run_trials(search: Search, study: Study, wanted: int) -> None:
+def run_trials(
+    folder: StudyFolder, study: Study, wanted: int, executor: Executor, seconds: float | None = None
+) -> bool:
     """Run trials until the study has so many, beside other processes that do the same.
 
+    Args:
+        folder: Of the study.
+        study: The study.
+        wanted: Complete and pruned trials of the study in the end.
+        executor: Runs the trials.
+        seconds: Time limit; None: no limit.
+
+    Returns:
+        Whether the study has so many trials; False if the time was over, and then the running trials failed.
+
     Raises:
-        InputError: If the disk or the database cannot be written. What ended before stays.
+        InputError: If the disk or the database cannot be written, or there are no workers. Finished trials stay.
     """
-    while (claim := next_trial(search, study, wanted)) is not None:
+    deadline = None if seconds is None else time.monotonic() + seconds
+    shared = (worlds_of_files(folder.default.task.world), folder.options, read_yaml(folder.path / DEFAULT))
+    running: dict[str, Trial] = {}
+    with Heartbeats(folder) as heartbeats:
         try:
-            print(_run(search, study, claim.trial), flush=True)
+            while sum(count_trials(study)[name] for name in ("complete", "pruned")) < wanted:
+                left = None if deadline is None else deadline - time.monotonic()
+                if left is not None and left <= 0:
+                    return False
+                jobs = _ask_jobs(folder, study, wanted, heartbeats, running)
+                for job, result in executor.as_completed(run_trial, jobs, shared, left):
+                    print(_tell(folder, study, running[job.name], result), flush=True)
+                    heartbeats.remove(running.pop(job.name).number)
+                time.sleep(_POLL)  # other processes run the remaining trials
+        except TimeoutError:
+            return False
         finally:
-            claim.lock.release()
+            for trial in running.values():
+                study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
+                folder.remove_trial(trial.number)
+    return True
 
 
-def next_trial(search: Search, study: Study, wanted: int, wait: bool = True) -> Claim | None:
-    """Begin a trial, or wait for those that others run: these may be lost.
-
-    None: the study has as many as wanted, or, if this does not `wait`, those that run are the rest.
-    """
-    while True:
-        with search.lock():
-            drop_lost(search, study)
-            trials = study.get_trials(deepcopy=False)
-            finished = sum(trial.state in FINISHED for trial in trials)
-            if finished >= wanted:
-                return None
-            if finished + sum(trial.state is TrialState.RUNNING for trial in trials) < wanted:
-                study.sampler = sampler(search.plan, len(trials))
-                trial = study.ask({key: entry.distribution for key, entry in search.space.items()})
-                lock = search.trial_lock(trial.number)
-                lock.acquire()
-                return Claim(trial, lock)
-        if not wait:
-            return None
-        time.sleep(_AGAIN)
-
-
-def drop_lost(search: Search, study: Study) -> None:
-    """Fail the trials that nobody runs any more; the lock of the study is held meanwhile."""
-    for number in _running(study):
-        try:
-            with search.trial_lock(number):
-                if number in _running(study):  # it may have ended before its lock was free
-                    study.tell(number, state=TrialState.FAIL)
-                    search.forget(number)
-        except Timeout:  # its process lives
+def _ask_jobs(
+    folder: StudyFolder, study: Study, wanted: int, heartbeats: Heartbeats, running: dict[str, Trial]
+) -> Iterator[Job]:
+    """A job for each trial; `running` has the trial by the job's name."""
+    while (trial := ask(folder, study, wanted, heartbeats)) is not None:
+        name = f"trial {trial.number}"
+        running[name] = trial
+        same = _find_same_params(study, trial)
+        if same is not None:
+            study.tell(trial, state=TrialState.PRUNED)
+            heartbeats.remove(running.pop(name).number)
+            print(f"{name}: the same settings as trial {same}", flush=True)
             continue
+        trials = study.get_trials(deepcopy=False)
+        known = [each for each in trials if each.state in _FINISHED][-_KNOWN:]
+        yield Job(name, (study.study_name, known, trials[trial.number]), folder.staging_folder(trial.number))
 
 
-def _running(study: Study) -> list[int]:
-    return [trial.number for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))]
-
-
-def _run(search: Search, study: Study, trial: Trial) -> str:
-    """Run a trial to its end, and say in a line what came out."""
-    started, named = time.monotonic(), f"trial {trial.number}"
-    same = same_settings(study, trial)
-    if same is not None:
-        study.tell(trial, state=TrialState.PRUNED)
-        return f"{named}: the same settings as trial {same}"
-    try:
-        outcomes = train_trial(search, trial)
-    except TrialPruned as reason:
-        study.tell(trial, state=TrialState.PRUNED)
-        search.forget(trial.number)  # not before: others would think it lost
-        return f"{named}: {reason} ({time.monotonic() - started:.0f} s)"
-    tell(search, study, trial, outcomes)
-    return f"{named}: {said_of(study, trial, outcomes)} ({time.monotonic() - started:.0f} s)"
-
-
-def tell(search: Search, study: Study, trial: Trial, outcomes: Sequence[Outcome]) -> None:
-    """Tell a study what the trainings of a trial came to."""
-    trial.set_user_attr("good_rates", [outcome.good_rate for outcome in outcomes])
-    trial.set_user_attr("mean_returns", [outcome.mean_return for outcome in outcomes])
-    study.tell(trial, score(outcomes, search.default.train.best_by))
-
-
-def said_of(study: Study, trial: Trial, outcomes: Sequence[Outcome]) -> str:
-    """What the trainings of a trial came to, in words."""
-    best = ", the best so far" if study.best_trial.number == trial.number else ""
-    rates = ", ".join(f"{100 * outcome.good_rate:.1f}" for outcome in outcomes)
-    share = sum(outcome.share for outcome in outcomes) / len(outcomes)
-    return f"{rates} % good episodes after {100 * share:.0f} % of the steps{best}"
-
-
-def same_settings(study: Study, trial: Trial) -> int | None:
-    """The number of an earlier trial with the same settings, which would come to the same."""
-    others = study.get_trials(deepcopy=False, states=(*FINISHED, TrialState.RUNNING))
-    return next(
-        (other.number for other in others if other.number < trial.number and other.params == trial.params), None
-    )
-
-
-def train_trial(search: Search, trial: Trial) -> list[Outcome]:
-    """Train with each seed; raises `TrialPruned` with the reason where it is not worth its time."""
-    folder, settings = search.trial_folder(trial.number), search.settings(trial.params)
-    outcomes: list[Outcome] = []
-    with (folder / "log.txt").open("w", encoding="utf-8") as log, redirect_stdout(log), redirect_stderr(log):
+def ask(folder: StudyFolder, study: Study, wanted: int, heartbeats: Heartbeats) -> Trial | None:
+    """Ask for a trial; None if the finished and running ones are as many as wanted."""
+    with folder.lock():
+        fail_stale_trials(study)
+        trials = study.get_trials(deepcopy=False)
+        if sum(trial.state in (*_FINISHED, TrialState.RUNNING) for trial in trials) >= wanted:
+            return None
+        study.sampler = make_sampler(folder.options, len(trials))
         try:
-            for seed in search.seeds:
-                report = None if outcomes else Reports(trial, evaluations(search), search.default.train.best_by)
-                config = search.config({**settings, "train.save_freq": 0}, seed)
-                outcomes.append(_outcome(config, search.run_folder(trial.number, seed), report))
-        except UnwritableError:
+            trial = study.ask({key: entry.distribution for key, entry in folder.space.items()})
+            heartbeats.add(trial.number)
+            return trial
+        except BaseException:  # such as Ctrl-C; a trial without a heartbeat would never count as stale
+            with suppress(ValueError):  # it was not created
+                study.tell(len(trials), state=TrialState.FAIL)
             raise
-        except InputError as error:  # these settings cannot be trained with; others can
-            trial.set_user_attr("reason", str(error))
-            raise TrialPruned(str(error)) from None
-    return outcomes
 
 
-def _outcome(config: Config, folder: Path, report: Reports | None) -> Outcome:
-    """Train once, and drive the policy that was kept in episodes that had no part in keeping it."""
-    training = train_config(config, folder, on_evaluation=report)
-    if training.interrupted:
-        raise KeyboardInterrupt
-    if report:
-        report.fill()
-    shutil.rmtree(folder / "checkpoints")  # they are the largest part, and nobody resumes a trial
-    with make_evaluator(config.scene, config.train, "search", SCORE_SEED) as evaluator:
-        evaluation = evaluator.run(load(folder).policy)
-    share = min(1.0, training.timesteps / config.train.total_timesteps)
-    return Outcome(evaluation.good_rate, evaluation.score[1], share)
+def _find_same_params(study: Study, trial: Trial) -> int | None:
+    """The number of an earlier trial with the same parameters."""
+    others = study.get_trials(deepcopy=False, states=(*_FINISHED, TrialState.RUNNING))
+    return next((each.number for each in others if each.number < trial.number and each.params == trial.params), None)
 
 
-class Reports:
-    """Tells Optuna's pruner of the evaluations of a training, by their number from 1.
-
-    A training that is good enough stops early: its last value stands for the evaluations that it did not need, so
-    that others are held against it to the end.
-
-    Args:
-        trial: Whose training it is.
-        count: Evaluations of a whole training.
-        best_by: What makes a policy the best, see `TrainSettings`.
-    """
-
-    def __init__(self, trial: Trial, count: int, best_by: str) -> None:
-        self._trial, self._count, self._by_return = trial, count, best_by == "return"
-        self._number, self._last = 0, 0.0
-
-    def __call__(self, evaluation: Evaluation) -> None:
-        """Report an evaluation; raises `TrialPruned` if the training is to end."""
-        self._number += 1
-        self._last = evaluation.score[1] if self._by_return else evaluation.good_rate
-        self._trial.report(self._last, self._number)
-        if self._number < self._count and self._trial.should_prune():
-            share = 100 * self._number / self._count
-            raise TrialPruned(f"pruned after {share:.0f} % of the steps")
-
-    def fill(self) -> None:
-        """Report the last value for all evaluations that did not take place."""
-        for number in range(self._number + 1, self._count + 1):
-            self._trial.report(self._last, number)
+def _tell(folder: StudyFolder, study: Study, trial: Trial, result: FrozenTrial) -> str:
+    """Copy the result of a trial to the study and its files to the folder; a line on it."""
+    name = f"trial {trial.number}"
+    try:
+        for step, value in result.intermediate_values.items():
+            trial.report(value, step)
+            trial.should_prune()  # notes in the study which rungs of Hyperband the trial reached
+        for key, attribute in result.user_attrs.items():
+            trial.set_user_attr(key, attribute)
+        staging = folder.staging_folder(trial.number)
+        if result.state is TrialState.COMPLETE:
+            (staging / "trials" / folder.trial_folder(trial.number).name).rename(folder.trial_folder(trial.number))
+        shutil.rmtree(staging)
+        study.tell(trial, result.value if result.state is TrialState.COMPLETE else None, result.state)
+    except UpdateFinishedTrialError:
+        folder.remove_trial(trial.number)
+        return f"{name}: failed, because its heartbeats were late; another trial takes its place"
+    assert result.duration is not None
+    return f"{name}: {_describe(study, result)} ({result.duration.total_seconds():.0f} s)"
 
 
-def score(outcomes: Sequence[Outcome], best_by: str) -> float:
-    """What a trial is ranked by: the mean share of good episodes, and at equal shares the steps that it needed.
-
-    Shares of the same half percent count as equal. Where a training keeps the policy of the highest return
-    (`train.best_by=return`), it is the mean return.
-
-    Args:
-        outcomes: Of its trainings, at least one.
-        best_by: See `TrainSettings`.
-    """
-    if best_by == "return":
-        return sum(outcome.mean_return for outcome in outcomes) / len(outcomes)
-    rate = sum(outcome.good_rate for outcome in outcomes) / len(outcomes)
-    share = sum(outcome.share for outcome in outcomes) / len(outcomes)
-    return round(200 * rate) / 200 - _TIE_BREAK * share
+def _describe(study: Study, trial: FrozenTrial) -> str:
+    if trial.state is TrialState.PRUNED:
+        return str(trial.user_attrs["reason"])
+    best = ", the best so far" if study.best_trial.number == trial.number else ""
+    rates = ", ".join(f"{100 * rate:.1f}" for rate in trial.user_attrs["good_rates"])
+    used_steps = trial.user_attrs["used_steps"]
+    return f"{rates} % good episodes after {100 * sum(used_steps) / len(used_steps):.0f} % of the steps{best}"
 
 
 def best_trials(study: Study, count: int) -> list[FrozenTrial]:
-    """The trials of the highest scores, the best first; of equal ones the earlier."""
+    """The complete trials of the highest scores, the best first; of equal ones the earlier."""
     complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return sorted(complete, key=lambda trial: (-_value(trial), trial.number))[:count]
+    return sorted(complete, key=lambda trial: (-(trial.value or 0.0), trial.number))[:count]
 
 
-def _value(trial: FrozenTrial) -> float:
-    assert trial.value is not None
-    return trial.value
-
-
-def counts(study: Study) -> Mapping[str, int]:
-    """How many trials came to their end, were pruned, and were lost."""
-    names = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "lost": TrialState.FAIL}
-    states: list[Any] = [trial.state for trial in study.get_trials(deepcopy=False)]
-    return {name: states.count(state) for name, state in names.items()}
+def count_trials(study: Study) -> Mapping[str, int]:
+    """How many trials are complete, pruned and failed."""
+    states = [trial.state.name.lower() for trial in study.get_trials(deepcopy=False)]
+    return {"complete": states.count("complete"), "pruned": states.count("pruned"), "failed": states.count("fail")}

@@ -10,7 +10,7 @@ import pytest
 
 from tb2rl.commands import suite as suite_command
 from tb2rl.tuning.storage import open_study
-from tb2rl.tuning.study import Search
+from tb2rl.tuning.study import StudyFolder
 from tb2rl.zoo import entry
 
 evaluate, tune, zoo = (import_module(f"tb2rl.{name}") for name in ("evaluate", "tune", "zoo.__main__"))
@@ -44,7 +44,7 @@ def test_a_search_by_ray_comes_to_the_same():
 
 
 def scores(name: str) -> dict[int, tuple]:
-    with open_study(Search.open(Path("runs/tune", name))) as study:
+    with open_study(StudyFolder.open(Path("runs/tune", name))) as study:
         return {trial.number: (trial.state, trial.value, trial.params) for trial in study.trials}
 
 

@@ -1,4 +1,4 @@
-"""Studies of trainings that are over in a moment."""
+"""Studies of very short trainings."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
+from tb2rl.execution.local import LocalExecutor
 from tb2rl.runs.layers import as_preset
-from tb2rl.tuning.study import Plan, Search
+from tb2rl.tuning.study import StudyFolder, StudyOptions
 
 TINY = {
     "train.simulation": "kinematic", "train.n_envs": 8, "train.total_timesteps": 1024, "train.eval_freq": 256,
@@ -18,26 +19,41 @@ TINY = {
 SPACE = {"agent.gamma": {"low": 0.8, "high": 0.99}, "agent.averaging": {"choices": [None, 0.01, 0.1]}}
 
 
-def _search(
-    name: str = "it",
-    space: Mapping[str, Any] | None = None,
-    settings: Mapping[str, Any] | None = None,
-    agent: str = "qlearn",
-    **plan: Any,
-) -> Search:
-    """A study of short trainings in `runs/tune`."""
-    default = as_preset(agent, "maze", settings={**TINY, **(settings or {})})
-    return Search.begin(Path("runs", "tune", name), Plan(dict(space or SPACE), **{"seeds": 1, **plan}), default)
+class InProcessExecutor(LocalExecutor):
+    """Runs one job after the other in this process, where tests can replace functions."""
+
+    def as_completed(self, function, jobs, shared=(), timeout=None):
+        for job in jobs:
+            yield job, function(*shared, *job.arguments, job.folder)
 
 
 @pytest.fixture
-def search(tmp_path, monkeypatch):
-    """The function `_search`, in an empty folder."""
+def executor():
+    """An `InProcessExecutor`."""
+    with InProcessExecutor() as executor:
+        yield executor
+
+
+@pytest.fixture
+def make_folder(tmp_path, monkeypatch):
+    """A function that creates the folder of a study in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    return _search
+
+    def make_folder(
+        name: str = "it",
+        space: Mapping[str, Any] | None = None,
+        settings: Mapping[str, Any] | None = None,
+        agent: str = "qlearn",
+        **options: Any,
+    ) -> StudyFolder:
+        default = as_preset(agent, "maze", settings={**TINY, **(settings or {})})
+        options = StudyOptions(dict(space or SPACE), **{"seeds": 1, **options})
+        return StudyFolder.create(Path("runs", "tune", name), options, default)
+
+    return make_folder
 
 
 @pytest.fixture
 def tiny() -> list[str]:
-    """The settings of short trainings as the command line has them."""
+    """Settings of very short trainings for a command line."""
     return [f"{key}={'null' if value is None else value}" for key, value in TINY.items() if "simulation" not in key]

@@ -16,32 +16,26 @@ import pytest
 import yaml
 
 from tb2rl.commands import tune as tune_command
-from tb2rl.core.errors import InputError, install_extra
+from tb2rl.core.errors import install_extra
 from tb2rl.evaluation.evaluator import Evaluator, evaluate
 from tb2rl.train import main as train
 from tb2rl.tune import main
-from tb2rl.tuning import judging
+from tb2rl.tuning import selection
 from tb2rl.tuning.storage import open_study
-from tb2rl.tuning.study import Search
-from tb2rl.tuning.trials import run_trials
+from tb2rl.tuning.study import StudyFolder
 
 CHECKOUT = Path(__file__).parents[2]
+FOLDER = Path("runs/tune/maze-qlearn")
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(tmp_path, monkeypatch, executor):
     """An empty folder; trials run in this process, and evaluations in PyBullet are short."""
     monkeypatch.chdir(tmp_path)
-
-    def run(search, wanted, *_):
-        with open_study(search) as study:
-            run_trials(search, study, wanted)
-        return True
-
-    monkeypatch.setattr(tune_command, "run_workers", run)
-    monkeypatch.setattr(judging, "_EPISODES", 4)
-    monkeypatch.setattr(judging, "Evaluator", partial(Evaluator, workers=1))
-    monkeypatch.setattr(judging, "evaluate", partial(evaluate, episodes=2, steps=20, workers=1))
+    monkeypatch.setattr(tune_command, "make_executor", lambda _: executor)
+    monkeypatch.setattr(selection, "_EPISODES", 2)
+    monkeypatch.setattr(selection, "Evaluator", partial(Evaluator, workers=1))
+    monkeypatch.setattr(selection, "evaluate", partial(evaluate, episodes=2, steps=20, workers=1))
     return tmp_path
 
 
@@ -51,20 +45,21 @@ def started(*arguments: str) -> subprocess.Popen:
     return subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, **pipes)
 
 
+@pytest.mark.slow
 def test_a_search_ends_with_a_preset_and_a_page_and_again_with_the_same(here, tiny, capsys):
-    command = ["--agent", "qlearn", "--trials", "4", "--seeds", "1", "--fresh", "2", "--set", *tiny]
+    command = ["--agent", "qlearn", "--trials", "3", "--seeds", "1", "--fresh", "1", "--set", *tiny]
     main(command)
     folder = here / "runs" / "tune" / "maze-qlearn"
     said = capsys.readouterr().out
     best = int(re.search(r"best: trial (\d+): python -m tb2rl.train --preset (.*)", said)[1])
     preset = (folder / "best.yaml").read_text()
     page = (folder / "report.html").read_text()
-    for words in ("agent.exploration_final_eps", f"Trial {best} is the best", "<svg", "default", "2100001", "PyBullet"):
+    for words in ("agent.exploration_final_eps", f"Trial {best} is the best", "<svg", "default", "2100000", "PyBullet"):
         assert words in page
-    assert sorted(run.parent.name for run in folder.glob("fresh/*/*")) == sorted(["default", f"trial-{best}"] * 2)
+    assert sorted(run.parent.name for run in folder.glob("fresh/*/*")) == ["default", f"trial-{best}"]
     main(command)
     again = capsys.readouterr().out
-    assert "of which 4 are done" in again
+    assert "of which 3 are done" in again
     assert not re.search(r"^trial \d+: .* good episodes after", again, flags=re.MULTILINE)
     assert (folder / "best.yaml").read_text() == preset
     quick = "--total-timesteps 64 --eval-freq 0 --no-evaluation --no-progress --name it"
@@ -76,9 +71,9 @@ def test_a_search_ends_with_a_preset_and_a_page_and_again_with_the_same(here, ti
 def test_what_set_fixes_is_not_searched(here, tiny):
     fixed = ["agent.gamma=0.9", "agent.learning_rate=0.2"]
     main(["--trials", "1", "--seeds", "1", "--fresh", "0", "--set", *tiny, *fixed])
-    search = Search.open(here / "runs" / "tune" / "maze-qlearn")
-    assert {*search.space} == {"agent.averaging", "agent.exploration_fraction", "agent.exploration_final_eps"}
-    assert search.default.agent_arguments["gamma"] == 0.9
+    folder = StudyFolder.open(FOLDER)
+    assert {*folder.space} == {"agent.averaging", "agent.exploration_fraction", "agent.exploration_final_eps"}
+    assert folder.default.agent_arguments["gamma"] == 0.9
 
 
 @pytest.mark.parametrize(
@@ -124,15 +119,13 @@ def test_training_imports_neither_optuna_nor_ray():
     assert done.stdout == "[]\n"
 
 
-def test_a_study_without_a_finished_trial_says_so(here, tiny, monkeypatch, capsys):
-    monkeypatch.setattr(tune_command, "run_workers", lambda *_: False)
+def test_a_study_without_a_complete_trial_says_so(here, tiny, monkeypatch, capsys):
+    monkeypatch.setattr(tune_command, "run_trials", lambda *_: False)
     with pytest.raises(SystemExit):
         main(["--minutes", "1", "--set", *tiny])
-    said = capsys.readouterr()
-    assert "the 1 minutes are over" in said.out
-    assert said.err == (
-        "error: no trial of runs/tune/maze-qlearn came to its end: ask for more --trials or --minutes\n"
-    )
+    captured = capsys.readouterr()
+    assert "the 1 minutes are over" in captured.out
+    assert captured.err == f"error: no trial of {FOLDER} is complete: ask for more --trials or --minutes\n"
 
 
 @pytest.mark.slow
@@ -145,8 +138,7 @@ def test_two_commands_share_a_study_and_run_no_trial_twice(tmp_path, monkeypatch
     each = [re.findall(r"^trial (\d+): ", out, re.MULTILINE) for out, _ in said]
     assert Counter(map(int, each[0] + each[1])) == dict.fromkeys(range(12), 1)
     assert all(each), "one of them did nothing"
-    search = Search.open(Path("runs/tune/maze-qlearn"))
-    with open_study(search) as study:
+    with open_study(StudyFolder.open(FOLDER)) as study:
         assert len({str(trial.params) for trial in study.trials}) == len(study.trials) == 12
 
 
@@ -156,41 +148,15 @@ def test_ctrl_c_ends_at_once_and_says_how_to_go_on(tmp_path, monkeypatch, tiny):
     long = [word for word in tiny if not word.startswith("train.total")]
     words = ["--trials", "4", "--seeds", "1", "--fresh", "0", "--steps", "100000000", "--set", *long]
     process = started(*words)
+    deadline = time.monotonic() + 120
     while not list(Path("runs").rglob("evaluations.jsonl")):
         assert process.poll() is None
+        assert time.monotonic() < deadline, "waited 120 s for the first evaluation of a training"
         time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=30)
     assert (process.returncode, error) == (130, "")
-    assert out.splitlines()[-1].startswith("stopped; the same command goes on with runs/tune/maze-qlearn")
-    search = Search.open(Path("runs/tune/maze-qlearn"))
-    for folder in (search.folder / "trials").iterdir():
-        with search.trial_lock(int(folder.name)):  # nobody runs it
-            pass
-
-
-@pytest.mark.slow
-def test_what_ends_a_process_of_a_study_ends_it_in_one_line(tmp_path, monkeypatch, tiny):
-    monkeypatch.chdir(tmp_path)
-    process = started("--trials", "2", "--seeds", "1", "--storage", "sqlite:///no/such/study.db", "--set", *tiny)
-    _, error = process.communicate()
-    assert process.returncode == 2
-    assert error.count("\n") == 1
-    assert "unable to open database file" in error
-
-
-def test_a_killed_process_is_named(tmp_path, monkeypatch, search):
-    from tb2rl.tuning import workers
-
-    monkeypatch.setattr(workers, "_START", "import os; os.kill(os.getpid(), 9)")
-    with pytest.raises(InputError, match="a process of the study was ended by signal 9; the same command goes on"):
-        workers.run_workers(search(), 2, 2)
-
-
-def test_time_that_is_up_ends_the_processes(search, monkeypatch):
-    from tb2rl.tuning import workers
-
-    monkeypatch.setattr(workers, "_START", "import time; time.sleep(600)")
-    started = time.monotonic()
-    assert workers.run_workers(search(), 2, 2, seconds=0.3) is False
-    assert time.monotonic() - started < 60
+    assert out.splitlines()[-1].startswith(f"stopped; the same command continues {FOLDER}")
+    with open_study(StudyFolder.open(FOLDER)) as study:
+        assert {trial.state.name for trial in study.trials} == {"FAIL"}
+    assert list((FOLDER / "trials").iterdir()) == []

@@ -1,4 +1,4 @@
-"""A whole search: from poor settings to good ones, although it is killed on the way."""
+"""A whole search: from poor settings to good ones, although it is killed in between."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ import yaml
 
 from tb2rl.evaluation.evaluator import PASSED
 from tb2rl.runs.layers import resolve
-from tb2rl.tuning.judging import compare
+from tb2rl.tuning.selection import compare
 from tb2rl.tuning.storage import open_study
-from tb2rl.tuning.study import Search
+from tb2rl.tuning.study import StudyFolder
 from tb2rl.tuning.trials import best_trials
 
 CHECKOUT = Path(__file__).parents[2]
@@ -66,24 +66,13 @@ def time_counted():
 
 
 def tune() -> subprocess.Popen:
-    words = [
-        "--preset",
-        "poor.yaml",
-        "--name",
-        "found",
-        "--trials",
-        str(TRIALS),
-        "--workers",
-        str(WORKERS),
-        "--fresh",
-        "0",
-    ]
+    words = f"--preset poor.yaml --name found --trials {TRIALS} --workers {WORKERS} --fresh 0".split()
     command = [sys.executable, "-m", "tb2rl.tune", *words]
     return subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(CHECKOUT)})
 
 
-def trials(search: Search, *states: str) -> dict[int, tuple]:
-    with open_study(search) as study:
+def trials(folder: StudyFolder, *states: str) -> dict[int, tuple]:
+    with open_study(folder) as study:
         return {
             trial.number: (trial.state, trial.value, trial.params)
             for trial in study.trials
@@ -100,28 +89,30 @@ def test_a_search_from_poor_settings_finds_good_ones_although_it_is_killed(tmp_p
     while not (folder / "study.db").is_file():
         assert killed.poll() is None
         time.sleep(0.2)
-    search = Search.open(folder)
-    while len(trials(search, "COMPLETE", "PRUNED")) < 10:
+    study_folder = StudyFolder.open(folder)
+    while len(trials(study_folder, "COMPLETE", "PRUNED")) < 10:
         assert killed.poll() is None
         time.sleep(1.0)
     killed.send_signal(signal.SIGKILL)
     assert killed.wait() == -signal.SIGKILL
     time.sleep(1.0)  # for its processes to see it
-    before = trials(search, "COMPLETE", "PRUNED")
+    before = trials(study_folder, "COMPLETE", "PRUNED")
     assert tune().wait() == 0
-    after = trials(search, "COMPLETE", "PRUNED")
+    after = trials(study_folder, "COMPLETE", "PRUNED")
     assert {number: after[number] for number in before} == before
     assert len(after) == TRIALS
-    assert len(trials(search, "FAIL")) <= WORKERS
-    assert trials(search, "RUNNING") == {}
+    assert len(trials(study_folder, "FAIL")) <= WORKERS
+    assert trials(study_folder, "RUNNING") == {}
     seconds = time_counted()
     print(f"{seconds:.0f} s of processors, {time.monotonic() - started:.0f} s")
     assert seconds / 2 < 300
     best = yaml.safe_load((folder / "best.yaml").read_text())
-    with open_study(search) as study:
-        found = next(trial for trial in best_trials(study, 3) if search.preset(search.settings(trial.params)) == best)
-    assert resolve(preset=str(folder / "best.yaml")) == search.config(search.settings(found.params), seed=0)
-    comparison = compare(search, "best", search.settings(found.params), 3)
+    with open_study(study_folder) as study:
+        found = next(
+            trial for trial in best_trials(study, 3) if study_folder.preset(study_folder.settings(trial.params)) == best
+        )
+    assert resolve(preset=str(folder / "best.yaml")) == study_folder.config(study_folder.settings(found.params), seed=0)
+    comparison = compare(study_folder, "best", study_folder.settings(found.params), 3)
     print(comparison)
     assert min(comparison.rates) >= PASSED
 

@@ -13,7 +13,7 @@ from tb2rl.core.files import top_folder
 from tb2rl.core.plugins import agent_names
 from tb2rl.runs.layers import resolve
 from tb2rl.tune import main
-from tb2rl.tuning.space import check_space, find_space, space_from, without_fixed
+from tb2rl.tuning.space import check_space, find_space, parse_space, without_fixed
 
 FILES = sorted(file.stem for file in (top_folder("configs") / "tuning").glob("*.yaml"))
 TASKS = {"sac": "drive", "td3": "drive"}
@@ -31,17 +31,17 @@ def test_every_value_of_a_built_in_space_fits_its_agent(name, simulation):
     tree, file = find_space(name)
     base = {"train.simulation": simulation}
     config = partial(resolve, name, TASKS.get(name, "maze"), None)
-    check_space(space_from(tree, file), file, lambda settings: config({**base, **settings}))
+    check_space(parse_space(tree, file), file, lambda settings: config({**base, **settings}))
 
 
 def test_lists_and_null_are_choices_and_come_back_as_they_were():
     tree = {"agent.policy_kwargs.net_arch": {"choices": [[64, 64], {"pi": [8]}, None, "a", 2]}}
-    (entry,) = space_from(tree, "file").values()
-    assert [entry.value(label) for label in entry.distribution.choices] == [[64, 64], {"pi": [8]}, None, "a", 2]
+    (entry,) = parse_space(tree, "file").values()
+    assert [entry.decode(label) for label in entry.distribution.choices] == [[64, 64], {"pi": [8]}, None, "a", 2]
 
 
 def test_whole_ends_make_whole_numbers():
-    whole, real = space_from({"a.b": {"low": 1, "high": 8, "log": True}, "a.c": {"low": 1.0, "high": 8}}, "f").values()
+    whole, real = parse_space({"a.b": {"low": 1, "high": 8, "log": True}, "a.c": {"low": 1.0, "high": 8}}, "f").values()
     assert (type(whole.distribution).__name__, whole.distribution.log) == ("IntDistribution", True)
     assert type(real.distribution).__name__ == "FloatDistribution"
 
@@ -68,8 +68,8 @@ def test_what_a_user_fixed_is_not_searched():
         ("agent.gamma: {choices: [0.9]}", "should have at least 2 items"),
         ("agent.gamma: {choices: [0.9, 0.9]}", "the choices must differ"),
         ("agent.gamma: 0.9", "expected a mapping of keys to values, got 0.9"),
-        ("[agent.gamma]", "expected settings with what to search"),
-        ("", "expected settings with what to search"),
+        ("[agent.gamma]", "expected settings to search"),
+        ("", "expected settings to search"),
     ],
 )
 def test_a_file_that_does_not_fit_is_named_in_one_line_and_nothing_is_made(text, words, tmp_path, monkeypatch, capsys):

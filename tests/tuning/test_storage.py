@@ -1,4 +1,4 @@
-"""Databases that are locked or full: one line, and no finished trial is lost."""
+"""Databases that are locked, full or missing: one line, and no finished trial is lost."""
 
 from __future__ import annotations
 
@@ -11,42 +11,42 @@ import pytest
 import sqlalchemy
 
 from tb2rl.core.errors import InputError
-from tb2rl.tuning import storage, trials
+from tb2rl.tuning import storage, training
 from tb2rl.tuning.storage import open_study
 from tb2rl.tuning.study import DATABASE
-from tb2rl.tuning.trials import Outcome, counts, run_trials
+from tb2rl.tuning.training import TrainingResult
+from tb2rl.tuning.trials import count_trials, run_trials
 
 
 @pytest.fixture
-def begun(search, monkeypatch):
-    """A study of two finished trials, whose trainings take no time."""
-    it = search()
-    monkeypatch.setattr(storage, "PATIENCE", 0.1)
+def begun(make_folder, executor, monkeypatch):
+    """A study of two complete trials, whose trainings take no time."""
+    folder = make_folder()
+    monkeypatch.setattr(storage, "SQLITE_TIMEOUT", 0.1)
     monkeypatch.setattr("optuna.storages._rdb.storage.time.sleep", lambda _: None)
-    monkeypatch.setattr(trials, "train_trial", lambda _, trial: [Outcome(trial.params["agent.gamma"], 1.0, 1.0)])
-    with open_study(it) as study:
-        run_trials(it, study, 2)
-    return it
+    monkeypatch.setattr(training, "_train", lambda _, trial: [TrainingResult(trial.params["agent.gamma"], 1.0, 1.0)])
+    with open_study(folder) as study:
+        run_trials(folder, study, 2, executor)
+    return folder
 
 
-def values(it):
-    with open_study(it) as study:
-        assert counts(study)["complete"] == len([trial.value for trial in study.trials if trial.value])
+def values(folder):
+    with open_study(folder) as study:
         return [trial.value for trial in study.trials if trial.value is not None]
 
 
 @contextmanager
-def locked(it):
-    with closing(sqlite3.connect(it.folder / DATABASE, isolation_level=None)) as other:
+def locked(folder):
+    with closing(sqlite3.connect(folder.path / DATABASE, isolation_level=None)) as other:
         other.execute("BEGIN EXCLUSIVE")
         yield
         other.execute("ROLLBACK")
 
 
 @contextmanager
-def full(it):
-    """As if there were no more room on the disk than the database has now: SQLite's own limit, and its own error."""
-    with closing(sqlite3.connect(it.folder / DATABASE)) as other:
+def full(folder):
+    """No room for another page."""
+    with closing(sqlite3.connect(folder.path / DATABASE)) as other:
         (pages,) = other.execute("PRAGMA page_count").fetchone()
 
     def limit(connection, _):
@@ -60,52 +60,45 @@ def full(it):
 
 
 @pytest.mark.parametrize(("trouble", "words"), [(locked, "database is locked"), (full, "database or disk is full")])
-def test_a_database_that_cannot_be_written_loses_no_finished_trial(begun, trouble, words):
+def test_a_database_that_cannot_be_written_loses_no_finished_trial(begun, executor, trouble, words):
     before = values(begun)
     with pytest.raises(InputError, match=words) as raised, trouble(begun), open_study(begun) as study:
-        run_trials(begun, study, 400)  # more than there is room for
+        run_trials(begun, study, 400, executor)  # more than there is room for
     assert "\n" not in str(raised.value)
-    assert "finished trials stay, the same command goes on" in str(raised.value)
+    assert "finished trials stay, the same command continues" in str(raised.value)
     done = values(begun)
     assert done[: len(before)] == before
     with open_study(begun) as study:
-        run_trials(begun, study, len(done) + 2)
+        run_trials(begun, study, len(done) + 2, executor)
     assert values(begun)[: len(done)] == done
-    assert len(values(begun)) == len(done) + 2
 
 
-def test_a_database_that_is_locked_while_a_trial_ends_loses_that_one_at_most(begun, monkeypatch):
-    before, train = values(begun), trials.train_trial
+def test_a_database_that_is_locked_when_a_trial_ends_loses_that_one_at_most(begun, executor, monkeypatch):
+    before, train = values(begun), training._train
 
-    def train_and_lock(search, trial):
-        outcomes = train(search, trial)
-        stack.enter_context(locked(search))
-        return outcomes
+    def train_and_lock(folder, trial):
+        stack.enter_context(locked(begun))
+        return train(folder, trial)
 
-    monkeypatch.setattr(trials, "train_trial", train_and_lock)
+    monkeypatch.setattr(training, "_train", train_and_lock)
     with pytest.raises(InputError, match="database is locked"), ExitStack() as stack, open_study(begun) as study:
-        run_trials(begun, study, 3)
-    monkeypatch.setattr(trials, "train_trial", train)
+        run_trials(begun, study, 3, executor)
     with open_study(begun) as study:
-        run_trials(begun, study, 3)
-        assert counts(study) == {"complete": 3, "pruned": 0, "lost": 1}
-    assert values(begun)[:2] == before
+        assert [trial.state.name for trial in study.trials[2:]] == ["RUNNING"], "until its heartbeat is stale"
+    assert values(begun) == before
 
 
-def test_a_disk_that_is_full_ends_the_study_and_not_the_trial_alone(search, monkeypatch):
-    it = search()
+def test_a_full_disk_ends_the_study_and_not_the_trial_alone(make_folder, executor, monkeypatch):
+    folder = make_folder()
 
     def write(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    with monkeypatch.context() as patched:
-        patched.setattr("tb2rl.runs.folder.write_checkpoint", write)
-        with pytest.raises(InputError, match="No space left on device"), open_study(it) as study:
-            run_trials(it, study, 3)
-    with open_study(it) as study:
-        assert [trial.state.name for trial in study.trials] == ["RUNNING"]
-        run_trials(it, study, 1)
-        assert counts(study) == {"complete": 1, "pruned": 0, "lost": 1}
+    monkeypatch.setattr("tb2rl.runs.folder.write_checkpoint", write)
+    with pytest.raises(InputError, match="No space left on device"), open_study(folder) as study:
+        run_trials(folder, study, 3, executor)
+    with open_study(folder) as study:
+        assert count_trials(study) == {"complete": 0, "pruned": 0, "failed": 1}
 
 
 @pytest.mark.parametrize(
@@ -116,16 +109,16 @@ def test_a_disk_that_is_full_ends_the_study_and_not_the_trial_alone(search, monk
         ("oracle://user:secret@host/study", "Failed to import DB access module"),
     ],
 )
-def test_a_database_that_is_not_there_is_one_line_without_its_password(search, url, words):
-    with pytest.raises(InputError, match=words) as raised, open_study(search(storage=url)):
+def test_a_missing_database_is_one_line_without_its_password(make_folder, url, words):
+    with pytest.raises(InputError, match=words) as raised, open_study(make_folder(storage=url)):
         pass
     assert "secret" not in str(raised.value)
     assert "\n" not in str(raised.value)
 
 
-def test_another_database_has_the_study(search, tmp_path):
-    it = search(storage=f"sqlite:///{tmp_path / 'elsewhere.db'}")
-    with open_study(it):
+def test_another_database_has_the_study(make_folder, tmp_path):
+    folder = make_folder(storage=f"sqlite:///{tmp_path / 'other.db'}")
+    with open_study(folder):
         pass
-    assert (tmp_path / "elsewhere.db").is_file()
-    assert not (it.folder / DATABASE).exists()
+    assert (tmp_path / "other.db").is_file()
+    assert not (folder.path / DATABASE).exists()
