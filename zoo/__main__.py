@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
     if options.what == "push":  # only now: they import what takes seconds
         from tb2rl.zoo.sharing import run
     else:
-        from tb2rl.zoo.keeping import run
+        from tb2rl.zoo.maintenance import run
     run(options)
 
 

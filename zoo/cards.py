@@ -9,21 +9,21 @@ from pathlib import Path
 import jinja2
 
 from tb2rl.zoo import results
-from tb2rl.zoo.entry import WORLDS, Entry, contestants_of, others
+from tb2rl.zoo.entry import WORLDS, Entry, other_suite_policies, suite_policies_of
 
 _STARTS_NAMED = 5  # failed episodes on a card
 
 
 def card(entry: Entry) -> str:
     """The text of a policy's card."""
-    driven = entry.contestant.summaries if entry.navigates else []
+    driven = entry.suite_policy.summaries if entry.navigates else []
     lines = {"shortfalls": _shortfalls(entry), "failures": [*_failures(entry), *results.failures(driven)]}
     return template("card.md.jinja").render(entry=entry, summaries=driven, results=results, **lines)
 
 
 def table(built: Sequence[Entry]) -> str:
     """The text of the zoo's README: the results of all policies, in each other's worlds and in suites, too."""
-    suites = results.by_suite([*contestants_of(built), *others()])
+    suites = results.by_suite([*suite_policies_of(built), *other_suite_policies()])
     return template("table.md.jinja").render(entries=built, worlds=WORLDS, suites=suites, results=results)
 
 

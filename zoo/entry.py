@@ -1,4 +1,4 @@
-"""One policy of the zoo: its recipe, and what the files in its folder say."""
+"""Entries of the zoo: recipe, files and figures of a policy."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tb2rl.simulation.variation import varied
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import parse as parse_training
 from tb2rl.worlds.dynamic_obstacles import among
-from tb2rl.zoo.contestants import Contestant
+from tb2rl.zoo.suite_policies import SuitePolicy
 
 MAZES = ("loop", "circuit", "round", "maze")  # the closed ones: in `wall` a robot that drives away is safe
 WORLDS = (*MAZES, "mixed")
 UNSEEN = "unseen"  # the suite of worlds that nothing is trained in
-ELSEWHERE = "elsewhere.json"  # in an entry's folder, beside files of its run folder
+ELSEWHERE = "elsewhere.json"  # figures in unseen worlds, in an entry's folder
 # Share of good episodes.
 PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_PLAN, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
 GOOD_SPEED, GOOD_SPEED_ANYWHERE = 0.75, 0.6  # of the fastest command; between posts all turn more
@@ -33,7 +33,7 @@ GOOD_SPEED, GOOD_SPEED_ANYWHERE = 0.75, 0.6  # of the fastest command; between p
 
 @dataclass(frozen=True)
 class Entry:
-    """One policy of the zoo; what it reads of its folder is there once it is built."""
+    """A policy of the zoo; its files exist once it is built."""
 
     name: str
     recipe: str  # arguments of `python -m tb2rl.train`
@@ -41,40 +41,40 @@ class Entry:
 
     @cached_property
     def config(self) -> Config:
-        """What it was trained to do."""
+        """The config of its training."""
         return Run.open(self.folder).config
 
     @property
     def requested(self) -> Config:
-        """What the recipe asks for."""
+        """The config of its recipe."""
         return requested_config(parse_training(shlex.split(self.recipe)))
 
     @cached_property
     def figures(self) -> dict[str, Any]:
-        """The standard evaluation, see `Evaluation.summary`, and every episode of it as `each`."""
+        """The standard evaluation, see `Evaluation.summary`; `each` has its episodes."""
         return _read(self.folder / EVALUATION)[0]
 
     @cached_property
     def elsewhere(self) -> dict[str, dict[str, Any]]:
-        """The same figures in each world that it never saw; without those in which it has not been driven yet."""
+        """The same figures by unseen world."""
         file = self.folder / ELSEWHERE
         return _read(file)[0] if file.is_file() else {}
 
     @property
     def navigates(self) -> bool:
-        """Whether it drives to any goal: then suites judge it, in place of the worlds that it never saw."""
+        """Whether it drives to any goal; then it is evaluated in suites instead of unseen worlds."""
         return isinstance(self.config.task, Navigate)
 
     @property
     def conditions(self) -> str:
-        """What guides it and what makes it harder: "guide plan, among 8 people, mild variation"; "": nothing does."""
+        """Guide, dynamic obstacles and variation of its task: "guide plan, among 8 people, mild variation"."""
         guide, moves = getattr(self.config.task, "guide", ""), among(self.config.scene.spec.dynamic_obstacles)
         return ", ".join(filter(None, (guide and f"guide {guide}", moves, varied(self.config.task.variation))))
 
     @cached_property
-    def contestant(self) -> Contestant:
-        """What drives through suites, if it navigates."""
-        return Contestant(self.name, f"zoo:{self.name}", suites_folder())
+    def suite_policy(self) -> SuitePolicy:
+        """Its drives through suites, if it navigates."""
+        return SuitePolicy(self.name, f"zoo:{self.name}", suites_folder())
 
     @cached_property
     def notes(self) -> list[dict[str, Any]]:
@@ -83,21 +83,21 @@ class Entry:
 
     @property
     def is_built(self) -> bool:
-        """Whether it was trained, and driven in all worlds that it never saw, or through the suite of such."""
+        """Whether it is trained, and evaluated in all unseen worlds or in the suite of unseen worlds."""
         if not (self.folder / EVALUATION).is_file() or self.not_driven:
             return False
-        return not self.navigates or self.contestant.summary(UNSEEN) is not None
+        return not self.navigates or self.suite_policy.summary(UNSEEN) is not None
 
     @property
     def not_driven(self) -> list[str]:
-        """The worlds that it never saw, can drive in, and has no figures of; none if it `navigates`."""
+        """Unseen worlds that fit its task and lack figures; none if it `navigates`."""
         if self.navigates:
             return []
         others = [world for world in WORLDS if world != self.world and world not in self.elsewhere]
         return [world for world in others if self._fits(world)]
 
     def _fits(self, world: str) -> bool:
-        """Whether the task can be set in a world: one that has a goal, if the task needs it."""
+        """Whether its task fits a world, which must have a goal if the task needs one."""
         try:
             self.config.with_task({"world": world})
         except InputError:
@@ -121,12 +121,12 @@ class Entry:
 
     @property
     def beams(self) -> int:
-        """How many beams it observes."""
+        """Number of observed laser beams."""
         return len(self.config.scene.laser.angles)
 
     @property
     def good(self) -> str:
-        """Which rate counts the good episodes."""
+        """Prefix of the rate of good episodes."""
         return "success" if self.config.task.goal_task else "failure_free"
 
     @property
@@ -176,12 +176,12 @@ def _read(file: Path, lines: bool = False) -> list[Any]:
 
 
 def zoo_folder() -> Path:
-    """Where the zoo is."""
+    """The folder of the zoo."""
     return top_folder("zoo")
 
 
 def suites_folder() -> Path:
-    """Where the summaries of suites are."""
+    """The folder of the summaries of suites."""
     return zoo_folder() / "suites"
 
 
@@ -191,28 +191,28 @@ def entries() -> list[Entry]:
     return [Entry(name, recipe, zoo_folder() / name) for name, recipe in recipes.items()]
 
 
-def others() -> list[Contestant]:
-    """What is driven through suites beside the policies."""
+def other_suite_policies() -> list[SuitePolicy]:
+    """The policies of `suites.yaml`."""
     file = zoo_folder() / "suites.yaml"
     listed = read_yaml(file) if file.is_file() else {}
-    return [Contestant(name, arguments, suites_folder()) for name, arguments in listed.items()]
+    return [SuitePolicy(name, arguments, suites_folder()) for name, arguments in listed.items()]
 
 
-def contestants_of(built: Iterable[Entry]) -> list[Contestant]:
-    """Those of some policies that navigate, as what drives through suites."""
-    return [entry.contestant for entry in built if entry.navigates]
+def suite_policies_of(built: Iterable[Entry]) -> list[SuitePolicy]:
+    """The entries that navigate."""
+    return [entry.suite_policy for entry in built if entry.navigates]
 
 
-def named(names: Sequence[str]) -> tuple[list[Entry], list[Contestant]]:
-    """The policies and the others of these names; without names all.
+def select(names: Sequence[str]) -> tuple[list[Entry], list[SuitePolicy]]:
+    """The entries and the other suite policies of these names; without names all.
 
     Raises:
-        InputError: For a name that neither has.
+        InputError: If a name is unknown.
     """
-    policies, rest = entries(), others()
-    known = [each.name for each in (*policies, *rest)]
+    policies, others = entries(), other_suite_policies()
+    known = [each.name for each in (*policies, *others)]
     for name in names:
         if name not in known:
             raise unknown("zoo policy", name, known)
     wanted = names or known
-    return [entry for entry in policies if entry.name in wanted], [other for other in rest if other.name in wanted]
+    return [entry for entry in policies if entry.name in wanted], [other for other in others if other.name in wanted]

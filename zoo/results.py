@@ -1,4 +1,4 @@
-"""Results of suites in Markdown: a table for each suite, one for a policy's card, and what it fails at."""
+"""Results of suites in Markdown: a table for each suite, and table and failures for a policy's card."""
 
 from __future__ import annotations
 
@@ -7,52 +7,52 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from tb2rl.evaluation.suite_result import ALL, Figures, SuiteSummary
 from tb2rl.worlds.suites import SUITES
-from tb2rl.zoo.contestants import Contestant
+from tb2rl.zoo.suite_policies import SuitePolicy
 
 _FIGURES = ("longest tenth", "SPL", "time", "m/s", "closest [m]")
-Driven = list[tuple[Contestant, SuiteSummary]]
+Driven = list[tuple[SuitePolicy, SuiteSummary]]
 
 
-def by_suite(contestants: Iterable[Contestant]) -> list[Driven]:
+def by_suite(policies: Iterable[SuitePolicy]) -> list[Driven]:
     """The results in each suite, in the order of the suites; other worlds of the same name are another suite."""
     found = defaultdict(list)
-    for contestant in contestants:
-        for kept in contestant.summaries:
-            found[SUITES.index(kept.suite), kept.suite_digest].append((contestant, kept))
+    for policy in policies:
+        for summary in policy.summaries:
+            found[SUITES.index(summary.suite), summary.suite_digest].append((policy, summary))
     return [found[suite] for suite in sorted(found)]
 
 
 def compared(driven: Driven) -> str:
-    """The table of a suite: a row for each contestant, with a column for each family if there are several."""
+    """The table of a suite: a row for each policy, with a column for each family if there are several."""
     first = driven[0][1]
     families = [family for family in first.rows if family != ALL]
     scores = ["score"] if first.figures[ALL].barn_formula else []
     rows = [["driver", "guide", "success", "95 % interval", *families, *_FIGURES, *scores]]
-    for contestant, kept in driven:
-        every = kept.figures[ALL]
-        each = [_percent(kept.figures[family].success_rate) for family in families]
+    for policy, summary in driven:
+        every = summary.figures[ALL]
+        each = [_percent(summary.figures[family].success_rate) for family in families]
         score = [f"{every.barn_score:.3f}"] if scores else []
-        conditions = ", ".join(filter(None, (kept.guide, *kept.conditions)))
-        rows.append([_linked(contestant), conditions, *_success(every), *each, *_figures(every), *score])
+        conditions = ", ".join(filter(None, (summary.guide, *summary.conditions)))
+        rows.append([_link(policy), conditions, *_success(every), *each, *_figures(every), *score])
     return _table(rows)
 
 
 def by_family(driven: Iterable[SuiteSummary]) -> str:
-    """The table of a contestant: in each suite a row for each family, and one for all."""
+    """The table of a policy: in each suite a row for each family, and one for all."""
     rows = [["suite", "family", "worlds", "success", "95 % interval", *_FIGURES]]
-    for kept in driven:
-        for family, figures in kept.rows.items():
-            rows.append([kept.suite, family, str(figures.worlds), *_success(figures), *_figures(figures)])
+    for summary in driven:
+        for family, figures in summary.rows.items():
+            rows.append([summary.suite, family, str(figures.worlds), *_success(figures), *_figures(figures)])
     return _table(rows)
 
 
 def failures(driven: Iterable[SuiteSummary]) -> Iterator[str]:
-    """What a contestant fails at, a line for each family."""
-    for kept in driven:
-        for family, figures in kept.families.items():
+    """Failures of a policy, a line for each family."""
+    for summary in driven:
+        for family, figures in summary.families.items():
             endings = ", ".join(f"{ended} {count}" for ended, count in figures.endings.items())
             failing = _percent(1 - figures.success_rate)
-            yield f"In suite `{kept.suite}`, `{family}`: {failing} of {figures.worlds} worlds ({endings})."
+            yield f"In suite `{summary.suite}`, `{family}`: {failing} of {figures.worlds} worlds ({endings})."
 
 
 def interval(ends: Sequence[float]) -> str:
@@ -75,9 +75,9 @@ def _figures(figures: Figures) -> list[str]:
     return [tenth, spl, *("-" if number is None else f"{number:.2f}" for number in numbers)]
 
 
-def _linked(contestant: Contestant) -> str:
-    """Its name; that of a policy of the zoo with its card."""
-    return f"[{contestant.name}]({contestant.name}/README.md)" if contestant.is_policy_of_zoo else contestant.name
+def _link(policy: SuitePolicy) -> str:
+    """The policy's name, with a link to its card if it has one."""
+    return f"[{policy.name}]({policy.name}/README.md)" if policy.is_entry else policy.name
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

@@ -150,7 +150,7 @@ def _metadata(config: Config, figures: Mapping[str, Any], repository: str, good:
     hub = hub_library()
     environment = environment_id(config)
     reward = f"{figures['mean_return']:.2f} +/- {figures['std_return']:.2f}"
-    rate, called = figures[f"{good}_rate"], "success rate" if good == "success" else "crash-free rate"
+    rate, called = figures[f"{good}_rate"], "success rate" if good == "success" else "collision-free rate"
     about = {"task_type": "reinforcement-learning", "task_name": "reinforcement-learning"}
     results = [
         hub.EvalResult(

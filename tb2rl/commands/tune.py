@@ -71,7 +71,7 @@ def requested(options: argparse.Namespace) -> StudyFolder:
 
     config = resolve_with({})
     check_trainable(config)
-    check_trackers(config, options.on is not None)
+    check_trackers(config.train.track, options.on is not None)
     if options.space is None and ":" in config.agent_name:
         raise InputError(f"there is no search space for {config.agent_name}: name a file with --space")
     tree, source = find_space(options.space or config.agent_name)

@@ -42,8 +42,9 @@ def draw_charts(study: Study) -> dict[str, Markup]:
         warnings.simplefilter("ignore", ExperimentalWarning)
         for title, plot in plots.items():
             width = 2.2 * WIDTH if plot is plot_parallel_coordinate else WIDTH
-            with matplotlib.rc_context(STYLE | {"savefig.bbox": "tight"}):
+            with matplotlib.rc_context(STYLE | {"savefig.bbox": "tight", "text.parse_math": True}):
                 axes = plot(study, target_name="score")
+                axes.set_title("", loc="left")
                 axes.set_title("")
                 axes.figure.set_size_inches(width, 0.8 * WIDTH)
                 charts[title] = svg(axes.figure)

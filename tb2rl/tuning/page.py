@@ -40,7 +40,7 @@ def write_preset(folder: StudyFolder, trial: FrozenTrial, evaluation: TrialEvalu
         f"# In {evaluation.simulator} {100 * evaluation.good_rate:.1f} % of {evaluation.episodes} episodes are good "
         f"(95 % interval {100 * low:.1f} to {100 * high:.1f} %).",
     )
-    tree = plain(folder.preset(folder.settings(trial.params)))
+    tree = to_plain(folder.preset(folder.settings(trial.params)))
     file = folder.path / BEST
     write_text(file, "\n".join(lines) + "\n" + yaml.safe_dump(tree, sort_keys=False))
     return file

@@ -12,7 +12,7 @@ import pytest
 
 from tb2rl.commands import seeds
 from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.zoo import building, entry, keeping
+from tb2rl.zoo import building, entry, maintenance
 from tb2rl.zoo.entry import entries
 
 keeper = import_module("tb2rl.zoo.__main__")
@@ -94,7 +94,7 @@ def test_a_build_that_is_interrupted_keeps_what_was_trained(own_zoo, monkeypatch
 def test_a_build_trains_nothing_that_is_there_as_its_recipe_says(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(building, "Job", lambda *arguments: pytest.fail("trained or driven"))
     written = []
-    monkeypatch.setattr(keeping, "write_text", lambda path, text: written.append((path, text)))
+    monkeypatch.setattr(maintenance, "write_text", lambda path, text: written.append((path, text)))
     keeper.main(["build", "maze-loop-dqn", "wall-wall-ppo"])
     assert capsys.readouterr().out == ""
     assert len(written) == len(entries()) + 1, "all cards and the table"

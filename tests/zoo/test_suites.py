@@ -18,10 +18,10 @@ from tb2rl.evaluation.suite_result import kept_result, kept_summary
 from tb2rl.runs import loading
 from tb2rl.runs.folder import Run
 from tb2rl.worlds.suites import SUITES
-from tb2rl.zoo import building, entry, keeping
+from tb2rl.zoo import building, entry, maintenance
 from tb2rl.zoo.cards import overview
-from tb2rl.zoo.contestants import astray
-from tb2rl.zoo.entry import entries, named, others
+from tb2rl.zoo.entry import entries, other_suite_policies, select
+from tb2rl.zoo.suite_policies import stale_results
 
 keeper = import_module("tb2rl.zoo.__main__")
 
@@ -57,7 +57,7 @@ def in_this_process(jobs, where):
 
 def set_suite(monkeypatch, make, **changes) -> None:
     """Let this be what any suite is."""
-    for module in (command, keeping):
+    for module in (command, maintenance):
         monkeypatch.setattr(module, "find_suite", lambda name, path=None: make(name, **changes))
 
 
@@ -68,8 +68,8 @@ def section(zoo: Path) -> list[str]:
 
 
 def only_contestant():
-    (contestant,) = others()
-    return contestant
+    (suite_policy,) = other_suite_policies()
+    return suite_policy
 
 
 # ---- agents that do not learn
@@ -145,7 +145,7 @@ def test_barn_has_a_table_of_its_own_with_a_score_whose_formula_is_named(own_zoo
         vars(suite).update(families=("barn",) * 3, references=(2.0, 2.0, 2.0), path=path)
         return suite
 
-    for module in (command, keeping):
+    for module in (command, maintenance):
         monkeypatch.setattr(module, "find_suite", barn)
     keeper.main(["build", "--barn", "my/worlds.npz"])
     text = (own_zoo / "suites" / "dwa-goal-barn.json").read_text()
@@ -163,7 +163,7 @@ def test_barn_has_a_table_of_its_own_with_a_score_whose_formula_is_named(own_zoo
 
 def test_worlds_of_barn_that_cannot_be_read_are_refused_before_anything_is_done(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(keeping, "build", lambda *arguments: pytest.fail("trained"))
+    monkeypatch.setattr(maintenance, "build", lambda *arguments: pytest.fail("trained"))
     with pytest.raises(SystemExit, match="2"):
         keeper.main(["build", "--barn", "missing.npz"])
     assert "missing.npz" in capsys.readouterr().err
@@ -191,8 +191,8 @@ def test_a_policy_that_navigates_is_an_entry_with_its_suites(own_zoo, driven):
     assert "| unseen | a | 2 | 0.0 % | " in text
     assert "- In suite `unseen`, `b`: 100.0 % of 1 worlds (time limit 1)." in text
     assert "**Falls short:** 0 % of its episodes are good, the zoo promises 95 %." in text
-    assert mine.contestant.summary("unseen").policy == "zoo:mine"
-    assert str(own_zoo) not in mine.contestant.file("unseen").read_text(), "nobody else has it there"
+    assert mine.suite_policy.summary("unseen").policy == "zoo:mine"
+    assert str(own_zoo) not in mine.suite_policy.file("unseen").read_text(), "nobody else has it there"
     keeper.main(["build"])
     assert len(driven) == 6
 
@@ -208,7 +208,7 @@ def test_a_summary_of_another_policy_does_not_count(own_zoo, driven, capsys):
     assert not mine.is_built
     with pytest.raises(SystemExit, match="1"):
         keeper.main(["check", "mine", "--episodes", "1"])
-    assert "suites/mine-unseen.json is not of a policy and a task that are there now" in capsys.readouterr().out
+    assert "suites/mine-unseen.json is stale: its policy or task has changed or is gone" in capsys.readouterr().out
     keeper.main(["build", "mine"])
     assert driven == [0, 1, 2] * 2
     assert entries()[0].is_built
@@ -247,7 +247,7 @@ def test_a_check_finds_summaries_that_are_touched_or_of_something_else(own_zoo, 
         keeper.main(["check"])
     said = capsys.readouterr().out
     assert "the table in README.md is not what the files say" in said
-    assert "suites/gone-unseen.json is not of a policy and a task that are there now" in said
+    assert "suites/gone-unseen.json is stale: its policy or task has changed or is gone" in said
     file.write_text("<<<<<<< HEAD")
     with pytest.raises(SystemExit, match="2"):
         keeper.main(["check"])
@@ -257,33 +257,38 @@ def test_a_check_finds_summaries_that_are_touched_or_of_something_else(own_zoo, 
 # ---- the zoo itself
 
 
-@pytest.mark.parametrize("contestant", others(), ids=lambda contestant: contestant.name)
-def test_each_other_contestant_does_not_learn_or_is_of_the_zoo_and_its_name_says_how_it_drives(contestant):
-    policy, agent, task = contestant.options.policy, contestant.options.agent, contestant.config.task
+@pytest.mark.parametrize("suite_policy", other_suite_policies(), ids=lambda suite_policy: suite_policy.name)
+def test_each_other_contestant_does_not_learn_or_is_of_the_zoo_and_its_name_says_how_it_drives(suite_policy):
+    policy, agent, task = suite_policy.options.policy, suite_policy.options.agent, suite_policy.config.task
     who = policy.removeprefix("zoo:") if policy else f"{agent}-{task.guide}"
     usual = "none" if agent else loading.config_of(loading.load(policy)).task.variation
     how = "exact" if task.variation == "none" else task.variation
-    assert contestant.name == (who if task.variation == usual else f"{who}-{how}")
-    assert (contestant.digest is None) == (policy is None)
+    assert suite_policy.name == (who if task.variation == usual else f"{who}-{how}")
+    assert (suite_policy.digest is None) == (policy is None)
     assert policy or find_agent(agent).algorithm is None
 
 
 def test_names_are_of_policies_or_of_others():
-    policies, rest = named([])
+    policies, rest = select([])
     assert not {each.name for each in policies} & {each.name for each in rest}
-    policies, rest = named(["dwa-plan", "maze-loop-dqn"])
+    policies, rest = select(["dwa-plan", "maze-loop-dqn"])
     assert [each.name for each in (*policies, *rest)] == ["maze-loop-dqn", "dwa-plan"]
 
 
 def test_the_summaries_are_of_what_is_there_now():
     built = [each for each in entries() if (each.folder / "config.yaml").is_file()]
-    assert astray(entry.suites_folder().glob("*"), [*entry.contestants_of(built), *others()]) == []
+    assert (
+        stale_results(entry.suites_folder().glob("*"), [*entry.suite_policies_of(built), *other_suite_policies()]) == []
+    )
 
 
 def test_whatever_a_policy_is_called_it_is_installed_and_summaries_are():
     tree = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))
     patterns = tree["tool"]["setuptools"]["package-data"]["tb2rl.zoo"]
-    files = ["suites.yaml", *(f"suites/{each.name}-{suite}.json" for each in others() for suite in SUITES)]
+    files = [
+        "suites.yaml",
+        *(f"suites/{each.name}-{suite}.json" for each in other_suite_policies() for suite in SUITES),
+    ]
     files += [f"{each.name}/{name}" for each in entries() for name in ("README.md", "best/policy.safetensors")]
     assert [file for file in files if not any(matches(file, pattern) for pattern in patterns)] == []
 
