@@ -63,12 +63,10 @@ class RayExecutor(Executor):
 
     @property
     def num_workers(self) -> int:
-        """How many jobs can run at once, now."""
         available = int(self._ray.cluster_resources().get("CPU", 1))
         return max(1, min(available, self._max_workers or available))
 
     def start(self, job: Job, payloads: Sequence[Payload]) -> None:
-        """Give a job to Ray."""
         if {payload.digest for payload in payloads} - set(self._references):
             self._modules = serialize(UserModules())
             sent = (self._modules, *payloads)
@@ -97,7 +95,6 @@ class RayExecutor(Executor):
         return ended
 
     def cancel(self) -> None:
-        """End the running jobs."""
         if self._running and self._ray.is_initialized():
             for reference in self._running:
                 self._ray.cancel(reference, force=True)

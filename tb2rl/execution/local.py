@@ -43,11 +43,9 @@ class LocalExecutor(Executor):
 
     @property
     def num_workers(self) -> int:
-        """How many jobs can run at once."""
         return self._max_workers
 
     def start(self, job: Job, payloads: Sequence[Payload]) -> None:
-        """Start a job on an idle process or a new one."""
         worker = self._idle.pop() if self._idle else _Worker()
         self._busy[worker.connection] = (worker, job, payloads)
         with suppress(BrokenPipeError, ConnectionResetError):  # a worker that died meanwhile: `wait` notices
@@ -92,7 +90,6 @@ class LocalExecutor(Executor):
         _terminate(busy)
 
     def close(self) -> None:
-        """End all processes."""
         atexit.unregister(self.close)
         self.cancel()
         _terminate(self._idle)

@@ -13,11 +13,9 @@ import tb2rl
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, evaluate
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.runs.config import config_from
-from tb2rl.worlds.generators import GENERATORS
-from tb2rl.worlds.registry import world_names
 from tb2rl.zoo import checking
 from tb2rl.zoo.cards import card, overview, table
-from tb2rl.zoo.entry import MAZES, WORLDS, entries, zoo_folder
+from tb2rl.zoo.entry import WORLDS, entries, zoo_folder
 
 keeper = import_module("tb2rl.zoo.__main__")
 
@@ -89,11 +87,6 @@ def test_it_was_driven_in_every_world_that_it_never_saw_and_can_drive_in(entry):
         assert sum(figures["endings"].values()) == figures["episodes"] == EPISODES
         failing = figures["endings"].get("collision", 0) + figures["endings"].get("out of bounds", 0)
         assert figures["failure_free_rate"] == pytest.approx(1 - failing / EPISODES)
-
-
-def test_the_closed_mazes_are_worlds_and_mixed_ones_generated():
-    assert set(MAZES) < set(world_names())
-    assert "mixed" in GENERATORS
 
 
 def test_the_table_is_what_the_entries_say():

@@ -12,6 +12,7 @@ import pytest
 
 from tb2rl.commands import seeds
 from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.execution.local import LocalExecutor
 from tb2rl.zoo import building, entry, maintenance
 from tb2rl.zoo.entry import entries
 
@@ -79,12 +80,11 @@ def test_a_build_that_is_interrupted_keeps_what_was_trained(own_zoo, monkeypatch
     (own_zoo / "recipes.yaml").write_text(f"mine: {SMALL}\nnext: {SMALL} train.seed=1\n")
     monkeypatch.setattr(seeds, "evaluate", partial(evaluate, episodes=2, steps=20, workers=1))
 
-    def interrupted(jobs, where):
-        first = jobs[0]
-        yield first, first.function({}, first.folder, *first.arguments)
+    def interrupted(_, function, jobs, shared):
+        yield jobs[0], function(*shared, *jobs[0].arguments, jobs[0].folder)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(building, "run_jobs", interrupted)
+    monkeypatch.setattr(LocalExecutor, "as_completed", interrupted)
     with pytest.raises(SystemExit, match="130"):
         keeper.main(["build"])
     assert (own_zoo / "mine" / "best" / "policy.safetensors").is_file()

@@ -15,12 +15,14 @@ from tb2rl.commands import seeds as training
 from tb2rl.commands import suite as command
 from tb2rl.core.agent import find_agent
 from tb2rl.evaluation.suite_result import kept_result, kept_summary
+from tb2rl.execution.local import LocalExecutor
+from tb2rl.registry import find_agent
 from tb2rl.runs import loading
 from tb2rl.runs.folder import Run
 from tb2rl.worlds.suites import SUITES
-from tb2rl.zoo import building, entry, maintenance
+from tb2rl.zoo import entry, maintenance
 from tb2rl.zoo.cards import overview
-from tb2rl.zoo.entry import entries, other_suite_policies, select
+from tb2rl.zoo.entry import entries, other_suite_policies
 from tb2rl.zoo.suite_policies import stale_results
 
 keeper = import_module("tb2rl.zoo.__main__")
@@ -44,15 +46,15 @@ def own_zoo(tmp_path, monkeypatch, small_suite):
     for module in (entry, loading):
         monkeypatch.setattr(module, "top_folder", lambda name: zoo)
     monkeypatch.setattr(training, "evaluate", partial(training.evaluate, episodes=2, steps=5, workers=1))
-    monkeypatch.setattr(building, "run_jobs", in_this_process)
+    monkeypatch.setattr(LocalExecutor, "as_completed", in_this_process)
     set_suite(monkeypatch, small_suite)
     monkeypatch.chdir(tmp_path)
     return zoo
 
 
-def in_this_process(jobs, where):
-    """What `run_jobs` does, one after the other."""
-    return [(job, job.function(None, job.folder, *job.arguments)) for job in jobs]
+def in_this_process(_, function, jobs, shared=()):
+    """`Executor.as_completed` without other processes."""
+    return [(job, function(*shared, *job.arguments, job.folder)) for job in jobs]
 
 
 def set_suite(monkeypatch, make, **changes) -> None:
@@ -94,13 +96,6 @@ def test_an_agent_is_driven_once_and_has_a_row(own_zoo, driven, capsys):
     assert driven == [0, 1, 2], "what is there is kept"
     keeper.main(["build", "dwa-goal", "--again"])
     assert driven == [0, 1, 2] * 2
-
-
-def test_without_results_there_is_no_table_of_suites(own_zoo):
-    (own_zoo / "suites.yaml").unlink()
-    keeper.main(["build"])
-    assert "Suites" not in (own_zoo / "README.md").read_text()
-    assert not (own_zoo / "suites").exists()
 
 
 def test_other_worlds_or_another_task_are_driven_anew(own_zoo, driven, small_suite, monkeypatch):
@@ -258,7 +253,7 @@ def test_a_check_finds_summaries_that_are_touched_or_of_something_else(own_zoo, 
 
 
 @pytest.mark.parametrize("suite_policy", other_suite_policies(), ids=lambda suite_policy: suite_policy.name)
-def test_each_other_contestant_does_not_learn_or_is_of_the_zoo_and_its_name_says_how_it_drives(suite_policy):
+def test_other_suite_policies_have_the_name_of_their_agent_or_entry_and_variation(suite_policy):
     policy, agent, task = suite_policy.options.policy, suite_policy.options.agent, suite_policy.config.task
     who = policy.removeprefix("zoo:") if policy else f"{agent}-{task.guide}"
     usual = "none" if agent else loading.config_of(loading.load(policy)).task.variation
@@ -266,13 +261,6 @@ def test_each_other_contestant_does_not_learn_or_is_of_the_zoo_and_its_name_says
     assert suite_policy.name == (who if task.variation == usual else f"{who}-{how}")
     assert (suite_policy.digest is None) == (policy is None)
     assert policy or find_agent(agent).algorithm is None
-
-
-def test_names_are_of_policies_or_of_others():
-    policies, rest = select([])
-    assert not {each.name for each in policies} & {each.name for each in rest}
-    policies, rest = select(["dwa-plan", "maze-loop-dqn"])
-    assert [each.name for each in (*policies, *rest)] == ["maze-loop-dqn", "dwa-plan"]
 
 
 def test_the_summaries_are_of_what_is_there_now():
