@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tb2rl.rendering.canvas import SIDE, Canvas
-from tb2rl.rendering.colours import FLOOR, GOAL, PATH, WALL
+from tb2rl.rendering.colours import FLOOR, WALL
 from tb2rl.worlds import World
 
 
@@ -20,26 +20,6 @@ def test_walls_are_at_their_positions(square, look_at):
         assert look.is_at(FLOOR, x, y), (x, y)
     x0, y0 = look.points(WALL).min(axis=0)
     assert (x0, y0) == pytest.approx((-1.3, -1.3), abs=0.02)
-
-
-def test_lines_and_discs_have_their_size(square, look_at):
-    canvas = Canvas(square)
-    canvas.line([(-1.5, 1.0), (-0.5, 1.0)], PATH, 0.2)
-    canvas.disc(0.0, -1.0, 0.4, GOAL)
-    look = look_at(square, canvas.array())
-    (left, low), (right, high) = look.points(PATH).min(axis=0), look.points(PATH).max(axis=0)
-    assert (left, low, right, high) == pytest.approx((-1.5, 0.9, -0.5, 1.1), abs=0.02)
-    (left, low), (right, high) = look.points(GOAL).min(axis=0), look.points(GOAL).max(axis=0)
-    assert (left, low, right, high) == pytest.approx((-0.4, -1.4, 0.4, -0.6), abs=0.02)
-
-
-def test_a_copy_does_not_change_the_original(square, look_at):
-    original = Canvas(square)
-    before = original.array()
-    duplicate = original.copy()
-    duplicate.polygon([(-1, 1), (-0.5, 1), (-0.5, 1.5)], PATH)
-    assert (original.array() == before).all()
-    assert len(look_at(square, duplicate.array()).points(PATH))
 
 
 @pytest.mark.parametrize(("width", "height"), [(4.0, 1.0), (1.0, 4.0), (3.3, 2.7), (0.9, 100.0)])

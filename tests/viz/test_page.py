@@ -69,18 +69,6 @@ def test_a_page_loads_nothing_and_its_ids_are_unique(page_of_seeds):
     assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", page_of_seeds.source)
 
 
-def test_episodes_in_several_worlds_are_drawn_in_their_worlds(view, make, pages):
-    worlds = [0, 1, *range(14)]
-    episodes = [replace(make.episode([(1, 1), (2, 2 + i / 5)], [0]), world=world) for i, world in enumerate(worlds)]
-    task = Wander(world={"generator": "clutter", "worlds": 14, "difficulty": 0.3})
-    view = replace(view, evaluation=Evaluation(episodes, make_scene(task, "discrete"), SEED))
-    shown = pages(page(group_runs([view])))
-    for part in ("16 episodes, 0 failed; 12 of 14 worlds", "in 14 worlds of clutter"):
-        assert part in shown.text
-    assert len(shown.ids) == len(set(shown.ids))
-    assert sum("starts" in name for name in shown.ids) == 12
-
-
 def test_failures_are_counted_by_the_task(view, make, pages, without_pictures):
     path = [(0.0, 2.0), (1.0, 2.0)]
     endings = [("out of bounds", True), ("goal", False), ("time limit", False), ("out of bounds", True)]

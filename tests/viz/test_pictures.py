@@ -57,17 +57,6 @@ def test_the_goal_is_that_of_the_episode_and_only_tasks_with_a_goal_show_one(mak
     assert centres(without, draw_paths(without, driven()), GOAL) is None
 
 
-def test_paths_in_several_worlds_are_drawn_in_theirs(make, driven):
-    scene = make.config("maze", world=["loop", "wall", "circuit"]).scene
-    episodes = driven([True] * 3, [2, 1, 2], [*PATHS, PATHS[0]])
-    pictures = [draw_paths(scene, [episode]) for episode in episodes[:2]]
-    together = draw_paths(scene, episodes)
-    (high, wide, _), (low, narrow, _) = (picture.shape for picture in pictures)
-    assert together.shape == (max(high, low), wide + narrow, 3)
-    assert (together[:high, :wide] == pictures[0]).all()
-    assert (together[:low, wide:] == pictures[1]).all()
-
-
 def test_many_worlds_stand_in_rows_half_as_large(make, driven):
     scene = make.config("maze", world=["loop", "wall"] * 4).scene
     episodes = driven([True] * 8, range(8), PATHS[:1] * 8)

@@ -82,15 +82,13 @@ def named_views(view: RunView, names: Sequence[str]) -> list[RunView]:
     ]
 
 
-def test_groups_have_names_and_colours_of_their_own(views):
+def test_groups_have_names_of_their_own(views):
     apart = group_runs(named_views(views[0], ["ppo/a", "ppo/b", "dqn/a"]))
     assert [group.name for group in apart] == ["ppo", "dqn/a"]
     renamed = [
         replace(v, name=f"ppo/{v.name[-1]}") for v in named_views(views[0], ["ppo/a", "ppo/b", "dqn/c", "dqn/d"])
     ]
     assert [group.name for group in group_runs(renamed)] == ["ppo/a and 1 more", "ppo/c and 1 more"]
-    many = group_runs(named_views(views[0], [f"{i}/run" for i in range(9)]))
-    assert len({group.colour for group in many}) == 9
 
 
 def test_seeds_are_sorted_and_have_means(views):

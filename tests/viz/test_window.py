@@ -7,15 +7,12 @@ import shutil
 import subprocess
 import sys
 import time
-from contextlib import closing
 
-import numpy as np
 import pytest
 
 import tb2rl.play as play
-from tb2rl.simulation import InitialState
 from tb2rl.viz.cameras import CAMERAS
-from tb2rl.viz.window import Window, has_display
+from tb2rl.viz.window import has_display
 
 STEPS = 10
 
@@ -62,21 +59,6 @@ def test_the_window_shows_an_episode_in_real_time(screen, camera, tmp_path, monk
     assert STEPS * 0.2 < time.monotonic() - began < 60, "waited for the window to open and close"
     assert capsys.readouterr().out.startswith("episode 1: time limit after 10 steps (2.0 s)")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.flaky(reruns=1)
-def test_a_window_shows_poses_until_its_display_closes(screen, make):
-    server = screen()
-    scene = make.config("wall").scene
-    initial_state = InitialState.default(scene.spec, 1)
-    with closing(Window(scene)) as window:
-        assert window.show(initial_state, np.zeros(3))
-        server.terminate()
-        until = time.monotonic() + 30
-        while window.show(initial_state, np.zeros(3)):
-            assert time.monotonic() < until, "waited for the window to close"
-            time.sleep(0.05)
 
 
 @pytest.mark.slow
