@@ -40,13 +40,13 @@ class SuiteSection:
         result: The result.
         shown: Some of its drives, see `shown_drives`, each with its film if there is one.
         simulator: The simulator of the films.
-        trouble: The reason why there are no films; "": there are.
+        error: The reason why there are no films; "": there are.
     """
 
     result: SuiteResult
     shown: Sequence[tuple[NamedDrive, SuiteFilm | None]]
     simulator: str = ""
-    trouble: str = ""
+    error: str = ""
 
 
 def result_files(files: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
@@ -70,7 +70,7 @@ def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> Su
             bar = progress_bar(shown, "filming", "world", shown=progress)
             films = [(drive, _film(evaluator, policy, drive)) for drive in bar]
     except InputError as error:
-        return SuiteSection(result, [(drive, None) for drive in shown], trouble=str(error))
+        return SuiteSection(result, [(drive, None) for drive in shown], error=str(error))
     return SuiteSection(result, films, evaluator.simulator.title)
 
 

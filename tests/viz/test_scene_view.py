@@ -78,6 +78,7 @@ def test_worlds_alternate_and_a_view_can_be_closed_twice(view):
     assert not view.is_open
 
 
+@pytest.mark.slow
 def test_the_windows_process_imports_no_learners():
     names = "('torch', 'stable_baselines3')"
     code = f"import sys, tb2rl.viz.scene_view; print([name for name in sys.modules if name in {names}])"

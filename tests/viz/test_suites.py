@@ -96,14 +96,14 @@ def test_the_first_failures_or_the_nearest_or_the_longest_drive_are_shown(result
 
 def test_the_page_says_that_not_all_failures_are_shown(result, pages):
     each = tuple(drive(i, False) for i in range(FILMS + 1))
-    section = SuiteSection(replace(result, each=each), [(one, None) for one in each[:FILMS]], trouble="no policy")
+    section = SuiteSection(replace(result, each=each), [(one, None) for one in each[:FILMS]], error="no policy")
     text = pages(page([], [section])).text
     assert f"missed in {FILMS + 1} of 3 worlds; the first {FILMS} are shown, and the result file lists all" in text
     assert "There are no films: no policy." in text
 
 
 @pytest.mark.parametrize(
-    ("changes", "trouble"),
+    ("changes", "error"),
     [
         ({"policy": "runs/gone", "policy_digest": "abc"}, "runs/gone"),
         ({"suite_digest": "abc"}, "suite unseen"),
@@ -112,21 +112,19 @@ def test_the_page_says_that_not_all_failures_are_shown(result, pages):
         ({"suite": "mine"}, "unknown suite 'mine'"),
     ],
 )
-def test_episodes_that_cannot_be_repeated_are_a_line_on_the_page(
-    changes, trouble, result, pages, tmp_path, monkeypatch
-):
+def test_episodes_that_cannot_be_repeated_are_a_line_on_the_page(changes, error, result, pages, tmp_path, monkeypatch):
     if "suite" in changes:
         monkeypatch.undo()
     section = suite_section(tmp_path / "it.json", replace(result, **changes))
-    assert trouble in section.trouble
+    assert error in section.error
     shown = pages(page([], [section]))
-    assert f"There are no films: {' '.join(section.trouble.split())}." in shown.text
+    assert f"There are no films: {' '.join(section.error.split())}." in shown.text
     assert "at -1" in shown.text, "failures are named all the same"
     assert shown.count("img") == 0
 
 
 def test_names_are_text_whatever_they_contain(result, pages):
     named = replace(result, policy="<b>bold", each=(replace(result.each[0], name="<i>", ended="<u>"),))
-    shown = pages(page([], [SuiteSection(named, [(named.each[0], None)], trouble="<s>")]))
+    shown = pages(page([], [SuiteSection(named, [(named.each[0], None)], error="<s>")]))
     assert [part for part in ("<b>bold", "<i>", "<u>", "<s>") if part not in shown.text] == []
     assert [shown.count(tag) for tag in "bius"] == [0, 0, 0, 0]
