@@ -63,6 +63,7 @@ def find_plugin(kind: Kind, name: str) -> Any:
         InputError: If there is none; the message lists the known names.
     """
     if ":" in name:
+        check_module(name)  # its message begins with the untrusted source, not with the kind
         try:
             return import_object(name)
         except InputError as error:
