@@ -1,10 +1,10 @@
-"""tb2rl: a TurtleBot2 that learns its maze.
+"""Reinforcement learning for a TurtleBot2.
 
     import tb2rl
     policy = tb2rl.load("runs/maze/dqn/NAME")
     env = tb2rl.make_env(policy)
 
-Importing this registers the Gymnasium ids; nothing heavy is imported before it is used.
+Importing the package registers the Gymnasium ids. PyTorch and the simulators are imported at first use.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-# In a checkout, agents/, configs/ and zoo/ stand beside this package; installed, they are inside it.
+# agents/, configs/ and zoo/ are beside this package in a checkout, and inside it when installed.
 if (Path(__file__).parent.parent / "pyproject.toml").is_file():
     __path__.append(str(Path(__file__).parent.parent))
 
@@ -32,19 +32,16 @@ if TYPE_CHECKING:
 
 __all__ = ["InputError", "evaluate", "load", "make_env", "train"]
 
-GYM_IDS = {
-    "TurtleBot2Maze-v0": {"task": "maze"},
-    "MyTurtleBot2Maze-v0": {"task": "my-maze"},
-    "TurtleBot2Wall-v0": {"task": "wall"},
-    "TurtleBot2Drive-v0": {"task": "drive"},
-    "TurtleBot2Navigate-v0": {"task": "navigate"},
-    # With raw observations, for programs that can name an environment and pass it no arguments.
-    "TurtleBot2MazeRaw-v0": {"task": "maze", "observation": "raw"},
-    "MyTurtleBot2MazeRaw-v0": {"task": "my-maze", "observation": "raw"},
-    "TurtleBot2WallRaw-v0": {"task": "wall", "observation": "raw"},
-    "TurtleBot2DriveRaw-v0": {"task": "drive", "observation": "raw"},
-    "TurtleBot2NavigateRaw-v0": {"task": "navigate", "observation": "raw"},
+_TASKS = {
+    "TurtleBot2Maze": "maze",
+    "MyTurtleBot2Maze": "my-maze",
+    "TurtleBot2Wall": "wall",
+    "TurtleBot2Drive": "drive",
+    "TurtleBot2Navigate": "navigate",
 }
+GYM_IDS = {f"{name}-v0": {"task": task} for name, task in _TASKS.items()}
+# Raw observations for programs that can name an environment but pass it no arguments.
+GYM_IDS |= {f"{name}Raw-v0": {"task": task, "observation": "raw"} for name, task in _TASKS.items()}
 for _id, _arguments in GYM_IDS.items():
     gymnasium.register(
         _id,
@@ -75,7 +72,7 @@ def __dir__() -> list[str]:
 
 
 def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version  # a fifth of the time that the package takes
+    from importlib.metadata import PackageNotFoundError, version  # it takes a fifth of the import time of the package
 
     try:
         return version("tb2rl")
@@ -84,7 +81,7 @@ def _version() -> str:
 
 
 class _Package(ModuleType):
-    """Keeps `tb2rl.train` and `tb2rl.evaluate` the functions when the commands' modules of these names are imported."""
+    """Keeps the function `tb2rl.train` when the command module of the same name is imported, and so `evaluate`."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not (name in _HOMES and isinstance(value, ModuleType)):

@@ -1,4 +1,4 @@
-"""What `benchmark` does, see `tb2rl.benchmark`: measures each part, prints a table, writes JSON."""
+"""The command `benchmark`: measures each part, prints a table, writes JSON; see `tb2rl.benchmark`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import platform
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,32 +16,23 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tb2rl.commands.rates import Figure, measure_physics, measure_twin
+from tb2rl.commands.output import check_output, write_json
+from tb2rl.commands.rates import Figure, measure_kinematic, measure_physics
 from tb2rl.core.errors import InputError, unknown
-from tb2rl.core.files import write_text
 from tb2rl.core.processes import processors
 from tb2rl.evaluation.evaluator import PASSED, evaluate
-from tb2rl.registry import Agent, agent_names, find_agent
+from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.simulation import SIMULATIONS, check_bullet
 from tb2rl.training.training import Training, train_config
 
-_STEPS = 50_000  # of a training in PyBullet whose rate is measured
+_STEPS = 50_000  # at most, of a training in PyBullet whose rate is measured
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """How long to measure, and what to train."""
-
-    seconds: float = 5.0  # for each figure of the parts physics and twin
-    seeds: int = 1  # trainings of each agent in the part trained, with seeds from 0
-    simulations: Sequence[str] = ("kinematic",)  # in which the part trained does so
-
-
-def measure_training(conditions: Conditions) -> list[Figure]:
-    """What is left of the simulations' rates while each agent learns in them."""
+def measure_training(options: argparse.Namespace) -> list[Figure]:
+    """Training rate of each agent in each simulator."""
     figures = []
     for simulation in SIMULATIONS:
         for agent in learners():
@@ -53,54 +44,53 @@ def measure_training(conditions: Conditions) -> list[Figure]:
     return figures
 
 
-def measure_trained(conditions: Conditions) -> list[Figure]:
-    """Whole trainings: the time of the first evaluation that passes, and what the standard evaluation says then."""
+def measure_trained(options: argparse.Namespace) -> list[Figure]:
+    """Time of the first evaluation that passes, and the standard evaluation, of whole trainings."""
     figures = []
-    for simulation in conditions.simulations:
+    for simulation in options.simulations:
         for agent in learners():
-            for seed in range(conditions.seeds):
-                figures += measure_one_trained(agent, simulation, seed)
-            if conditions.seeds > 1:
-                times = [f.value for f in figures if f.name.startswith(f"{agent} in {simulation}") and f.unit == "s"]
-                name = f"{agent} in {simulation}: trained, median of {conditions.seeds} seeds"
-                figures.append(Figure(name, float(np.median(times)), "s"))
+            trainings = [_measure_one_trained(agent, simulation, seed) for seed in range(options.seeds)]
+            figures += [figure for training in trainings for figure in training]
+            if options.seeds > 1:
+                name = f"{agent} in {simulation}: trained, median of {options.seeds} seeds"
+                figures.append(Figure(name, float(np.median([time.value for time, _ in trainings])), "s"))
     return figures
 
 
-def measure_one_trained(agent: str, simulation: str, seed: int) -> list[Figure]:
-    """Seconds of learning, with the evaluations on the way, until one passes (inf: not one did)."""
+def _measure_one_trained(agent: str, simulation: str, seed: int) -> tuple[Figure, Figure]:
+    """Seconds until an evaluation passes, evaluations included (inf if none does), and the standard evaluation."""
     with tempfile.TemporaryDirectory() as folder:
         training = _train(agent, simulation, seed, Path(folder))
         lines = (training.run.folder / EVALUATIONS).read_text().splitlines()
         passed = [e["elapsed"] for e in map(json.loads, lines) if e["failure_free_rate"] >= PASSED]
         rate = evaluate(load(training.run.folder)).summary()["failure_free_rate"]
     name = f"{agent} in {simulation}, seed {seed}"
-    return [
+    return (
         Figure(f"{name}: trained after", min(passed, default=float("inf")), "s"),
         Figure(f"{name}: failure-free, standard evaluation", 100 * rate, "%"),
-    ]
+    )
 
 
 def learners() -> list[str]:
     """The agents that learn the default task and are installed."""
     agents = {name: find_agent(name) for name in agent_names()}
-    return [name for name, agent in agents.items() if agent.actions != "continuous" and _is_here(agent)]
+    return [
+        name
+        for name, agent in agents.items()
+        if agent.algorithm and agent.actions != "continuous" and find_spec(agent.algorithm.partition(":")[0])
+    ]
 
 
-def _is_here(agent: Agent) -> bool:
-    return agent.algorithm is not None and find_spec(agent.algorithm.partition(":")[0]) is not None
-
-
-PARTS: dict[str, Callable[[Conditions], list[Figure]]] = {
-    "physics": lambda conditions: measure_physics(conditions.seconds),
-    "twin": lambda conditions: measure_twin(conditions.seconds),
+PARTS: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
+    "physics": lambda options: measure_physics(options.seconds),
+    "kinematic": lambda options: measure_kinematic(options.seconds),
     "training": measure_training,
     "trained": measure_trained,
 }
 
 
 def _train(agent: str, simulation: str, seed: int, folder: Path | None = None, **settings: Any) -> Training:
-    """One training after a first short one, which loads what is compiled and imported late."""
+    """Train once, after a short training that loads all code which is compiled or imported late."""
     given = {f"train.{key}": value for key, value in {"simulation": simulation, "seed": seed, **settings}.items()}
     config = resolve(agent, settings=given)
     short = resolve(agent, settings={**given, "train.total_timesteps": 1, "train.eval_freq": 0, "train.save_freq": 0})
@@ -110,7 +100,7 @@ def _train(agent: str, simulation: str, seed: int, folder: Path | None = None, *
 
 
 def machine() -> str:
-    """The processor and how many of them this process may use."""
+    """The processor, the number of processors that this process may use, and the version of Python."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -120,33 +110,28 @@ def machine() -> str:
 
 def run(options: argparse.Namespace) -> None:
     """Measure, print a table, write JSON."""
-    for part in options.parts or PARTS:
+    parts = options.parts or list(PARTS)
+    for part in parts:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
-        if part != "twin":
+        if part != "kinematic":
             check_bullet(f"part {part}")
     for simulation in options.simulations:
         if simulation not in SIMULATIONS:
             raise unknown("simulation", simulation, SIMULATIONS)
     if not options.seconds > 0 or options.seeds < 1:
         raise InputError(f"--seconds must be above 0 and --seeds at least 1, got {options.seconds}, {options.seeds}")
-    if options.json and not options.json.absolute().parent.is_dir():
-        raise InputError(f"cannot write {options.json}: there is no folder {options.json.absolute().parent}")
-    conditions = Conditions(options.seconds, options.seeds, options.simulations)
-    figures = [figure for part in options.parts or PARTS for figure in PARTS[part](conditions)]
+    check_output(options.json)
+    figures = [figure for part in parts for figure in PARTS[part](options)]
     Console().print(as_table(figures))
     if options.json:
-        tree = {"machine": machine(), "figures": [asdict(figure) for figure in figures]}
-        try:
-            write_text(options.json, json.dumps(tree, indent=1) + "\n")
-        except OSError as error:
-            raise InputError(f"cannot write {options.json}: {error.strerror}") from None
+        write_json(options.json, {"machine": machine(), "figures": [asdict(figure) for figure in figures]})
 
 
 def as_table(figures: Sequence[Figure]) -> Table:
-    """The figures, one a line."""
+    """A table with a row for each figure."""
     table = Table(title=machine(), title_justify="left")
-    table.add_column("what")
+    table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("unit")
     for figure in figures:

@@ -1,16 +1,15 @@
-"""What `evaluate` does, see `tb2rl.evaluate`: a table, and JSON where it belongs."""
+"""The command `evaluate`: a standard or other evaluation, see `tb2rl.evaluate`."""
 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
+from tb2rl.commands.output import check_output, write_json
 from tb2rl.commands.policy import chosen_policy, chosen_time_limit
 from tb2rl.commands.robot import chosen_robot
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
-from tb2rl.core.files import write_text
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, evaluate
 from tb2rl.evaluation.rollout import LARGEST_SEED
@@ -27,9 +26,10 @@ def run(options: argparse.Namespace) -> None:
     announce_compiling()
     robot = chosen_robot(options)
     options.steps = chosen_time_limit(options, STEPS)
-    for name, standard in (("episodes", EPISODES if robot is None else 1), ("seed", SEED)):
-        if getattr(options, name) is None:
-            setattr(options, name, standard)
+    if options.episodes is None:
+        options.episodes = EPISODES if robot is None else 1
+    if options.seed is None:
+        options.seed = SEED
     check(options)
     policy, config = chosen_policy(options)
     conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed")}
@@ -41,44 +41,38 @@ def run(options: argparse.Namespace) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Raise an `InputError` where options do not go together, or do not fit."""
-    check_places(options)
+    """Raise an `InputError` if options contradict each other or are out of range."""
+    check_shared(options)
     if options.on is not None:
-        raise InputError("--on goes with --suite: a hundred episodes are over sooner than Ray has started")
+        raise InputError("--on goes with --suite: the episodes are over before Ray has started")
     if options.simulation == ROS and options.workers is not None:
         raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
     if options.goal is not None and options.simulation != ROS:
-        raise InputError("--goal goes with --simulation ros; else say --set task.goal=[3,2]")
+        raise InputError("--goal goes with --simulation ros; in a simulator use --set task.goal=[3,2]")
     if not 1 <= options.episodes <= _MOST_EPISODES or options.steps < 1 or not 0 <= options.seed <= LARGEST_SEED:
         counts = f"--episodes must be from 1 to {_MOST_EPISODES}, --steps at least 1"
         raise InputError(f"{counts}, and --seed from 0 to {LARGEST_SEED}")
 
 
-def check_places(options: argparse.Namespace) -> None:
-    """The same for what every evaluation takes: what drives, in how many processes, and where the result goes."""
+def check_shared(options: argparse.Namespace) -> None:
+    """Raise an `InputError` for the options of every evaluation: policy, processes, result file."""
     if (options.policy is None) == (options.agent is None):
-        raise InputError(
-            "name either a policy (a run folder, a checkpoint, zoo:NAME, hf:USER/REPOSITORY) or an --agent"
-        )
+        raise InputError("name a policy (a run folder, a checkpoint, zoo:NAME, hf:USER/REPOSITORY) or an --agent")
     if options.policy and options.task:
-        raise InputError("--task goes with --agent; a policy keeps the task that it was trained at")
+        raise InputError("--task goes with --agent; a policy keeps the task of its training")
     if options.workers is not None and options.workers < 1:
         raise InputError("--workers must be at least 1")
-    if options.json and not options.json.absolute().parent.is_dir():
-        raise InputError(f"cannot write {options.json}: there is no folder {options.json.absolute().parent}")
+    check_output(options.json)
 
 
 def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.Namespace) -> None:
-    """Put the evaluation into the file that is named, or the standard one into its run folder."""
+    """Write the evaluation to `--json`, or the standard evaluation of a run into its folder."""
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not options.set
     standard = standard and evaluation.simulation == judging_simulation()
     tree, arrays = evaluation.tree(config, name)
     if options.json:
-        try:
-            write_text(options.json, json.dumps(tree, indent=1) + "\n")
-        except OSError as error:
-            raise InputError(f"cannot write {options.json}: {error.strerror}") from None
+        write_json(options.json, tree)
     elif options.policy and standard and Path(options.policy).is_dir():
         Run.open(Path(options.policy), options.trust).write_evaluation(tree, arrays)
     else:
-        print("not written: only the standard evaluation of a run folder is kept there; --json FILE keeps any")
+        print("not written: a run folder keeps its standard evaluation only; --json FILE writes any evaluation")

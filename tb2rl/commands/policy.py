@@ -1,10 +1,8 @@
-"""The policy that a command line names, and the task that it drives at; see `tb2rl.policy_arguments`."""
+"""Reads the arguments of `tb2rl.policy_arguments.add_policy_arguments`: a policy and its task."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from typing import Any
 
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.rollout import Policy, time_limit
@@ -15,7 +13,7 @@ from tb2rl.runs.loading import config_of, load
 
 
 def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
-    """The policy that the arguments of `add_policy_arguments` name, and what it is to do.
+    """Load the policy that the arguments name, with the config of what it is to do.
 
     Raises:
         InputError: If there is no such policy, or a setting does not fit.
@@ -25,18 +23,13 @@ def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
         config = resolve(options.agent, options.task, settings=settings)
         return make_baseline(config), config
     policy = load(options.policy, options.trust)
-    return policy, config_of(policy).with_task(_task_settings(settings))
-
-
-def chosen_time_limit(options: argparse.Namespace, usual: int) -> int:
-    """Control steps at most in an episode, by `--steps` or `--set task.episode_steps`; see `time_limit`."""
-    settings = parse_settings(options.set)
-    return time_limit(options.steps, {key.removeprefix("task."): value for key, value in settings.items()}, usual)
-
-
-def _task_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Changes to the task of a trained policy by the names of its fields, from dotted keys."""
     for key in settings:
         if not key.startswith("task."):
             raise InputError(f"only the task of a trained policy can be changed (task.KEY=VALUE), got {key!r}")
-    return {key.removeprefix("task."): value for key, value in settings.items()}
+    return policy, config_of(policy).with_task({key.removeprefix("task."): value for key, value in settings.items()})
+
+
+def chosen_time_limit(options: argparse.Namespace, usual: int) -> int:
+    """The maximum control steps of an episode, by `--steps` or `--set task.episode_steps`; see `time_limit`."""
+    settings = parse_settings(options.set)
+    return time_limit(options.steps, {key.removeprefix("task."): value for key, value in settings.items()}, usual)

@@ -1,4 +1,4 @@
-"""How fast the simulations are: PyBullet's step, alone and in processes, and the fast twin's."""
+"""Rates of the simulators: PyBullet alone and in processes, and the kinematic simulator."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from tb2rl.simulation.kinematic import KinematicSimulation
 from tb2rl.tasks.wander import Wander
 
 BEAMS = (6, 36, 720)
-ROBOTS = (1, 64, 1024, 4096)
-ENVIRONMENTS = 16  # as in the presets
+NUM_ENVS = (1, 64, 1024, 4096)
+PARALLEL = 16  # environments in processes, as in the presets
 _BLOCK = 50  # control steps between the two sides of a ratio
 
 
@@ -33,13 +33,13 @@ class Figure:
 
 
 def measure_physics(seconds: float) -> list[Figure]:
-    """The environment's step, alone and in parallel processes."""
+    """The environment step of PyBullet, alone and in parallel processes."""
     figures = [figure for beams in BEAMS for figure in measure_step(beams, seconds)]
-    return [*figures, *measure_processes(ENVIRONMENTS, seconds)]
+    return [*figures, *measure_processes(PARALLEL, seconds)]
 
 
 def measure_step(beams: int, seconds: float) -> list[Figure]:
-    """The environment's step with raw ranges of so many beams, and the bare stepping in it."""
+    """The environment step with raw ranges, and the bare physics steps in it."""
     scene = make_scene(Wander(beams=beams), "raw")
     env = TurtleBot2Env(scene)
     rng = np.random.default_rng(0)
@@ -66,45 +66,39 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     ]
 
 
-def measure_processes(environments: int, seconds: float) -> list[Figure]:
+def measure_processes(num_envs: int, seconds: float) -> list[Figure]:
     """Environments in parallel processes, one alone, and one alone in each process at once.
 
-    They take turns: machines change from second to second. Processors that share a core, or a busy host, do less at
-    once than one after the other: the last figure says how much of what they do at once is left.
+    The three alternate, because the speed of a machine changes from second to second. Processors that share a core do
+    less at once than one after the other; the last figure excludes this loss.
     """
-    together = BatchVecEnv(make_scene(Wander(), "discrete"), environments, simulation="bullet")
+    together = BatchVecEnv(make_scene(Wander(), "discrete"), num_envs, simulation="bullet")
     together.seed(0)
     together.reset()
-    rng, rates = np.random.default_rng(0), []
+    rng, rates, count = np.random.default_rng(0), [], processors()
     with main_hidden():
-        others = process_context().Pool(processors() - 1) if processors() > 1 else None
+        others = process_context().Pool(count - 1) if count > 1 else None
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
         start = time.perf_counter()
-        for actions in rng.integers(3, size=(_BLOCK, environments)):
+        for actions in rng.integers(3, size=(_BLOCK, num_envs)):
             together.step(actions)
-        many = _BLOCK * environments / (time.perf_counter() - start)
-        asked = others.map_async(_rate_alone, range(1, processors()), 1) if others else None
-        at_once = _rate_alone(0) + (sum(asked.get()) if asked else 0.0)
+        many = _BLOCK * num_envs / (time.perf_counter() - start)
+        pending = others.map_async(_rate_alone, range(1, count), 1) if others else None
+        at_once = _rate_alone(0) + (sum(pending.get()) if pending else 0.0)
         rates.append((many, at_once, _rate_alone(0)))
     together.close()
     if others:
         others.terminate()
     many, at_once, one = np.array(rates).T
-    name, count = f"PyBullet, {environments} environments in parallel processes", processors()
-    return [
-        Figure("PyBullet, one environment alone", float(np.median(one)), "steps/s"),
-        Figure(f"PyBullet, {count} alone at once", float(np.median(at_once)), "steps/s"),
-        Figure(name, float(np.median(many)), "steps/s"),
-        Figure(
-            f"PyBullet, {environments} in parallel / ({count} x one alone)",
-            float(np.median(many / one)) / count,
-            "ratio",
-        ),
-        Figure(
-            f"PyBullet, {environments} in parallel / {count} alone at once", float(np.median(many / at_once)), "ratio"
-        ),
-    ]
+    medians = {
+        ("one environment alone", "steps/s"): one,
+        (f"{count} alone at once", "steps/s"): at_once,
+        (f"{num_envs} environments in parallel processes", "steps/s"): many,
+        (f"{num_envs} in parallel / ({count} x one alone)", "ratio"): many / one / count,
+        (f"{num_envs} in parallel / {count} alone at once", "ratio"): many / at_once,
+    }
+    return [Figure(f"PyBullet, {name}", float(np.median(values)), unit) for (name, unit), values in medians.items()]
 
 
 @cache
@@ -116,7 +110,7 @@ def _alone() -> gym.Env:
 
 
 def _rate_alone(seed: int) -> float:
-    """Of this process's environment [steps/s], driven at random."""
+    """Rate of this process's environment with random actions [steps/s]."""
     env, start = _alone(), time.perf_counter()
     for action in np.random.default_rng(seed).integers(3, size=4 * _BLOCK):
         if True in env.step(action)[2:4]:  # terminated, truncated
@@ -124,13 +118,13 @@ def _rate_alone(seed: int) -> float:
     return 4 * _BLOCK / (time.perf_counter() - start)
 
 
-def measure_twin(seconds: float) -> list[Figure]:
-    """The fast twin for every number of robots and beams."""
-    return [figure for beams in BEAMS for num_envs in ROBOTS for figure in measure_batch(num_envs, beams, seconds / 5)]
+def measure_kinematic(seconds: float) -> list[Figure]:
+    """The kinematic simulator for every number of environments and beams."""
+    return [f for beams in BEAMS for num_envs in NUM_ENVS for f in measure_batch(num_envs, beams, seconds / 5)]
 
 
 def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
-    """The VecEnv's own step, everything included, and the twin's compiled kernel alone over the same commands."""
+    """The whole VecEnv step, and the compiled kernel alone with the same commands."""
     scene = make_scene(Wander(beams=beams), "raw")
     env = BatchVecEnv(scene, num_envs)
     env.seed(0)
@@ -139,10 +133,9 @@ def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
     assert isinstance(simulation, KinematicSimulation)
     numbers = [np.empty(shape) for shape in ((num_envs, 2), (num_envs, 2), num_envs, num_envs)]
     results = *numbers, np.empty(num_envs, dtype=bool), np.empty(num_envs), np.empty((num_envs, beams))
-    whole: list[float] = []
-    bare: list[float] = []
+    whole, bare = list[float](), list[float]()
     end = time.perf_counter() + seconds
-    while time.perf_counter() < end or len(whole) < 3:  # the first ones start the threads
+    while time.perf_counter() < end or len(whole) < 3:  # the first two start the threads
         action = rng.integers(len(scene.actions.names), size=num_envs)
         commands, state = scene.actions.commands(action), simulation.state()
         start = time.perf_counter()
@@ -151,9 +144,9 @@ def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
         simulation.advance(state["poses"], state["rims"], commands, period, *results)
         whole.append(between - start)
         bare.append(time.perf_counter() - between)
-    name = f"twin, {num_envs} robots, {beams} beams"
+    name = f"kinematic, {num_envs} environments, {beams} beams"
     return [
-        Figure(f"{name}: step", num_envs / float(np.mean(whole[2:])), "robot-steps/s"),
+        Figure(f"{name}: step", num_envs / float(np.mean(whole[2:])), "steps/s"),
         Figure(f"{name}: step / bare kernel", float(np.mean(whole[2:]) / np.mean(bare[2:])), "ratio"),
     ]
 
@@ -172,8 +165,8 @@ def _time_steps(env: TurtleBot2Env, actions: np.ndarray) -> tuple[list[float], b
 def _time_bare(simulation: Any, commands: np.ndarray, period: float) -> float:
     total = 0.0
     simulation.set_duration(period)
-    for told in commands:
-        simulation.set_wheel_speeds(told[None])
+    for command in commands:
+        simulation.set_wheel_speeds(command[None])
         start = time.perf_counter()
         simulation.advance()
         total += time.perf_counter() - start
