@@ -1,4 +1,4 @@
-"""Evaluate a policy: standard evaluation, a suite, or a robot with ROS.
+"""Evaluate a policy: standard evaluation, suite, or robot with ROS.
 
     python -m tb2rl.evaluate runs/maze/dqn/NAME
     python -m tb2rl.evaluate --agent wallfollower

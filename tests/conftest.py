@@ -1,4 +1,4 @@
-"""What tests of several rooms need: setups of worlds, readings by hand, a suite, a user who may not write, a hub."""
+"""Fixtures of several rooms: specs, robot states, a suite, a run, an unprivileged user, a fake hub."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
+from tb2rl import train
 from tb2rl.commands import suite as suite_command
 from tb2rl.registry import find_world
 from tb2rl.robots import Robot
@@ -30,7 +31,7 @@ from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.worlds import World
 from tb2rl.worlds.suites import Suite
 
-# Tests send these; whatever starts pytest in the background (nohup, a shell's &) lets it and its children ignore them.
+# Tests send these signals, which pytest and its children ignore if a shell started pytest in the background.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP"):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -39,7 +40,7 @@ FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.
 
 
 def _spec(*worlds: World | str, robot: Robot = ROBOT, **laser) -> SimulationSpec:
-    """The robot in some worlds (an open floor if none is given); `laser` changes fields of its laser."""
+    """A robot in some worlds (an open floor by default); `laser` changes fields of its laser."""
     found = tuple(find_world(world) if isinstance(world, str) else world for world in worlds)
     return SimulationSpec(robot, replace(robot.laser, **laser), found or (FLOOR,))
 
@@ -55,11 +56,10 @@ def _reading(
     bounds=(-9.0, -9.0, 9.0, 9.0),
     **others,
 ) -> RobotState:
-    """A reading of as many robots as the longest argument has; a single value is the same for all.
+    """The state of as many robots as the longest argument has; a single value holds for all.
 
-    `others` are further fields of the reading, at rest if they are left out.
-    `ranges` are (num_envs, beams) or (beams,); without them each robot has three beams, the middle one of `nearest`
-    [m].
+    `ranges` are (num_envs, beams) or (beams,); by default a robot has three beams, the middle one of `nearest` [m].
+    `others` are further fields; the robot is at rest by default.
     """
     pose, twist = np.atleast_2d(np.array(pose, float)), np.atleast_2d(np.array(twist, float))
     ranges = None if ranges is None else np.atleast_2d(np.array(ranges, float))
@@ -84,13 +84,21 @@ def _reading(
 
 
 def _small_suite(name: str = "unseen", last: float = 1.0) -> Suite:
-    """Three worlds of two families, the last of which can be another; nobody reaches a goal within the time."""
+    """Three worlds of two families, the last at `y = last`; no policy reaches a goal within the time limit."""
     bounds, walls = (-4.0, -4.0, 4.0, 4.0), [(0.0, 3.5, 6.0, 0.2, 0.0)]
     worlds = tuple(
         World.from_shapes(f"at {y:g}", walls, start=(-2.0, y, 0.0), goal=(0.0, y, 0.0), bounds=bounds)
         for y in (-1.0, 0.0, last)
     )
     return Suite(name, worlds, ("a", "b", "a"), (2.0, 2.0, 2.0), 1.0)
+
+
+@pytest.fixture(scope="session")
+def trained_run(tmp_path_factory) -> Path:
+    """A run folder with a policy that has learned next to nothing; copy it before you write to it."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    train("qlearn", simulation="kinematic", total_timesteps=64, n_envs=4, eval_freq=0, save_freq=0, folder=folder)
+    return folder
 
 
 @pytest.fixture
@@ -113,21 +121,21 @@ def small_suite():
 
 @pytest.fixture
 def driven(monkeypatch) -> list[int]:
-    """The worlds of suites that were driven, as they come."""
+    """Indices of the suite worlds that were driven, in order."""
     drives_of, driven = suite_command.drives_of, []
 
-    def noted(*arguments):
+    def recorded(*arguments):
         for drive in drives_of(*arguments):
             driven.append(drive.world)
             yield drive
 
-    monkeypatch.setattr(suite_command, "drives_of", noted)
+    monkeypatch.setattr(suite_command, "drives_of", recorded)
     return driven
 
 
 @pytest.fixture
 def write_package(tmp_path, monkeypatch):
-    """A function that writes a package as pip leaves it in site-packages: its entry points, and modules by name."""
+    """A function that writes an installed package: its entry points, and modules by name."""
 
     def write(entry_points: str, **modules: str) -> None:
         info = tmp_path / "stranger-1.0.dist-info"
@@ -145,9 +153,9 @@ _NOBODY = 65534
 
 
 class Guest:
-    """A user who may read everything and write next to nothing, as in the image of a container.
+    """An unprivileged user who can read all files but write to few, as in a container image.
 
-    Root takes another user for it, who may still read what root may: Python can stand in root's home.
+    If the tests run as root, it is another user that keeps root's right to read: Python may stand in root's home.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -155,28 +163,28 @@ class Guest:
         self.scratch = self.own(folder)
 
     def own(self, folder: Path) -> Path:
-        """A new folder that this user may write to."""
+        """Make a folder that this user may write to."""
         folder.mkdir()
         if self.is_root:
             os.chown(folder, _NOBODY, _NOBODY)
         return folder
 
     def lock(self, folder: Path) -> None:
-        """Let this user write nowhere in a folder until the test is over."""
+        """Make a folder read-only for this user until the test ends."""
         for place in (folder, *folder.rglob("*/")):
             if place.is_dir() and not place.is_symlink():
                 self._locked.append(place)
                 place.chmod(0o555)
 
     def unlock(self) -> None:
-        """Undo it, so that the folders can be removed."""
+        """Make all folders writable again."""
         for place in self._locked:
             place.chmod(0o755)
 
     def run(self, command: Sequence[str], **variables: str) -> subprocess.CompletedProcess[str]:
-        """Run a command as this user: with a home that cannot be, and `scratch` for temporary files."""
-        robot_state = ["--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search"]
-        user = ["setpriv", f"--reuid={_NOBODY}", f"--regid={_NOBODY}", "--clear-groups", *robot_state]
+        """Run a command as this user, without a home, with `scratch` for temporary files."""
+        may_read = ["--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search"]
+        user = ["setpriv", f"--reuid={_NOBODY}", f"--regid={_NOBODY}", "--clear-groups", *may_read]
         ours = ("NUMBA", "TB2RL", "XDG", "PYTEST")
         kept = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
         env = {**kept, "HOME": "/nonexistent", "TMPDIR": str(self.scratch), "PYTHONDONTWRITEBYTECODE": "1", **variables}
@@ -188,19 +196,19 @@ class Guest:
 def guest(tmp_path):
     """A `Guest`."""
     if os.name != "posix" or (os.geteuid() == 0 and not shutil.which("setpriv")):
-        pytest.skip("there is no user here who may not write: that takes setpriv, or not to be root")
+        pytest.skip("an unprivileged user takes setpriv, or tests that do not run as root")
     user = Guest(tmp_path / "scratch")
     yield user
     user.unlock()
 
 
 class FakeHub:
-    """The hub of Hugging Face on the loopback, as far as it takes and gives files; each upload is a commit.
+    """A server of the Hugging Face hub on the loopback for reading and writing files; each upload is a commit.
 
     Attributes:
-        repositories: Of each repository its commits, each the content of its files by path.
-        refuses: Status and error code that every request is answered with, if there is one.
-        authorisations: What requests said of who sends them.
+        repositories: Commits of each repository; a commit maps paths to contents.
+        refuses: Status and error code of every answer, if set.
+        authorisations: Authorization headers of the requests.
     """
 
     def __init__(self) -> None:
@@ -233,7 +241,7 @@ class FakeHub:
         Thread(target=self.server.serve_forever, daemon=True).start()
 
     def put(self, repository: str, files: Mapping[str, bytes]) -> str:
-        """Make a commit that changes these files; its hash."""
+        """Commit changes of files and return the hash."""
         commits = self.repositories.setdefault(repository, [])
         commits.append({**(commits[-1] if commits else {}), **files})
         return self.hash(repository, len(commits) - 1)
@@ -245,8 +253,9 @@ class FakeHub:
         if self.refuses:
             return self.refuses[0], b"{}", {"X-Error-Code": self.refuses[1]}
         if path == "/api/repos/create":
-            said = json.loads(body)
-            repository = f"{said['organization']}/{said['name']}" if said.get("organization") else said["name"]
+            given = json.loads(body)
+            organization = given.get("organization")
+            repository = f"{organization}/{given['name']}" if organization else given["name"]
             self.repositories.setdefault(repository, [])
             return self.json({"url": f"{self.address}/{repository}", "name": repository})
         if path == "/api/validate-yaml":
@@ -290,7 +299,7 @@ class FakeHub:
 
 @pytest.fixture
 def hub(tmp_path, monkeypatch):
-    """A `FakeHub` that the library and the processes of a test ask, with an empty cache."""
+    """A `FakeHub` for the library and for processes of a test, with an empty cache."""
     constants = pytest.importorskip("huggingface_hub.constants", reason="the extra `hub` is not installed")
     fake, home = FakeHub(), tmp_path / "huggingface"
     for name, value in {"HF_ENDPOINT": fake.address, "HF_HOME": str(home), "HF_HUB_DISABLE_XET": "1"}.items():

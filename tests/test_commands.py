@@ -1,36 +1,21 @@
-"""Bad input to the commands: one line on stderr that names what is allowed, exit status 2, nothing left behind."""
+"""Wrong input to commands: one line on stderr that names the options, exit status 2, no files."""
 
 from __future__ import annotations
 
 import os
 import shlex
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from tb2rl import train
+from tb2rl.__main__ import COMMANDS, main
 from tb2rl.commands.benchmark import PARTS
 from tb2rl.evaluation import evaluator
 from tb2rl.registry import agent_names, task_names
 from tb2rl.viz import film
 from tb2rl.viz.cameras import CAMERAS
 
-NAMES = (
-    "train",
-    "evaluate",
-    "play",
-    "report",
-    "benchmark",
-    "convert",
-    "warm",
-    "ros",
-    "zoo.__main__",
-    "export",
-)
-COMMANDS = {name.removesuffix(".__main__"): import_module(f"tb2rl.{name}") for name in NAMES}
 FILES = {
     "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",
     "inside.yaml": "boxes: [{centre: [0, 0], size: [1, 1]}]\nstart: [0.3, 0, 0]\nbounds: [-9, -9, 9, 9]\n",
@@ -46,7 +31,7 @@ QUICK = "--n-envs 1 --total-timesteps 1 --eval-freq 0 --no-evaluation"
 
 @pytest.fixture
 def place(tmp_path, monkeypatch) -> Path:
-    """A working directory with worlds that do not fit, and a run folder whose name is taken."""
+    """A working directory with worlds that have errors, and an existing run folder."""
     for name, content in FILES.items():
         (tmp_path / name).write_text(content)
     taken = tmp_path / "runs" / "maze" / "qlearn" / "taken"
@@ -56,18 +41,10 @@ def place(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
-    """A run folder with a policy."""
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    train("qlearn", total_timesteps=8, n_envs=1, eval_freq=0, folder=folder)
-    return folder
-
-
 def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
     before = sorted(Path.cwd().rglob("*"))
     with pytest.raises(SystemExit) as stopped:
-        COMMANDS[name].main(shlex.split(line))
+        import_module(COMMANDS[name]).main(shlex.split(line))
     message = capsys.readouterr().err
     assert stopped.value.code == 2
     assert message.count("\n") == 1, message
@@ -81,46 +58,30 @@ def assert_refused(name: str, line: str, named: list[str], capsys) -> None:
         ("--agent qlern", ["did you mean 'qlearn'", *agent_names()]),
         ("--task wal", ["did you mean 'wall'", *task_names()]),
         ("--preset tutoral", ["did you mean 'tutorial'"]),
-        ("--preset no.yaml", ["no.yaml"]),
-        ("--preset missing.yaml", ["missing.yaml"]),
-        ("--agent no_module:Agent", ["no_module"]),
         ("--agent random", ["random does not learn", "tb2rl.evaluate"]),
-        ("--set gamma", ["KEY=VALUE", "'gamma'"]),
-        ("--set gamma=1", ["agent.gamma"]),
-        ("--set agent.gama=1", ["did you mean 'gamma'", "learning_rate"]),
-        ("--set agnt.gamma=1", ["did you mean 'agent'", "task", "train"]),
-        ("--set task.turn=1", ["'turn'", "turn_rate", "turn_speed"]),
         ("--set agent.gamma=high", ["agent.gamma", "number", "'high'"]),
         ("--set agent.gamma=.nan", ["agent.gamma", "finite"]),
-        ("--set 'agent.gamma=[1'", ["agent.gamma", "YAML"]),
-        ("--set train.eval_steps=two", ["train.eval_steps", "integer", "'two'"]),
         ("--set task.observation=raw", ["qlearn", "discrete", "'raw'"]),
         ("--set task.beam_indices=[99]", ["task.beam_indices", "99", "beams"]),
         ("--set 'task.range_bins=[2, 1]'", ["task.range_bins", "increase"]),
         ("--set task.robot=turtelbot2", ["unknown robot", "did you mean 'turtlebot2'"]),
-        ("--set task.maze=loop", ["unknown key of task 'maze'", "world"]),
-        ("--set task.world=lop", ["did you mean 'loop'", "circuit"]),
         ("--set task.world=missing.yaml", ["missing.yaml"]),
         ("--set task.world=full.yaml", ["world full", "start", "no free space"]),
         ("--set task.world=inside.yaml task.start=fixed", ["world inside", "start (0.3, 0)", "inside"]),
         ("--set task.world=narrow.yaml", ["world narrow", "start", "0.6 m"]),
         ("--set task.world=typo.yaml", ["world typo", "did you mean 'walls'", "boxes"]),
         ("--set task.world=nowhere.yaml", ["world nowhere", "start: [x, y, yaw]"]),
-        ("--set task.world=no.yaml", ["no.yaml", "YAML"]),
         ("--task wall --set task.world=aimless.yaml", ["world aimless", "goal", "task.goal"]),
+        ("--n-envs 4 --set task.world=lop", ["did you mean 'loop'", "circuit"]),
         ("--total-timesteps 0", ["train.total_timesteps", "greater than or equal to 1"]),
         ("--total-timesteps many", ["--total-timesteps", "'many'"]),
-        ("--episodes 0", ["train.episodes", "greater than or equal to 1"]),
-        ("--n-envs -1", ["train.n_envs", "greater than or equal to 1"]),
-        ("--seed -1", ["train.seed", "greater than or equal to 0"]),
         ("--seed 99999999999", ["train.seed", "4294967295"]),
         ("--device gpu", ["cpu", "cuda"]),
         ("--name taken", ["taken", "exists already", "--name"]),
         ("--name ../up", ["--name", "../up"]),
-        ("--sed 1", ["--sed"]),
     ],
 )
-def test_train_says_what_is_wrong(line, named, place, capsys):
+def test_train_refuses_wrong_input(line, named, place, capsys):
     assert_refused("train", f"{QUICK} {line}", named, capsys)
 
 
@@ -131,42 +92,26 @@ def test_train_says_what_is_wrong(line, named, place, capsys):
         ("RUN --agent random", ["policy", "--agent"]),
         ("RUN --task wall", ["--task"]),
         ("RUN --set agent.gamma=1", ["task.KEY=VALUE", "agent.gamma"]),
-        ("RUN --set task.worl=loop", ["did you mean 'world'"]),
         ("RUN --set task.world=lop", ["did you mean 'loop'", "circuit"]),
-        ("RUN --set task.beams=9", ["observation"]),
+        ("RUN --set task.beams=7", ["observation"]),
         ("missing", ["missing", "run folder"]),
         (".", ["not a run folder", "config.yaml"]),
-        ("full.yaml", ["full.yaml", "checkpoint"]),
         ("zoo:missing", ["zoo", "'missing'"]),
         ("--agent qlearn", ["qlearn", "tb2rl.train"]),
         ("--agent rando", ["did you mean 'random'", *agent_names()]),
-        ("--agent random --task wal", ["did you mean 'wall'", *task_names()]),
-        ("--agent random --set agent.speed=1", ["'speed'"]),
-        ("--agent random --set task.world=full.yaml", ["world full", "start", "no free space"]),
         ("--agent wallfollower --set task.beams=3", ["5 beams", "got 3"]),
         ("--agent wallfollower --set task.observation=discrete", ["wallfollower", "raw"]),
-        ("--agent random --episodes 0", ["--episodes", "at least 1"]),
         ("--agent random --episodes 2147483648", ["--episodes", "from 1 to 100000"]),
-        ("--agent random --episodes few", ["--episodes", "'few'"]),
         ("--agent random --steps 0", ["--steps", "at least 1"]),
         ("--agent random --workers 0", ["--workers", "at least 1"]),
-        ("--agent random --seed -1", ["--seed", "from 0 to 4294967295"]),
         (f"--agent random --seed {2**64}", ["--seed", "from 0 to 4294967295"]),
         (300 * "x", ["File name too long"]),
         ("--agent random --json missing/it.json", ["missing/it.json"]),
     ],
 )
-def test_evaluate_says_what_is_wrong(line, named, place, run, capsys):
-    line = f"--workers 1 --episodes 1 --steps 1 {line}".replace("RUN", str(run))
+def test_evaluate_refuses_wrong_input(line, named, place, trained_run, capsys):
+    line = f"--workers 1 --episodes 1 --steps 1 {line}".replace("RUN", str(trained_run))
     assert_refused("evaluate", line, named, capsys)
-
-
-def test_an_error_in_many_environments_is_one_line_too(place):
-    arguments = [sys.executable, "-m", "tb2rl.train", *QUICK.split(), "--n-envs", "4", "--set", "task.world=lop"]
-    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert "did you mean 'loop'" in done.stderr
 
 
 @pytest.mark.skipif(os.access("/proc/version", os.W_OK) or os.geteuid() == 0, reason="root can write anywhere")
@@ -181,23 +126,22 @@ def test_a_run_folder_below_a_file_is_refused(tmp_path, monkeypatch, capsys):
     assert_refused("train", f"{QUICK} --name it", ["runs/maze/qlearn/it"], capsys)
 
 
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("train", [*agent_names(), *task_names()]),
-        ("evaluate", ["zoo:NAME", f"default: {evaluator.EPISODES}", f"default: {evaluator.STEPS}"]),
-        ("play", ["--video", "--teleop", *CAMERAS, f"({film.STEPS}"]),
-        ("report", ["zoo:NAME", "--out"]),
-        ("benchmark", [*PARTS, "--json"]),
-        ("convert", ["python -m tb2rl.convert"]),
-        ("export", [".onnx", "zoo:NAME"]),
-        ("zoo", ["build", "check", "--again"]),
-    ],
-)
-def test_help_is_shown(name, shown, capsys):
+SHOWN = {
+    "train": [*agent_names(), *task_names()],
+    "evaluate": ["zoo:NAME", f"default: {evaluator.EPISODES}", f"default: {evaluator.STEPS}"],
+    "play": ["--video", "--teleop", *CAMERAS, f"({film.STEPS}"],
+    "report": ["zoo:NAME", "--out"],
+    "benchmark": [*PARTS, "--json"],
+    "export": [".onnx", "zoo:NAME"],
+    "zoo": ["build", "check", "--again"],
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_names_the_options(name, capsys):
     with pytest.raises(SystemExit) as stopped:
-        COMMANDS[name].main(["--help"])
+        main([name, "--help"])
     out = capsys.readouterr().out
     assert stopped.value.code == 0
     assert f"python -m tb2rl.{name}" in out
-    assert [part for part in shown if part not in out] == []
+    assert [part for part in SHOWN.get(name, []) if part not in out] == []
