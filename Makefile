@@ -1,4 +1,4 @@
-# The two commands that do everything: `make train` and `make test`.
+# The two main targets: `make train` and `make test`.
 PYTHONS := python3.11 python3 python
 IS_3_11 := -c "import sys; sys.exit(sys.version_info[:2] != (3, 11))"
 PYTHON ?= $(firstword $(foreach name,$(PYTHONS),$(shell $(name) $(IS_3_11) 2>/dev/null && echo $(name))))
@@ -16,10 +16,10 @@ train: $(VENV)/installed  ## set up, train the default agent, evaluate it
 test: $(VENV)/installed  ## set up, run the fast tests
 	$(BIN)/python -m pytest -n 2
 
-slow: $(VENV)/installed  ## the tests that take longer
+slow: $(VENV)/installed  ## run the slow tests
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal --durations 20
 
-check: $(VENV)/installed  ## format, lint, rooms, types, fast tests
+check: $(VENV)/installed  ## format, lint, import contract, types, fast tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
@@ -33,7 +33,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
-ros: $(ROS2)/installed  ## ROS 2 for its tests, in an environment of its own: its wheels start every Python twice
+ros: $(ROS2)/installed  ## ROS 2 for its tests, in its own environment because its wheels start every Python twice
 
 $(ROS2)/installed: $(VENV)/installed
 	$(BIN)/python -m venv --without-pip $(ROS2)
@@ -41,10 +41,10 @@ $(ROS2)/installed: $(VENV)/installed
 	$(ROS2)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[ros2]"
 	touch $@
 
-lowest: $(LOWEST)/installed  ## a smoke test with the lowest versions that pyproject.toml allows
-	NUMBA_CACHE_DIR=$(abspath $(LOWEST))/compiled $(LOWEST)/bin/python -m pytest -W default tests/test_readme.py
+lowest: $(LOWEST)/installed  ## test the pages with the lowest versions that pyproject.toml allows
+	NUMBA_CACHE_DIR=$(abspath $(LOWEST))/compiled $(LOWEST)/bin/python -m pytest -W default -m "" tests/test_readme.py
 
-# What it names is lower than in $(VENV); the rest, torch among it, is that of $(VENV).
+# Packages that it does not pin, such as torch, come from $(VENV).
 $(LOWEST)/installed: $(VENV)/installed tests/lowest_versions.py
 	$(BIN)/python -m venv --without-pip $(LOWEST)
 	echo "import site; site.addsitedir('$(abspath $(VENV))/$(SITE)')" > $(LOWEST)/$(SITE)/ours.pth

@@ -1,4 +1,4 @@
-"""Prints the lowest versions that pyproject.toml allows, as constraints for pip; torch is excepted."""
+"""Print the lowest versions that pyproject.toml allows, except of torch, as constraints for pip."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 PROJECT = tomllib.loads(Path(__file__).parent.parent.joinpath("pyproject.toml").read_text(encoding="utf-8"))["project"]
-EXCEPTED = {"torch"}  # large, and its old releases have no build for CPUs among the usual packages
+EXCEPTED = {"torch"}  # old releases have no CPU build on the package index
 
 extras = {name: group for name, group in PROJECT["optional-dependencies"].items() if name != "dev"}
 groups = [PROJECT["dependencies"], *extras.values()]

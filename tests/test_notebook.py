@@ -1,16 +1,15 @@
-"""The quickstart notebook runs from top to bottom, and what it shows is there."""
+"""The quickstart notebook runs from top to bottom and makes its pictures, film and runs."""
 
 from __future__ import annotations
 
 import shutil
-import time
 import warnings
 from pathlib import Path
 
 import pytest
 
 NOTEBOOK = Path(__file__).parent.parent / "zoo" / "quickstart.ipynb"
-SECONDS = 120  # on two cores
+SECONDS = 120  # limit of a cell
 
 
 @pytest.mark.slow
@@ -22,9 +21,7 @@ def test_the_notebook_runs_from_top_to_bottom(tmp_path):
 
         shutil.copy(NOTEBOOK, tmp_path)
         notebook = nbformat.read(tmp_path / NOTEBOOK.name, as_version=4)
-        started = time.monotonic()
         NotebookClient(notebook, timeout=SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    assert time.monotonic() - started < SECONDS
     shown = [set(output.get("data", ())) for cell in notebook.cells for output in cell.get("outputs", ())]
     assert sum("image/png" in kinds for kinds in shown) == 3, "the robot, the curve, the paths of one's own task"
     assert (tmp_path / "drive.mp4").stat().st_size > 50_000

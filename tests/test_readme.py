@@ -1,4 +1,4 @@
-"""What the pages for readers show works as it stands there: every file in them is saved, every command is run."""
+"""Pages: their files are saved, their commands and examples run, their errors compared, their links followed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DOORS = (
     "zoo",
 )
 PAGES = ("README.md", "FROM_ROS.md", "CONTRIBUTING.md", *(f"{door}/README.md" for door in DOORS))
-SHORTER = {  # what is put behind a command, so that it is over in a moment
+SHORTER = {  # arguments appended to a command to shorten it
     "train": "--simulation kinematic --n-envs 32 --total-timesteps 256 --eval-freq 0 --no-evaluation --no-progress",
     "evaluate": "--episodes 1 --steps 3 --workers 1",
     "play": "--steps 3",
@@ -36,17 +36,27 @@ SHORTER = {  # what is put behind a command, so that it is over in a moment
     "worlds": "",
 }
 RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
-# They would install something, or never end; then those of ROS and of the tutorial's own environment.
+# They install something or never end; the second line has those of ROS and of the tutorial.
 NOT_TRIED = ("apt-get", "make", "pip", "python3.11", ".", "tensorboard", "git", "cd", "export")
 NOT_TRIED += ("rosmaster", "rosservice", "ros2", "roslaunch", "/usr/bin/python3", "tutorial/bin/pip")
-# They take long, or want a terminal, ROS or a library that may be missing.
-ONLY_READ = {"mlflow", "ros", "--teleop", "--seeds", "--suite", "tb2rl.report", "tb2rl.ros", "tb2rl.tune", "tb2rl.zoo"}
+# They take long, or need a terminal, ROS or an optional library.
+ONLY_PARSED = {
+    "mlflow",
+    "ros",
+    "--teleop",
+    "--seeds",
+    "--suite",
+    "tb2rl.report",
+    "tb2rl.ros",
+    "tb2rl.tune",
+    "tb2rl.zoo",
+}
 SAVED = re.compile(r"(?:Save (?:this|it) as|and this as) `([\w.]+)`")
 
 
 @dataclass(frozen=True)
 class Block:
-    """Lines between fences: their language, and the name of the file that they are to be saved as."""
+    """A fenced block: its language, and the name of the file to save it as."""
 
     language: str
     text: str
@@ -69,16 +79,15 @@ def blocks(page: str) -> list[Block]:
 
 
 def commands(page: str) -> list[list[str]]:
-    """The words of each command that a page shows, without comments."""
+    """The words of each command of a page, without comments."""
     shown = [line for block in blocks(page) if block.language == "sh" for line in block.text.splitlines()]
     return [words for line in shown if (words := shlex.split(line, comments=True))]
 
 
 def run(command: list[str], number: int) -> None:
-    """Run a command of tb2rl here, but shorter."""
+    """Run a shortened command of tb2rl in this process."""
     module, arguments = command[2], command[3:]
-    if ONLY_READ & set(command):
-        import_module(COMMANDS[module.removeprefix("tb2rl.")]).parse(arguments)
+    if ONLY_PARSED & set(command):
         return
     name = module.removeprefix("tb2rl.")
     more = RESUMED if "--resume" in arguments else SHORTER[name]
@@ -91,7 +100,7 @@ def run(command: list[str], number: int) -> None:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder to work in, where Python finds modules, and forgets them afterwards."""
+    """An empty working directory on the path of Python, whose modules are forgotten after the test."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     known = set(sys.modules)
@@ -107,20 +116,33 @@ def save_files(page: str, folder: Path) -> None:
             (folder / block.file).write_text(block.text, encoding="utf-8")
 
 
+def test_the_training_of_the_readme_runs_and_its_policy_drives(folder):
+    train = next(words for words in commands("README.md") if words[:3] == ["python", "-m", "tb2rl.train"])
+    run(train, 0)
+    run(["python", "-m", "tb2rl.play", "runs/maze/qlearn/first"], 1)
+    assert (folder / "film.gif").is_file()
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
+def test_every_command_of_a_page_parses(page, folder):
+    save_files(page, folder)
+    for command in commands(page):
+        if command[:2] == ["python", "-m"]:
+            import_module(COMMANDS[command[2].removeprefix("tb2rl.")]).parse(command[3:])
+        elif command[0] == "python":  # a file of the page, tried by a test of its own
+            assert (folder / command[1]).is_file()
+        else:
+            assert command[0] in NOT_TRIED
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::tb2rl.core.errors.WorldWarning")
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=[pytest.mark.slow] * (page == "configs/README.md")) for page in PAGES if commands(page)],
-)
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
 def test_every_command_of_a_page_runs(page, folder):
     save_files(page, folder)
     for number, command in enumerate(commands(page)):
         if command[:2] == ["python", "-m"]:
             run(command, number)
-        elif command[0] == "python":  # a file of the page, tried by a test of its own
-            assert (folder / command[1]).is_file()
-        else:
-            assert command[0] in NOT_TRIED
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -132,7 +154,7 @@ def test_every_python_example_of_a_page_runs(page, folder):
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if "```console" in read(page)])
-def test_errors_are_what_the_page_says(page, folder, capsys):
+def test_errors_are_as_the_page_quotes_them(page, folder, capsys):
     save_files(page, folder)
     for block in blocks(page):
         if block.language == "console":
@@ -154,7 +176,8 @@ def test_every_link_of_a_page_leads_somewhere(page):
             assert anchor in [re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings], link
 
 
-def test_the_loop_of_ones_own_learns(folder, capsys):
+@pytest.mark.slow
+def test_the_training_loop_of_the_page_for_ros_learns(folder, capsys):
     save_files("FROM_ROS.md", folder)
     script = folder / "my_training.py"
     short = script.read_text().replace("0.98, 4000", "0.98, 1300").replace("range(5)", "range(1)")

@@ -1,4 +1,4 @@
-"""The command `evaluate --suite`: where the result is kept, and how an interrupted suite goes on."""
+"""The command `evaluate --suite`: its result files, and how an interrupted suite continues."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ RANDOM = ["--agent", "random", "--task", "navigate", *WORLD, "--workers", "1"]
 
 @pytest.fixture
 def suite(small_suite, monkeypatch) -> list[str]:
-    """Arguments that ask for `unseen`, which is three small worlds here."""
+    """Arguments for `unseen`, which has three small worlds here."""
     monkeypatch.setattr(work, "find_suite", lambda name, path: small_suite(name))
     return ["--suite", "unseen"]
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
-    """A run folder with a policy that knows next to nothing about navigation."""
+    """A run folder with a policy for navigation that has learned next to nothing."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     settings = {"task.world": "loop", "task.named_actions": True, "task.observe": ["goal"]}
     train(
@@ -39,7 +39,7 @@ def run(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def interrupt(driven, monkeypatch):
-    """A function that runs the command until so many worlds are driven, and presses Ctrl-C then."""
+    """A function that runs the command and interrupts it by Ctrl-C after a number of worlds."""
     drives_of = work.drives_of
 
     def run(arguments: list[str], worlds: int) -> None:
@@ -55,7 +55,7 @@ def interrupt(driven, monkeypatch):
 
 
 def ended(arguments: list[str]) -> object:
-    """The status that the command ends with."""
+    """The exit status of the command."""
     with pytest.raises(SystemExit) as stopped:
         command.main(arguments)
     return stopped.value.code
@@ -64,7 +64,7 @@ def ended(arguments: list[str]) -> object:
 # ---- where the result goes
 
 
-def test_the_result_of_a_policy_at_its_own_task_lands_in_its_run_folder(run, suite, capsys):
+def test_the_result_at_the_task_of_the_training_is_written_into_the_run_folder(run, suite, capsys):
     command.main([str(run), *suite, "--workers", "1"])
     written = json.loads((run / "suite-unseen.json").read_text())
     assert written["figures"]["all"]["worlds"] == 3
@@ -79,13 +79,13 @@ def test_the_result_of_a_policy_at_its_own_task_lands_in_its_run_folder(run, sui
     assert "│ a │ 2 │" in shown
 
 
-def test_at_another_task_it_does_not(run, suite, capsys):
+def test_the_result_at_another_task_is_not_written_into_the_run_folder(run, suite, capsys):
     command.main([str(run), *suite, "--workers", "1", "--set", "task.laser_noise=0.1"])
     assert list(run.glob("suite*")) == []
-    assert "not kept: only a run folder" in capsys.readouterr().out
+    assert "not kept: a run folder" in capsys.readouterr().out
 
 
-def test_json_goes_to_the_file_that_is_named(suite, tmp_path, capsys):
+def test_json_is_written_to_the_named_file(suite, tmp_path, capsys):
     command.main([*RANDOM, *suite, "--json", str(tmp_path / "it.json")])
     written = json.loads((tmp_path / "it.json").read_text())
     assert (written["policy"], written["policy_digest"]) == ("agent random", None)
@@ -94,7 +94,7 @@ def test_json_goes_to_the_file_that_is_named(suite, tmp_path, capsys):
     assert capsys.readouterr().out.startswith("agent random, guide goal, turtlebot2, PyBullet: suite unseen")
 
 
-def test_a_policy_that_is_better_takes_the_result_of_the_one_before_away(run, suite):
+def test_saving_a_better_policy_removes_the_result(run, suite):
     command.main([str(run), *suite, "--workers", "1"])
     opened = Run.open(run)
     place = opened.policy_file.relative_to(run).with_suffix("")
@@ -106,45 +106,45 @@ def test_a_policy_that_is_better_takes_the_result_of_the_one_before_away(run, su
 # ---- an interrupted suite
 
 
-def test_an_interrupted_suite_goes_on_where_it_was_and_ends_the_same(suite, interrupt, driven, tmp_path, capsys):
+def test_an_interrupted_suite_continues_and_gives_the_same_result(suite, interrupt, driven, tmp_path, capsys):
     arguments = [*RANDOM, *suite, "--json"]
     command.main([*arguments, str(tmp_path / "whole.json")])
     interrupt([*arguments, str(tmp_path / "parts.json")], 2)
     assert not (tmp_path / "parts.json").exists()
     with (tmp_path / "parts.json.journal").open("a") as stream:
-        stream.write('{"world": 2, "end')  # killed while it wrote
+        stream.write('{"world": 2, "end')  # as if killed while writing
     interrupt([*arguments, str(tmp_path / "parts.json")], 0)
     assert driven == [0, 1, 2, 0, 1]
     command.main([*arguments, str(tmp_path / "parts.json")])
     assert driven == [0, 1, 2, 0, 1, 2]
     assert (tmp_path / "parts.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
-    assert "going on where it was: 2 of 3 worlds" in capsys.readouterr().out
+    assert "continuing: 2 of 3 worlds" in capsys.readouterr().out
     assert not (tmp_path / "parts.json.journal").exists()
 
 
-def test_what_was_kept_of_another_policy_task_or_suite_does_not_count(
+def test_a_journal_of_another_policy_task_or_suite_is_dropped(
     suite, small_suite, interrupt, driven, run, tmp_path, monkeypatch
 ):
     folder, file = tmp_path / "run", ["--json", str(tmp_path / "it.json")]
     shutil.copytree(run, folder)
     here = [str(folder), *suite, *file, "--workers", "1"]
 
-    def begun(arguments: list[str]) -> list[int]:
-        """The worlds that an interruption before the third finds driven."""
+    def driven_again(arguments: list[str]) -> list[int]:
+        """The worlds driven until an interruption after two."""
         driven.clear()
         interrupt(arguments, 2)
         return driven.copy()
 
-    assert begun([*RANDOM, *suite, *file]) == [0, 1]
-    assert begun(here) == [0, 1], "another policy"
-    assert begun([*here, "--set", "task.laser_noise=0.1"]) == [0, 1], "another task"
-    assert begun(here) == [0, 1]
+    assert driven_again([*RANDOM, *suite, *file]) == [0, 1]
+    assert driven_again(here) == [0, 1], "another policy"
+    assert driven_again([*here, "--set", "task.laser_noise=0.1"]) == [0, 1], "another task"
+    assert driven_again(here) == [0, 1]
     place = str(Run.open(folder).policy_file.relative_to(folder).with_suffix(""))
     Run.open(folder).save(load(folder), place, more=1)
-    assert begun(here) == [0, 1], "a policy of the same name"
+    assert driven_again(here) == [0, 1], "a policy of the same name"
     monkeypatch.setattr(work, "find_suite", lambda name, path: small_suite(last=1.1))
-    assert begun(here) == [0, 1], "another suite of the same name"
-    assert begun(here) == [2], "the same"
+    assert driven_again(here) == [0, 1], "another suite of the same name"
+    assert driven_again(here) == [2], "the same"
 
 
 def refused(capsys, arguments: list[str]) -> str:
@@ -154,7 +154,7 @@ def refused(capsys, arguments: list[str]) -> str:
 
 
 @pytest.mark.parametrize("line", ['{"world": 5}', '{"world": 0, "time": "long"}', "7"])
-def test_a_journal_that_is_none_is_refused(line, suite, interrupt, tmp_path, capsys):
+def test_a_damaged_journal_is_refused(line, suite, interrupt, tmp_path, capsys):
     arguments = [*RANDOM, *suite, "--json", str(tmp_path / "it.json")]
     interrupt(arguments, 0)
     with (tmp_path / "it.json.journal").open("a") as stream:
@@ -175,17 +175,13 @@ def test_a_journal_that_is_none_is_refused(line, suite, interrupt, tmp_path, cap
         (["--suite", "barn", "."], "no folder path_files"),
         (["--suite", "unseen", "one", "two"], "name the policy before it"),
         (["--suite", "unseen", "--episodes", "3"], "--episodes does not go with --suite"),
-        (["--suite", "unseen", "--steps", "3"], "--steps does not go with --suite"),
-        (["--suite", "unseen", "--seed", "3"], "--seed does not go with --suite"),
         (["--suite", "unseen", "--set", "task.episode_steps=60"], "task.episode_steps does not go with --suite"),
         (["--suite", "unseen", "--goal", "3,2"], "--goal does not go with --suite"),
         (["--suite", "unseen", "--simulation", "ros"], "--simulation does not go with --suite"),
         (["--suite", "unseen", "--top-speed", "0.3"], "go with --simulation ros"),
-        (["--suite", "unseen", "--workers", "0"], "--workers must be at least 1"),
-        (["--suite", "unseen", "--json", "missing/it.json"], "missing/it.json"),
     ],
 )
-def test_the_command_says_what_is_wrong(options, named, tmp_path, monkeypatch, capsys):
+def test_contradicting_options_are_refused(options, named, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.npz").write_text("no archive")
     assert named in refused(capsys, [*RANDOM, *options])
