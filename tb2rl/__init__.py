@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from tb2rl.core.errors import InputError
     from tb2rl.envs.make import make_env
     from tb2rl.evaluation.evaluator import evaluate
+    from tb2rl.registry import Agent
     from tb2rl.runs.loading import load
     from tb2rl.training.training import train
 
     __version__: str
 
-__all__ = ["InputError", "evaluate", "load", "make_env", "train"]
+__all__ = ["Agent", "InputError", "evaluate", "load", "make_env", "train"]
 
 _TASKS = {
     "TurtleBot2Maze": "maze",
@@ -51,6 +52,7 @@ for _id, _arguments in GYM_IDS.items():
     )
 
 _HOMES = {
+    "Agent": "registry",
     "InputError": "core.errors",
     "evaluate": "evaluation.evaluator",
     "load": "runs.loading",
