@@ -93,7 +93,7 @@ def run(request, tmp_path):
 def test_an_evaluation_names_its_simulator(run, request):
     command = "-m tb2rl.evaluate zoo:maze-loop-dqn --episodes 2 --steps 5 --workers 2 --json figures.json"
     shown = run(*command.split())
-    assert shown.count("these are not PyBullet's figures") == 1
+    assert shown.count("not PyBullet's") == 1
     assert (REASONS[BROKEN] in shown) == ("broken" in request.node.name)
     assert json.loads((run.folder / "figures.json").read_text())["simulation"] == "kinematic"
 
@@ -102,7 +102,7 @@ def test_an_evaluation_names_its_simulator(run, request):
 def test_training_evaluation_report_and_film_work(run):
     training = "--simulation kinematic --n-envs 32 --total-timesteps 4096 --name mine --set train.eval_episodes=2"
     shown = run("-m", "tb2rl.train", *training.split(), "train.eval_steps=50")
-    assert shown.count("these are not PyBullet's figures") == 1
+    assert shown.count("not PyBullet's") == 1
     folder = run.folder / "runs/maze/qlearn/mine"
     evaluations = [json.loads(line) for line in (folder / "evaluations.jsonl").read_text().splitlines()]
     evaluations.append(json.loads((folder / "evaluation.json").read_text()))
