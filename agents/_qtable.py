@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
@@ -18,32 +18,57 @@ from tb2rl.core.errors import InputError
 LARGEST = 50_000_000  # values in a table; 800 MB with their visits
 
 
-@njit(cache=True)
-def update_table(
-    q, averages, visits, states, actions, targets_of, terminated, rewards, learning_rate, gamma, plain_first, share
-):
-    """Textbook updates, one after the other in the order of the robots, so that robots which share a pair all count.
+class Table(NamedTuple):
+    """Arrays of shape (states, actions) that an update changes in place.
 
-    Args:
-        q: Action values, shape (states, actions); changed in place.
-        averages: Running ones of them, same shape, the first ones counting alike; changed in place. It may be `q`.
-        visits: Updates of each pair so far, same shape; changed in place.
-        states, actions: The pairs to update, shape (num_envs,).
-        targets_of: States after the step, shape (num_envs,).
-        terminated: Whether the future ends there, shape (num_envs,), bool.
-        rewards: Shape (num_envs,).
-        plain_first: Whether the first visit of a pair stores the plain reward, as the tutorial does.
-        share: Of a new value in its average.
+    Attributes:
+        values: Action values.
+        averages: Running averages of the values; the array may be `values` itself.
+        visits: Updates of each pair so far.
     """
-    for i in range(states.size):
-        s, a = states[i], actions[i]
-        future = 0.0 if terminated[i] else gamma * q[targets_of[i]].max()
-        if plain_first and visits[s, a] == 0:
-            q[s, a] = rewards[i]
+
+    values: np.ndarray
+    averages: np.ndarray
+    visits: np.ndarray
+
+
+class Transitions(NamedTuple):
+    """Steps of all environments, arrays of shape (num_envs,)."""
+
+    states: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    next_states: np.ndarray
+    terminated: np.ndarray
+
+
+class Rule(NamedTuple):
+    """An update rule.
+
+    Attributes:
+        plain_first: Whether the first visit of a pair stores the plain reward, as the tutorial does.
+        share: Weight of a new value in its average; the first values have equal weights.
+    """
+
+    learning_rate: float
+    gamma: float
+    plain_first: bool
+    share: float
+
+
+@njit(cache=True)
+def update_table(table, transitions, rule):
+    """Update the table by one transition after the other, so that repeated pairs all count."""
+    q, averages, visits = table
+    for i in range(transitions.states.size):
+        s, a, reward = transitions.states[i], transitions.actions[i], transitions.rewards[i]
+        future = 0.0 if transitions.terminated[i] else rule.gamma * q[transitions.next_states[i]].max()
+        if rule.plain_first and visits[s, a] == 0:
+            q[s, a] = reward
         else:
-            q[s, a] += learning_rate * (rewards[i] + future - q[s, a])
+            q[s, a] += rule.learning_rate * (reward + future - q[s, a])
         visits[s, a] += 1
-        averages[s, a] += max(share, 1.0 / visits[s, a]) * (q[s, a] - averages[s, a])
+        averages[s, a] += max(rule.share, 1.0 / visits[s, a]) * (q[s, a] - averages[s, a])
 
 
 class QTable(BasePolicy):
@@ -52,7 +77,7 @@ class QTable(BasePolicy):
     Args:
         observation_space: `MultiDiscrete` or `Discrete`.
         action_space: `Discrete`.
-        lr_schedule: Unused; Stable-Baselines3 hands it to every policy.
+        lr_schedule: Unused; Stable-Baselines3 passes it to every policy.
         initial_value: Of every pair; above the true values it drives exploration.
     """
 
@@ -80,14 +105,11 @@ class QTable(BasePolicy):
         self.visits = th.nn.Parameter(th.zeros((states, actions), dtype=th.int64), requires_grad=False)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {
-            "observation_space": self.observation_space,
-            "action_space": self.action_space,
-            "initial_value": self.initial_value,
-        }
+        names = ("observation_space", "action_space", "initial_value")
+        return {name: getattr(self, name) for name in names}
 
     def _save_to_state_dict(self, destination: dict[str, Any], prefix: str, keep_vars: bool) -> None:
-        """Only the pairs that were tried, often one in a hundred: all others have the initial value and no visits."""
+        """Save only the pairs that were visited, often one in a hundred."""
         pairs = self.visits.flatten().nonzero().flatten()
         destination[f"{prefix}pairs"] = pairs
         destination[f"{prefix}q"] = self.q.flatten()[pairs]
@@ -117,26 +139,22 @@ class QTable(BasePolicy):
         elif not (limits[1:] > limits[:-1]).all() or not (visits > 0).all():
             error_msgs.append("the table's pairs are not in order, not in the table, or not visited")
         else:
-            for values, initial, tried in ((self.q, self.initial_value, q), (self.visits, 0, visits)):
-                values.fill_(initial).view(-1)[pairs] = tried
+            for values, initial, saved in ((self.q, self.initial_value, q), (self.visits, 0, visits)):
+                values.fill_(initial).view(-1)[pairs] = saved
 
     def states(self, observations: np.ndarray) -> np.ndarray:
-        """The row of the table of each observation, shape (num_envs,)."""
+        """The table's row of each observation, shape (num_envs,)."""
         columns = np.asarray(observations).reshape(-1, len(self.shape)).T
         return np.ravel_multi_index(tuple(columns), self.shape)
 
     def best_actions(self) -> np.ndarray:
-        """The greedy action of each row of the table, shape (states,): all that driving takes, for `tb2rl.export`."""
+        """The greedy action of each row, shape (states,)."""
         return self.q.detach().numpy().argmax(axis=1)
 
     def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[np.ndarray, Any]:
-        """The greedy actions (a table has no distribution to sample from); shortcut past torch for speed."""
+        """The greedy actions, without torch for speed; a table has no distribution to sample from."""
         observation = np.asarray(observation)
         actions = self.q.detach().numpy()[self.states(observation)].argmax(axis=1)
         return (actions if observation.ndim == len(self.observation_space.shape) + 1 else actions[0]), state

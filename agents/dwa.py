@@ -8,21 +8,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
+from tb2rl import Agent
 from tb2rl.agents._guided import TURTLEBOT2, Guided, Seen, free_way, way_out
+from tb2rl.agents._local_planner import TURTLEBOT2, LocalPlanner, LocalView, free_distance, rotation_side
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.core.values import NonNegative, Positive
-from tb2rl.registry import Agent
 from tb2rl.robots.vehicle import Vehicle
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.dwa:DWA", observation="raw", only=True)
 
-SPEEDS, TURNS = 4, 15  # that are tried together, the ends of both windows among them, and the middle of turns
-_SOON = 0.4  # [s] when the heading counts
-_CLEAR = 1.0  # [m] longer free ways count alike
+SPEEDS, TURNS = 4, 15  # samples of both windows, with their ends and the middle of turns
+_SOON = 0.4  # [s] time of the heading that counts
+_CLEAR = 1.0  # [m] longer free distances count alike
 
 
 class _Limits(NamedTuple):
-    """What the robot can do, in metres, seconds and radians; see `DWA`."""
+    """Limits of the robot, in metres, seconds and radians; see `DWA`."""
 
     max_speed: float
     turn_rate: float
@@ -35,7 +36,7 @@ class _Limits(NamedTuple):
 
 
 class _Weights(NamedTuple):
-    """Of the parts of the objective, which lie between 0 and 1 (progress: -1 and 1)."""
+    """Weights of the objective's parts, which lie between 0 and 1 (progress: -1 and 1)."""
 
     heading: float
     clearance: float
@@ -43,26 +44,20 @@ class _Weights(NamedTuple):
     progress: float
 
 
-class DWA(Guided):
-    """Of the speeds that the motors reach within a control period it takes the best pair that is safe.
+class DWA(LocalPlanner):
+    """Takes the best safe pair of the speeds that the motors reach within a control period.
 
-    Safe is a pair (v, w) whose arc is free for as far as the robot needs to stop. The best one has the largest sum of
-    heading (to the target, soon), clearance (of its arc), speed, and progress (how much nearer to the target it gets
-    within `horizon`), each times its weight. The first three are the paper's, the last is that of ROS's
-    `dwa_local_planner`. Where nothing leads on it rotates away, as the paper's robot does.
+    A pair (v, w) is safe if the robot can stop on its free arc. The best one has the largest weighted sum of heading
+    (to the target, soon), clearance (of its arc), speed, and progress (towards the target within `horizon`). The first
+    three are the paper's, the last is that of ROS's `dwa_local_planner`. A stuck robot rotates away, as in the paper.
 
     Args:
-        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next two.
-        action_space: See there.
-        vehicle: See there.
-        gap: To keep to what the laser sees [m].
-        acceleration: Of v, also to brake [m/s^2].
+        observation_space, action_space, vehicle: See `LocalPlanner`.
+        gap: Distance to keep from obstacles [m].
+        acceleration: Of v, also for braking [m/s^2].
         turn_acceleration: Of w [rad/s^2].
-        horizon: How far ahead progress counts [s].
-        heading: Weight.
-        clearance: Weight.
-        speed: Weight.
-        progress: Weight.
+        horizon: Time over which progress counts [s].
+        heading, clearance, speed, progress: Weights.
     """
 
     def __init__(
@@ -85,24 +80,23 @@ class DWA(Guided):
         self._limits = _Limits(*speeds, self.period, horizon, self.radius, gap)
         self._weights = _Weights(heading, clearance, speed, progress)
 
-    def drive(self, seen: Seen) -> np.ndarray:
-        commands = np.zeros((len(seen.speed), 2))
-        _choose(seen.points, seen.target, seen.speed, seen.turn, self._limits, self._weights, commands)
+    def plan(self, view: LocalView) -> np.ndarray:
+        commands = np.zeros((len(view.speed), 2))
+        _choose(view.points, view.target, view.speed, view.turn, self._limits, self._weights, commands)
         return commands
 
 
 @njit(cache=True, **UNCOUNTED)
 def _choose(points, targets, speeds, turns, limits, weights, commands):
-    """Write the best speeds into `commands`, zeros of shape (num_envs, 2); the first four are those of `Seen`."""
+    """Write the best speeds into `commands`, zeros of shape (num_envs, 2); the first four are those of `LocalView`."""
     for robot in range(points.shape[0]):
-        side = way_out(points[robot], targets[robot], speeds[robot], turns[robot], limits.radius, limits.gap)
+        side = rotation_side(points[robot], targets[robot], speeds[robot], turns[robot], limits.radius, limits.gap)
         if side:
             commands[robot, 1] = side * limits.turn_rate
             continue
         slowest, max_speed = _window(speeds[robot], limits.acceleration * limits.period, 0.0, limits.max_speed)
-        right, left = _window(
-            turns[robot], limits.turn_acceleration * limits.period, -limits.turn_rate, limits.turn_rate
-        )
+        turn_change = limits.turn_acceleration * limits.period
+        right, left = _window(turns[robot], turn_change, -limits.turn_rate, limits.turn_rate)
         best = -math.inf
         for i in range(SPEEDS):
             v = slowest + (max_speed - slowest) * i / (SPEEDS - 1)
@@ -115,17 +109,17 @@ def _choose(points, targets, speeds, turns, limits, weights, commands):
 
 @njit(cache=True, **UNCOUNTED)
 def _window(now, change, low, high):
-    """The least and the largest speed within reach of the one now."""
+    """The lowest and highest reachable speed."""
     return min(max(now - change, low), high), max(min(now + change, high), low)
 
 
 @njit(cache=True, **UNCOUNTED)
 def _value(points, target, v, w, limits, weights):
-    """The objective for one robot at speeds v, w; -inf: from these it could not stop in time."""
+    """The objective of speeds v, w for one robot; -inf: it could not stop in time."""
     free = math.inf
     if v > 1e-3:
         enough = max(_CLEAR, limits.max_speed * limits.horizon)
-        free = free_way(points, w / v, limits.radius, limits.gap, enough)
+        free = free_distance(points, w / v, limits.radius, limits.gap, enough)
         if v * limits.period + v * v / (2.0 * limits.acceleration) > free:
             return -math.inf
     x, y = _after(v, w, _SOON)
@@ -143,7 +137,7 @@ def _value(points, target, v, w, limits, weights):
 
 @njit(cache=True, **UNCOUNTED)
 def _after(v, w, seconds):
-    """Where speeds lead to, x and y in the frame of now [m]."""
+    """The position after driving at constant speeds, x and y in the present frame [m]."""
     if abs(w) < 1e-3:
         return v * seconds, 0.0
     return v / w * math.sin(w * seconds), v / w * (1.0 - math.cos(w * seconds))

@@ -1,7 +1,7 @@
 """Tabular Q-learning (Watkins 1989; Sutton & Barto 2018, section 6.5) as a Stable-Baselines3 algorithm.
 
-The table is a policy like any other: `learn`, `predict`, `save`, `load`, callbacks, loggers and `evaluate_policy` work
-as they do for DQN and PPO. One step of n environments makes n updates, in compiled code.
+The table is a policy: `learn`, `predict`, `save`, `load`, callbacks and loggers work as for DQN. One step of n
+environments makes n updates, in compiled code.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
+from tb2rl import Agent
 from tb2rl.agents._qtable import QTable, update_table
+from tb2rl.agents._qtable import QTable, Rule, Table, Transitions, update_table
 from tb2rl.core.values import Fraction
-from tb2rl.registry import Agent
 
 AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True, actions="named")
 
@@ -36,20 +37,17 @@ class QLearning(BaseAlgorithm):
         learning_rate: Step size alpha, a number or a schedule of the remaining progress.
         gamma: Discount factor.
         exploration: "epsilon_greedy": with probability epsilon a random action. "noisy_values" (the tutorial's): with
-            probability epsilon, uniform noise as wide as the largest |value| of the state is added to its values, and
-            the best noisy value wins.
-        exploration_initial_eps: Epsilon at the start.
-        exploration_final_eps: Epsilon at the end.
+            probability epsilon the best value after adding uniform noise, as wide as the largest |value| of the state.
+        exploration_initial_eps, exploration_final_eps: Epsilon at the start and at the end.
         exploration_fraction: Share of the training over which epsilon falls linearly.
-        exploration_decay: Instead of falling linearly: epsilon is multiplied by this at the start of each episode while
-            it is above `exploration_final_eps`.
+        exploration_decay: A factor for epsilon at the start of each episode, while it is above `exploration_final_eps`,
+            instead of the linear fall.
         update: "textbook", or "tutorial": the first visit of a pair stores the plain reward, and episodes that ended
             bootstrap like any other step.
-        averaging: None: the policy acts by the values as they are learned, which a large step size moves up and down.
-            A share: it acts by running averages, into which each update takes this share of the pair's new value
-            (Polyak & Juditsky 1992); exploration and targets still use the values themselves.
-        stats_window_size, tensorboard_log, policy_kwargs, verbose, seed: As in any Stable-Baselines3 algorithm.
-        device: Taken for its sake, and ignored: a table lives on the CPU.
+        averaging: Weight of a new value in running averages (Polyak & Juditsky 1992), by which the policy acts;
+            exploration and targets still use the values themselves. None: the policy acts by the values, which a large
+            step size moves up and down.
+        device: Accepted for compatibility; ignored, because numpy reads the table.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"QTable": QTable}
@@ -84,7 +82,7 @@ class QLearning(BaseAlgorithm):
             stats_window_size=stats_window_size,
             tensorboard_log=tensorboard_log,
             verbose=verbose,
-            device="cpu",  # numpy reads the table
+            device="cpu",
             support_multi_env=True,
             seed=seed,
             supported_action_spaces=(spaces.Discrete,),
@@ -113,8 +111,8 @@ class QLearning(BaseAlgorithm):
             self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
         )
         self.policy = self.policy.to(self.device)
-        if self.averaging is not None and self._latest is None:  # it is there when a saved learner is loaded
-            self._latest = np.full(self.policy.q.shape, np.nan)  # the values themselves; the policy has their averages
+        if self.averaging is not None and self._latest is None:  # a loaded learner has them already
+            self._latest = np.full(self.policy.q.shape, np.nan)  # the values; the policy holds their averages
 
     def learn(
         self: Self,
@@ -129,11 +127,11 @@ class QLearning(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         assert self.env is not None
-        if np.isnan(self._values[0, 0]):  # of a new learner, or one whose policy alone was loaded
+        if np.isnan(self._values[0, 0]):  # a new learner, or one with a loaded policy
             self._values[:] = self.policy.q.numpy()
         if reset_num_timesteps:
             self.exploration_rate = self.exploration_initial_eps
-            self._explore_less(self.env.num_envs)
+            self._update_epsilon(self.env.num_envs)
         callback.on_training_start(locals(), globals())
         self.policy.set_training_mode(True)
         states = self.policy.states(self._last_obs)
@@ -149,21 +147,21 @@ class QLearning(BaseAlgorithm):
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
 
             next_states = self.policy.states(observations)
-            reached, terminated = self._true_next(next_states, dones, infos)
-            self._learn_from(states, actions, rewards, reached, terminated)
+            reached, terminated = self._final_states(next_states, dones, infos)
+            self._update(Transitions(states, actions, rewards, reached, terminated))
             states, self._last_obs = next_states, observations
             if dones.any():
                 self._episode_num += int(dones.sum())
                 if log_interval is not None and self._episode_num % log_interval < dones.sum():
                     self.dump_logs()
-            self._explore_less(int(dones.sum()))
+            self._update_epsilon(int(dones.sum()))
         if log_interval is not None and self._logged_at != self.num_timesteps:
             self.dump_logs()
         callback.on_training_end()
         return self
 
     def dump_logs(self) -> None:
-        """Write the statistics since the last time to the logger."""
+        """Write statistics to the logger."""
         self._logged_at = self.num_timesteps
         if self.ep_info_buffer:
             self.logger.record("rollout/ep_rew_mean", safe_mean([info["r"] for info in self.ep_info_buffer]))
@@ -178,8 +176,8 @@ class QLearning(BaseAlgorithm):
         self.logger.record("train/visited_share", float((self.policy.visits > 0).float().mean()))
         self.logger.dump(step=self.num_timesteps)
 
-    def _true_next(self, states: np.ndarray, dones: np.ndarray, infos: list[dict]) -> tuple[np.ndarray, np.ndarray]:
-        """The states that the steps led to (an ended episode has already begun anew), and whether they are final."""
+    def _final_states(self, states: np.ndarray, dones: np.ndarray, infos: list[dict]) -> tuple[np.ndarray, np.ndarray]:
+        """The states after the steps, before environments were reset, and whether they are terminal."""
         if not dones.any():
             return states, dones
         reached, terminated = states.copy(), dones.copy()
@@ -188,45 +186,34 @@ class QLearning(BaseAlgorithm):
             terminated[i] = not infos[i].get("TimeLimit.truncated", False)
         return reached, terminated
 
-    def _learn_from(
-        self, states: np.ndarray, actions: np.ndarray, rewards: np.ndarray, reached: np.ndarray, terminated: np.ndarray
-    ) -> None:
-        tutorial = self.update == "tutorial"
-        update_table(
-            self._values,
-            self.policy.q.numpy(),
-            self.policy.visits.numpy(),
-            states,
-            actions,
-            reached,
-            np.zeros_like(terminated) if tutorial else terminated,
-            rewards,
-            self.lr_schedule(self._current_progress_remaining),
-            self.gamma,
-            tutorial,
-            self.averaging or 0.0,
-        )
+    def _update(self, transitions: Transitions) -> None:
+        is_tutorial = self.update == "tutorial"
+        if is_tutorial:
+            transitions = transitions._replace(terminated=np.zeros_like(transitions.terminated))
+        table = Table(self._values, self.policy.q.numpy(), self.policy.visits.numpy())
+        learning_rate = self.lr_schedule(self._current_progress_remaining)
+        update_table(table, transitions, Rule(learning_rate, self.gamma, is_tutorial, self.averaging or 0.0))
 
     @property
     def _values(self) -> np.ndarray:
-        """The values that are learned, shape (states, actions)."""
+        """The learned values, shape (states, actions)."""
         return self.policy.q.numpy() if self._latest is None else self._latest
 
     def _choose(self, states: np.ndarray) -> np.ndarray:
-        """Actions that explore; the best of equal values at random."""
+        """Actions with exploration; ties are broken at random."""
         values = self._values[states]
-        maps_online = self._rng.random(len(states)) < self.exploration_rate
+        explores = self._rng.random(len(states)) < self.exploration_rate
         if self.exploration == "noisy_values":
-            width = np.abs(values).max(axis=1) * maps_online
+            width = np.abs(values).max(axis=1) * explores
             values = values + width[:, None] * (self._rng.random(values.shape) - 0.5)
         ties = values == values.max(axis=1, keepdims=True)
         best = (ties * self._rng.random(values.shape)).argmax(axis=1)
         if self.exploration == "noisy_values":
             return best
-        return np.where(maps_online, self._rng.integers(values.shape[1], size=len(states)), best)
+        return np.where(explores, self._rng.integers(values.shape[1], size=len(states)), best)
 
-    def _explore_less(self, started: int) -> None:
-        """Move epsilon on after a step in which `started` episodes began."""
+    def _update_epsilon(self, started: int) -> None:
+        """Reduce epsilon after a step in which `started` episodes began."""
         if self.exploration_decay is None:
             self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
             return

@@ -1,4 +1,4 @@
-"""Actions by chance: what every learner must beat."""
+"""Random actions: the least that a learner must beat."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
-from tb2rl.registry import Agent
+from tb2rl import Agent
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.random:RandomPolicy", observation="discrete")
 
 
 class RandomPolicy(BasePolicy):
-    """Each action as likely as any other, from torch's random stream; it has no greedy mode."""
+    """Uniformly random actions from torch's generator; there is no greedy mode."""
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         num_envs = len(next(iter(observation.values())) if isinstance(observation, dict) else observation)

@@ -1,4 +1,4 @@
-"""VFH+, the vector field histogram of a robot with a width (Ulrich & Borenstein 1998).
+"""VFH+, the vector field histogram for a robot of some width (Ulrich & Borenstein 1998).
 
 I. Ulrich and J. Borenstein, "VFH+: reliable obstacle avoidance for fast mobile robots".
 """
@@ -12,52 +12,49 @@ import numpy as np
 from annotated_types import Ge, Le
 from gymnasium import spaces
 
+from tb2rl import Agent
 from tb2rl.agents._guided import STANDING, TURNING, TURTLEBOT2, Guided, Seen
+from tb2rl.agents._local_planner import STANDING, TURNING, TURTLEBOT2, LocalPlanner, LocalView
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.core.values import NonNegative, Positive
-from tb2rl.registry import Agent
 from tb2rl.robots.vehicle import Vehicle
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", observation="raw", only=True)
 
-SECTORS = 72  # of the histogram: all around, the first one looks back
+SECTORS = 72  # of the histogram: all around, the first one backwards
 _WIDTH = math.tau / SECTORS  # [rad] of each
-_LEAST = 0.05  # [m] a direction with less free way is blocked, however near the target is
-_ASIDE = math.radians(10.0)  # so much to the other side counts as straight ahead
+_LEAST = 0.05  # [m] a direction of less free distance is blocked, however near the target is
+_ASIDE = math.radians(10.0)  # up to this to the other side counts as straight ahead
 
 
 class _Costs(NamedTuple):
-    """What a candidate costs for each radian that it lies off the target, straight ahead, and the direction before."""
+    """Costs of a candidate for each radian off the target, off straight ahead, and off the previous direction."""
 
     target: float
     heading: float
     previous: float
 
 
-class VFH(Guided):
-    """Turns to the best free direction, and drives as fast as the way ahead allows.
+class VFH(LocalPlanner):
+    """Turns to the best free direction, and drives as fast as the free distance ahead allows.
 
-    The histogram says how far the robot, as wide as it is, gets in each direction; one with less than `window` is
-    blocked, which is VFH+'s threshold without its grid of past readings. Directions that the laser does not see count
-    as free. Candidates keep half of `valley` from both edges of a wide valley, or to the middle of a narrow one; one of
-    them may be the target's own direction. A robot that turns on the spot chooses among those on the side to which it
-    turns: what was on the other side is out of sight, and else it would turn to and fro.
-
-    The direction chosen before is not remembered: the turn rate that is observed says it.
+    The histogram holds the free distance of the robot, with its width, in each direction. A direction of less than
+    `window` is blocked: VFH+'s threshold without its grid of past scans. Unseen directions count as free. Candidates
+    keep half of `valley` from both edges of a wide valley, or the middle of a narrow one; the target's own direction
+    may be one. A robot that turns on the spot keeps its side, because it does not see the other one: else it would turn
+    to and fro. The observed turn rate stands for the previous direction.
 
     Args:
-        observation_space: As of `tb2rl.agents._guided.Guided`, as are the next two.
-        action_space: See there.
-        vehicle: See there.
-        gap: To keep to what the laser sees [m].
-        window: How far a direction is free that is not blocked, or to the target, where that is nearer [m].
-        valley: How many sectors of 5 degrees a wide valley has.
+        observation_space, action_space, vehicle: See `LocalPlanner`.
+        gap: Distance to keep from obstacles [m].
+        window: Free distance of an open direction, or that to a nearer target [m].
+        valley: Sectors of 5 degrees in a wide valley.
         to_target: Cost of a radian off the target; more than the next two together, or it may never get there.
         to_heading: Cost of a radian off straight ahead.
-        to_previous: Cost of a radian off the direction chosen before.
-        gain: Turn rate for a direction that lies one radian to the left [1/s].
-        braking: How fast it counts on becoming slower [m/s^2].
-        spin: From this direction on it turns on the spot [rad].
+        to_previous: Cost of a radian off the previous direction.
+        gain: Turn rate for a direction one radian to the left [1/s].
+        braking: Assumed deceleration [m/s^2].
+        spin: Direction from which it turns on the spot [rad].
     """
 
     def __init__(
@@ -81,33 +78,30 @@ class VFH(Guided):
         self.gain, self.braking, self.spin = gain, braking, spin
         self._costs = _Costs(to_target, to_heading, to_previous)
 
-    def drive(self, seen: Seen) -> np.ndarray:
-        free = np.full((len(seen.points), SECTORS), math.inf)
-        _measure(seen.points, self.room, free)
-        direction = self._directions(free, seen)
+    def plan(self, view: LocalView) -> np.ndarray:
+        free = np.full((len(view.points), SECTORS), math.inf)
+        _measure(view.points, self.room, free)
+        direction = self._directions(free, view)
         v = np.minimum(np.sqrt(2.0 * self.braking * free[:, SECTORS // 2]), self.max_speed)
         v *= np.clip(1.0 - np.abs(direction) / self.spin, 0.0, 1.0)
         return np.column_stack([v, np.clip(self.gain * direction, -self.turn_rate, self.turn_rate)])
 
-    def _directions(self, free: np.ndarray, seen: Seen) -> np.ndarray:
-        """Where to turn [rad], shape (num_envs,), for the free way in each sector [m], shape (num_envs, SECTORS)."""
-        away = np.hypot(*seen.target.T) - self.room
+    def _directions(self, free: np.ndarray, view: LocalView) -> np.ndarray:
+        """Directions to take [rad], shape (num_envs,), by free distances [m], shape (num_envs, SECTORS)."""
+        away = np.hypot(*view.target.T) - self.room
         is_open = free >= np.clip(away, _LEAST, max(self.window, _LEAST))[:, None]
-        on_the_spot = (np.abs(seen.speed) < STANDING) & (np.abs(seen.turn) > TURNING)
-        side = np.where(on_the_spot, np.sign(seen.turn), 0.0)
-        target, directions = np.arctan2(seen.target[:, 1], seen.target[:, 0]), np.empty(len(free))
-        _choose(is_open, self.valley, target, seen.turn / self.gain, side, self._costs, directions)
+        on_the_spot = (np.abs(view.speed) < STANDING) & (np.abs(view.turn) > TURNING)
+        side = np.where(on_the_spot, np.sign(view.turn), 0.0)
+        target, directions = np.arctan2(view.target[:, 1], view.target[:, 0]), np.empty(len(free))
+        _choose(is_open, self.valley, target, view.turn / self.gain, side, self._costs, directions)
         return directions
 
 
 @njit(cache=True, **UNCOUNTED)
 def _measure(points, room, free):
-    """Shorten the free ways [m], shape (num_envs, SECTORS), to where a circle touches `points` (num_envs, beams, 2).
+    """Shorten free distances [m], shape (num_envs, SECTORS), to where a circle touches points (num_envs, beams, 2).
 
-    Args:
-        points: See `tb2rl.agents._guided.Seen`.
-        room: The circle's radius [m]; a point within it blocks the half of all directions that leads towards it.
-        free: Changed in place.
+    `room` is the circle's radius [m]; a point within it blocks all directions towards it.
     """
     for robot in range(points.shape[0]):
         for beam in range(points.shape[1]):
@@ -117,22 +111,20 @@ def _measure(points, room, free):
             for sector in range(math.ceil((bearing - aside) / _WIDTH), math.floor((bearing + aside) / _WIDTH) + 1):
                 off = sector * _WIDTH - bearing
                 before = math.sqrt(max(room**2 - (far * math.sin(off)) ** 2, 0.0))
-                way = max(far * math.cos(off) - before, 0.0) if far > room else 0.0
+                distance = max(far * math.cos(off) - before, 0.0) if far > room else 0.0
                 column = (sector + SECTORS // 2) % SECTORS
-                free[robot, column] = min(free[robot, column], way)
+                free[robot, column] = min(free[robot, column], distance)
 
 
 @njit(cache=True, **UNCOUNTED)
 def _choose(is_open, valley, targets, previous, sides, costs, directions):
-    """Write the cheapest candidate of each robot; where there is none, a turn on the spot.
+    """Write the cheapest candidate of each robot into `directions` [rad]; without one, a turn on the spot.
 
     Args:
-        is_open: Whether each sector is, shape (num_envs, SECTORS).
-        valley: Sectors of a wide one.
-        targets, previous: Directions of the target, and that chosen before [rad], shape (num_envs,).
-        sides: 1 or -1: only candidates to the left or to the right; 0: all, shape (num_envs,).
-        costs: `_Costs`.
-        directions: Where to turn [rad], shape (num_envs,).
+        is_open: Shape (num_envs, SECTORS).
+        valley: Sectors of a wide valley.
+        targets, previous: Directions of the target, and the previous ones [rad], shape (num_envs,).
+        sides: 1 or -1: only candidates to the left or right; 0: all; shape (num_envs,).
     """
     for robot in range(is_open.shape[0]):
         target, best = targets[robot], math.inf
@@ -151,7 +143,7 @@ def _choose(is_open, valley, targets, previous, sides, costs, directions):
 
 @njit(cache=True, **UNCOUNTED)
 def _is_candidate(is_open, sector, valley):
-    """Whether a sector lies deep enough in a wide valley, or in the middle of a narrow one."""
+    """Whether a sector lies far enough within a wide valley, or in the middle of a narrow one."""
     right = left = 0
     while right < valley and is_open[(sector - right - 1) % SECTORS]:
         right += 1

@@ -1,4 +1,4 @@
-"""Keep the wall to the right at a distance: the rule that a learner should beat."""
+"""Wall following: a rule that a learner should beat."""
 
 from __future__ import annotations
 
@@ -9,29 +9,27 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
+from tb2rl import Agent
 from tb2rl.core.errors import InputError
-from tb2rl.registry import Agent
 
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", observation="raw", only=True)
 
 FORWARD, LEFT, RIGHT = 0, 1, 2
-SHARES = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # the same where actions are shares of v and w, -1 to 1
+SHARES = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # the same as v and w, -1 to 1
 
 
 class WallFollower(BasePolicy):
-    """Two beams on the right give the angle and the distance of the wall there, looked ahead by a bit.
+    """Keeps the wall on the right at a distance, which two beams measure a little ahead of the robot.
 
     Args:
-        observation_space: `tb2rl.envs.encodings.SensorBox`: first the laser's ranges, at least five beams from -90 to
-        +90
-            degrees.
-        action_space: Forward, left, right, and whatever else; or v and w, of which -1 is to stand and 0 straight on.
-        side: Distance to keep from the wall [m], give or take `tolerance`.
-        ahead: Free way to keep ahead [m].
-        guard: No beam may read less than this without a turn away [m].
-        tolerance: See `side` [m].
-        lost: A wall further than `side` by this is not turned to [m].
-        look_ahead: How far down the way the distance counts [m].
+        observation_space: `tb2rl.envs.encodings.SensorBox` that begins with five or more ranges from -90 to 90 degrees.
+        action_space: Forward, left, right and others; or v and w, from -1 (v: standstill) to 1.
+        side: Distance to keep from the wall [m].
+        ahead: Free distance to keep ahead [m].
+        guard: Range of any beam below which it turns away [m].
+        tolerance: Of `side` [m].
+        lost: A wall farther than `side` by this is ignored [m].
+        look_ahead: How far ahead of the robot the distance counts [m].
     """
 
     def __init__(

@@ -22,10 +22,10 @@ if (Path(__file__).parent.parent / "pyproject.toml").is_file():
     __path__.append(str(Path(__file__).parent.parent))
 
 if TYPE_CHECKING:
+    from tb2rl.core.agent import Agent
     from tb2rl.core.errors import InputError
     from tb2rl.envs.make import make_env
-    from tb2rl.evaluation.evaluator import evaluate
-    from tb2rl.registry import Agent
+    from tb2rl.evaluation.evaluate import evaluate
     from tb2rl.runs.loading import load
     from tb2rl.training.training import train
 
@@ -52,9 +52,9 @@ for _id, _arguments in GYM_IDS.items():
     )
 
 _HOMES = {
-    "Agent": "registry",
+    "Agent": "core.agent",
     "InputError": "core.errors",
-    "evaluate": "evaluation.evaluator",
+    "evaluate": "evaluation.evaluate",
     "load": "runs.loading",
     "make_env": "envs.make",
     "train": "training.training",

@@ -1,4 +1,4 @@
-"""Policies and our robot on ROS.
+"""Policies and the simulated robot on ROS.
 
     python -m tb2rl.ros drive zoo:maze-loop-ppo --speed 0.3
     python -m tb2rl.ros drive RUN --ros 2 --mounting 0.1,0,3.14159,upside-down --topics velocity=/cmd_vel
@@ -7,14 +7,13 @@
     python -m tb2rl.ros messages FOLDER
 
 `drive` lets a policy drive a robot. `simulate` has the topics and services of the 2018 tutorial's TurtleBot2 in Gazebo.
-Ctrl-C ends both. `messages` writes what programs of that tutorial import and Debian's ROS 1 lacks; put FOLDER into
-PYTHONPATH for them.
+Ctrl-C ends both. `messages` writes the Python packages that programs of this tutorial import and Debian's ROS 1 lacks;
+put FOLDER into PYTHONPATH for them.
 """
 
 from __future__ import annotations
 
 import argparse
-from importlib import import_module
 from pathlib import Path
 
 from tb2rl.core.errors import ArgumentParser, command
@@ -24,44 +23,44 @@ ANSWER = 5.0  # [s] of wall-clock time
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     about = (__doc__ or "").splitlines()[0]
     parser = ArgumentParser(prog="python -m tb2rl.ros", description=about)
-    parts = parser.add_subparsers(dest="what", required=True, metavar="drive | simulate | messages")
-    add_drive(parts.add_parser("drive", help="a policy at the wheel of a robot"))
-    add_simulate(parts.add_parser("simulate", help="a simulated robot, with the topics and services of Gazebo"))
-    messages = parts.add_parser("messages", help="write the packages of messages that Debian's ROS 1 lacks")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="drive | simulate | messages")
+    _add_drive(commands.add_parser("drive", help="drive a robot by a policy"))
+    _add_simulate(commands.add_parser("simulate", help="simulate a robot with the topics and services of Gazebo"))
+    messages = commands.add_parser("messages", help="write the packages of messages that Debian's ROS 1 lacks")
     messages.add_argument("folder", type=Path)
     return parser.parse_args(arguments)
 
 
-def add_drive(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `drive`."""
+def _add_drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("policy", help="run folder, checkpoint in it, zoo:NAME, or hf:USER/REPOSITORY")
     add_trust(parser)
     parser.add_argument("--speed", type=float, metavar="M/S", help="drive no faster; turns are slowed with it")
     parser.add_argument("--wait", action="store_true", help="stand until the service ~/start is called")
-    parser.add_argument("--dry-run", action="store_true", help="say what it would drive, and tell the wheels nothing")
+    parser.add_argument("--dry-run", action="store_true", help="print the commands, and publish none")
     add_ros_arguments(parser)
     parser.set_defaults(ros=1, mounting="0,0,0")
 
 
-def add_simulate(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `simulate`."""
-    parser.add_argument("--ros", type=int, choices=(1, 2), required=True, help="which ROS")
-    parser.add_argument("--task", default="maze", help="where it begins and, with --set, in which world (maze)")
+def _add_simulate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--ros", type=int, choices=(1, 2), required=True, help="version of ROS")
+    parser.add_argument("--task", default="maze", help="task, for its world and its initial state (maze)")
     parser.add_argument("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="change the task")
-    parser.add_argument("--simulation", choices=("bullet", "kinematic"), help="PyBullet (default) or the fast twin")
+    parser.add_argument(
+        "--simulation", choices=("bullet", "kinematic"), help="PyBullet (default) or the kinematic simulator"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of noise, and of starts with task.start=random (0)")
     parser.add_argument("--rate", type=float, default=1.0, help="times real time (1); 0: as fast as possible")
-    parser.add_argument("--scan-rate", type=float, default=10.0, metavar="HZ", help="sweeps of the laser (10)")
+    parser.add_argument("--scan-rate", type=float, default=10.0, metavar="HZ", help="scans of the laser (10)")
     parser.add_argument(
         "--lockstep",
         type=float,
         nargs="?",
         const=ANSWER,
         metavar="S",
-        help=f"after each scan, let no time pass until a command answers it, or S s are over ({ANSWER:g})",
+        help=f"after each scan, stop the time until a command answers it, for at most S s ({ANSWER:g})",
     )
     add_topics(parser)
 
@@ -70,12 +69,18 @@ def add_simulate(parser: argparse.ArgumentParser) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Drive, simulate, or write messages."""
     options = parse(arguments)
-    if options.what == "messages":
+    if options.command == "messages":
         from tb2rl.deploy.ros.definitions import write_packages
 
         write_packages(options.folder)
-        return
-    import_module(f"tb2rl.deploy.ros.{options.what}").run(options)  # only now: it imports what takes seconds
+    elif options.command == "drive":  # imported here, because it takes seconds
+        from tb2rl.deploy.ros import driver_node
+
+        driver_node.run(options)
+    else:
+        from tb2rl.deploy.ros import simulation_server
+
+        simulation_server.run(options)
 
 
 if __name__ == "__main__":

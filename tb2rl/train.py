@@ -1,4 +1,4 @@
-"""Train an agent at a task: one command, one run folder.
+"""Train an agent at a task, and leave a run folder.
 
     python -m tb2rl.train --agent qlearn
     python -m tb2rl.train --agent dqn --set task.world=circuit agent.gamma=0.97 --name mine
@@ -6,8 +6,8 @@
     python -m tb2rl.train --agent ppo --simulation kinematic --seeds 0..31 --on ray:10.0.0.1:6379
     python -m tb2rl.train --resume runs/maze/dqn/mine
 
-Several seeds are trained beside each other, each in a thread: by processes, or by Ray with `--on ray`, here or on a
-cluster. Everything has a default, in a signature or a preset of `configs`; `--set` changes anything.
+Several seeds are trained in parallel, one thread each: by processes, or by Ray with `--on ray`, here or on a cluster.
+Everything has a default, in a signature or a preset of `configs`; `--set` changes anything.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import argparse
 from pathlib import Path
 
 from tb2rl.core.errors import ArgumentParser, command
+from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.where import add_where
-from tb2rl.registry import agent_names, task_names
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = ArgumentParser(prog="python -m tb2rl.train", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
     parser.add_argument("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
@@ -33,18 +33,18 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--total-timesteps", type=int, help="control steps, over all environments")
     parser.add_argument("--episodes", type=int, help="stop after so many, if that comes before --total-timesteps")
     parser.add_argument("--seed", type=int)
-    parser.add_argument("--seeds", metavar="A..B", help="train once with each of these seeds, say what they come to")
+    parser.add_argument("--seeds", metavar="A..B", help="train once with each of these seeds, and print a summary")
     add_where(parser)
-    parser.add_argument("--simulation", help="what to train in: bullet (default), or its fast twin kinematic")
+    parser.add_argument("--simulation", help="simulator to train in: bullet (default) or kinematic")
     parser.add_argument("--n-envs", type=int, help="environments, in parallel processes or in one batch")
     parser.add_argument("--device", help="of the networks: cpu, cuda, auto")
     parser.add_argument("--eval-freq", type=int, help="control steps between evaluations; 0: no evaluations")
     parser.add_argument("--save-freq", type=int, help="control steps between checkpoints; 0: only the last")
     parser.add_argument("--keep", type=int, help="checkpoints of the training to keep, the latest")
     parser.add_argument(
-        "--track", nargs="+", action="extend", metavar="NAME", help="mlflow, wandb or module:Class: note figures there"
+        "--track", nargs="+", action="extend", metavar="NAME", help="mlflow, wandb or module:Class: send figures there"
     )
-    parser.add_argument("--resume", type=Path, metavar="FOLDER", help="go on with a run; takes --total-timesteps")
+    parser.add_argument("--resume", type=Path, metavar="FOLDER", help="continue a run; takes --total-timesteps")
     parser.add_argument("--no-evaluation", action="store_true", help="skip the standard evaluation at the end")
     parser.add_argument("--no-progress", action="store_true", help="no progress bar")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="a line for each episode")
@@ -53,7 +53,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 @command
 def main(arguments: list[str] | None = None) -> None:
-    """Train, say where the run is, evaluate."""
+    """Train, print the result, evaluate."""
     options = parse(arguments)
     from tb2rl.commands.train import run  # only now: it imports what takes seconds
 

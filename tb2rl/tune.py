@@ -14,8 +14,8 @@ from __future__ import annotations
 import argparse
 
 from tb2rl.core.errors import ArgumentParser, InputError, command, install_extra
+from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.where import add_where
-from tb2rl.registry import agent_names, task_names
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

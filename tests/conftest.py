@@ -24,11 +24,11 @@ import pytest
 
 from tb2rl import train
 from tb2rl.commands import suite as suite_command
-from tb2rl.registry import find_world
 from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.worlds import World
+from tb2rl.worlds.registry import find_world
 from tb2rl.worlds.suites import Suite
 
 # Tests send these signals, which pytest and its children ignore if a shell started pytest in the background.
@@ -238,7 +238,7 @@ class FakeHub:
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.address = f"http://127.0.0.1:{self.server.server_port}"
-        Thread(target=self.server.serve_forever, daemon=True).start()
+        Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
 
     def put(self, repository: str, files: Mapping[str, bytes]) -> str:
         """Commit changes of files and return the hash."""

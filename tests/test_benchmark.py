@@ -14,8 +14,8 @@ from tb2rl.commands import rates
 from tb2rl.commands.benchmark import PARTS, learners
 from tb2rl.core.processes import processors
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.threads import THREADS
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.kinematic.threads import THREADS
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_wrong_input_is_refused_before_anything_is_measured(line, named, capsys,
 @pytest.mark.skipif(THREADS < 2, reason="one processor has nothing to share")
 def test_threads_share_the_work_of_a_batch(make_setup):
     spec, rng = make_setup("loop", beams=36), np.random.default_rng(0)
-    simulation, start = KinematicSimulation(spec, 4096), InitialState.default(spec, 4096)
+    simulation, start = KinematicSimulator(spec, 4096), InitialState.default(spec, 4096)
     start.pose[:] = spec.worlds[0].random_poses(rng, 4096, 0.6)
     simulation.reset(start, rng)
     commands = np.tile([0.05, 1.0], (4096, 1))

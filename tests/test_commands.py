@@ -11,8 +11,8 @@ import pytest
 
 from tb2rl.__main__ import COMMANDS, main
 from tb2rl.commands.benchmark import PARTS
+from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.evaluation import evaluator
-from tb2rl.registry import agent_names, task_names
 from tb2rl.viz import film
 from tb2rl.viz.cameras import CAMERAS
 

@@ -10,11 +10,13 @@ from io import StringIO
 
 import pytest
 
+from tb2rl import evaluate, load, train
+from tb2rl.core.agent import find_agent
 from tb2rl import evaluate, load
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import agent_names
 from tb2rl.evaluation.evaluation import kept_evaluation
 from tb2rl.evaluation.evaluator import SEED
-from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import Run
 from tb2rl.simulation import SIMULATIONS
 

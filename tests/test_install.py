@@ -20,9 +20,11 @@ CHECKOUT = Path(__file__).parent.parent
 USE = """
 import tb2rl
 from tb2rl.core.files import top_folder
-from tb2rl.registry import (
-    agent_names, find_agent, find_robot, find_task, find_world, robot_names, task_names, world_names,
-)
+from tb2rl.core.agent import find_agent
+from tb2rl.core.plugins import agent_names, robot_names, task_names
+from tb2rl.robots.registry import find_robot
+from tb2rl.tasks.registry import find_task
+from tb2rl.worlds.registry import find_world, world_names
 from tb2rl.runs.layers import resolve
 
 print(tb2rl.__file__)

@@ -119,7 +119,7 @@ FILES = {
                 return super().read(reading) // 2
         """,
     "quantiles.py": """
-        from tb2rl.registry import Agent
+        from tb2rl import Agent
 
         AGENT = Agent("sb3_contrib:QRDQN")
         """,
@@ -127,7 +127,7 @@ FILES = {
         import torch as th
         from stable_baselines3.common.policies import BasePolicy
 
-        from tb2rl.registry import Agent
+        from tb2rl import Agent
 
         AGENT = Agent(algorithm=None, policy="straight:Straight")
 

@@ -191,7 +191,7 @@ def test_the_training_loop_of_the_page_for_ros_learns(folder, capsys):
 
 
 def test_the_motors_of_the_example_robot_are_as_measured(folder):
-    from tb2rl.simulation.motors import measure_motors
+    from tb2rl.simulation.bullet.motors import measure_motors
 
     save_files("tb2rl/robots/README.md", folder)
     robot = import_module("mini").ROBOT

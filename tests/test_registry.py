@@ -9,23 +9,17 @@ import pytest
 
 from tb2rl import load, train
 from tb2rl.commands.benchmark import learners
+from tb2rl.core.agent import Agent, find_agent
 from tb2rl.core.errors import InputError
-from tb2rl.registry import (
-    Agent,
-    agent_names,
-    find_agent,
-    find_robot,
-    find_task,
-    find_world,
-    import_object,
-    robot_names,
-    task_names,
-)
+from tb2rl.core.plugins import agent_names, import_object, robot_names, task_names
 from tb2rl.robots import Robot
+from tb2rl.robots.registry import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.layers import resolve
 from tb2rl.tasks import Task
+from tb2rl.tasks.registry import find_task
 from tb2rl.tasks.wander import Wander
+from tb2rl.worlds.registry import find_world
 
 
 def run(code: str) -> str:
@@ -58,11 +52,10 @@ def test_every_robot_that_has_a_name_can_be_had(name):
     assert robot.name == name
 
 
-def test_names_cost_no_torch():
-    names = "agent_names, task_names, robot_names, world_names"
-    code = f"import sys, tb2rl; from tb2rl.registry import {names}; [names() for names in ({names})]"
-    heavy = "torch", "stable_baselines3", "pybullet", "tensorboard"
-    assert run(f"{code}; print([m for m in {heavy} if m in sys.modules])").strip() == "[]"
+def test_listing_names_imports_nothing_heavy():
+    imports = "from tb2rl.core.plugins import agent_names, robot_names, task_names; agent_names(), robot_names()"
+    heavy = "torch", "stable_baselines3", "pybullet", "tensorboard", "numba", "pydantic"
+    assert run(f"import sys; {imports}; task_names(); print([m for m in {heavy} if m in sys.modules])").strip() == "[]"
 
 
 def test_the_functions_of_the_package_are_functions_whatever_was_imported_before():
@@ -94,7 +87,7 @@ def test_a_class_variable_of_a_task_is_no_setting_however_it_is_written(top, wri
 
 
 def test_agents_tasks_and_robots_of_another_package_are_found(write_package):
-    agent = "from tb2rl.registry import Agent\nAGENT = Agent('stable_baselines3:A2C', observation='discrete')\n"
+    agent = "from tb2rl import Agent\nAGENT = Agent('stable_baselines3:A2C', observation='discrete')\n"
     task = "from tb2rl.tasks.wander import Wander\nclass Odyssey(Wander): pass\n"
     robot = (
         "from dataclasses import replace\nfrom tb2rl.robots.turtlebot2 import ROBOT\nARGO = replace(ROBOT, name='argo')"
@@ -186,7 +179,7 @@ def test_an_error_inside_a_users_module_shows_as_it_is(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("find", "kind"), [(find_task, ""), (find_agent, ""), (find_robot, "robot: "), (find_world, "world: ")]
+    ("find", "kind"), [(find_task, "task: "), (find_agent, "agent: "), (find_robot, "robot: "), (find_world, "world: ")]
 )
 def test_a_module_with_its_ending_is_refused_with_the_right_words(find, kind):
     with pytest.raises(InputError, match=rf"^{kind}cannot import 'errand\.py:IT': .* write errand:IT$"):

@@ -10,8 +10,8 @@ from tb2rl import load, make_env
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import is_path
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.registry import find_world, world_names
 from tb2rl.runs.loading import config_of
+from tb2rl.worlds.registry import find_world, world_names
 
 DRAWING = "#####\n#S.G#\n#...#\n#####\n"
 YAML = "start: [1.5, 2.5, 0.0]\nwalls: [{path: [[0, 0], [4, 0], [4, 4], [0, 4]], closed: true}]\n"
@@ -165,6 +165,13 @@ def test_code_that_does_not_make_a_world_is_refused_with_one_line(reference, wor
         find_world(reference.format(folder=my_worlds))
     assert "\n" not in str(error.value)
     assert (my_worlds / "post.radius").is_file()  # nothing else is called
+
+
+@pytest.mark.parametrize("reference", ["my_worlds:make", "my_worlds:read"])
+def test_a_generator_with_other_arguments_is_refused_with_one_line(reference, my_worlds):
+    name = reference.partition(":")[2]
+    with pytest.raises(InputError, match=rf"cannot be called as {name}\(rng, difficulty, size\): too many positional"):
+        make_env("maze", world={"generator": reference})
 
 
 # ---- from any folder

@@ -12,7 +12,7 @@ import pytest
 
 from tb2rl import load, train
 from tb2rl.core.errors import InputError
-from tb2rl.registry import import_object
+from tb2rl.core.plugins import import_object
 from tb2rl.runs.layers import resolve
 
 MINE = """

@@ -10,10 +10,11 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
-from tb2rl.core.trust import distrusting, nothing_from
+from tb2rl.core.plugins import import_object
+from tb2rl.core.trust import block_imports, untrusted_source
 from tb2rl.envs.worlds import files_named
-from tb2rl.registry import find_task, import_object
 from tb2rl.runs.loading import load
+from tb2rl.tasks.registry import find_task
 from tb2rl.training.training import resume
 
 TASK = """
@@ -81,7 +82,7 @@ def test_a_module_beside_a_run_folder_is_imported_as_ever(own, tmp_path):
     edited_run(tmp_path, "mine:Mine")
     (tmp_path / "mine.py").write_text(TASK)
     own(tmp_path)
-    with nothing_from(tmp_path / "run"):
+    with block_imports(tmp_path / "run"):
         assert find_task("mine:Mine").__name__ == "Mine"
     assert (tmp_path / "executed").exists()
 
@@ -112,7 +113,7 @@ STRANGE = [
 def test_a_stranger_may_name_what_everybody_has(reference):
     if reference.startswith("sb3_contrib"):
         pytest.importorskip("sb3_contrib")
-    with distrusting("ada"):
+    with untrusted_source("ada"):
         assert import_object(reference).__name__ == reference.partition(":")[2]
 
 
@@ -120,7 +121,7 @@ def test_a_stranger_may_name_what_everybody_has(reference):
 def test_a_stranger_may_name_nothing_else_and_the_message_says_what(reference, own, tmp_path):
     (tmp_path / "evil.py").write_text(TASK)
     own(tmp_path)
-    with distrusting("ada"), pytest.raises(InputError) as refused:
+    with untrusted_source("ada"), pytest.raises(InputError) as refused:
         import_object(reference)
     message = str(refused.value)
     assert message.startswith("ada names the module ")
@@ -133,14 +134,14 @@ def test_a_stranger_may_name_nothing_else_and_the_message_says_what(reference, o
 def test_the_first_stranger_is_named_and_after_the_block_there_is_none(own, tmp_path):
     (tmp_path / "evil.py").write_text(TASK)
     own(tmp_path)
-    with distrusting("ada"), distrusting("bob"), pytest.raises(InputError, match=r"^ada names"):
+    with untrusted_source("ada"), untrusted_source("bob"), pytest.raises(InputError, match=r"^ada names"):
         import_object("evil:Mine")
     assert import_object("evil:Mine") is import_module("evil").Mine
 
 
 def test_a_plugin_that_somebody_installed_is_theirs(write_package):
     write_package("[tb2rl.tasks]\nmine = mine:Mine\n", mine=TASK)
-    with distrusting("ada"):
+    with untrusted_source("ada"):
         assert find_task("mine") is find_task("mine:Mine")
 
 

@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 
 from tb2rl.commands import worlds
-from tb2rl.registry import find_world, world_names
 from tb2rl.worlds import World
 from tb2rl.worlds.__main__ import main
 from tb2rl.worlds.description import write_description
 from tb2rl.worlds.generators import FAMILIES
+from tb2rl.worlds.registry import find_world, world_names
 
 NARROW = "cell: 0.3\ndrawing: |\n  ###########\n  #....#....#\n  #.S.......#\n  #....#....#\n  ###########\n"
 POLE = (
@@ -72,7 +72,7 @@ def test_it_checks_what_a_robot_can_reach(folder, capsys):
     assert about == "narrow: 3.3 x 1.5 m, 6 boxes, 0 posts"
     assert reach.startswith("turtlebot2 (0.356 m wide) reaches 48% of the floor, ")
     assert doors.startswith("1 door is narrower than the robot: 0.300 m at (1.6")
-    assert "1 part of the floor cannot be reached, behind ways that are too narrow: 1.1 m2" in parts
+    assert "1 part of the floor cannot be reached, behind passages that are too narrow: 1.1 m2" in parts
     assert len(said("check narrow.yaml --robot turtlebot3", capsys)) == 2
 
 
@@ -95,7 +95,7 @@ def test_what_it_converts_to_a_world_of_ours_is_the_same_world(name, folder, cap
     before, after = find_world(name), find_world("mine.yaml")
     assert np.allclose(after.boxes, before.boxes, atol=1e-12)
     assert np.allclose(after.posts, before.posts, atol=1e-12)
-    assert (after.initial_state, after.goal) == (before.initial_state, before.goal)
+    assert (after.start, after.goal) == (before.start, before.goal)
     assert (after.bounds, after.description) == (before.bounds, before.description)
 
 

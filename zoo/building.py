@@ -15,7 +15,7 @@ from PIL import Image
 from tb2rl.commands.seeds import train_and_evaluate
 from tb2rl.core.files import read_text, write_text
 from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.execution.job import Job, files_in, write_files
 from tb2rl.execution.running import run_jobs
 from tb2rl.execution.where import Where

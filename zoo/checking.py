@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tb2rl.core.files import read_text
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.progress import say
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.zoo.cards import card, percent

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tb2rl.commands.train import requested
+from tb2rl.commands.train import requested_config
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import read_text, read_yaml, top_folder
 from tb2rl.envs.worlds import are_generated
@@ -47,7 +47,7 @@ class Entry:
     @property
     def requested(self) -> Config:
         """What the recipe asks for."""
-        return requested(parse_training(shlex.split(self.recipe)))
+        return requested_config(parse_training(shlex.split(self.recipe)))
 
     @cached_property
     def figures(self) -> dict[str, Any]:

@@ -18,13 +18,13 @@ from jinja2 import UndefinedError
 import tb2rl
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import read_text, write_text
-from tb2rl.core.trust import distrusting
+from tb2rl.core.trust import untrusted_source
 from tb2rl.envs.worlds import files_named
 from tb2rl.evaluation.evaluation import kept_evaluation
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, SHARED, Run
-from tb2rl.runs.hub import HUB, POLICY, errors_named, library, parsed
+from tb2rl.runs.hub import HUB, POLICY, hub_library, parse_reference, translate_errors
 from tb2rl.runs.loading import checkpoint_file
 from tb2rl.zoo.building import PICTURE, draw
 from tb2rl.zoo.cards import template
@@ -58,20 +58,20 @@ def push(name: str, repository: str, private: bool = False) -> list[str]:
         InputError: If there is no such policy, it cannot be shared, or the hub does not take it.
     """
     reference = f"{HUB}{repository}"
-    if parsed(reference)[1] is not None:
+    if parse_reference(reference)[1] is not None:
         raise InputError(f"push takes a repository without a revision, got {repository}")
     shared = Run.open(_folder(name))
     _check(shared)
-    hub = library()
+    hub = hub_library()
     with TemporaryDirectory() as folder:
         stage(shared, repository, Path(folder))
-        with errors_named(reference, repository):
+        with translate_errors(reference, repository):
             api = hub.HfApi()
             api.create_repo(repository, private=private or None, exist_ok=True)
             api.upload_folder(repo_id=repository, folder_path=folder, commit_message=f"tb2rl {tb2rl.__version__}")
     said = [f"{reference} is on the hub; see it drive: python -m tb2rl.play {reference}"]
     try:
-        with distrusting(reference):
+        with untrusted_source(reference):
             config_from(shared.config.to_dict())
     except InputError as error:
         said.append(f"others need the same modules, and --trust: {error}")
@@ -147,7 +147,7 @@ def card(config: Config, figures: Mapping[str, Any], repository: str, has_pictur
 
 def _metadata(config: Config, figures: Mapping[str, Any], repository: str, good: str) -> str:
     """What the hub sorts and shows policies by, as YAML."""
-    hub = library()
+    hub = hub_library()
     environment = environment_id(config)
     reward = f"{figures['mean_return']:.2f} +/- {figures['std_return']:.2f}"
     rate, called = figures[f"{good}_rate"], "success rate" if good == "success" else "crash-free rate"

@@ -18,10 +18,12 @@ from rich.table import Table
 
 from tb2rl.commands.output import check_output, write_json
 from tb2rl.commands.rates import Figure, measure_kinematic, measure_physics
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError, unknown
+from tb2rl.core.plugins import agent_names
 from tb2rl.core.processes import processors
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluator import PASSED, evaluate
-from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load

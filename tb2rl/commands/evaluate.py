@@ -10,12 +10,13 @@ from tb2rl.commands.policy import chosen_policy, chosen_time_limit
 from tb2rl.commands.robot import chosen_robot
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, evaluate
+from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS
 from tb2rl.evaluation.rollout import LARGEST_SEED
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
-from tb2rl.simulation import ROS, judging_simulation
+from tb2rl.simulation import ROS, default_simulator
 from tb2rl.viz.table import print_evaluation
 
 _MOST_EPISODES = 100_000  # as of train.eval_episodes
@@ -68,7 +69,7 @@ def check_shared(options: argparse.Namespace) -> None:
 def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.Namespace) -> None:
     """Write the evaluation to `--json`, or the standard evaluation of a run into its folder."""
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not options.set
-    standard = standard and evaluation.simulation == judging_simulation()
+    standard = standard and evaluation.simulation == default_simulator()
     tree, arrays = evaluation.tree(config, name)
     if options.json:
         write_json(options.json, tree)

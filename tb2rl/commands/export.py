@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import replacing
+from tb2rl.core.plugins import agent_names
 from tb2rl.deploy.description import describe, needs_of
 from tb2rl.deploy.folder import write_folder
 from tb2rl.deploy.network import OBSERVATION, in_a_row, network_of, parts_of
 from tb2rl.deploy.portable.network import Network
 from tb2rl.envs.encodings import has_images, stacked
-from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.loading import config_of, load
 
 _STATES, _IMAGES = 100, 4  # that a policy is tried with; onnx's own evaluator is slow

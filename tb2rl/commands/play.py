@@ -16,8 +16,9 @@ from tb2rl.core.errors import InputError, unknown
 from tb2rl.core.signals import end_program, ending_signals
 from tb2rl.deploy.ros.robot import RosRobot
 from tb2rl.envs.scene import Scene
+from tb2rl.evaluation.episodes import Policy
+from tb2rl.evaluation.moments import Moment
 from tb2rl.evaluation.progress import say
-from tb2rl.evaluation.rollout import Moment, Policy
 from tb2rl.runs.checkpoint import SUFFIX
 from tb2rl.runs.config import Config
 from tb2rl.runs.hub import HUB

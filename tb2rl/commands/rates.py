@@ -12,9 +12,9 @@ import numpy as np
 
 from tb2rl.core.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.wander import Wander
 
 BEAMS = (6, 36, 720)
@@ -48,13 +48,13 @@ def measure_step(beams: int, seconds: float) -> list[Figure]:
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
         actions = rng.integers(len(scene.actions.names), size=_BLOCK)
-        before = env.simulation.state()
+        before = env.simulator.state()
         times, over = _time_steps(env, actions)
-        after = env.simulation.state()
-        env.simulation.restore(before)
+        after = env.simulator.state()
+        env.simulator.restore(before)
         whole.append(np.mean(times))
-        bare.append(_time_bare(env.simulation, scene.actions.commands(actions[: len(times)]), env.task.control_period))
-        env.simulation.restore(after)
+        bare.append(_time_bare(env.simulator, scene.actions.commands(actions[: len(times)]), env.task.control_period))
+        env.simulator.restore(after)
         if over:
             env.reset()
     env.close()
@@ -72,7 +72,7 @@ def measure_processes(num_envs: int, seconds: float) -> list[Figure]:
     The three alternate, because the speed of a machine changes from second to second. Processors that share a core do
     less at once than one after the other; the last figure excludes this loss.
     """
-    together = BatchVecEnv(make_scene(Wander(), "discrete"), num_envs, simulation="bullet")
+    together = TurtleBot2VecEnv(make_scene(Wander(), "discrete"), num_envs, simulation="bullet")
     together.seed(0)
     together.reset()
     rng, rates, count = np.random.default_rng(0), [], processors()
@@ -126,11 +126,11 @@ def measure_kinematic(seconds: float) -> list[Figure]:
 def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
     """The whole VecEnv step, and the compiled kernel alone with the same commands."""
     scene = make_scene(Wander(beams=beams), "raw")
-    env = BatchVecEnv(scene, num_envs)
+    env = TurtleBot2VecEnv(scene, num_envs)
     env.seed(0)
     env.reset()
-    simulation, period, rng = env.batch.simulation, scene.task.control_period, np.random.default_rng(0)
-    assert isinstance(simulation, KinematicSimulation)
+    simulation, period, rng = env.loop.simulator, scene.task.control_period, np.random.default_rng(0)
+    assert isinstance(simulation, KinematicSimulator)
     numbers = [np.empty(shape) for shape in ((num_envs, 2), (num_envs, 2), num_envs, num_envs)]
     results = *numbers, np.empty(num_envs, dtype=bool), np.empty(num_envs), np.empty((num_envs, beams))
     whole, bare = list[float](), list[float]()

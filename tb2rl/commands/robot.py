@@ -1,4 +1,4 @@
-"""The robot with ROS that a command line names; see `tb2rl.policy_arguments.add_robot_arguments`."""
+"""The robot with ROS of a command line; see `tb2rl.policy_arguments.add_robot_arguments`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tb2rl.simulation import ROS
 
 
 def parse_goal(text: str) -> tuple[float, float]:
-    """A goal x, y [m] as the command line has it: "3,2".
+    """Parse a goal x, y [m], such as "3,2".
 
     Raises:
-        InputError: If it is not that.
+        InputError: For another form.
     """
     try:
         x, y = map(float, text.split(","))
@@ -30,12 +30,12 @@ def parse_goal(text: str) -> tuple[float, float]:
 
 
 def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
-    """The robot that the arguments name; None: they ask for a simulation.
+    """Return the robot of the arguments; None: they ask for a simulation.
 
-    Whatever ends the program from now on, it goes through what tells the robot to stand.
+    From now on all signals that end the program raise `KeyboardInterrupt`, so that `close` stops the robot.
 
     Raises:
-        InputError: If one of them does not fit.
+        InputError: If an argument does not fit.
     """
     if options.simulation != ROS:
         if options.ros or options.topics or options.ros_args or options.mounting or options.top_speed is not None:

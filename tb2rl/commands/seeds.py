@@ -1,4 +1,4 @@
-"""What `train --seeds` does: a job for each seed, and what they came to."""
+"""The command `train --seeds`: a job for each seed, and a summary of all."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ from typing import Any
 from tb2rl.core.files import write_text
 from tb2rl.core.signals import ending_signals
 from tb2rl.envs.worlds import carry, worlds_of_files
-from tb2rl.evaluation.evaluator import PASSED, evaluate
+from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluator import PASSED
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.execution.job import Job
 from tb2rl.execution.running import run_jobs
 from tb2rl.execution.where import Where
-from tb2rl.runs.algorithm import check_device, check_learns
+from tb2rl.runs.algorithm import check_device, check_trainable
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import load
 from tb2rl.training.statistics import tutorial_scores
 from tb2rl.training.trackers import check_trackers
-from tb2rl.training.training import Training, stopped_early, train_config
+from tb2rl.training.training import Training, early_stop, train_config
 from tb2rl.viz.table import print_evaluation
 
-LOG = "log.txt"  # in the run folder: what a training said that nobody watched
+LOG = "log.txt"  # in the run folder: the output of its training
 
 
 def train_seeds(config: Config, seeds: Sequence[int], folder: Path, where: Where, verbose: int = 0) -> None:
-    """Train and evaluate with each seed, and say what they came to.
+    """Train and evaluate with each seed, and print a summary.
 
     Args:
         config: Of the training; its seed is replaced.
-        seeds: Which.
+        seeds: The seeds.
         folder: Gets a run folder for each, `seed-<seed>`, and `seeds.json`.
-        where: Where they are trained.
+        where: Processes or Ray.
         verbose: 1: a line for each episode, in `log.txt`.
     """
-    check_learns(config)
-    check_device(config)
-    check_trackers(config, where.ray)
-    jobs = [_job(replace(config, train=replace(config.train, seed=seed)), folder, verbose) for seed in seeds]
     settings = config.train
+    check_trainable(config)
+    check_device(settings.device)
+    check_trackers(settings.track, where.ray)
+    jobs = [_job(replace(config, train=replace(settings, seed=seed)), folder, verbose) for seed in seeds]
     print(
         f"training {config.agent_name} at {config.task_name} in {config.scene.place}: {len(seeds)} seeds, "
         f"{settings.total_timesteps} steps each, then the standard evaluation\n"
@@ -52,67 +53,67 @@ def train_seeds(config: Config, seeds: Sequence[int], folder: Path, where: Where
         flush=True,
     )
     summaries: dict[int, Mapping[str, Any]] = {}
-    came: list[int] = []  # signals
+    signals: list[int] = []
     try:
-        with ending_signals(partial(_interrupt, came)):
+        with ending_signals(partial(_interrupt, signals)):
             for job, summary in run_jobs(jobs, where, worlds_of_files(config.task.world)):
                 summaries[seeds[jobs.index(job)]] = summary
-                said = f"{100 * summary['success_rate']:.1f} % success, {summary['mean_distance']:.1f} m"
-                took = f"trained {summary['timesteps']} steps in {summary['seconds']:.0f} s"
-                print(f"{job.name}: {said}, {took}", flush=True)
+                score = f"{100 * summary['success_rate']:.1f} % success, {summary['mean_distance']:.1f} m"
+                effort = f"trained {summary['timesteps']} steps in {summary['seconds']:.0f} s"
+                print(f"{job.name}: {score}, {effort}", flush=True)
     except KeyboardInterrupt:
         print(f"\nstopped; {len(summaries)} of {len(seeds)} seeds are done, in {folder}", flush=True)
-        raise SystemExit(128 + came[0]) from None
-    _print_seeds({seed: summaries[seed] for seed in seeds}, folder)
+        raise SystemExit(128 + signals[0]) from None
+    _summarize({seed: summaries[seed] for seed in seeds}, folder)
 
 
-def _interrupt(came: list[int], number: int) -> None:
-    if not came:
+def _interrupt(signals: list[int], number: int) -> None:
+    if not signals:
         print("\nstopping: each training saves a checkpoint for --resume; Ctrl-C again stops at once", flush=True)
-    came.append(number)
+    signals.append(number)
     raise KeyboardInterrupt
 
 
 def _job(config: Config, folder: Path, verbose: int) -> Job:
-    place = folder / f"seed-{config.train.seed}"
-    return Job(f"seed {config.train.seed}", train_and_evaluate, (config, str(place), verbose), place)
+    run_folder = folder / f"seed-{config.train.seed}"
+    return Job(f"seed {config.train.seed}", train_and_evaluate, (config, str(run_folder), verbose), run_folder)
 
 
 def train_and_evaluate(worlds: Mapping[str, Any] | None, folder: Path, config: Config, name: str, verbose: int) -> Any:
-    """A job: one training, and its standard evaluation, whose summary it returns; what is said is in its log.
+    """A job: one training and its standard evaluation, whose summary it returns; the output goes to its log.
 
     Args:
         worlds: See `carry`; None: it needs no files.
         folder: The run folder.
         config: Of the training.
-        name: Of the run folder where it belongs, which is elsewhere on another machine.
+        name: The final path of the run folder, which differs on another machine.
         verbose: As in `train_config`.
     """
     carry(worlds or {})
-    said = StringIO()
-    with redirect_stdout(said), redirect_stderr(said):
-        training = train_config(config, folder, verbose=verbose, place=Path(name))
+    output = StringIO()
+    with redirect_stdout(output), redirect_stderr(output):
+        training = train_config(config, folder, verbose=verbose, tracked_folder=Path(name))
         if training.interrupted:
             raise KeyboardInterrupt
-        say_trained(training)
+        print_training(training)
         evaluation = evaluate(load(folder))
         summary = print_evaluation(evaluation, f"{name} in {config.scene.place}")
     training.run.write_evaluation(*evaluation.tree(config, name))
-    write_text(folder / LOG, said.getvalue())
+    write_text(folder / LOG, output.getvalue())
     return {**summary, "timesteps": training.timesteps, "seconds": training.seconds}
 
 
-def say_trained(training: Training) -> None:
-    """Say how a training went."""
+def print_training(training: Training) -> None:
+    """Print the result of a training."""
     rate = training.timesteps / training.seconds
     print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
     if training.stopped_after is not None:
-        print(stopped_early(training.run.config, training.stopped_after))
+        print(early_stop(training.run.config.train, training.stopped_after))
     print(tutorial_scores(training.lengths))
 
 
-def _print_seeds(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
-    """Print what several seeds came to, and keep it as `seeds.json`."""
+def _summarize(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
+    """Print the summary of several seeds, and write it to `seeds.json`."""
     rates = [summary["success_rate"] for summary in summaries.values()]
     distances = [summary["mean_distance"] for summary in summaries.values()]
     failed = [seed for seed, summary in summaries.items() if summary["success_rate"] < PASSED]

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> None:
         drives = _finished_drives(journal, len(suite.worlds))
         rest = drives_of(evaluator, policy, len(drives), where)
         for drive in progress(rest, "evaluating", "world", total=len(suite.worlds) - len(drives)):
-            journal.note(asdict(drive))
+            journal.append(asdict(drive))
             drives.append(drive)
         result = SuiteEvaluation(suite, scene, drives, evaluator.simulation).result(config, **about)
     if file is not None:
@@ -102,8 +102,8 @@ def _finished_drives(journal: Journal, worlds: int) -> list[Drive]:
         raise InputError(f"{journal.path} does not hold one world after the other; remove it to start again")
     if journal.path is None:
         print("not kept: a run folder keeps the results of its own task only; --json FILE writes any result")
-    elif journal.other is not None:
-        print(f"starting again: {journal.path} was of another {journal.other}")
+    elif journal.mismatch is not None:
+        print(f"starting again: {journal.path} was of another {journal.mismatch}")
     elif drives:
         print(f"continuing: {len(drives)} of {worlds} worlds are in {journal.path}")
     return drives

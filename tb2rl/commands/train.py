@@ -1,4 +1,4 @@
-"""What `train` does, see `tb2rl.train`: one training or several, and what they came to."""
+"""The command `train`, see `tb2rl.train`: one training or several, and their evaluation."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from tb2rl.commands.seeds import say_trained, train_seeds
+from tb2rl.commands.seeds import print_training, train_seeds
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
-from tb2rl.evaluation.evaluator import EPISODES, evaluate
+from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluator import EPISODES
 from tb2rl.execution.where import where_of
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
-from tb2rl.simulation import judging_simulation
+from tb2rl.simulation import default_simulator
 from tb2rl.training.training import Training, default_folder, resume, train_config
 from tb2rl.viz.table import print_evaluation
 
@@ -28,21 +29,28 @@ _MOST_SEEDS = 1000
 
 
 def run(options: argparse.Namespace) -> None:
-    """Train, say where the run is, evaluate."""
+    """Train, print the result, evaluate.
+
+    Raises:
+        InputError: For options that do not go together.
+    """
     announce_compiling()
+    progress_bar = not options.no_progress and not options.verbose and sys.stderr.isatty()
     if options.resume:
         others = {"agent", "task", "preset", "set", "name", "seeds", "on", "workers", *_FLAGS} - {"total_timesteps"}
         if any(getattr(options, name) not in (None, []) for name in others):
             raise InputError("--resume goes on with what the run's config says; only --total-timesteps can be raised")
-        _finish(resume(options.resume, options.total_timesteps, _bar(options), options.verbose, _say_resumed), options)
+        training = resume(options.resume, options.total_timesteps, progress_bar, options.verbose, _print_resumed)
+        _finish(training, options)
         return
-    config = requested(options)
+    config = requested_config(options)
     folder = default_folder(config, options.name)
     where = where_of(options)
     if options.seeds is None:
         if (options.on, options.workers) != (None, None):
             raise InputError("--on and --workers go with --seeds: one training is one process")
-        _train_and_evaluate(config, folder, options)
+        on_start = partial(_print_start, config)
+        _finish(train_config(config, folder, progress_bar, options.verbose, on_start), options)
         return
     if options.seed is not None or options.no_evaluation:
         raise InputError("--seeds goes neither with --seed nor with --no-evaluation")
@@ -52,17 +60,17 @@ def run(options: argparse.Namespace) -> None:
     train_seeds(config, seeds, folder, where, options.verbose)
 
 
-def requested(options: argparse.Namespace) -> Config:
-    """The config that a command line asks for."""
+def requested_config(options: argparse.Namespace) -> Config:
+    """The config of a command line."""
     flags = {f"train.{name}": getattr(options, name) for name in _FLAGS if getattr(options, name) is not None}
     return resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds as the command line has them: "0..4" or "0,3,7".
+    """Parse seeds such as "0..4" or "0,3,7".
 
     Raises:
-        InputError: If it is neither.
+        InputError: If the text is neither.
     """
     first, dots, last = text.partition("..")
     try:
@@ -74,12 +82,7 @@ def parse_seeds(text: str) -> list[int]:
     return seeds
 
 
-def _train_and_evaluate(config: Config, folder: Path, options: argparse.Namespace) -> None:
-    began = partial(_say_began, config)
-    _finish(train_config(config, folder, _bar(options), options.verbose, began), options)
-
-
-def _say_began(config: Config, folder: Path) -> None:
+def _print_start(config: Config, folder: Path) -> None:
     settings = config.train
     environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
     print(
@@ -90,28 +93,26 @@ def _say_began(config: Config, folder: Path) -> None:
     )
 
 
-def _say_resumed(folder: Path) -> None:
+def _print_resumed(folder: Path) -> None:
     print(f"resuming {folder}", flush=True)
 
 
 def _finish(training: Training, options: argparse.Namespace) -> None:
-    """Say how a training went, and evaluate it unless it was interrupted.
+    """Print the result of a training, and evaluate it unless it was interrupted.
 
     Raises:
         SystemExit: If another signal than Ctrl-C ended it, with the status that a shell counts for it.
     """
-    say_trained(training)
+    print_training(training)
     if training.interrupted not in (0, signal.SIGINT):
         raise SystemExit(128 + training.interrupted)
     if options.no_evaluation or training.interrupted:
         return
     run = training.run
-    where = "PyBullet" if judging_simulation() == "bullet" else "the fast twin"
-    print(f"standard evaluation of its best policy in {where}: {EPISODES} episodes, about half a minute", flush=True)
+    simulator = default_simulator().title
+    print(
+        f"standard evaluation of its best policy in {simulator}: {EPISODES} episodes, about half a minute", flush=True
+    )
     evaluation = evaluate(load(run.folder), progress=True)
     print_evaluation(evaluation, f"{run.folder} in {run.config.scene.place}")
     run.write_evaluation(*evaluation.tree(run.config, str(run.folder)))
-
-
-def _bar(options: argparse.Namespace) -> bool:
-    return not options.no_progress and not options.verbose and sys.stderr.isatty()

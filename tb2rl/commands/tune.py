@@ -15,7 +15,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.processes import processors
 from tb2rl.core.values import build
 from tb2rl.execution.where import Where, where_of
-from tb2rl.runs.algorithm import check_learns
+from tb2rl.runs.algorithm import check_trainable
 from tb2rl.runs.layers import as_preset, parse_settings, resolve
 from tb2rl.training.trackers import check_trackers
 from tb2rl.tuning.elsewhere import run_elsewhere
@@ -82,8 +82,8 @@ def requested(options: argparse.Namespace) -> Search:
         return resolve(*arguments, {**base, **settings})
 
     config = resolved({})
-    check_learns(config)
-    check_trackers(config, where_of(options).ray)
+    check_trainable(config)
+    check_trackers(config.train.track, where_of(options).ray)
     tree, file = find_space(options.space or _space_name(config.agent_name))
     space = without_fixed(tree, base) if isinstance(tree, Mapping) else tree
     check_space(space_from(space, file), file, resolved)

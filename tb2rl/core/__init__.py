@@ -1,4 +1,4 @@
-"""What every room needs: errors, values, files, trust, compiled code, processes and signals.
+"""Foundations of every room: errors, values, files, trust, plugins, agents, compiled code, processes, signals.
 
 Imports no other room.
 """

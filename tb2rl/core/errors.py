@@ -1,4 +1,4 @@
-"""What a user can get wrong, and how a command says so: one line and exit status 2."""
+"""Errors of users, and how commands report them: one line and exit status 2."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from typing import Any, NoReturn
 
 
 class InputError(ValueError):
-    """Foreign input that does not fit: the message is one line and names what is allowed."""
+    """Wrong input; the message is one line and names what is allowed."""
 
 
 class UnwritableError(InputError):
-    """The disk is full, or a folder cannot be written: nothing that other settings would mend."""
+    """A full disk or a folder without write permission, which no setting can fix."""
 
 
 class WorldWarning(UserWarning):
-    """What a reader of a world left out or chose by itself; a command shows it as one line."""
+    """A reader of a world left something out or chose a value; a command shows it as one line."""
 
 
 class UnknownArgumentError(InputError, TypeError):
-    """A keyword argument that a function does not take, in Python's own words: some libraries look for them."""
+    """An unknown keyword argument, in Python's own words because some libraries look for them."""
 
     def __init__(self, function: str, name: str = "", known: Iterable[str] = ()) -> None:
-        # Gymnasium makes the error anew with one argument, its own longer message.
-        what = f"{function}() got an unexpected keyword argument {name!r}"
-        super().__init__(f"{what}: {unknown('setting', name, known)}" if name else function)
+        # Gymnasium creates the error again with its own longer message as the only argument.
+        text = f"{function}() got an unexpected keyword argument {name!r}"
+        super().__init__(f"{text}: {unknown('setting', name, known)}" if name else function)
 
 
 def one_line(message: object, longest: int = 400) -> str:
-    """A message without line breaks, cut where it repeats too much of what came in."""
+    """A message without line breaks, cut to `longest` characters because it can repeat long input."""
     text = " ".join(str(message).split())
     return text if len(text) <= longest else f"{text[:longest]} ..."
 
 
 def unknown(kind: str, name: object, known: Iterable[str]) -> InputError:
-    """The error for a name that does not exist: suggests the nearest one and lists all."""
+    """The error for a name that does not exist: it suggests the nearest one and lists all."""
     known = sorted(known)
     near = difflib.get_close_matches(str(name), known, n=1)
     suggestion = f" did you mean {near[0]!r}?" if near else ""
@@ -51,41 +51,41 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> InputError:
 
 
 def install_extra(extra: str) -> str:
-    """The command that installs an extra of `pyproject.toml`, for a message; tb2rl is installed from its checkout."""
+    """The command that installs an extra of `pyproject.toml`, for a message."""
     return f'pip install -c constraints.txt -e ".[{extra}]" (in the checkout of tb2rl)'
 
 
 class ArgumentParser(argparse.ArgumentParser):
-    """One that reports a wrong argument as an `InputError`."""
+    """Reports a wrong argument as an `InputError`."""
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message} (see --help)")
 
 
 def command(main: Callable[[list[str] | None], None]) -> Callable[..., None]:
-    """Let a command's `main` report wrong input, or a file it cannot use, as one line on stderr with status 2.
+    """Decorate a command's `main`: wrong input and unusable files end it with one line on stderr and status 2.
 
-    Where the reader of its output goes away (`| head`), it ends without a word. What the encoding of the terminal lacks
-    is printed escaped, and what goes to a stream that was closed from the start (`2>&-`) is dropped.
+    If the reader of its output goes away (`| head`), the command ends silently. Characters that the terminal's encoding
+    lacks are printed escaped; output to a stream that was closed from the start (`2>&-`) is dropped.
     """
 
     @functools.wraps(main)
     def guarded(arguments: list[str] | None = None) -> None:
         _repair_streams()
         try:
-            with _warnings_in_a_line():
-                _reporting(main, arguments)
+            with _one_line_warnings():
+                _run(main, arguments)
         except (BrokenPipeError, SystemExit) as error:
             if not _reader_left(error):
                 raise
-            for stream in (1, 2):  # what is still buffered goes nowhere when the interpreter ends
+            for stream in (1, 2):  # the interpreter flushes its buffers when it ends
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-            raise SystemExit(141) from None  # as the shell counts it: 128 + SIGPIPE
+            raise SystemExit(141) from None  # as a shell reports it: 128 + SIGPIPE
 
     return guarded
 
 
-def _reporting(main: Callable[[list[str] | None], None], arguments: list[str] | None) -> None:
+def _run(main: Callable[[list[str] | None], None], arguments: list[str] | None) -> None:
     try:
         main(arguments)
     except InputError as error:
@@ -99,9 +99,9 @@ def _reporting(main: Callable[[list[str] | None], None], arguments: list[str] | 
             raise
         _stop(f"error: the name {one_line(ascii(error.object), 200)} is not text in {error.encoding}; use another one")
     except KeyboardInterrupt:
-        raise SystemExit(130) from None  # as the shell counts it: 128 + SIGINT
+        raise SystemExit(130) from None  # as a shell reports it: 128 + SIGINT
     finally:
-        print(end="", flush=True)  # here, where a reader that left can be noticed, not when the interpreter ends
+        print(end="", flush=True)  # raises BrokenPipeError here, not when the interpreter ends
 
 
 def _repair_streams() -> None:
@@ -109,23 +109,18 @@ def _repair_streams() -> None:
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
         if stream is None:
-            _open_descriptor(number)
+            try:
+                os.fstat(number)
+            except OSError:  # the next file to be opened would get this number, and what libraries print
+                os.dup2(os.open(os.devnull, os.O_RDWR), number)
             setattr(sys, name, open(os.devnull, "w" if number else "r"))  # noqa: SIM115, PTH123 (until the end)
         elif number and isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
-def _open_descriptor(number: int) -> None:
-    """Take a free number of a standard stream, or the next file gets it, and what libraries print."""
-    try:
-        os.fstat(number)
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_RDWR), number)
-
-
 @contextmanager
-def _warnings_in_a_line() -> Iterator[None]:
-    """Show what a reader of a world warns about as a command shows its errors, and other warnings as ever."""
+def _one_line_warnings() -> Iterator[None]:
+    """Show each `WorldWarning` as one line; other warnings as usual."""
     usual = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
@@ -142,9 +137,9 @@ def _warnings_in_a_line() -> Iterator[None]:
 
 
 def _reader_left(error: BaseException) -> bool:
-    """Whether an error means that nobody reads our output any more. Pipes to processes of our own can break, too."""
+    """Whether nobody reads our output any more; pipes to our own processes can break, too."""
     if isinstance(error, SystemExit):
-        return isinstance(error.__context__, BrokenPipeError)  # rich makes the one of the other
+        return isinstance(error.__context__, BrokenPipeError)  # rich turns one into the other
     if not hasattr(select, "poll"):  # Windows
         return True
     output = select.poll()

@@ -1,4 +1,4 @@
-"""Files: found by name, read as text or YAML, replaced in one step."""
+"""Files: found by name, read as text or YAML, replaced atomically."""
 
 from __future__ import annotations
 
@@ -13,22 +13,8 @@ import yaml
 import tb2rl
 from tb2rl.core.errors import InputError, one_line, unknown
 
-_DEEPEST = 100  # lists and mappings in one another
-_LONGEST = 400  # [characters] of an integer; Python prints no more than 4300 digits
-
-
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """PyYAML's safe loader (compiled where PyYAML has it: three times as fast), with a limit on integers."""
-
-
-def _integer(loader: Any, node: Any) -> int:
-    length = len(loader.construct_scalar(node))
-    if length > _LONGEST:
-        raise yaml.YAMLError(f"it has an integer of {length} characters")
-    return loader.construct_yaml_int(node)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+_DEEPEST = 100  # levels of nested lists and mappings
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # compiled if available: three times as fast
 
 
 def top_folder(name: str) -> Path:
@@ -37,21 +23,16 @@ def top_folder(name: str) -> Path:
 
 
 def is_path(name: str) -> bool:
-    """Whether a name is the path of a file, which has an ending or a folder, and not that of a built-in file."""
+    """Whether a name is a path, with an ending or a folder, and not the name of a built-in file."""
     path = Path(name)
     return path.suffix != "" or path.parent != Path()
 
 
 def find_file(name: str, folder: Path, kind: str) -> Path:
-    """The file that a user means: a path, or the name of a built-in YAML file in `folder`; `is_path` tells which.
-
-    Args:
-        name: What the user wrote.
-        folder: Where the built-in files are.
-        kind: What the file is, for the message: "world", "preset".
+    """The file of a path (see `is_path`), or of the name of a built-in YAML file in `folder`.
 
     Raises:
-        InputError: If there is no such file.
+        InputError: If there is no such file; the message names its `kind`, such as "world".
     """
     path = Path(name)
     if is_path(name):
@@ -65,11 +46,7 @@ def find_file(name: str, folder: Path, kind: str) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """The content of a text file in UTF-8, without the byte order mark that some editors put in front.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
+    """The content of a UTF-8 file without a byte order mark."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -77,31 +54,26 @@ def read_text(path: Path) -> str:
 
 
 def read_yaml(path: Path) -> Any:
-    """The content of a YAML file; an empty file is an empty mapping.
-
-    Raises:
-        InputError: If it cannot be read, or is not YAML.
-    """
+    """The content of a YAML file; an empty file is an empty mapping."""
     content = parse_yaml(read_text(path), str(path))
     return {} if content is None else content
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """The plain value that a YAML text means.
+    """The plain value of a YAML text.
 
-    Refused are aliases, which can blow a few lines up to gigabytes, nesting that nobody writes (it can crash the
-    parser), and integers that Python does not print.
+    Aliases are refused because they can expand a few lines to gigabytes, deep nesting because it can crash the parser.
 
     Raises:
-        InputError: If it is not YAML; the message begins with `where` it stands.
+        InputError: If it is not YAML; the message begins with `where`.
     """
     try:
         _check_events(text)
         return yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, AttributeError, ArithmeticError, LookupError, TypeError) as error:
-        said = isinstance(error, yaml.YAMLError | ValueError)  # others name no cause: KeyError for "!!bool maybe"
-        why = error if said else f"a value does not fit its tag: {error}"
-        raise InputError(one_line(f"{where} is not YAML: {why}")) from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise InputError(one_line(f"{where} is not YAML: {error}")) from None
+    except (AttributeError, ArithmeticError, LookupError, TypeError) as error:  # KeyError for "!!bool maybe"
+        raise InputError(one_line(f"{where} is not YAML: a value does not fit its tag: {error}")) from None
 
 
 def _check_events(text: str) -> None:
@@ -117,7 +89,7 @@ def _check_events(text: str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block ends well; else nothing of it is left."""
+    """A temporary path that replaces `path` if the block succeeds, and is removed if it fails."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         yield temporary
@@ -127,10 +99,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one step: a reader sees the old or the new one, never half of it.
+    """Write a UTF-8 file atomically.
 
     Raises:
-        OSError: If it cannot be written; the old file stands.
+        OSError: If it cannot be written; the old file stays.
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""How processes start that help this one: clean, and without the user's script."""
+"""Start of worker processes: from a clean server, without the user's script."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from contextlib import contextmanager
 from multiprocessing import connection, forkserver, resource_tracker, spawn
 from typing import Any
 
-# Imported once, in the server that new processes are forked from.
-PRELOADED = ["tb2rl.envs.single", "tb2rl.simulation.bullet_batch", "cloudpickle"]
+PRELOADED = ["tb2rl.envs.turtlebot2_env", "tb2rl.simulation.bullet.batch", "cloudpickle"]  # imported once, by the fork server
 
 
 def process_context() -> Any:
-    """How processes start: from a clean server (a plain fork would copy torch's threads), elsewhere than on Linux anew.
+    """The fork server of `multiprocessing` on Linux (a plain fork would copy torch's threads), elsewhere "spawn".
 
-    macOS has such a server, too, but its libraries do not bear a fork.
+    macOS has a fork server, too, but its libraries do not survive a fork.
     """
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
@@ -33,9 +32,9 @@ def process_context() -> Any:
 
 @contextmanager
 def _blocked(*numbers: int) -> Iterator[None]:
-    """Block these signals in this thread, and for ever in processes that start during the block.
+    """Block signals in this thread, and permanently in processes that start during the block.
 
-    A terminal sends them to every process, and the one that started the others decides what they mean.
+    A terminal sends them to every process; the parent decides what they mean.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:
@@ -46,33 +45,35 @@ def _blocked(*numbers: int) -> Iterator[None]:
 
 @contextmanager
 def main_hidden() -> Iterator[None]:
-    """Start processes in this thread without the user's script: they would run it again, from its first line.
+    """Start processes in this thread without the user's script, because a script without a guard would run again.
 
-    Other threads go on as before, and so does the module `__main__`: they may be asking where it comes from.
+    Other threads and the module `__main__` itself are unaffected.
     """
-    before = getattr(_hiding, "main", False)
-    _hiding.main = True
+    before = getattr(_hidden, "main", False)
+    _hidden.main = True
     try:
         yield
     finally:
-        _hiding.main = before
+        _hidden.main = before
 
 
-_hiding = threading.local()
+_hidden = threading.local()
 _preparation_data = spawn.get_preparation_data
 
 
 def _data_without_main(name: str) -> dict[str, Any]:
-    """What `multiprocessing` tells a new process of this name; it has no switch for leaving the script out."""
+    """Preparation data of a new process without the parent's `__main__` while `main_hidden` is active."""
     data = _preparation_data(name)
-    return {k: v for k, v in data.items() if not (getattr(_hiding, "main", False) and k.startswith("init_main_from_"))}
+    return {k: v for k, v in data.items() if not (getattr(_hidden, "main", False) and k.startswith("init_main_from_"))}
 
 
+# Every start method calls this function and none has an option to leave the script out; changing `__main__` instead,
+# the only other way, would be seen by the user's other threads.
 spawn.get_preparation_data = _data_without_main
 
 
 def end_with_parent() -> None:
-    """Let this process end when the one that started it does, however that ends: a pool's would wait for ever."""
+    """End this process when its parent ends in whatever way, because a pool's process would wait forever."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -84,7 +85,7 @@ def end_with_parent() -> None:
 
 
 def processors() -> int:
-    """How many processors this process may use; the shell's variable TB2RL_PROCESSORS says how many at most."""
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    said = os.environ.get("TB2RL_PROCESSORS", "")
-    return min(there, max(1, int(said))) if said.isdigit() else there
+    """Number of processors that this process may use, at most the environment variable TB2RL_PROCESSORS."""
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get("TB2RL_PROCESSORS", "")
+    return min(available, max(1, int(limit))) if limit.isdigit() else available

@@ -1,4 +1,4 @@
-"""Signals that ask a program to end: Ctrl-C, the usual one of `kill`, a closed terminal."""
+"""Signals that ask a program to end: Ctrl-C, `kill`, a closed terminal."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if h
 
 @contextmanager
 def ending_signals(handler: Callable[[int], None]) -> Iterator[None]:
-    """Call a function with the number of such a signal during the block.
+    """Call `handler` with the number of each such signal during the block.
 
-    A hangup that was ignored before, as `nohup` arranges, stays ignored. Only the main thread can receive signals: in
-    another one this does nothing.
+    An ignored hangup stays ignored, as `nohup` arranges. Does nothing outside the main thread, which receives signals.
     """
 
     def handle(number: int, _frame: object) -> None:
@@ -37,11 +36,11 @@ def ending_signals(handler: Callable[[int], None]) -> Iterator[None]:
 
 
 def end_program(number: int) -> NoReturn:
-    """End this program as such a signal does, but after its `finally` blocks: a handler for `ending_signals`.
+    """End this program like the signal does, but run its `finally` blocks: a handler for `ending_signals`.
 
     Raises:
         KeyboardInterrupt: At Ctrl-C.
-        SystemExit: At another signal, with the status that a shell counts for it.
+        SystemExit: At another signal, with the status that a shell reports for it.
     """
     if number == signal.SIGINT:
         raise KeyboardInterrupt
@@ -49,13 +48,13 @@ def end_program(number: int) -> NoReturn:
 
 
 def ignore_ending_signals() -> None:
-    """Ignore such signals in a process that helps another one: they reach both, and the other one decides."""
+    """Ignore such signals in a helper process, because its parent receives them too and decides."""
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)
 
 
 def _drop_lost_terminal() -> None:
-    """Send stdout and stderr nowhere if their terminal is gone, because writing to it would raise an OSError."""
+    """Redirect stdout and stderr to nowhere if their terminal is gone, because writing would raise an OSError."""
     for stream in (1, 2):
         try:
             os.write(stream, b"")

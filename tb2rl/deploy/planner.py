@@ -11,7 +11,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.deploy.portable.policy_contract import Point, Pose
 from tb2rl.envs.worlds import find_worlds
 from tb2rl.worlds import World
-from tb2rl.worlds.goal_paths import OWN, GoalPaths, shortest_way
+from tb2rl.worlds.goal_paths import OWN, GoalPaths, shortest_path_length
 
 
 class WorldPlanner:
@@ -48,7 +48,7 @@ class WorldPlanner:
     def _ways_to(self, goal: Point, here: Pose) -> GoalPaths | None:
         try:
             world = self._world.with_places(here, (*goal, 0.0))
-            found = shortest_way(world, self._radius) < math.inf
+            found = shortest_path_length(world, self._radius) < math.inf
         except InputError:  # the goal is outside of the world, or inside an obstacle
             return None
         return GoalPaths((world,), self._radius) if found else None

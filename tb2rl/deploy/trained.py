@@ -11,7 +11,6 @@ from gymnasium import spaces
 
 from tb2rl.deploy.portable.policy_contract import Needs, Sensed, Speeds
 from tb2rl.deploy.senses import find_senses
-from tb2rl.envs.command_delay import CommandDelay
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.observation_pipeline import ObservationPipeline
 from tb2rl.envs.scene import Scene
@@ -59,10 +58,10 @@ class TrainedPolicy:
         """The greedy command for the next control step."""
         if self._observation_pipeline is None:
             self._observation_pipeline, self._initial_state = self._episode(sensed)
-            observations = self._observation_pipeline.begin(self._reading(sensed))
+            observations = self._observation_pipeline.reset(self._reading(sensed))
         else:
-            self._command_delay.push(np.array([sensed.command], dtype=float), np.zeros(1))
-            observations = self._observation_pipeline.go_on(self._reading(sensed))
+            self._observation_pipeline.remember(np.array([sensed.command], dtype=float))
+            observations = self._observation_pipeline.step(self._reading(sensed))
         remembered = {} if self._memory is None else {"state": self._memory}
         action, self._memory = self._policy.predict(rows(observations, 0), deterministic=True, **remembered)
         v, w = self._scene.actions.commands(self._scene.actions.checked(action))[0].tolist()
@@ -79,8 +78,7 @@ class TrainedPolicy:
         scene, spec = self._scene, self._spec
         if scene.task.maps_online:
             spec = SimulationSpec(scene.robot, scene.laser, (floor(sensed.pose[:2], sensed.goal or sensed.pose[:2]),))
-        self._command_delay = CommandDelay(0, scene.commands_read)
-        episode_states = [*scene.episode_states(spec), self._command_delay]
+        episode_states = scene.episode_states(spec)
         observation_pipeline = ObservationPipeline(
             scene.encoding, scene.observation_space, scene.task.frame_stack, episode_states=episode_states
         )

@@ -55,7 +55,7 @@ class _NothingInSight:
 
     spec: SimulationSpec
 
-    def look(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         sizes = len(robot_state.pose), height, width
         return np.zeros((*sizes, 3), dtype=np.uint8), np.full(sizes, np.inf, dtype=np.float32)
 

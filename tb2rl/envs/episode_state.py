@@ -1,4 +1,4 @@
-"""What robots remember of the episode that each is in, beyond what they observe at an instant."""
+"""What an environment remembers during an episode, beyond the present robot state."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ from tb2rl.simulation import RobotState
 
 
 class EpisodeState(ABC):
-    """Some values for each robot, which a reading brings to the sensors.
+    """Values of each environment, which sensors find in the robot state.
 
     Attributes:
-        field: Of `RobotState`, under which sensors find it.
+        field: Name in `RobotState`.
     """
 
     field: ClassVar[str]
 
     def __init__(self) -> None:
-        self._rows: dict[str, np.ndarray] = {}  # by name, one row a robot
+        self._rows: dict[str, np.ndarray] = {}  # by name, one row for each environment
 
     @abstractmethod
     def blank(self, num_envs: int) -> dict[str, np.ndarray]:
-        """The values of so many robots that remember nothing, by name, each of shape (num_envs, ...)."""
+        """The values at the start of episodes, by name, each of shape (num_envs, ...)."""
 
     @abstractmethod
-    def go_on(self, robot_state: RobotState) -> None:
-        """Note what all robots read now."""
+    def update(self, robot_state: RobotState) -> None:
+        """Take in the present state of all robots."""
 
-    def begin(self, robot_state: RobotState) -> None:
-        """Forget all; the episodes of all robots begin."""
+    def reset(self, robot_state: RobotState) -> None:
+        """Start an episode in every environment."""
         self._rows = self.blank(len(robot_state.pose))
-        self.go_on(robot_state)
+        self.update(robot_state)
 
-    def begin_some(self, indices: np.ndarray, robot_state: RobotState) -> None:
-        """Forget what some robots, by their indices (n,), remember; `robot_state`, of these alone, is their first."""
+    def reset_at(self, indices: np.ndarray, robot_state: RobotState) -> None:
+        """Start episodes in the environments `indices` (n,); `robot_state` has n rows."""
         some = copy(self)
-        some.begin(robot_state)
+        some.reset(robot_state)
         for name, values in some._rows.items():
             self._rows[name][indices] = values
 
-    def of(self, indices: np.ndarray) -> Self:
-        """What some robots, by their indices (n,), remember."""
+    def rows(self, indices: np.ndarray) -> Self:
+        """That of some environments, by their indices (n,)."""
         some = copy(self)
         some._rows = {name: values[indices] for name, values in self._rows.items()}
         return some
 
     def state(self) -> dict[str, Any]:
-        """All values, in arrays of their own."""
+        """All values, copied."""
         return {name: values.copy() for name, values in self._rows.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state`."""
+        """Continue from a `state`."""
         self._rows = {name: np.array(values) for name, values in state.items()}

@@ -14,14 +14,15 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import HumanRendering
 
 from tb2rl.core.errors import InputError, UnknownArgumentError
+from tb2rl.core.plugins import TASKS, reference_to
 from tb2rl.core.values import build, untyped
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
-from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.envs.vector_env import BatchVectorEnv, find_autoreset_mode
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
+from tb2rl.envs.vector_env import TurtleBot2VectorEnv, find_autoreset_mode
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.registry import TASKS, find_task, import_object, reference_to
-from tb2rl.simulation import ROS, check_display
+from tb2rl.simulation import check_display, default_physics, find_simulator
 from tb2rl.tasks import Task
+from tb2rl.tasks.registry import find_task
 
 ENTRY_POINT, VECTOR_ENTRY_POINT = f"{__name__}:make_for_gymnasium", f"{__name__}:make_vector_for_gymnasium"
 _ARGUMENTS = ("observation", "render_mode", "simulation")  # of `make_env`, beside the task's settings
@@ -31,7 +32,7 @@ def make_env(
     what: Any = "maze",
     observation: str | None = None,
     render_mode: str | None = None,
-    simulation: Any = "bullet",
+    simulation: Any = None,
     **settings: Any,
 ) -> TurtleBot2Env:
     """The environment of a task, or the one that a policy was trained for (to the task's own time limit).
@@ -40,8 +41,9 @@ def make_env(
         what: A task's name, "module:Class", a `Task` or its class, or a policy from `load` or `train`.
         observation: "discrete" or "raw"; None: the policy's, else "discrete".
         render_mode: None, "rgb_array" or "human", see `TurtleBot2Env`.
-        simulation: "bullet" (PyBullet's physics), "kinematic" (its fast twin) or "ros" (a robot with ROS 1, yours or
-            Gazebo's); for other topics, say, or ROS 2 a `tb2rl.deploy.ros.robot.RosRobot`.
+        simulation: A simulator's name ("bullet": PyBullet's physics, "kinematic": thousands of times as fast, "ros": a
+            robot with ROS 1, yours or Gazebo's), "module:Class", or an object such as a
+            `tb2rl.deploy.ros.robot.RosRobot` for ROS 2; None: the first physics.
         settings: Fields of the task to set, for example `world="circuit"`; a world or a robot of one's own by its
             name, "module:WORLD".
 
@@ -50,11 +52,7 @@ def make_env(
         UnknownArgumentError: For an unknown setting; it is a `TypeError`, too.
     """
     scene = _scene(what, observation, settings)
-    if simulation == ROS or not isinstance(simulation, str):
-        ros_robot = import_object("tb2rl.deploy.ros.robot:ros_robot")  # by its name: that room is above this one
-        env = ros_robot(simulation).env(scene, render_mode)
-    else:
-        env = TurtleBot2Env(scene, render_mode, simulation)
+    env = TurtleBot2Env(scene, render_mode, simulation)
     env.spec = _spec(scene, render_mode, simulation)
     return env
 
@@ -103,7 +101,7 @@ def _spec(scene: Scene, render_mode: str | None, simulation: Any) -> EnvSpec:
         vector_entry_point=VECTOR_ENTRY_POINT,
         order_enforce=False,  # the environment does and checks that itself
         disable_env_checker=True,
-        kwargs={**known, "simulation": simulation, **({"render_mode": render_mode} if render_mode else {}), **settings},
+        kwargs={**known, "simulation": simulation or default_physics().name, **({"render_mode": render_mode} if render_mode else {}), **settings},
     )
 
 
@@ -117,11 +115,12 @@ def _task_reference(kind: type[Task]) -> str | type[Task]:
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> gymnasium.Env:
-    """What `gymnasium.make` calls; see `make_env`. The window of the twin, seen from above, is Gymnasium's own."""
+    """The entry point for `gymnasium.make`; see `make_env`. A simulator without a window gets Gymnasium's own."""
     # A local variable of the frame would be a reference cycle, which keeps the environment alive.
     limit = _time_limit_asked(sys._getframe(1).f_locals)
     arguments = _time_limit_named(arguments, limit)
-    if (arguments.get("render_mode"), arguments.get("simulation")) != ("human", "kinematic"):
+    simulator = find_simulator(arguments.get("simulation") or default_physics())
+    if arguments.get("render_mode") != "human" or simulator.has_window:
         return make_env(task, **arguments)
     check_display()
     return HumanRendering(make_env(task, **{**arguments, "render_mode": "rgb_array"}))
@@ -134,21 +133,22 @@ def make_vector_for_gymnasium(
     task: str,
     num_envs: int = 1,
     observation: str | None = None,
-    simulation: str = "bullet",
+    simulation: Any = None,
     max_episode_steps: int | None = None,
     autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     **arguments: Any,
 ) -> VectorEnv:
-    """What `gymnasium.make_vec` calls: one batch of the fast twin, or environments in PyBullet one after the other.
+    """The entry point for `gymnasium.make_vec`: one control loop, or where that needs processes one environment after
+    the other.
 
-    Other arguments than Gymnasium's and `autoreset_mode`, see `BatchVectorEnv`, are those of `make_env`.
+    Other arguments than Gymnasium's and `autoreset_mode`, see `TurtleBot2VectorEnv`, are those of `make_env`.
     """
-    mode = find_autoreset_mode(autoreset_mode)
+    mode, simulator = find_autoreset_mode(autoreset_mode), find_simulator(simulation or default_physics())
     arguments = _time_limit_named(arguments, max_episode_steps)
-    if simulation == "kinematic":
+    if not (simulator.in_processes or simulator.is_robot):
         if arguments.pop("render_mode", None) is not None:
-            raise InputError("the twin's robots are not drawn when there are many; make one with gymnasium.make")
-        return BatchVectorEnv(_scene(task, observation, arguments), num_envs, mode)
+            raise InputError("many environments in one are not drawn; make one with gymnasium.make")
+        return TurtleBot2VectorEnv(_scene(task, observation, arguments), num_envs, mode, simulator)
     one = partial(make_env, task, observation, simulation=simulation, **arguments)
     return SyncVectorEnv([one] * num_envs, autoreset_mode=mode)
 

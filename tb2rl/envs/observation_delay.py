@@ -1,4 +1,4 @@
-"""What comes late: readings that a robot observes a few control steps later."""
+"""Observations that arrive a few control steps late."""
 
 from __future__ import annotations
 
@@ -10,46 +10,46 @@ import numpy as np
 from tb2rl.envs.encodings import Observations, put_rows, rows
 
 
-class Delay:
-    """Hands on what comes in, to each robot as many control steps later as it is late.
+class ObservationDelay:
+    """Delays observations by the latency of each environment.
 
     Args:
-        most: The latest that any robot can be [control steps]; with 0 everything is handed on as it is.
+        max_latency: The largest latency [control steps]; with 0 observations pass unchanged.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._past: list[Observations] = []  # the last `most` that came in, the newest first
+    def __init__(self, max_latency: int) -> None:
+        self._max_latency = max_latency
+        self._past: list[Observations] = []  # the last `max_latency` observations, the newest first
 
-    def begin(self, first: Observations) -> None:
-        """Where the episodes of all robots begin: `first`, with a row for each, stands for what was before."""
-        self._past = [deepcopy(first) for _ in range(self._most)]
+    def reset(self, first: Observations) -> None:
+        """Start episodes in every environment; the first observations stand for those before."""
+        self._past = [deepcopy(first) for _ in range(self._max_latency)]
 
-    def begin_some(self, indices: np.ndarray, first: Observations) -> None:
-        """The same for the robots with indices `robots` (n,) alone, n rows."""
+    def reset_at(self, indices: np.ndarray, first: Observations) -> None:
+        """Start episodes in the environments `indices` (n,); `first` has n rows."""
         for past in self._past:
             put_rows(past, indices, first)
 
-    def push(self, latest: Observations, late: np.ndarray) -> Observations:
-        """What arrives at the robots now.
+    def __call__(self, latest: Observations, latency: np.ndarray) -> Observations:
+        """The observations that arrive now.
 
         Args:
-            latest: What comes in: an array (num_envs, ...), or a mapping of such arrays.
-            late: By how many control steps each robot is late, shape (num_envs,).
+            latest: An array (num_envs, ...), or a mapping of such arrays.
+            latency: Of each environment [control steps], shape (num_envs,).
         """
-        if not self._most:
+        if not self._max_latency:
             return latest
         arriving = deepcopy(latest)
         for steps, past in enumerate(self._past, start=1):
-            indices = np.flatnonzero(late == steps)
+            indices = np.flatnonzero(latency == steps)
             put_rows(arriving, indices, rows(past, indices))
         self._past = [latest, *self._past[:-1]]
         return arriving
 
     def state(self) -> list[Observations]:
-        """What is on its way, in arrays of its own."""
+        """The observations on their way, copied."""
         return deepcopy(self._past)
 
     def restore(self, state: Sequence[Observations]) -> None:
-        """Go on from a `state`."""
+        """Continue from a `state`."""
         self._past = [deepcopy(past) for past in state]

@@ -1,4 +1,4 @@
-"""What a learner observes as time goes by: the last observation, or the last few stacked, so that it sees changes."""
+"""From robot states to observations as time passes: memory, encoding, latency, stacking."""
 
 from __future__ import annotations
 
@@ -11,27 +11,28 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.core.errors import InputError
+from tb2rl.envs.command_history import CommandHistory
 from tb2rl.envs.encodings import Encoding, Observations, SensorBox, numbers_of, put_rows, rows
 from tb2rl.envs.episode_state import EpisodeState
-from tb2rl.envs.observation_delay import Delay
+from tb2rl.envs.observation_delay import ObservationDelay
 from tb2rl.simulation import RobotState
 
 
 class ObservationPipeline:
-    """Turns the readings of some robots into what they observe: each as it is, or the last few as one.
+    """Turns robot states into observations, each as it is or the last few stacked.
 
-    Numbers and classes stand one after the other, the oldest first; of images, the channels do. Where an episode
-    begins, its first observation stands for those before it, as in Gymnasium's `FrameStackObservation`. (That wrapper
+    Numbers and classes are stacked one after the other, the oldest first; of images, the channels. At the start of an
+    episode the first observation stands for those before it, as in Gymnasium's `FrameStackObservation`. (That wrapper
     has no version for a batch. Stable-Baselines3's `VecFrameStack` fills with zeros, which to a laser are walls, and
     knows no classes.)
 
     Args:
-        encoding: From one reading to one observation.
-        space: Of one robot's stacked observation, see `stacked_space`.
-        frame_stack: How many observations are stacked.
-        latency: The most control steps until a robot observes a reading.
-        episode_states: What the robots remember.
-        prompt: Which numbers are observed at once, however late readings are, bool, shape (numbers,); None: none.
+        encoding: From a robot state to an observation.
+        space: Of one environment's stacked observation, see `stacked_space`.
+        frame_stack: Number of stacked observations.
+        latency: The largest observation latency [control steps].
+        episode_states: What sensors find in the robot state.
+        prompt: Numbers that are observed without latency, bool, shape (numbers,); None: none.
     """
 
     def __init__(
@@ -44,62 +45,69 @@ class ObservationPipeline:
         prompt: np.ndarray | None = None,
     ) -> None:
         self._encode, self._space, self._frame_stack = encoding, space, frame_stack
-        self._delay, self._memories = Delay(latency), episode_states
+        self._delay, self._episode_states = ObservationDelay(latency), episode_states
         self._prompt = prompt if latency and prompt is not None and prompt.any() else None
         self._stack: Observations = None  # the latest; with one frame it is not kept
 
-    def begin(self, robot_state: RobotState) -> Observations:
-        """What the robots observe where the episodes of all of them begin."""
-        for memory in self._memories:
-            memory.begin(robot_state)
-        latest = self._encode(self._remembering(robot_state, self._memories))
-        self._delay.begin(latest)
+    def reset(self, robot_state: RobotState) -> Observations:
+        """The first observations of episodes in every environment."""
+        for each in self._episode_states:
+            each.reset(robot_state)
+        latest = self._encode(_with_fields(robot_state, self._episode_states))
+        self._delay.reset(latest)
         first = self._repeated(latest)
         if self._frame_stack > 1:
             self._stack = deepcopy(first)
         return first
 
-    def go_on(self, robot_state: RobotState) -> Observations:
-        """What the robots observe a step later."""
-        for memory in self._memories:
-            memory.go_on(robot_state)
-        latest = self._encode(self._remembering(robot_state, self._memories))
+    def remember(self, commands: np.ndarray) -> None:
+        """Take in the commands of a control step, shape (num_envs, 2), before `step`."""
+        for each in self._episode_states:
+            if isinstance(each, CommandHistory):
+                each.push(commands)
+
+    def step(self, robot_state: RobotState) -> Observations:
+        """The observations after a control step."""
+        for each in self._episode_states:
+            each.update(robot_state)
+        latest = self._encode(_with_fields(robot_state, self._episode_states))
         prompt = None if self._prompt is None else numbers_of(latest)[:, self._prompt]
-        latest = self._delay.push(latest, robot_state.initial_state.observation_latency)
+        latest = self._delay(latest, robot_state.initial_state.observation_latency)
         if prompt is not None:
             numbers_of(latest)[:, self._prompt] = prompt
         if self._frame_stack == 1:
             return latest
         self._stack = _each(lambda new, old: np.concatenate([old[:, new.shape[1] :], new], axis=1), latest, self._stack)
-        return deepcopy(self._stack)  # whoever gets it may write into it
+        return deepcopy(self._stack)  # because callers may write into it
 
-    def begin_some(self, indices: np.ndarray, robot_state: RobotState, observations: Observations) -> None:
-        """Put the first observations of new episodes into the observations of all robots, in place.
+    def reset_at(self, indices: np.ndarray, robot_state: RobotState, observations: Observations) -> None:
+        """Put the first observations of new episodes into those of all environments, in place.
 
         Args:
-            indices: Indices of those whose episodes begin, shape (n,).
-            robot_state: Of these alone, n rows.
-            observations: From `go_on`.
+            indices: Of these environments, shape (n,).
+            robot_state: Of these, n rows.
+            observations: From `step`.
         """
-        for memory in self._memories:
-            memory.begin_some(indices, robot_state)
-        latest = self._encode(self._remembering(robot_state, [memory.of(indices) for memory in self._memories]))
-        self._delay.begin_some(indices, latest)
+        for each in self._episode_states:
+            each.reset_at(indices, robot_state)
+        some = [each.rows(indices) for each in self._episode_states]
+        latest = self._encode(_with_fields(robot_state, some))
+        self._delay.reset_at(indices, latest)
         first = self._repeated(latest)
         put_rows(observations, indices, first)
         if self._frame_stack > 1:
             put_rows(self._stack, indices, first)
 
     def state(self) -> dict[str, Any]:
-        """The frames so far, None with one frame, and what is still on its way; in arrays of their own."""
-        remembered = {memory.field: memory.state() for memory in self._memories}
+        """The stacked and the delayed observations, and the episode states; copied."""
+        remembered = {each.field: each.state() for each in self._episode_states}
         return {"stack": deepcopy(self._stack), "delayed": self._delay.state(), **remembered}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state`.
+        """Continue from a `state`.
 
         Raises:
-            ValueError: If these are no observations.
+            ValueError: If its observations are not of the observation space.
         """
         stack, delayed = state["stack"], state["delayed"]
         if self._frame_stack > 1:
@@ -108,18 +116,18 @@ class ObservationPipeline:
         for observations in delayed:
             _check(observations, self._encode.space)
         self._delay.restore(delayed)
-        for memory in self._memories:
-            memory.restore(state[memory.field])
-
-    @staticmethod
-    def _remembering(robot_state: RobotState, episode_states: Sequence[EpisodeState]) -> RobotState:
-        fields: dict[str, Any] = {memory.field: memory for memory in episode_states}
-        return replace(robot_state, **fields) if fields else robot_state
+        for each in self._episode_states:
+            each.restore(state[each.field])
 
     def _repeated(self, observations: Observations) -> Observations:
         if self._frame_stack == 1:
             return observations
         return _each(lambda new: np.concatenate([new] * self._frame_stack, axis=1), observations)
+
+
+def _with_fields(robot_state: RobotState, episode_states: Sequence[EpisodeState]) -> RobotState:
+    fields: dict[str, Any] = {each.field: each for each in episode_states}
+    return replace(robot_state, **fields) if fields else robot_state
 
 
 def _check(observations: Observations, space: spaces.Space) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any, get_type_hints
 
 from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.plugins import import_object
 from tb2rl.core.values import checked
-from tb2rl.registry import import_object
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.names import SENSORS
 from tb2rl.simulation import SimulationSpec

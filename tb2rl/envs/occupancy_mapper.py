@@ -45,7 +45,7 @@ class OccupancyMapper(EpisodeState):
             "age": np.full(num_envs, _EVERY),
         }
 
-    def go_on(self, robot_state: RobotState) -> None:
+    def update(self, robot_state: RobotState) -> None:
         """Note what all robots see now; plan anew where it is time to."""
         grids, rows, reach = self._grids(robot_state), self._rows, self._radius + KEEP_OFF
         _note(np.array(robot_state.pose), np.array(robot_state.ranges), self._angles, self._most, grids, rows["hits"])

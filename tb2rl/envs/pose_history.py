@@ -29,7 +29,7 @@ class PoseHistory(EpisodeState):
     def blank(self, num_envs: int) -> dict[str, np.ndarray]:
         return {"places": np.full((num_envs, self._kept, 2), np.inf), "steps": np.zeros(num_envs, dtype=np.int64)}
 
-    def go_on(self, robot_state: RobotState) -> None:
+    def update(self, robot_state: RobotState) -> None:
         steps = self._rows["steps"]
         due = np.flatnonzero(steps % self._every == 0)
         self._rows["places"][due, steps[due] // self._every % self._kept] = robot_state.odometry[due, :2]

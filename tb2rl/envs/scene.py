@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -12,18 +13,20 @@ from gymnasium import spaces
 
 from tb2rl.core.errors import InputError, unknown
 from tb2rl.envs.check_task import check_task
-from tb2rl.envs.command_delay import CommandDelay
+from tb2rl.envs.command_history import CommandHistory
 from tb2rl.envs.encodings import BEAMS, Encoding, encode
 from tb2rl.envs.episode_state import EpisodeState
+from tb2rl.envs.filters import CommandDelay, Filter
 from tb2rl.envs.observation_pipeline import ObservationPipeline, stacked_space
 from tb2rl.envs.occupancy_mapper import OccupancyMapper
 from tb2rl.envs.pose_history import PoseHistory
 from tb2rl.envs.worlds import are_generated, find_worlds, place_of
-from tb2rl.registry import find_robot
 from tb2rl.robots import Laser, Robot
+from tb2rl.robots.registry import find_robot
 from tb2rl.sensors import Sensor
-from tb2rl.simulation import SimulationSpec
+from tb2rl.simulation import InitialState, SimulationSpec, SimulatorType
 from tb2rl.simulation.random_streams import GeneratorDraws
+from tb2rl.simulation.spec import GOAL, GOAL_PATH, POSE
 from tb2rl.tasks import Actions, Task
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import check_number, find_dynamic_obstacles
@@ -53,6 +56,7 @@ class Scene:
     observation_space: spaces.Space
     actions: Actions
     sensors: tuple[Sensor, ...]
+    filters: tuple[Filter, ...] = ()
 
     @property
     def robot(self) -> Robot:
@@ -93,44 +97,49 @@ class Scene:
         one, other = (tuple(self.task.initial_state(self.spec.within(world), each).goal[0].tolist()) for each in draws)
         return one if one == other else None
 
-    def observation_pipeline(self, command_delay: CommandDelay) -> ObservationPipeline:
-        """What turns the readings of some robots into what they observe, from their episodes' first one on.
+    def make_filters(self) -> list[Filter]:
+        """New filters between action and simulator: those of the task, then the latency of commands."""
+        return [*map(deepcopy, self.filters), CommandDelay(self.task.resolved_variation.latency[1])]
 
-        Args:
-            command_delay: What commands go through; it forgets them where an episode begins.
-        """
+    def observation_pipeline(self) -> ObservationPipeline:
+        """A new pipeline from robot states to observations."""
         latency = self.task.resolved_variation.observation_latency[1]
-        episode_states = self.episode_states(self.spec) + [command_delay] * command_delay.is_used
+        states = self.episode_states(self.spec)
         return ObservationPipeline(
-            self.encoding, self.observation_space, self.task.frame_stack, latency, episode_states, self._prompt
+            self.encoding, self.observation_space, self.task.frame_stack, latency, states, self._prompt
         )
 
     def episode_states(self, spec: SimulationSpec) -> list[EpisodeState]:
-        """What robots remember of an episode in these worlds, but for what they are told."""
-        episode_states: list[EpisodeState] = [OccupancyMapper(spec)] if self.task.maps_online else []
+        """What sensors need to remember of an episode in these worlds."""
+        states: list[EpisodeState] = [OccupancyMapper(spec)] if self.task.maps_online else []
         if any(sensor.reads_pose_history for sensor in self.sensors):
-            episode_states.append(PoseHistory(self.task.control_period))
-        return episode_states
-
-    def command_delay(self) -> CommandDelay:
-        """What hands commands to the robots, as late as they are to obey them."""
-        return CommandDelay(self.task.resolved_variation.latency[1], self.commands_read)
-
-    @property
-    def commands_read(self) -> int:
-        """How many of the last commands sensors read."""
-        return max(sensor.reads_commands for sensor in self.sensors)
+            states.append(PoseHistory(self.task.control_period))
+        commands = max(sensor.reads_commands for sensor in self.sensors)
+        if commands:
+            states.append(CommandHistory(commands, delayed=self.task.resolved_variation.latency[1] > 0))
+        return states
 
     @property
     def _prompt(self) -> np.ndarray:
-        """Which of the observed numbers are of what was told, which nobody waits for, bool, shape (numbers,)."""
+        """Which of the observed numbers are of commands, which have no latency, bool, shape (numbers,)."""
         numbers = [sensor for sensor in self.sensors if len(sensor.shape) == 1]
         return np.repeat([s.reads_commands > 0 for s in numbers], [s.shape[0] for s in numbers])
 
-    def check(self, simulation: str) -> None:
-        """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what a sensor reads."""
+    def randomized(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
+        """The task's variation of the robot for an initial state of one environment, which keeps world, pose and goal.
+
+        `rng` is copied, so that the sensor noise that it draws later does not depend on this.
+        """
+        spec = self.spec.within(int(initial_state.world[0]))
+        varied = self.task.randomized_initial_state(spec, GeneratorDraws(deepcopy(rng)))
+        for columns in (POSE, GOAL, GOAL_PATH):
+            varied.table[:, columns] = initial_state.table[:, columns]
+        return varied
+
+    def check(self, simulator: SimulatorType) -> None:
+        """Raise an `InputError` if a simulator cannot show what a sensor reads."""
         for sensor in self.sensors:
-            sensor.check(simulation)
+            sensor.check(simulator)
 
     def changed(self, **settings: Any) -> Scene:
         """The scene with other settings of its task, but for its robot and its world, which are made already.

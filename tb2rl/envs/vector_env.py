@@ -1,4 +1,4 @@
-"""Thousands of robots as one Gymnasium `VectorEnv`."""
+"""Many environments as one Gymnasium `VectorEnv`."""
 
 from __future__ import annotations
 
@@ -13,154 +13,150 @@ from gymnasium.vector.utils import batch_space
 
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.values import Count, checked
-from tb2rl.envs.batch import ControlLoop, FinishedEpisodes, Step
+from tb2rl.envs.control_loop import FinishedEpisodes, Transition
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.scene import Scene
+from tb2rl.envs.seeded_loop import SeededLoop
 
 
-class BatchVectorEnv(VectorEnv[Any, Any, Any]):
-    """A `ControlLoop` for Gymnasium.
+class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
+    """A control loop for Gymnasium.
 
-    Keys of `infos` are those of `TurtleBot2Env`, each an array with a row for each robot. When a robot whose episode
-    ended begins anew says `autoreset_mode`, as in Gymnasium's own `SyncVectorEnv`:
+    Keys of `infos` are those of `TurtleBot2Env`, each an array with a row for each environment. `autoreset_mode` says
+    when an environment whose episode ended starts the next one, as in Gymnasium's own `SyncVectorEnv`:
 
-    | mode | a new episode begins |
+    | mode | the next episode starts |
     |---|---|
-    | `SAME_STEP` | in the same step; `final_obs` and `final_info` hold where the last one ended |
-    | `NEXT_STEP` | in the next step, which ignores the robot's action; its reward is 0 |
-    | `DISABLED` | by `reset(options={"reset_mask": mask})`, bool, shape (num_envs,); a step needs it |
+    | `SAME_STEP` | in the same step; `final_obs` and `final_info` hold the end of the last one |
+    | `NEXT_STEP` | in the next step, which ignores the environment's action; its reward is 0 |
+    | `DISABLED` | by `reset(options={"reset_mask": mask})`, bool, shape (num_envs,), which is needed before a step |
 
     Args:
         scene: The task, the robot and the worlds, and how the task is observed.
-        num_envs: How many robots.
+        num_envs: Number of environments.
         autoreset_mode: A mode, or its name.
+        simulation: The simulator, see `find_simulator`.
 
     Raises:
-        InputError: If that is no number of robots, or no mode.
+        InputError: If that is not a number of environments, or not a mode.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 (as Gymnasium declares it)
 
     def __init__(
-        self, scene: Scene, num_envs: int = 1, autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP
+        self,
+        scene: Scene,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        simulation: Any = "kinematic",
     ) -> None:
         self._mode = find_autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self._mode}
-        self.batch, self.num_envs = ControlLoop(scene, checked(Count, num_envs, "num_envs")), num_envs
-        self._begun, self._observations = False, None
+        self.num_envs = checked(Count, num_envs, "num_envs")
+        self.loop = SeededLoop.open(scene, simulation, num_envs)
+        self._started, self._observations = False, None
         self.single_observation_space, self.single_action_space = scene.observation_space, scene.action_space
         self.observation_space = batch_space(scene.observation_space, num_envs)
         self.action_space = batch_space(scene.action_space, num_envs)
         self._all, self._none = np.ones(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
-        self._no_ending = np.full(num_envs, "", dtype=object)
-        self._over = self._none  # robots whose episodes ended, and which begin anew later
+        self._over = self._none  # environments whose episode ended, and which start the next one later
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode of every robot, or of those alone that the option `reset_mask` says, which takes no seed.
+        """Start an episode in every environment, or in those of the option `reset_mask`, which takes no seed.
 
         Raises:
-            InputError: For another option, or a mask that is none.
+            InputError: For another option, or a wrong mask.
         """
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
         if options:
-            raise InputError(
-                f"robots of a batch begin where their task says: there is no option {next(iter(options))!r}"
-            )
+            raise InputError(f"environments start where their task says: there is no option {next(iter(options))!r}")
         if mask is not None:
             return self._reset_some(mask, seed)
         if seed is not None:
-            self.batch.seed(seed)
-        self._begun, self._over, observations = True, self._none, self.batch.reset()
+            self.loop.seed(seed)
+        self._started, self._over, observations = True, self._none, self.loop.reset_all()
         return self._kept(observations), self._infos()
 
     def _reset_some(self, mask: np.ndarray, seed: int | list[int] | None) -> tuple[Any, dict[str, Any]]:
         if not (isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == self._none.shape and mask.any()):
             raise InputError(f"options.reset_mask must be a bool array of shape ({self.num_envs},) with a True in it")
         if seed is not None:
-            raise InputError("reset_mask takes no seed: the random streams of the robots go on")
-        if not self._begun:
-            raise InputError("reset_mask needs a reset of all robots first")
+            raise InputError("reset_mask takes no seed: the random streams of the environments go on")
+        if not self._started:
+            raise InputError("reset_mask needs a reset of all environments first")
         indices, observations = mask.nonzero()[0], deepcopy(self._observations)
-        self.batch.reset_at(indices, observations)
+        self.loop.reset_some(indices, observations)
         self._over = self._over & ~mask
-        infos = {name: column[indices] for name, column in self._infos().items() if not name.startswith("_")}
+        infos = {name: column[indices] for name, column in self.loop.infos().items()}
         return self._kept(observations), self._of_some(infos, indices)
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Hold an action of each robot for a control period.
+        """Hold an action in each environment for a control period.
 
         Raises:
-            InputError: If nothing was reset, or an action does not exist, or there are more or fewer than robots.
+            InputError: If nothing was reset, or the actions are not of the action space.
         """
-        if not self._begun:
+        if not self._started:
             raise InputError("step needs a reset first")
         actions = np.asarray(actions)
         if actions.shape != self.action_space.shape or not self._exist(actions):
             raise InputError(one_line(f"the actions {actions} are not of {self.action_space}"))
-        step, infos = self._same_step(actions) if self._mode is AutoresetMode.SAME_STEP else self._later(actions)
-        return self._kept(step.observations), step.reward, step.terminated, step.truncated, infos
+        transition, infos = self._same_step(actions) if self._mode is AutoresetMode.SAME_STEP else self._later(actions)
+        ends = transition.terminated, transition.truncated
+        return self._kept(transition.observations), transition.reward, *ends, infos
 
-    def _same_step(self, actions: np.ndarray) -> tuple[Step, dict[str, Any]]:
-        step = self.batch.step(actions)
+    def _same_step(self, actions: np.ndarray) -> tuple[Transition, dict[str, Any]]:
+        transition = self.loop.step_and_reset(actions)
         infos = self._infos()
-        if step.finished is not None:
-            infos |= self._final_infos(step.finished)
-        return step, infos
+        if transition.finished is not None:
+            infos |= self._final_infos(transition.finished)
+        return transition, infos
 
-    def _later(self, actions: np.ndarray) -> tuple[Step, dict[str, Any]]:
-        """A step after which robots wait where their episodes ended."""
+    def _later(self, actions: np.ndarray) -> tuple[Transition, dict[str, Any]]:
+        """A step after which finished environments wait."""
         over = self._over.nonzero()[0]
         if len(over) and self._mode is AutoresetMode.DISABLED:
             raise InputError(
-                f"the episode of robot {over[0]} is over; reset(options={{'reset_mask': mask}}) begins another one"
+                f"the episode of environment {over[0]} is over; reset(options={{'reset_mask': mask}}) starts the next"
             )
-        step = self.batch.advance(actions, self._over if len(over) else None)
+        transition = self.loop.step(actions, self._over if len(over) else None)
         if len(over):
-            self.batch.reset_at(over, step.observations)
-        self._over, infos = step.terminated | step.truncated, self._infos()
-        if step.finished is not None:
+            self.loop.reset_some(over, transition.observations)
+        self._over, infos = transition.terminated | transition.truncated, self._infos()
+        if transition.finished is not None:
             for name in ("is_success", "ended", "failed"):
                 infos[name] = infos[name].copy()
-                infos[name][step.finished.indices] = step.finished.infos[name]
-        return step, infos
+                infos[name][transition.finished.indices] = transition.finished.infos[name]
+        return transition, infos
 
     def _kept(self, observations: Any) -> Any:
-        """Observations to return, which the next reset of some robots returns for the others."""
+        """Observations to return, which a reset of some environments returns again for the others."""
         self._observations = deepcopy(observations) if self._mode is AutoresetMode.DISABLED else observations
         return observations
 
     def close_extras(self, **_: Any) -> None:
-        self.batch.close()
+        self.loop.close()
 
     def _infos(self) -> dict[str, Any]:
-        """Those of robots whose episodes go on, or have just begun; see `tb2rl.envs.single.info_of`."""
-        robot_state = self.batch.robot_state
-        infos: dict[str, Any] = {
-            "pose": robot_state.pose.copy(),
-            "distance": self.batch.distances.copy(),
-            "min_range": robot_state.nearest,
-            "bumped": robot_state.bumped.copy(),
-            "is_success": self._none,
-            "ended": self._no_ending,
-            "failed": self._none,
-        }
+        """Those of environments whose episode goes on, or has just started."""
+        infos = self.loop.infos()
         return infos | {f"_{name}": self._all for name in infos}
 
     def _final_infos(self, finished: FinishedEpisodes) -> dict[str, Any]:
-        """`final_obs` and `final_info`, in the form of `VectorEnv._add_info`, for all of them at once."""
+        """`final_obs` and `final_info`, in the form of `VectorEnv._add_info`."""
         ended = self._none.copy()
         ended[finished.indices] = True
         observations = np.full(self.num_envs, None, dtype=object)
-        for i, robot in enumerate(finished.indices):
-            observations[robot] = rows(finished.observations, i)
+        for i, index in enumerate(finished.indices):
+            observations[index] = rows(finished.observations, i)
         info = self._of_some(finished.infos, finished.indices)
         return {"final_obs": observations, "_final_obs": ended, "final_info": info, "_final_info": ended}
 
     def _of_some(self, columns: Mapping[str, np.ndarray], indices: np.ndarray) -> dict[str, Any]:
-        """Infos of some robots, a row for each, as infos of all: 0 or None for the others, and masks."""
+        """Infos of some environments, a row for each, as infos of all: 0 or None for the others, and masks."""
         mask = self._none.copy()
         mask[indices] = True
         infos: dict[str, Any] = {}
@@ -172,7 +168,7 @@ class BatchVectorEnv(VectorEnv[Any, Any, Any]):
         return infos
 
     def _exist(self, actions: np.ndarray) -> bool:
-        """Whether all of the actions do, where they are named commands; velocities are cut to what there is."""
+        """Whether named commands are among the actions; velocities are clipped instead."""
         space = self.single_action_space
         if not isinstance(space, Discrete):
             return True

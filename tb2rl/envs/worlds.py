@@ -12,9 +12,9 @@ from typing import Any
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import is_path
 from tb2rl.core.values import MOST_WORLDS, build
-from tb2rl.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
-from tb2rl.worlds import Import, World
-from tb2rl.worlds.generators import GENERATORS, Generated, Purpose, generate
+from tb2rl.worlds import ImportOptions, World
+from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, Purpose, generate
+from tb2rl.worlds.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
 
 _NAMED = 3  # worlds that a title names one by one
 
@@ -24,8 +24,8 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
 
     Args:
         setting: A name that `find_world` takes, a generator's name, a folder, the settings of a generator, a file and
-            what it does not say ({file: my_map.yaml, start: [0, 0, 0]}, see `tb2rl.worlds.Import`), or a list of all
-            these. What is both a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
+            what it does not say ({file: my_map.yaml, start: [0, 0, 0]}, see `tb2rl.worlds.ImportOptions`), or a list of
+            all these. What is both a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
         purpose: What generated worlds are for; others are the same for every purpose.
 
     Raises:
@@ -36,14 +36,14 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     if isinstance(setting, Mapping) and "file" in setting:
         return (_of_file(setting),)
     if isinstance(setting, Mapping):
-        return _generated(build(Generated, setting, "task.world"), purpose)
+        return _generated(build(GeneratorSettings, setting, "task.world"), purpose)
     if not isinstance(setting, str):
         _check_number(setting)
         return tuple(world for entry in setting for world in find_worlds(entry, purpose))
     if _is_folder(setting):
         return tuple(map(find_world, _files_in(setting)))
     if setting in _generators():
-        return _generated(Generated(setting), purpose)
+        return _generated(GeneratorSettings(setting), purpose)
     if ":" not in setting and not is_path(setting) and setting not in world_names():
         raise unknown("world", setting, [*world_names(), *_generators()])
     return (find_world(setting),)
@@ -61,10 +61,10 @@ def _check_number(entries: Iterable[Any]) -> None:
 def _number(entry: Any) -> int:
     """The number of worlds of an entry of a list."""
     if isinstance(entry, Mapping):
-        return 1 if "file" in entry else build(Generated, entry, "task.world").worlds
+        return 1 if "file" in entry else build(GeneratorSettings, entry, "task.world").worlds
     if _is_folder(entry):
         return len(_files_in(entry))
-    return Generated.worlds if entry in _generators() else 1
+    return GeneratorSettings.worlds if entry in _generators() else 1
 
 
 def worlds_of_files(setting: Any) -> dict[str, tuple[World, ...]]:
@@ -138,14 +138,14 @@ def _of_file(setting: Mapping[str, Any]) -> World:
     return find_world(file, _said(setting))
 
 
-def _said(setting: Mapping[str, Any]) -> Import:
-    return build(Import, {key: value for key, value in setting.items() if key != "file"}, "task.world")
+def _said(setting: Mapping[str, Any]) -> ImportOptions:
+    return build(ImportOptions, {key: value for key, value in setting.items() if key != "file"}, "task.world")
 
 
 @lru_cache(maxsize=16)
-def _generated(settings: Generated, purpose: Purpose) -> tuple[World, ...]:
+def _generated(settings: GeneratorSettings, purpose: Purpose) -> tuple[World, ...]:
     if ":" in settings.generator:
-        return generate(settings, (world_maker(settings.generator),), purpose)
+        return generate(settings, (world_maker(settings.generator, "rng", "difficulty", "size"),), purpose)
     if settings.generator not in GENERATORS:
         raise unknown("generator", settings.generator, GENERATORS)
     return generate(settings, GENERATORS[settings.generator], purpose)

@@ -13,15 +13,14 @@ from annotated_types import Ge, Len
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import read_text
 from tb2rl.core.values import Count, CountOrZero, Fraction, NonNegative, build
-from tb2rl.evaluation.evaluation import Episode
-from tb2rl.simulation import Judge
+from tb2rl.evaluation.episodes import Episode
+from tb2rl.simulation import find_simulator
 from tb2rl.simulation.variation import varied
 from tb2rl.worlds.dynamic_obstacles import among, find_dynamic_obstacles
 
 T = TypeVar("T", bound="SuiteSummary")
 
 ALL = "all"  # what the figures of all families are called
-JUDGES: dict[Judge, str] = {"bullet": "PyBullet", "kinematic": "fast twin"}
 _MOTION = 0.1  # [m] from the start: here the clock of BARN begins
 
 
@@ -103,7 +102,7 @@ class SuiteSummary:
 
     suite: str
     suite_digest: str
-    simulation: Judge
+    simulation: str
     policy: str
     policy_digest: str | None
     figures: dict[str, Figures]
@@ -129,7 +128,7 @@ class SuiteSummary:
     def title(self) -> str:
         """What drove where: policy, guide, conditions, robot, simulation."""
         guided, robot = [f"guide {self.guide}"] if self.guide else [], str(self.config.get("task", {}).get("robot"))
-        driven = [self.policy, *guided, *self.conditions, robot, JUDGES[self.simulation]]
+        driven = [self.policy, *guided, *self.conditions, robot, find_simulator(self.simulation).title]
         return f"{', '.join(driven)}: suite {self.suite}"
 
     @property

@@ -13,8 +13,8 @@ import numpy as np
 
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.envs.scene import Scene
+from tb2rl.evaluation.episodes import Policy
 from tb2rl.evaluation.evaluator import SEED, Evaluator
-from tb2rl.evaluation.rollout import Policy
 from tb2rl.evaluation.spaces import check_observes
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.evaluation.suite_result import ALL, Drive, Figures, NamedDrive, SuiteResult
@@ -25,7 +25,7 @@ from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.hub import HUB
 from tb2rl.runs.loading import load, policy_digest
 from tb2rl.runs.versions import versions
-from tb2rl.simulation import Judge
+from tb2rl.simulation import InitialState
 from tb2rl.tasks import TIME_LIMIT
 from tb2rl.worlds.suites import Suite, find_suite
 
@@ -49,7 +49,7 @@ class SuiteEvaluation:
     suite: Suite
     scene: Scene
     drives: Sequence[Drive]
-    simulation: Judge
+    simulation: str
 
     @property
     def families(self) -> list[str]:
@@ -59,7 +59,7 @@ class SuiteEvaluation:
     def figures(self, family: str | None = None) -> Figures:
         """The figures of one family, or of all worlds."""
         worlds = [i for i, each in enumerate(self.suite.families) if family in (None, each)]
-        drives, ways = [self.drives[i] for i in worlds], np.array(self.suite.ways)[worlds]
+        drives, ways = [self.drives[i] for i in worlds], np.array(self.suite.path_lengths)[worlds]
         reached = [drive.success for drive in drives]
         distances, times = ([getattr(drive, name) for drive in drives] for name in ("distance", "time"))
         longest = np.argsort(-ways, kind="stable")[: math.ceil(len(worlds) / 10)]
@@ -141,9 +141,10 @@ def suite_scene(scene: Scene, suite: Suite) -> Scene:
     return there
 
 
-def suite_evaluator(scene: Scene, workers: int | None = None) -> Evaluator:
-    """What drives a policy through the worlds of a `suite_scene`, see `drives_of`; `workers` as for `Evaluator`."""
-    return Evaluator(scene, steps=scene.task.episode_steps, seed=SEED, workers=workers, each_world=True)
+def suite_evaluator(scene: Scene, workers: int | None = None, simulation: Any = None) -> Evaluator:
+    """One episode in each world of a `suite_scene`, from the world's start; arguments as for `Evaluator`."""
+    states = InitialState(scene.spec.table)
+    return Evaluator(scene, states, scene.task.episode_steps, SEED, workers, simulation)
 
 
 def drives_of(evaluator: Evaluator, policy: Any, first: int = 0, where: Where | None = None) -> Iterator[Drive]:

@@ -12,7 +12,7 @@ from tb2rl.rendering.colours import BEAM, BODY, GOAL, MOVER, NOSE, PATH, ROUTE, 
 from tb2rl.robots import Laser, Robot
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
-from tb2rl.worlds.world import box_shapes
+from tb2rl.worlds.world import box_polygons
 
 GOAL_RADIUS = 0.2  # [m] of what marks a goal
 _NOSE = ((150 / 178, 0.0), (50 / 178, 60 / 178), (50 / 178, -60 / 178))  # in the robot's frame, shares of its radius
@@ -77,7 +77,7 @@ def draw_movers(canvas: Canvas, dynamic_obstacles: np.ndarray | None) -> None:
     for row in np.empty((0, 6)) if dynamic_obstacles is None else dynamic_obstacles:
         x, y, cos, sin, length, width = row.tolist()
         if width > 0.0:
-            (box,) = box_shapes(np.array([[x, y, length, width, cos, sin]]))
+            (box,) = box_polygons(np.array([[x, y, length, width, cos, sin]]))
             canvas.polygon(box.exterior.coords, MOVER)
         elif length > 0.0:
             canvas.disc(x, y, length, MOVER)

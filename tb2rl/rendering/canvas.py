@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from tb2rl.rendering.colours import FLOOR, WALL
-from tb2rl.worlds.world import World, box_shapes
+from tb2rl.worlds.world import World, box_polygons
 
 SIDE = 640  # [px] of the longer side
 _SMOOTH = 2  # drawn larger and shrunk, against jagged lines
@@ -29,7 +29,7 @@ class Canvas:
         self._size = _even(width * self._scale / _SMOOTH), _even(height * self._scale / _SMOOTH)
         self._image = Image.new("RGB", (self._size[0] * _SMOOTH, self._size[1] * _SMOOTH), FLOOR)
         self._draw = ImageDraw.Draw(self._image)
-        for box in box_shapes(world.boxes):
+        for box in box_polygons(world.boxes):
             self.polygon(box.exterior.coords, WALL)
         for x, y, radius in world.posts:
             self.disc(x, y, radius, WALL)

@@ -1,8 +1,7 @@
-"""A checkpoint: one file of arrays and plain values, nothing that runs.
+"""Checkpoints: files of arrays and plain values, without code.
 
-A safetensors file (no pickle, no archive): the arrays stand in its data, everything else as JSON in its header, with a
-reference where an array belongs. safetensors holds every shape against the bytes that are there, so a file cannot claim
-more than it brings.
+A safetensors file (no pickle, no archive) holds the arrays; its header holds the rest as JSON, with references to the
+arrays. safetensors compares every shape with the bytes present, so a file cannot claim more memory than it has.
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ from tb2rl.core.files import replacing
 
 FORMAT = 2
 SUFFIX = ".safetensors"
-_ARRAY, _PAIRS = "$array", "$pairs"  # how JSON refers to an array, and writes a mapping whose keys are not strings
+_ARRAY, _PAIRS = "$array", "$pairs"  # JSON keys of a reference to an array, and of a mapping whose keys are not strings
 _DAMAGE = (SafetensorError, AttributeError, KeyError, TypeError, ValueError, RecursionError, MemoryError)
 
 
 def write_checkpoint(path: Path, tree: Mapping[str, Any]) -> None:
-    """Write a tree of mappings, sequences, plain values, arrays and tensors in one step.
+    """Write a tree of mappings, sequences, plain values, arrays and tensors atomically.
 
     Raises:
-        OSError: If it cannot be written; the old file stands.
+        OSError: If it cannot be written; the old file stays.
     """
     arrays: dict[str, np.ndarray] = {}
     content = json.dumps({"format": FORMAT, "content": _pack(tree, arrays)})
@@ -42,10 +41,10 @@ def write_checkpoint(path: Path, tree: Mapping[str, Any]) -> None:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """The tree that `write_checkpoint` wrote; sequences come back as lists, tensors as arrays.
+    """The tree that `write_checkpoint` wrote, with lists for sequences and arrays for tensors.
 
     Raises:
-        InputError: If there is no such file, or it is not a whole checkpoint of this format.
+        InputError: If there is no such file, or it is not a complete checkpoint of this format.
     """
     if not path.is_file():
         raise InputError(f"there is no checkpoint {path}")
@@ -54,20 +53,19 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             text = (file.metadata() or {})["tb2rl"]
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         header = json.loads(text)
-        found = header["format"]
+        if header["format"] == FORMAT:
+            return dict(_unpack(header["content"], arrays))
+        found = one_line(repr(header["format"]), 50)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from None
     except _DAMAGE as error:
-        raise InputError(one_line(f"{path} is not a checkpoint, or is damaged ({_cause(error)})")) from None
-    if found != FORMAT:
-        raise InputError(f"{path} has checkpoint format {one_line(repr(found), 50)}; this tb2rl reads {FORMAT}")
-    try:
-        return dict(_unpack(header["content"], arrays))
-    except _DAMAGE as error:
-        raise InputError(one_line(f"{path} is damaged ({_cause(error)})")) from None
+        cause = f"{type(error).__name__}: {error}"
+        raise InputError(one_line(f"{path} is not a checkpoint, or is damaged ({cause})")) from None
+    raise InputError(f"{path} has checkpoint format {found}; this tb2rl reads {FORMAT}")
 
 
 def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    """JSON for a value; its arrays are added to `arrays`."""
     if isinstance(value, th.Tensor):
         value = value.detach().cpu().numpy()
     if isinstance(value, np.ndarray):
@@ -95,7 +93,3 @@ def _unpack(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if _PAIRS in value:
         return {key: _unpack(part, arrays) for key, part in value[_PAIRS]}
     return {key: _unpack(part, arrays) for key, part in value.items()}
-
-
-def _cause(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"

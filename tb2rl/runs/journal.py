@@ -1,4 +1,4 @@
-"""A journal: what takes long is kept line by line, so that it goes on where it was when something stopped it."""
+"""Results of long work as JSON lines, from which an interrupted program continues."""
 
 from __future__ import annotations
 
@@ -11,27 +11,25 @@ from typing import Any
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import write_text
 
-_BLANK = b"\0 \t\r"
-
 
 class Journal:
-    """A file of JSON lines: first what the work is, then each of its results.
+    """A file of JSON lines: a description of the work, then its results.
 
     Args:
         path: The file; None: nothing is kept.
-        work: What the work is, as plain values; what the file holds of any other work is thrown away.
+        work: Description of the work, as plain values; results of other work are discarded.
 
     Attributes:
         path: The file.
-        entries: The results that are there already, as plain values.
-        other: In which part of `work` the file was of another one; None: it was not, or there was none.
+        entries: Results of an earlier program, as plain values.
+        mismatch: Key of `work` in which the file differed; None: it did not, or there was no file.
 
     Raises:
         InputError: If the file cannot be read or written, or is damaged.
     """
 
     def __init__(self, path: Path | None, work: Mapping[str, Any]) -> None:
-        self.path, self.entries, self.other = path, list[Any](), None
+        self.path, self.entries, self.mismatch = path, list[Any](), None
         if path is None:
             return
         work = json.loads(json.dumps(work))
@@ -40,25 +38,25 @@ class Journal:
             if before == work:
                 self.entries = entries
             else:
-                self.other = _difference(before, work)
+                self.mismatch = _first_difference(before, work)
             write_text(path, "".join(json.dumps(line) + "\n" for line in (work, *self.entries)))
         except OSError as error:
             raise InputError(f"cannot keep results in {path}: {error.strerror or error}") from None
 
-    def note(self, entry: Any) -> None:
-        """Keep a result: it is there even if this process is killed."""
+    def append(self, entry: Any) -> None:
+        """Keep a result, even if this process is killed next."""
         if self.path is not None:
             with self.path.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(entry) + "\n")
 
     def remove(self) -> None:
-        """Remove the file, once the work is done."""
+        """Remove the file of finished work."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
 
 def read_lines(path: Path) -> list[Any]:
-    """Parse a file of JSON lines, in which a last line that was not written to its end does not count.
+    """Parse a file of JSON lines; an incomplete last line is ignored.
 
     A crash of the machine can leave such a line, or zero bytes in its place.
 
@@ -69,7 +67,7 @@ def read_lines(path: Path) -> list[Any]:
     *lines, last = path.read_bytes().split(b"\n")
     found: list[Any] = []
     for number, line in enumerate(lines, 1):
-        if line.strip(_BLANK):
+        if line.strip(b"\0 \t\r"):
             try:
                 found.append(json.loads(line))
             except (ValueError, RecursionError) as error:
@@ -79,8 +77,7 @@ def read_lines(path: Path) -> list[Any]:
     return found
 
 
-def _difference(before: Any, work: Mapping[str, Any]) -> str:
-    """The first part of the work that was another."""
+def _first_difference(before: Any, work: Mapping[str, Any]) -> str:
     if not isinstance(before, Mapping):
         return "kind"
     return next(key for key in (*work, *before) if before.get(key) != work.get(key))

@@ -1,7 +1,7 @@
-"""What an algorithm has learned: its policy's parameters, its optimisers' state, and tensors beside both.
+"""Learned parameters of an algorithm: its policy's, the state of its optimisers, and further tensors.
 
-Arrays from a checkpoint may come from anybody. torch holds a policy's shapes against the networks, but not an
-optimiser's, and would write past an array's end.
+Arrays of a checkpoint can come from anybody. torch compares the shapes of a policy with its networks, but not those of
+an optimiser, and would write past the end of an array.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.normalisation import load_statistics
 
 _LARGEST, _LARGEST_COUNT = 1e9, 1e12  # of any weight, and of any integer, such as the visits of a state
-_SINGLE = ("step", "mu_product")  # of an optimiser, one number for all of a layer's weights
+_SCALARS = ("step", "mu_product")  # optimiser state with one number for all weights of a layer
 
 
 def parameters_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
-    """What an algorithm has learned, as a tree for `write_checkpoint`.
+    """The learned parameters, as a tree for `write_checkpoint`.
 
     Returns:
-        "policy": the policy's state; "others": that of each optimiser, or whatever else Stable-Baselines3 saves with
-        the algorithm; "tensors": those that belong to neither, such as the entropy coefficient of SAC.
+        "policy": its state; "others": the states of optimisers and whatever else Stable-Baselines3 saves; "tensors":
+        single tensors, such as the entropy coefficient of SAC.
     """
     others, tensors = _names(algorithm)
     return {
@@ -40,13 +40,13 @@ def parameters_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
 
 
 def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: Path) -> None:
-    """Put the parameters of a checkpoint into the algorithm of its config.
+    """Load the parameters and the number of timesteps of a checkpoint into the algorithm of its config.
 
     Args:
-        algorithm: Gets the parameters, and the number of timesteps.
-        content: "timesteps" and "policy"; where it has a "training" too, the "others" and "tensors" in that; where
-            the config normalises, "normalisation", see `statistics_of`.
-        file: Where they come from, for the message.
+        algorithm: The algorithm to change.
+        content: "timesteps" and "policy"; optionally "training" with "others" and "tensors", see `parameters_of`, and
+            "normalisation", see `statistics_of`.
+        file: Their origin, for messages.
 
     Raises:
         InputError: If they do not fit.
@@ -66,35 +66,42 @@ def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: 
 
 
 def _names(algorithm: BaseAlgorithm) -> tuple[list[str], list[str]]:
-    """What Stable-Baselines3 saves with the algorithm beside the policy: things with a state, and single tensors."""
+    """Attributes that Stable-Baselines3 saves beside the policy: objects with a state, and tensors.
+
+    No public function of it names them; saving to its own archive would pickle.
+    """
     stateful, tensors = algorithm._get_torch_save_params()
     return [name for name in stateful if name != "policy"], list(tensors)
 
 
 def _load(target: th.optim.Optimizer | th.nn.Module, state: Mapping[str, Any]) -> None:
     if isinstance(target, th.optim.Optimizer):
-        parameters = [parameter for group in target.param_groups for parameter in group["params"]]
-        for index, values in state["state"].items():
-            _check_moments(values, parameters[index])
-        # The rest of the groups is what the config says; of these, learning changes the learning rate alone.
-        rates = [{"lr": float(group["lr"])} for group in state["param_groups"]]
-        if not all(math.isfinite(rate["lr"]) for rate in rates):
-            raise ValueError("the optimiser's learning rate is not finite")
-        groups = [group | rate for group, rate in zip(target.state_dict()["param_groups"], rates, strict=True)]
-        state = {"state": state["state"], "param_groups": groups}
+        state = _optimizer_state(target, state)
     else:
         for name, tensor in target.state_dict().items():
-            if name in state:  # torch itself names those that are missing or too many
+            if name in state:  # torch itself reports missing and unexpected names
                 _check_numbers(state[name], tensor, f"its {name}")
     target.load_state_dict(_tensors(state))
 
 
+def _optimizer_state(target: th.optim.Optimizer, state: Mapping[str, Any]) -> dict[str, Any]:
+    """The checked state of an optimiser; its options stay those of the config, except the learning rate."""
+    parameters = [parameter for group in target.param_groups for parameter in group["params"]]
+    for index, values in state["state"].items():
+        _check_moments(values, parameters[index])
+    rates = [{"lr": float(group["lr"])} for group in state["param_groups"]]
+    if not all(math.isfinite(rate["lr"]) for rate in rates):
+        raise ValueError("the optimiser's learning rate is not finite")
+    groups = [group | rate for group, rate in zip(target.state_dict()["param_groups"], rates, strict=True)]
+    return {"state": state["state"], "param_groups": groups}
+
+
 def _check_moments(values: Mapping[str, Any], parameter: th.nn.Parameter) -> None:
-    """Raise a ValueError where an optimiser's moments of a layer's weights differ from them in shape or kind."""
+    """Raise a ValueError unless an optimiser's moments of a layer are finite and have the shape of its weights."""
     for name, value in values.items():
-        if value is None or (isinstance(value, int | float) and math.isfinite(value)):  # no momentum; a count of steps
+        if value is None or (isinstance(value, int | float) and math.isfinite(value)):  # no momentum; a step count
             continue
-        shape = () if name in _SINGLE else tuple(parameter.shape)
+        shape = () if name in _SCALARS else tuple(parameter.shape)
         if not isinstance(value, np.ndarray) or value.shape != shape:
             raise ValueError(f"the optimiser's {name} has another shape than the weights")
         if value.dtype.kind != "f" or not np.isfinite(value).all():
@@ -102,9 +109,9 @@ def _check_moments(values: Mapping[str, Any], parameter: th.nn.Parameter) -> Non
 
 
 def _check_numbers(array: Any, tensor: th.Tensor, what: str) -> None:
-    """Raise a ValueError unless an array has numbers of the tensor's kind that learning can lead to.
+    """Raise a ValueError unless an array has plausible numbers of the tensor's kind.
 
-    torch would convert complex numbers to real ones, and integers to floating point, without a word.
+    torch would silently convert complex numbers to real ones, and integers to floating point.
     """
     if not isinstance(array, np.ndarray) or array.dtype.kind != tensor.detach().cpu().numpy().dtype.kind:
         raise ValueError(f"{what} has another kind of numbers than the policy")
@@ -119,11 +126,11 @@ def _fill(target: th.Tensor, array: np.ndarray) -> None:
     if array.shape != tuple(target.shape):
         raise ValueError("a tensor beside the policy has another shape")
     with th.no_grad():
-        target.copy_(th.from_numpy(array))  # in place: its optimiser holds on to it
+        target.copy_(th.from_numpy(array))  # in place, because its optimiser refers to it
 
 
 def _tensors(tree: Any) -> Any:
-    """The tree with tensors for arrays, as torch wants it."""
+    """The tree with tensors for arrays."""
     if isinstance(tree, np.ndarray):
         return th.from_numpy(tree)
     if isinstance(tree, Mapping):

@@ -1,4 +1,4 @@
-"""The versions of what a result depends on, as runs and evaluations note them."""
+"""Versions of the packages that a result depends on, kept in runs and evaluations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "nu
 
 
 def versions() -> dict[str, str]:
-    """The versions of Python and of packages; torch's names its build, which the package's metadata may omit."""
+    """Versions of Python and of packages; torch's includes its build, which package metadata may omit."""
     packages = {package: _version(package) for package in _PACKAGES}
     return {"python": platform.python_version(), **packages, "torch": str(th.__version__)}
 

@@ -11,8 +11,7 @@ from annotated_types import Ge, Le
 from tb2rl import robots
 from tb2rl.core.errors import InputError
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import RobotState, SimulationSpec
-from tb2rl.worlds.world import WALL_HEIGHT
+from tb2rl.simulation import RobotState, SimulationSpec, SimulatorType
 
 Pixels = Annotated[int, Ge(4), Le(1024)]
 
@@ -52,19 +51,18 @@ class Camera(Sensor):
     def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
         return {"camera": spec.robot.camera}
 
-    def check(self, simulation: str) -> None:
-        if simulation == "bullet":
-            return
-        if self.colour:
-            raise InputError("only simulation 'bullet' has a camera with colours; its fast twin has depth alone")
-        if self.camera.position[2] >= WALL_HEIGHT:
+    def check(self, simulator: SimulatorType) -> None:
+        if self.colour and not simulator.has_colours:
+            raise InputError(f"the cameras of simulation {simulator.name!r} see depth but no colours")
+        height, limit = self.camera.position[2], simulator.max_camera_height
+        if height >= limit:
             raise InputError(
-                f"the fast twin's camera looks from below the top of the walls ({WALL_HEIGHT:g} m), and this robot's "
-                f"is {self.camera.position[2]:g} m high; take simulation 'bullet'"
+                f"simulation {simulator.name!r} renders cameras below {limit:g} m, the height of its walls, and this "
+                f"robot's is {height:g} m high"
             )
 
     def read(self, robot_state: RobotState) -> np.ndarray:
-        colours, depth = robot_state.look(*self.shape[:0:-1])
+        colours, depth = robot_state.render_camera(*self.shape[:0:-1])
         channels = [] if colours is None or not self.colour else [np.moveaxis(colours, -1, 1)]
         if self.depth:
             scaled = np.rint(np.minimum(depth * (255.0 / self.camera.range[1]), 255.0))

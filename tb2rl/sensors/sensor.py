@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.simulation import RobotState, SimulationSpec
+from tb2rl.simulation import RobotState, SimulationSpec, SimulatorType
 
 
 class Sensor(ABC):
@@ -47,8 +47,8 @@ class Sensor(ABC):
         """The arguments of the class that the robot decides, where `task.observe` names the sensor."""
         return {}
 
-    def check(self, simulation: str) -> None:  # noqa: B027 (most sensors read in both)
-        """Raise an `InputError` if a simulation, "bullet" or "kinematic", cannot show what it reads."""
+    def check(self, simulator: SimulatorType) -> None:  # noqa: B027 (most sensors read in all)
+        """Raise an `InputError` if a simulator cannot show what it reads."""
 
     @abstractmethod
     def read(self, robot_state: RobotState) -> np.ndarray:

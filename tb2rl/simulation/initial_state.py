@@ -1,4 +1,4 @@
-"""The start of an episode."""
+"""How episodes start."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from tb2rl.simulation.spec import (
     BOUNDS,
     COMMAND_LATENCY,
     GOAL,
+    GOAL_PATH,
     OBSERVATION_LATENCY,
     PARAMETERS,
     POSE,
-    WAY,
     WORLD,
     SimulationSpec,
 )
@@ -21,24 +21,24 @@ from tb2rl.simulation.spec import (
 
 @dataclass(frozen=True)
 class InitialState:
-    """Where each robot begins, in which world, to get where, and what kind of robot it is this time.
+    """Pose, world and goal of each environment at the start of its episode, and its variation of the robot.
 
-    A task makes one by `default` and then overwrites what is to be different: `start.goal[:] = (1.0, 2.0)`.
+    A task takes `default` and overwrites what differs: `initial_state.goal[:] = (1.0, 2.0)`. All properties are views.
 
     Attributes:
-        table: A row of columns for each robot, see `tb2rl.simulation.spec`; shape (num_envs, columns).
+        table: The columns of `tb2rl.simulation.spec`, shape (num_envs, COLUMNS).
     """
 
     table: np.ndarray
 
     @classmethod
     def default(cls, spec: SimulationSpec, num_envs: int, world: int | np.ndarray = 0) -> InitialState:
-        """What worlds propose: their start pose, goal and bounds, with the robot as it is.
+        """The start pose, goal and bounds of the worlds, with the nominal robot.
 
         Args:
             spec: The worlds and the robot.
-            num_envs: How many begin.
-            world: Index of the world that all begin in, or of each one's world, shape (num_envs,).
+            num_envs: Number of rows.
+            world: Index of the world of all, or of each, shape (num_envs,).
         """
         if isinstance(world, int):
             return cls(spec.table[world : world + 1].repeat(num_envs, axis=0))
@@ -46,26 +46,26 @@ class InitialState:
 
     @property
     def pose(self) -> np.ndarray:
-        """Where: x [m], y [m], yaw [rad], shape (num_envs, 3); to be overwritten in place, like all that follow."""
+        """X [m], y [m], yaw [rad], shape (num_envs, 3)."""
         return self.table[:, POSE]
 
     @property
     def world(self) -> np.ndarray:
-        """Index into `SimulationSpec.worlds`, shape (num_envs,), as whole numbers of type float."""
+        """Index into `SimulationSpec.worlds`, shape (num_envs,), as floats."""
         return self.table[:, WORLD]
 
     @property
     def goal(self) -> np.ndarray:
-        """Where to get: x, y [m], shape (num_envs, 2); NaN for a robot without a goal."""
+        """x, y [m], shape (num_envs, 2); NaN: no goal."""
         return self.table[:, GOAL]
 
     @property
-    def way(self) -> np.ndarray:
-        """Number of the goal among those of its world that ways are known to, shape (num_envs,), as floats.
+    def goal_path(self) -> np.ndarray:
+        """Number of the goal in `SimulationSpec.goal_paths`, shape (num_envs,), as floats.
 
-        What names such a goal says so here as well; others have no ways, see `tb2rl.worlds.goal_paths`.
+        A task whose goal is one of those says so here as well; other goals have no paths.
         """
-        return self.table[:, WAY]
+        return self.table[:, GOAL_PATH]
 
     @property
     def bounds(self) -> np.ndarray:
@@ -74,18 +74,15 @@ class InitialState:
 
     @property
     def parameters(self) -> np.ndarray:
-        """A row of `Robot.parameters` for each robot, shape (num_envs, 6).
-
-        The twin takes all of them; PyBullet takes all but the radius, which is that of the URDF file.
-        """
+        """Rows of `Robot.parameters`, shape (num_envs, 6); a physics takes the radius from the URDF file instead."""
         return self.table[:, PARAMETERS]
 
     @property
     def command_latency(self) -> np.ndarray:
-        """Control steps until a command is obeyed, shape (num_envs,), as whole numbers of type float."""
+        """Control steps until a command takes effect, shape (num_envs,), as floats."""
         return self.table[:, COMMAND_LATENCY]
 
     @property
     def observation_latency(self) -> np.ndarray:
-        """Control steps until a reading is observed, shape (num_envs,), as whole numbers of type float."""
+        """Control steps until a robot state is observed, shape (num_envs,), as floats."""
         return self.table[:, OBSERVATION_LATENCY]

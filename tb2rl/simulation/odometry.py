@@ -14,13 +14,13 @@ import numpy as np
 
 from tb2rl.robots.robot import WHEEL_SEPARATION
 from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.spec import ASSUMED_SEPARATION, GYRO, LEFT_COUNT, RIGHT_COUNT, WHEEL, WHEELS
+from tb2rl.simulation.spec import ASSUMED_SEPARATION, ENCODERS, GYRO, LEFT_ENCODER, RIGHT_ENCODER, WHEEL
 
 
 def is_exact(initial_state: InitialState) -> bool:
     """Whether wheels and gyros of all robots are what they should be, so that odometry is what they did."""
     gyro = initial_state.table[:, GYRO]
-    return bool((initial_state.table[:, WHEELS] == 1.0).all() and ((gyro == 1.0) | (gyro == 0.0)).all())
+    return bool((initial_state.table[:, ENCODERS] == 1.0).all() and ((gyro == 1.0) | (gyro == 0.0)).all())
 
 
 def as_counted(ways: np.ndarray, initial_state: InitialState) -> np.ndarray:
@@ -32,8 +32,8 @@ def as_counted(ways: np.ndarray, initial_state: InitialState) -> np.ndarray:
     """
     table, separation = initial_state.table, initial_state.parameters[:, WHEEL_SEPARATION]
     half = 0.5 * separation * ways[:, 1]
-    left = (ways[:, 0] - half) * table[:, LEFT_COUNT] / table[:, WHEEL]
-    right = (ways[:, 0] + half) * table[:, RIGHT_COUNT] / table[:, WHEEL]
+    left = (ways[:, 0] - half) * table[:, LEFT_ENCODER] / table[:, WHEEL]
+    right = (ways[:, 0] + half) * table[:, RIGHT_ENCODER] / table[:, WHEEL]
     counted, gyro = (right - left) / (separation * table[:, ASSUMED_SEPARATION]), table[:, GYRO]
     turn = np.where(gyro == 0.0, counted, gyro * ways[:, 1])
     return np.stack([0.5 * (left + right), turn], axis=1)

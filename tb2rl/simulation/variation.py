@@ -26,12 +26,12 @@ from tb2rl.simulation.spec import (
     DROPPED,
     FRICTION,
     GYRO,
-    LEFT_COUNT,
+    LEFT_ENCODER,
     MASS,
     MOUNT,
     NOISE,
     OBSERVATION_LATENCY,
-    RIGHT_COUNT,
+    RIGHT_ENCODER,
     WHEEL,
 )
 
@@ -86,7 +86,7 @@ class Variation:
         separation = _between(self.wheel_separation, next(numbers))
         parameters[:, WHEEL_SEPARATION] *= separation
         table[:, ASSUMED_SEPARATION] = 1.0 / separation
-        for column in (LEFT_COUNT, RIGHT_COUNT):
+        for column in (LEFT_ENCODER, RIGHT_ENCODER):
             table[:, column] = _between(self.odometry, next(numbers))
         parameters[:, [WHEEL_ACCELERATION, WHEEL_COUPLING]] *= _between(self.acceleration, next(numbers))[:, None]
         table[:, MASS] = _between(self.mass, next(numbers))

@@ -23,7 +23,7 @@ from tb2rl.tasks.actions import Actions, Commands, Velocities
 from tb2rl.tasks.outcome import Outcome, collision_endings
 from tb2rl.tasks.task import Beams, Clearance, Period, Task
 from tb2rl.worlds import World
-from tb2rl.worlds.goal_paths import GOALS, OWN, shortest_way
+from tb2rl.worlds.goal_paths import GOALS, OWN, shortest_path_length
 
 _TOLD = 3  # actions: with commands and readings a step late, what the robot is still to do, and one more
 _TOWARDS = 0.02  # [m/s] slower than this towards something is not driving into it; to turn is not either, it is round
@@ -104,7 +104,7 @@ class Navigate(Task):
             return worlds
         placed = tuple(world.with_places(None, (*self.goal, 0.0)) for world in worlds)
         for world in placed:
-            if shortest_way(world, robot.radius) == math.inf:
+            if shortest_path_length(world, robot.radius) == math.inf:
                 x, y = self.goal
                 where = f"from the start to the goal ({x:g}, {y:g})"
                 raise InputError(f"world {world.name}: {robot.name} finds no way {where}")
@@ -113,12 +113,12 @@ class Navigate(Task):
     def initial_state(self, spec: SimulationSpec, draws: Draws) -> InitialState:
         initial_state = super().initial_state(spec, draws)
         if self.start == "fixed" or self.goal is not None:
-            initial_state.way[:] = OWN
+            initial_state.goal_path[:] = OWN
             return initial_state
         world, choices = initial_state.world.astype(int), 1 + (draws.uniform(2) * GOALS).astype(int)
-        ways = [spec.ways.path_length(world, choice, initial_state.pose) for choice in choices.T]
-        initial_state.way[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
-        initial_state.goal[:] = spec.ways.goals(world, initial_state.way.astype(int))
+        ways = [spec.goal_paths.path_length(world, choice, initial_state.pose) for choice in choices.T]
+        initial_state.goal_path[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
+        initial_state.goal[:] = spec.goal_paths.goals(world, initial_state.goal_path.astype(int))
         return initial_state
 
     def outcome(self, before: RobotState, action: np.ndarray, after: RobotState) -> Outcome:

@@ -1,5 +1,4 @@
-"""How an agent learns: a training from a config to a run folder, what happens beside it, and how it goes on.
+"""Trainings: from a config to a run folder, with callbacks, diagnostics, trackers and exact resume.
 
-`training.py` is the place to begin. Imported from here: showing (for the pictures of paths), judging, runs and what
-lies below them.
+`training.py` is the place to begin.
 """

@@ -1,24 +1,23 @@
-"""What happens beside a training: evaluations, checkpoints, stopping. Stable-Baselines3 callbacks all."""
+"""Stable-Baselines3 callbacks of a training: evaluations, checkpoints, early stops, and the list of all."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
+from functools import partial
 from typing import Any
 
-import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Image
 
-from tb2rl.core.signals import ending_signals
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import Evaluator
-from tb2rl.evaluation.twin import TwinEvaluator
-from tb2rl.runs.config import TrainSettings
 from tb2rl.runs.folder import Run
 from tb2rl.runs.normalisation import driving_policy
-from tb2rl.training.state import Stateful, capture
+from tb2rl.training.diagnostics import TrainingDiagnostics
+from tb2rl.training.state import StatefulCallback, capture
+from tb2rl.training.statistics import EpisodeLines, EpisodeStatistics
 from tb2rl.viz.pictures import draw_paths
 
 _PATHS_DRAWN = 5
@@ -27,57 +26,49 @@ _LOGGED = (
 )  # fmt: skip
 
 
-class Evaluate(BaseCallback):
-    """Evaluates the greedy policy now and then, keeps the best one, stops the training once it is good enough.
+class EvaluationCallback(StatefulCallback):
+    """Evaluates the greedy policy periodically, keeps the best one, and stops the training once it is good enough.
 
     Args:
-        run: Gets the best policy, and a line for each evaluation.
-        evaluator: Drives the episodes.
-        settings: How often, what makes one the best, and when one is good enough.
-        evaluated: Is told of each one when it is noted; what it raises ends the training.
+        run: Gets the best policy, and a line for each evaluation. Its settings say when to evaluate and to stop.
+        evaluator: See `make_evaluator`.
+        on_evaluation: Called with each evaluation; an exception from it ends the training.
 
     Attributes:
         stopped: Whether it stopped the training.
     """
 
-    def __init__(
-        self,
-        run: Run,
-        evaluator: Evaluator | TwinEvaluator,
-        settings: TrainSettings,
-        evaluated: Callable[[Evaluation], object] | None = None,
-    ) -> None:
+    saved = ("_next", "_reached", "stopped", "_best", "_elapsed")
+
+    def __init__(self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None = None) -> None:
         super().__init__()
-        self.run, self.evaluator, self.settings, self._evaluated = run, evaluator, settings, evaluated
+        self.run, self.evaluator, self._on_evaluation = run, evaluator, on_evaluation
+        self.settings = run.config.train
         self.stopped = False
-        self._reached = 0  # evaluations in a row
-        self._next = settings.eval_freq
-        self._best = (-np.inf, -np.inf)
-        self._elapsed_before = 0.0
+        self._reached = 0  # evaluations in a row that reached the score to stop at
+        self._next = self.settings.eval_freq
+        self._best = (-sys.float_info.max, -sys.float_info.max)
+        self._elapsed = 0.0  # [s] since the training began
+        self._clock = time.monotonic()
 
     def state(self) -> dict[str, Any]:
-        counts = {"next": self._next, "reached": self._reached, "stopped": self.stopped}
-        return {**counts, "best": self._best, "elapsed": self._elapsed()}
+        self._count_seconds()
+        return super().state()
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        self._next, self._elapsed_before = int(state["next"]), float(state["elapsed"])
-        self._reached, self.stopped = int(state["reached"]), bool(state["stopped"])
-        success, mean_return = map(float, state["best"])
-        self._best = (success, mean_return)
-
-    def go_on(self) -> None:
-        """Count anew, after it has stopped the training and more steps are asked."""
+    def restart(self) -> None:
+        """Count anew, if it stopped a training that is to continue."""
         self.stopped, self._reached = False, 0
 
-    def _elapsed(self) -> float:
-        """Seconds since the training began."""
-        return round(self._elapsed_before + time.monotonic() - self._started, 3)
-
     def _on_training_start(self) -> None:
-        self._started = time.monotonic()
+        self._clock = time.monotonic()
+
+    def _count_seconds(self) -> float:
+        before, self._clock = self._clock, time.monotonic()
+        self._elapsed = round(self._elapsed + self._clock - before, 3)
+        return self._elapsed
 
     def _on_step(self) -> bool:
-        if self._next <= self.num_timesteps < self.locals["total_timesteps"]:  # the end has an evaluation of its own
+        if self._next <= self.num_timesteps < self.locals["total_timesteps"]:  # the final policy is evaluated apart
             freq, enough = self.settings.eval_freq, self.settings.stop_score
             self._next = (self.num_timesteps // freq + 1) * freq
             rate = self.evaluate().good_rate
@@ -85,53 +76,51 @@ class Evaluate(BaseCallback):
             self.stopped = self._reached >= self.settings.stop_evaluations
         return not self.stopped
 
-    def evaluate(self, progress: bool = False) -> Evaluation:
-        """Evaluate the policy as it is now; with `progress`, a bar on a terminal says how far this is."""
+    def evaluate(self, progress_bar: bool = False) -> Evaluation:
+        """Evaluate the present policy."""
         started = time.monotonic()
-        evaluation = self.evaluator.run(driving_policy(self.model), progress)
-        summary = {"timesteps": self.num_timesteps, **evaluation.summary()}
-        summary["seconds"] = round(time.monotonic() - started, 3)
-        summary["elapsed"] = self._elapsed()
+        evaluation = self.evaluator.run(driving_policy(self.model), progress_bar)
         score = evaluation.score if self.settings.best_by == "success" else (evaluation.score[1], 0.0)
-        summary["best"] = score > self._best
+        summary = {
+            "timesteps": self.num_timesteps,
+            **evaluation.summary(),
+            "seconds": round(time.monotonic() - started, 3),
+            "elapsed": self._count_seconds(),
+            "best": score > self._best,
+        }
         if summary["best"]:
             self._best = score
             self.run.save(self.model, "best/policy")
-        self.run.note_evaluation(summary)
+        self.run.append_evaluation(summary)
+        self._log(evaluation, summary)
+        if self._on_evaluation:
+            self._on_evaluation(evaluation)
+        return evaluation
+
+    def _log(self, evaluation: Evaluation, summary: Mapping[str, Any]) -> None:
+        """Write an evaluation to the logger's outputs, such as TensorBoard."""
         for key in _LOGGED:
             self.logger.record(f"eval/{key}", summary[key])
         self.logger.record("eval/score", evaluation.score[0])
         picture = draw_paths(evaluation.scene, evaluation.episodes[:_PATHS_DRAWN])
         self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)
-        if self._evaluated:
-            self._evaluated(evaluation)
-        return evaluation
 
 
-class Checkpoints(BaseCallback):
-    """Saves everything that the rest of the training depends on, now and then, and keeps the last few of these.
-
-    Args:
-        run: Gets the checkpoints.
-        freq: Control steps between checkpoints; 0: only the last.
-        keep: How many stay.
+class Checkpoints(StatefulCallback):
+    """Saves the state of the training periodically.
 
     Attributes:
-        others: The callbacks that remember, this one among them.
+        stateful: All callbacks with a state, this one among them.
     """
 
-    def __init__(self, run: Run, freq: int, keep: int) -> None:
+    saved = ("_next",)
+
+    def __init__(self, run: Run) -> None:
         super().__init__()
-        self.run, self.freq, self.keep = run, freq, keep
-        self._next = freq
-        self.others: Sequence[Stateful] = ()
-
-    def state(self) -> dict[str, Any]:
-        return {"next": self._next}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        self._next = int(state["next"])
+        self.run, self.freq, self.keep = run, run.config.train.save_freq, run.config.train.keep
+        self._next = self.freq
+        self.stateful: Sequence[StatefulCallback] = ()
 
     def _on_rollout_start(self) -> None:
         if self.freq and self.num_timesteps >= self._next:
@@ -139,67 +128,89 @@ class Checkpoints(BaseCallback):
             self.save(in_rollout=True)
 
     def save(self, in_rollout: bool = False) -> None:
-        """Save the training as it is now, where a rollout starts (`in_rollout`) or the training ends."""
-        self.run.save_training(self.model, capture(self.model, self.others, in_rollout))
+        """Save the present state, where a rollout starts (`in_rollout`) or the training ends."""
+        self.run.save_training(self.model, capture(self.model, self.stateful, in_rollout))
         self.run.prune(self.keep)
 
-    def _on_step(self) -> bool:
-        return True
 
+class StopAfterEpisodes(StatefulCallback):
+    """Stops after a number of episodes, over all environments together."""
 
-class StopAfterEpisodes(BaseCallback):
-    """Stops once so many episodes have ended, over all environments together."""
+    saved = ("left",)
 
     def __init__(self, episodes: int) -> None:
         super().__init__()
         self.left = episodes
-
-    def state(self) -> dict[str, Any]:
-        return {"left": self.left}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        self.left = int(state["left"])
 
     def _on_step(self) -> bool:
         self.left -= int(self.locals["dones"].sum())
         return self.left > 0
 
 
-class StopOnInterrupt(BaseCallback):
-    """Ends the training at Ctrl-C, SIGTERM or SIGHUP, where the next rollout starts; a second one stops at once.
+class StopOnSignal(BaseCallback):
+    """Ends the training at Ctrl-C, SIGTERM or SIGHUP, where the next rollout starts; a second signal ends it at once.
 
     Args:
-        save: Saves a checkpoint where a rollout starts, so that a resumed training is the undisturbed one.
+        save: Saves a checkpoint where a rollout starts, so that a resumed training equals the undisturbed one.
 
     Attributes:
-        interrupted: The number of the signal that came; 0: none.
-        stopped: Whether the training was stopped before its time was up.
+        received: The number of the signal; 0: none.
+        stopped: Whether it stopped the training.
     """
 
     def __init__(self, save: Callable[[], object]) -> None:
         super().__init__()
-        self.save, self.interrupted, self.stopped = save, 0, False
-        self._handled = ExitStack()
+        self.save, self.received, self.stopped = save, 0, False
 
-    def __enter__(self) -> StopOnInterrupt:
-        self._handled.enter_context(ending_signals(self._on_signal))
-        return self
+    def receive(self, number: int) -> None:
+        """Handle a signal; see `ending_signals`.
 
-    def __exit__(self, *_: object) -> None:
-        self._handled.close()
-
-    def _on_signal(self, number: int) -> None:
-        if self.interrupted:
+        Raises:
+            KeyboardInterrupt: At the second one.
+        """
+        if self.received:
             raise KeyboardInterrupt
-        self.interrupted = number
-        with suppress(OSError, RuntimeError):  # nobody reads it, or it comes in the middle of another line
+        self.received = number
+        with suppress(OSError, RuntimeError):  # stdout is closed, or the signal interrupts another print
             print("\nstopping after this rollout: this saves the policy, and a checkpoint for --resume; ", end="")
             print("Ctrl-C again stops at once", flush=True)
 
     def _on_rollout_start(self) -> None:
-        if self.interrupted:
+        if self.received:
             self.save()
             self.stopped = True
 
     def _on_step(self) -> bool:
         return not self.stopped
+
+
+class TrainingCallbacks(CallbackList):
+    """All callbacks of a training.
+
+    Args:
+        run: Its run.
+        evaluator: See `make_evaluator`; None: no evaluations.
+        on_evaluation: See `EvaluationCallback`.
+        verbose: 1: a line for each episode.
+
+    Attributes:
+        stateful: Those whose state belongs to a checkpoint, in its order.
+    """
+
+    def __init__(
+        self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None, verbose: int
+    ) -> None:
+        scene, settings = run.config.scene, run.config.train
+        period, max_speed = scene.task.control_period, scene.actions.max_speed
+        self.statistics, self.checkpoints = EpisodeStatistics(), Checkpoints(run)
+        self.evaluation = EvaluationCallback(run, evaluator, on_evaluation) if evaluator else None
+        self.stop = StopOnSignal(partial(self.checkpoints.save, in_rollout=True))
+        self.stateful: list[StatefulCallback] = [
+            self.statistics,
+            self.checkpoints,
+            TrainingDiagnostics(settings.total_timesteps, period, max_speed),
+            *([self.evaluation] if self.evaluation else []),
+            *([StopAfterEpisodes(settings.episodes)] if settings.episodes else []),
+        ]
+        self.checkpoints.stateful = self.stateful
+        super().__init__([*self.stateful, self.stop, *([EpisodeLines()] if verbose else [])])

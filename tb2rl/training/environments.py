@@ -1,53 +1,45 @@
-"""The environments of a training, as one `VecEnv`, and their state."""
+"""The environments of a training, and the evaluator of its evaluations."""
 
 from __future__ import annotations
 
-from typing import Any
+from tb2rl.core.errors import InputError
+from tb2rl.envs.encodings import has_images
+from tb2rl.envs.scene import Scene
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.evaluation.evaluator import TRAINING_SEED, Evaluator, random_initial_states
+from tb2rl.runs.config import TrainSettings
+from tb2rl.simulation import default_simulator, find_simulator
+from tb2rl.worlds.generators import Purpose
 
-import numpy as np
-from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
-
-from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.runs.config import Config
-from tb2rl.simulation import check_bullet
-from tb2rl.training.trees import fill
-
-
-def make_vec_env(config: Config) -> BatchVecEnv:
-    """The environments of a training: one batch of the fast twin, or of PyBullet's worlds in parallel processes."""
-    settings = config.train
-    steps = settings.episode_steps
-    scene = config.scene if steps is None else config.scene.changed(episode_steps=steps)
-    if settings.simulation == "bullet":
-        check_bullet("a training in simulation 'bullet' (unlike 'kinematic', its fast twin)")
-    return BatchVecEnv(scene, settings.n_envs, settings.reward_scale, settings.simulation)
+_MANY, _FEW = 1000, 20  # episodes of an evaluation: if all drive at once, and if a step takes time
 
 
-def state_of(env: VecEnv) -> Any:
-    """The state of all environments in plain values and arrays.
+def make_vec_env(scene: Scene, settings: TrainSettings) -> TurtleBot2VecEnv:
+    """The environments of a training."""
+    if settings.episode_steps is not None:
+        scene = scene.changed(episode_steps=settings.episode_steps)
+    simulator = find_simulator(settings.simulation)
+    simulator.check(f"a training in simulation {settings.simulation!r}")
+    return TurtleBot2VecEnv(scene, settings.n_envs, settings.reward_scale, simulator)
 
-    Where `VecNormalize` is around them, a tree with its own state beside theirs, but for its statistics, which are
-    saved with the policy.
+
+def make_evaluator(
+    scene: Scene, settings: TrainSettings, purpose: Purpose = "validation", seed: int = TRAINING_SEED
+) -> Evaluator:
+    """The evaluator that a training's settings describe.
+
+    Args:
+        scene: Of the training.
+        settings: Of the training.
+        purpose: Of the worlds, if they are generated. Validation worlds decide which policy of a training is the best.
+        seed: Of initial states and noise.
     """
-    batch: Any = env.unwrapped  # a `BatchVecEnv`
-    state = batch.state()
-    around = unwrap_vec_normalize(env)
-    if around is None:
-        return state
-    return {"inner": state, "returns": around.returns.copy(), "observations": around.get_original_obs()}
-
-
-def restore(env: VecEnv, state: Any) -> None:
-    """Put the state of all environments back; they have been reset.
-
-    Raises:
-        ValueError: If it is not one of such environments.
-    """
-    state = fill(state_of(env), state, "environments")
-    around = unwrap_vec_normalize(env)
-    if around is not None:
-        around.returns, around.old_obs, state = state["returns"], state["observations"], state["inner"]
-        if not np.isfinite(around.returns).all():
-            raise ValueError("environments.returns are not finite")
-    batch: Any = env.unwrapped
-    batch.restore(state)
+    scene, simulator = scene.worlds_for(purpose), find_simulator(settings.eval_simulation)
+    try:
+        scene.check(simulator)
+    except InputError as error:
+        simulator = default_simulator()
+        print(f"evaluations on the way use {simulator.title}, and are slower: {error}", flush=True)
+    slow = simulator.in_processes or has_images(scene.observation_space)
+    states = random_initial_states(scene, settings.eval_episodes or (_FEW if slow else _MANY), seed)
+    return Evaluator(scene, states, settings.eval_steps, seed, simulation=simulator)

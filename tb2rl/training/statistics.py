@@ -1,4 +1,4 @@
-"""How a training goes, in figures: for TensorBoard, and as the lines that the ROS tutorial prints."""
+"""Episode statistics of a training: for TensorBoard, and as the lines that the ROS tutorial prints."""
 
 from __future__ import annotations
 
@@ -15,33 +15,28 @@ from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
 from tb2rl.core.errors import InputError
+from tb2rl.training.state import StatefulCallback
 
 _WINDOW = 100  # episodes in a running mean
 
 
-class Statistics(BaseCallback):
-    """Episode statistics in TensorBoard that Stable-Baselines3 does not know of.
+class EpisodeStatistics(StatefulCallback):
+    """Logs running failure rate and distance of episodes.
 
     Attributes:
         lengths: Control steps of each episode so far.
     """
 
+    saved = ("_failed", "_distances", "lengths")
+
     def __init__(self) -> None:
         super().__init__()
         self._failed: deque[bool] = deque(maxlen=_WINDOW)
         self._distances: deque[float] = deque(maxlen=_WINDOW)
-        self.lengths: list[int] = []
-
-    def state(self) -> dict[str, Any]:
-        return {"failed": self._failed, "distances": self._distances, "lengths": self.lengths}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        self._failed.extend(map(bool, state["failed"]))
-        self._distances.extend(map(float, state["distances"]))
-        self.lengths.extend(map(int, state["lengths"]))
+        self.lengths: deque[int] = deque()
 
     def _on_step(self) -> bool:
-        if "dones" not in self.locals:  # ARS, which rates whole policies, or an algorithm of a user's own
+        if "dones" not in self.locals:  # ARS, which rates whole policies, or a user's algorithm
             name = type(self.model).__name__
             raise InputError(f"{name} does not tell its callbacks of every step (rewards, dones, infos), as others do")
         ended = np.flatnonzero(self.locals["dones"])
@@ -57,7 +52,7 @@ class Statistics(BaseCallback):
 
 
 class EpisodeLines(BaseCallback):
-    """The tutorial's line for each episode."""
+    """Prints the tutorial's line for each episode."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -84,7 +79,7 @@ class EpisodeLines(BaseCallback):
 
 
 def tutorial_scores(lengths: Sequence[int]) -> str:
-    """The two numbers that the tutorial ends with: mean length of all episodes, and of the 100 longest."""
+    """The tutorial's final scores: mean length of all episodes, and of the 100 longest."""
     if not lengths:
         return "no episode ended"
     best = sorted(lengths, reverse=True)[:100]
@@ -92,26 +87,26 @@ def tutorial_scores(lengths: Sequence[int]) -> str:
 
 
 class TensorBoard(TensorBoardOutputFormat):
-    """Stable-Baselines3's event files; those of a resumed training replace what a killed one wrote after `done`.
+    """Stable-Baselines3's event files; those of a resumed training replace events that a killed one wrote later.
 
     Args:
         folder: Of the event files.
-        done: Control steps that the training had done when it was resumed, else 0.
-        hyperparameters: A tree of plain values, for the table of all runs.
+        timesteps: Control steps before this training was resumed, or 0.
+        hyperparameters: Plain values by dotted key, for the table of all runs.
     """
 
-    def __init__(self, folder: Path, done: int, hyperparameters: Mapping[str, Any]) -> None:
-        self.writer = SummaryWriter(log_dir=str(folder), purge_step=done + 1 if done else None)
+    def __init__(self, folder: Path, timesteps: int, hyperparameters: Mapping[str, Any]) -> None:
+        self.writer = SummaryWriter(log_dir=str(folder), purge_step=timesteps + 1 if timesteps else None)
         self._is_closed = False
-        # Without the first summary, a list of columns: TensorBoard would take one run's list for all of them, and leave
-        # out what only other agents have. Where there is none, it gathers the columns from all runs.
-        _columns, *values = hparams(flat(hyperparameters), {})
+        # The first summary, a list of columns, is left out: TensorBoard would use one run's list for all runs, without
+        # the columns of other agents. If there is no list, it collects the columns of all runs.
+        _columns, *values = hparams(dict(hyperparameters), {})
         for summary in values:
             self.writer._get_file_writer().add_summary(summary)
 
 
 def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The leaves of a tree by dotted key, for a table that knows numbers and text only."""
+    """The leaves of a tree by dotted key, as numbers and text."""
     leaves: dict[str, Any] = {}
     for key, value in tree.items():
         name = f"{prefix}{key}"

@@ -4,43 +4,36 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from tb2rl.core.errors import InputError
-from tb2rl.envs.encodings import has_images
+from tb2rl.core.signals import ending_signals
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import TRAINING_SEED, Evaluator
-from tb2rl.evaluation.twin import TwinEvaluator
-from tb2rl.runs.algorithm import check_device, check_learns, make_algorithm
+from tb2rl.runs.algorithm import check_device, check_trainable, make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
-from tb2rl.runs.config import Config
+from tb2rl.runs.config import Config, TrainSettings
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import content_config, load
 from tb2rl.runs.parameters import load_parameters
 from tb2rl.tasks import Task
 from tb2rl.training import state
-from tb2rl.training.callbacks import Checkpoints, Evaluate, StopAfterEpisodes, StopOnInterrupt
-from tb2rl.training.environments import make_vec_env
-from tb2rl.training.statistics import EpisodeLines, Statistics, TensorBoard, flat
-from tb2rl.training.trackers import Tracked, find_trackers, run_name, tracking
-from tb2rl.training.troubles import learning_troubles_named, machine_troubles_named
-from tb2rl.training.watcher import Watcher
-from tb2rl.worlds.generators import Purpose
+from tb2rl.training.callbacks import StopOnSignal, TrainingCallbacks
+from tb2rl.training.environments import make_evaluator, make_vec_env
+from tb2rl.training.error_translation import translate_learning_errors, translate_machine_errors
+from tb2rl.training.statistics import TensorBoard, flat
+from tb2rl.training.trackers import Tracked, Tracker, find_trackers, run_name, tracking
 
-_GO_ON = "raise --total-timesteps to go on"
-_MANY, _FEW = 1000, 20  # episodes of an evaluation: where all drive at once, and where a step takes time
+_ADVICE = "raise --total-timesteps to go on"
 
 
 def train(
@@ -52,55 +45,52 @@ def train(
     folder: str | Path | None = None,
     name: str | None = None,
     progress_bar: bool = False,
-    verbose: int = 0,
     **train_settings: Any,
 ) -> BaseAlgorithm:
     """Train an agent and leave a run folder.
 
     Args:
         agent: Its name in the registry, "module:Class", or the class of its algorithm.
-        task: The task's name, "module:Class", or its class. A class of a notebook or of a script is found again there;
+        task: The task's name, "module:Class", or its class. A class of a notebook or script can be loaded there only;
             for a run that is to be loaded anywhere else, save the class in a file.
         preset: The name of a file in `configs`, or the path of one.
         settings: Single settings by dotted key, such as {"task.world": "circuit"}.
         folder: The run folder; None: `runs/<task>/<agent>/<name>`.
-        name: Of the run folder there; None: date and time.
+        name: Of the run folder in `runs`; None: date and time.
         progress_bar: Whether to show the rate and the remaining time.
-        verbose: 1: a line for each episode.
         train_settings: Fields of `tb2rl.runs.config.TrainSettings`, such as total_timesteps, seed or n_envs.
 
     Returns:
         The run's best policy, as `load` gives it.
 
     Raises:
-        InputError: For anything in the arguments that does not fit.
+        InputError: For any argument that does not fit.
     """
     if folder is not None and name is not None:
         raise InputError("name= is for a run folder in runs/TASK/AGENT; give either it or folder=")
     given = {f"train.{key}": value for key, value in train_settings.items()}
     config = resolve(agent, task, preset, {**(settings or {}), **given})
-    return load(train_config(config, folder or default_folder(config, name), progress_bar, verbose).run.folder)
+    return load(train_config(config, folder or default_folder(config, name), progress_bar).run.folder)
 
 
 @dataclass(frozen=True)
 class Training:
-    """How a training went."""
+    """The result of a training.
+
+    Attributes:
+        timesteps: Control steps; of a resumed training, since it was resumed.
+        seconds: Of learning them, evaluations included.
+        lengths: Control steps of each episode.
+        interrupted: The number of the signal that ended it; 0: none.
+        stopped_after: Control steps since it began, if evaluations stopped it early.
+    """
 
     run: Run
-    timesteps: int  # control steps; of a resumed training those since
-    seconds: float  # of learning them, evaluations included
-    lengths: Sequence[int]  # control steps of each episode
-    interrupted: int  # the signal that asked it to end; 0: none
-    stopped_after: int | None  # control steps since it began, if evaluations stopped it before its time was up
-
-
-@dataclass(frozen=True)
-class _Checkpoint:
-    """Where a resumed training goes on."""
-
-    file: Path
-    content: Mapping[str, Any]
-    total_timesteps: int  # that it was to have
+    timesteps: int
+    seconds: float
+    lengths: Sequence[int]
+    interrupted: int
+    stopped_after: int | None
 
 
 def train_config(
@@ -108,20 +98,23 @@ def train_config(
     folder: str | Path,
     progress_bar: bool = False,
     verbose: int = 0,
-    began: Callable[[Path], object] | None = None,
-    evaluated: Callable[[Evaluation], object] | None = None,
-    place: Path | None = None,
+    on_start: Callable[[Path], object] | None = None,
+    on_evaluation: Callable[[Evaluation], object] | None = None,
+    tracked_folder: Path | None = None,
 ) -> Training:
-    """`train` for a resolved config.
+    """Train a resolved config.
 
     Args:
         config: What to train.
-        folder, progress_bar, verbose: As in `train`.
-        began: Is called with the run folder when nothing was refused.
-        evaluated: Is called with each evaluation on the way; what it raises ends the training.
-        place: Where the run folder belongs, if it is made elsewhere, as on another machine: trackers are told this.
+        folder: The run folder.
+        progress_bar: Whether to show the rate and the remaining time.
+        verbose: 1: a line for each episode.
+        on_start: Called with the run folder once nothing was refused.
+        on_evaluation: Called with each evaluation during training; an exception from it ends the training.
+        tracked_folder: The final place of a run folder that is made elsewhere, as on another machine, for trackers.
     """
-    return _train(config, Path(folder), None, progress_bar, verbose, began, evaluated, place)
+    trainer = Trainer(config, Path(folder), None, verbose, on_start, on_evaluation, tracked_folder)
+    return trainer.train(progress_bar)
 
 
 def resume(
@@ -129,14 +122,14 @@ def resume(
     total_timesteps: int | None = None,
     progress_bar: bool = False,
     verbose: int = 0,
-    began: Callable[[Path], object] | None = None,
+    on_start: Callable[[Path], object] | None = None,
 ) -> Training:
-    """Go on with the training of a run folder from its last checkpoint, as if nothing had happened.
+    """Continue the training of a run folder from its last checkpoint, as if it had not been interrupted.
 
     Args:
         folder: The run folder.
-        total_timesteps: A larger total than the run was begun with; schedules then stretch over it.
-        progress_bar, verbose, began: As in `train_config`.
+        total_timesteps: A larger total than the run began with; schedules then stretch over it.
+        progress_bar, verbose, on_start: As in `train_config`.
 
     Raises:
         InputError: If there is nothing to resume, or it does not fit.
@@ -147,145 +140,134 @@ def resume(
     file = run.checkpoints[0]
     content = read_checkpoint(file)
     config = run.config
-    begun = content_config(content, file)
-    # The folder may say more steps: of a resume that ended before its first checkpoint.
-    longer = replace(begun, train=replace(begun.train, total_timesteps=config.train.total_timesteps))
+    saved = content_config(content, file)
+    # The folder may say more steps, if an earlier resume ended before its first checkpoint.
+    longer = replace(saved, train=replace(saved.train, total_timesteps=config.train.total_timesteps))
     if longer != config or "training" not in content:
         raise InputError(f"{file} is not a checkpoint of the training that {folder} describes")
-    checkpoint = _Checkpoint(file, content, begun.train.total_timesteps)
     if total_timesteps is not None:
         if total_timesteps < config.train.total_timesteps:
             raise InputError(f"the run was begun with {config.train.total_timesteps} steps; ask for more, not for less")
         config = replace(config, train=replace(config.train, total_timesteps=total_timesteps))
     if content["timesteps"] >= config.train.total_timesteps:
-        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; {_GO_ON}")
-    return _train(config, run.folder, checkpoint, progress_bar, verbose, began)
+        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; {_ADVICE}")
+    checkpoint = _Checkpoint(file, content, saved.train.total_timesteps)
+    return Trainer(config, run.folder, checkpoint, verbose, on_start).train(progress_bar)
 
 
-def _train(
-    config: Config,
-    folder: Path,
-    checkpoint: _Checkpoint | None,
-    progress_bar: bool,
-    verbose: int,
-    began: Callable[[Path], object] | None,
-    evaluated: Callable[[Evaluation], object] | None = None,
-    place: Path | None = None,
-) -> Training:
-    settings = config.train
-    check_learns(config)
-    check_device(config)
-    trackers = find_trackers(settings.track, folder if checkpoint else None)
-    with machine_troubles_named(folder), ExitStack() as resources:
-        resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
-        th.set_num_threads(settings.torch_threads)
-        env = make_vec_env(config)
-        resources.callback(env.close)
-        algorithm = make_algorithm(config, env)
-        evaluator = make_evaluator(config) if settings.eval_freq else None
-        if evaluator:
-            resources.callback(evaluator.close)
-        run = Run(folder, config) if checkpoint else Run.create(folder, config)
-        refused = resources.enter_context(ExitStack())  # where a tracker cannot begin, nothing is left behind
-        if not checkpoint:
-            refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
-        resources.enter_context(run.lock())
-        statistics, checkpoints = Statistics(), Checkpoints(run, settings.save_freq, settings.keep)
-        stop = StopOnInterrupt(partial(checkpoints.save, in_rollout=True))
-        remembering: list[Any] = [
-            statistics,
-            checkpoints,
-            Watcher(settings.total_timesteps, config.task.control_period, config.scene.actions.max_speed),
-        ]
-        if evaluator:
-            evaluation = Evaluate(run, evaluator, settings, evaluated)
-            remembering.append(evaluation)
-        if settings.episodes:
-            remembering.append(StopAfterEpisodes(settings.episodes))
-        checkpoints.others = remembering
-        watching: list[BaseCallback] = [*remembering, stop, *([EpisodeLines()] if verbose else [])]
-        if checkpoint:
-            watching.insert(0, _restore(algorithm, run, checkpoint, remembering))
-            if evaluator and evaluation.stopped:
-                if settings.total_timesteps == checkpoint.total_timesteps:
-                    raise InputError(f"{folder} has {stopped_early(config, algorithm.num_timesteps)}; {_GO_ON}")
-                evaluation.go_on()
-        done = algorithm.num_timesteps
-        algorithm.set_logger(Logger(str(run.folder), [TensorBoard(run.folder / "tensorboard", done, config.to_dict())]))
-        resources.callback(algorithm.logger.close)
-        tracked = Tracked(run.folder, run_name(config, place or run.folder), flat(config.to_dict()))
-        resources.enter_context(tracking(algorithm.logger, trackers, tracked, stop))
-        refused.pop_all()
-        if began:
-            began(run.folder)
-        started = time.monotonic()
-        with stop:
-            with learning_troubles_named(algorithm, run):
-                left = settings.total_timesteps - done
-                algorithm.learn(left, watching, reset_num_timesteps=checkpoint is None, progress_bar=progress_bar)
+@dataclass(frozen=True)
+class _Checkpoint:
+    """The checkpoint from which a training continues, and the total of control steps that it was saved with."""
+
+    file: Path
+    content: Mapping[str, Any]
+    total_timesteps: int
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """Trains one config in its run folder; see `train_config` for its attributes.
+
+    Attributes:
+        checkpoint: The checkpoint to continue from; None: a new training.
+    """
+
+    config: Config
+    folder: Path
+    checkpoint: _Checkpoint | None = None
+    verbose: int = 0
+    on_start: Callable[[Path], object] | None = None
+    on_evaluation: Callable[[Evaluation], object] | None = None
+    tracked_folder: Path | None = None
+
+    def train(self, progress_bar: bool) -> Training:
+        """Check the config, open everything that the training needs, and learn."""
+        settings, scene = self.config.train, self.config.scene
+        check_trainable(self.config)
+        check_device(settings.device)
+        trackers = find_trackers(settings.track, self.folder if self.checkpoint else None)
+        with translate_machine_errors(self.folder), ExitStack() as resources:
+            resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
+            th.set_num_threads(settings.torch_threads)
+            env = resources.enter_context(closing(make_vec_env(scene, settings)))
+            algorithm = make_algorithm(self.config, env)
+            evaluator = resources.enter_context(make_evaluator(scene, settings)) if settings.eval_freq else None
+            run = Run(self.folder, self.config) if self.checkpoint else Run.create(self.folder, self.config)
+            refused = resources.enter_context(ExitStack())  # leaves no new folder behind if a tracker cannot begin
+            if not self.checkpoint:
+                refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
+            resources.enter_context(run.lock())
+            callbacks = TrainingCallbacks(run, evaluator, self.on_evaluation, self.verbose)
+            if self.checkpoint:
+                self._restore(self.checkpoint, algorithm, callbacks)
+                run.drop_evaluations(after=algorithm.num_timesteps)
+                run.write_config()
+            resources.enter_context(self._logging(algorithm, trackers, callbacks.stop))
+            refused.pop_all()
+            if self.on_start:
+                self.on_start(run.folder)
+            return self._learn(run, algorithm, callbacks, progress_bar)
+
+    def _restore(self, checkpoint: _Checkpoint, algorithm: BaseAlgorithm, callbacks: TrainingCallbacks) -> None:
+        load_parameters(algorithm, checkpoint.content, checkpoint.file)
+        try:
+            first = state.restore(checkpoint.content["training"], algorithm, callbacks.stateful)
+        except InputError as error:
+            raise InputError(f"{checkpoint.file}: {error}") from None
+        callbacks.callbacks.insert(0, first)
+        if callbacks.evaluation and callbacks.evaluation.stopped:
+            if self.config.train.total_timesteps == checkpoint.total_timesteps:
+                reason = early_stop(self.config.train, algorithm.num_timesteps)
+                raise InputError(f"{self.folder} has {reason}; {_ADVICE}")
+            callbacks.evaluation.restart()
+
+    @contextmanager
+    def _logging(
+        self, algorithm: BaseAlgorithm, trackers: Sequence[type[Tracker]], stop: StopOnSignal
+    ) -> Iterator[None]:
+        """Log to TensorBoard and to trackers."""
+        hyperparameters = flat(self.config.to_dict())
+        tensorboard = TensorBoard(self.folder / "tensorboard", algorithm.num_timesteps, hyperparameters)
+        algorithm.set_logger(Logger(str(self.folder), [tensorboard]))
+        name = run_name(self.config.task_name, self.config.agent_name, self.tracked_folder or self.folder)
+        tracked = Tracked(self.folder, name, hyperparameters)
+        with closing(algorithm.logger), tracking(algorithm.logger, trackers, tracked, stop):
+            yield
+
+    def _learn(self, run: Run, algorithm: BaseAlgorithm, callbacks: TrainingCallbacks, progress_bar: bool) -> Training:
+        """Learn, then save and evaluate the final policy."""
+        started, before = time.monotonic(), algorithm.num_timesteps
+        left, is_new = self.config.train.total_timesteps - before, self.checkpoint is None
+        evaluation, stop = callbacks.evaluation, callbacks.stop
+        with ending_signals(stop.receive):
+            with translate_learning_errors(algorithm, run):
+                algorithm.learn(left, callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
             if not stop.stopped:
-                if evaluator and not evaluation.stopped:
+                if evaluation and not evaluation.stopped:
                     evaluation.evaluate(progress_bar)
-                checkpoints.save()  # it knows the best score, should more steps be asked
-        seconds = time.monotonic() - started
-    timesteps = algorithm.num_timesteps
-    stopped_after = timesteps if evaluator and evaluation.stopped else None
-    return Training(run, timesteps - done, seconds, statistics.lengths, stop.interrupted, stopped_after)
+                callbacks.checkpoints.save()  # holds the best score, in case the training is resumed
+        seconds, timesteps = time.monotonic() - started, algorithm.num_timesteps
+        stopped_after = timesteps if evaluation and evaluation.stopped else None
+        lengths = list(callbacks.statistics.lengths)
+        return Training(run, timesteps - before, seconds, lengths, stop.received, stopped_after)
 
 
-def stopped_early(config: Config, timesteps: int) -> str:
-    """Why a training that its evaluations stopped has ended, in a line."""
-    settings = config.train
+def early_stop(settings: TrainSettings, timesteps: int) -> str:
+    """The reason of an early stop, in a line."""
     return (
         f"stopped after {timesteps} of {settings.total_timesteps} steps: {settings.stop_evaluations} evaluations in a "
         f"row reached {100 * (settings.stop_score or 0.0):g} %"
     )
 
 
-def make_evaluator(
-    config: Config, purpose: Purpose = "validation", seed: int = TRAINING_SEED
-) -> Evaluator | TwinEvaluator:
-    """What drives evaluations as a training's settings say.
-
-    Args:
-        config: Of the training.
-        purpose: What the worlds are for, if they are generated. In those for validation it says which policy of a
-            training is the best.
-        seed: Of the start poses and of all noise.
-    """
-    settings, scene = config.train, config.scene.worlds_for(purpose)
-    episodes, conditions = settings.eval_episodes, (settings.eval_steps, seed)
-    if settings.eval_simulation == "kinematic":
-        many = _FEW if has_images(scene.observation_space) else _MANY
-        try:
-            return TwinEvaluator(scene, episodes or many, *conditions)
-        except InputError as error:
-            print(f"evaluations on the way are in PyBullet, and slower: {error}", flush=True)
-    return Evaluator(scene, episodes or _FEW, *conditions)
-
-
-def _restore(
-    algorithm: BaseAlgorithm, run: Run, checkpoint: _Checkpoint, remembering: Sequence[state.Stateful]
-) -> BaseCallback:
-    """Put a checkpoint into a training, and undo what was noted after it; see `state.restore`."""
-    load_parameters(algorithm, checkpoint.content, checkpoint.file)
-    try:
-        first = state.restore(checkpoint.content["training"], algorithm, remembering)
-    except InputError as error:
-        raise InputError(f"{checkpoint.file}: {error}") from None
-    run.forget_evaluations(after=algorithm.num_timesteps)
-    run.write_config()
-    return first
-
-
 def default_folder(config: Config, name: str | None = None) -> Path:
-    """`runs/<task>/<agent>/<name>`; without a name date and time, with a number where that is taken.
+    """`runs/<task>/<agent>/<name>`; without a name date and time, and a number if that exists.
 
     Raises:
         InputError: If the name is a path, or not printable.
     """
-    folder = Path("runs") / _file_name(config.task_name) / _file_name(config.agent_name)
+    folder = Path("runs", *(each.rpartition(":")[2] for each in (config.task_name, config.agent_name)))
     if name:
         if Path(name).name != name or name == ".." or not name.isprintable():
             raise InputError(f"--name (name=) is the name of a folder, of printable text without a path, got {name!r}")
@@ -293,7 +275,3 @@ def default_folder(config: Config, name: str | None = None) -> Path:
     name = datetime.now().strftime("%Y%m%d-%H%M%S")
     names = [name, *(f"{name}-{i}" for i in range(2, 1000))]
     return next(folder / name for name in names if not (folder / name).exists())
-
-
-def _file_name(name: str) -> str:
-    return name.rpartition(":")[2]

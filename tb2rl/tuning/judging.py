@@ -16,8 +16,9 @@ from typing import Any
 from optuna.trial import FrozenTrial
 
 from tb2rl.core.files import read_text, write_text
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import kept_evaluation
-from tb2rl.evaluation.evaluator import Evaluator, evaluate
+from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.evaluation.statistics import bootstrap_interval, wilson_interval
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run

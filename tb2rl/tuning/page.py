@@ -12,7 +12,7 @@ from optuna import Study
 from optuna.trial import FrozenTrial
 
 from tb2rl.core.files import write_text
-from tb2rl.runs.plain import plain
+from tb2rl.runs.plain_values import to_plain
 from tb2rl.tuning.charts import draw_charts, importances
 from tb2rl.tuning.judging import Comparison, Judgement
 from tb2rl.tuning.study import BEST, PAGE, Search
@@ -42,7 +42,7 @@ def write_preset(search: Search, trial: FrozenTrial, judgement: Judgement, trial
         f"# In {where} {100 * judgement.good_rate:.1f} % of {judgement.episodes} episodes are good "
         f"(95 % interval {100 * low:.1f} to {100 * high:.1f} %).",
     )
-    tree = plain(search.preset(search.settings(trial.params)))
+    tree = to_plain(search.preset(search.settings(trial.params)))
     file = search.folder / BEST
     write_text(file, "\n".join(lines) + "\n" + yaml.safe_dump(tree, sort_keys=False))
     return file

@@ -14,7 +14,7 @@ from optuna.storages import RDBStorage
 from sqlalchemy.exc import SQLAlchemyError
 
 from tb2rl.core.errors import InputError, one_line
-from tb2rl.training.troubles import DISK_TROUBLES
+from tb2rl.training.error_translation import DISK_ERRORS
 from tb2rl.tuning.study import DATABASE, Plan, Search
 
 PATIENCE = 60  # [s] for which SQLite waits while another process writes
@@ -66,7 +66,7 @@ def _troubles_named(search: Search) -> Iterator[None]:
     except ImportError as error:  # of the driver that the URL names
         reason = error
     except OSError as error:
-        if error.errno not in DISK_TROUBLES:
+        if error.errno not in DISK_ERRORS:
             raise
         what, reason = f"the folder {search.folder}", error.strerror
     else:

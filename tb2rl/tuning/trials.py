@@ -18,7 +18,8 @@ from tb2rl.core.errors import InputError, UnwritableError
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import load
-from tb2rl.training.training import make_evaluator, train_config
+from tb2rl.training.environments import make_evaluator
+from tb2rl.training.training import train_config
 from tb2rl.tuning.storage import evaluations, sampler
 from tb2rl.tuning.study import Search
 
@@ -157,13 +158,13 @@ def train_trial(search: Search, trial: Trial) -> list[Outcome]:
 
 def _outcome(config: Config, folder: Path, report: Reports | None) -> Outcome:
     """Train once, and drive the policy that was kept in episodes that had no part in keeping it."""
-    training = train_config(config, folder, evaluated=report)
+    training = train_config(config, folder, on_evaluation=report)
     if training.interrupted:
         raise KeyboardInterrupt
     if report:
         report.fill()
     shutil.rmtree(folder / "checkpoints")  # they are the largest part, and nobody resumes a trial
-    with make_evaluator(config, "search", SCORE_SEED) as evaluator:
+    with make_evaluator(config.scene, config.train, "search", SCORE_SEED) as evaluator:
         evaluation = evaluator.run(load(folder).policy)
     share = min(1.0, training.timesteps / config.train.total_timesteps)
     return Outcome(evaluation.good_rate, evaluation.score[1], share)

@@ -14,10 +14,10 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import Scene
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.worlds import World
-from tb2rl.worlds.world import box_shapes
+from tb2rl.worlds.world import box_polygons
 
 HEADINGS = 16
 UNMET, OVER = -1, -2  # in place of an action
@@ -46,7 +46,7 @@ class ActionMap:
     @property
     def walls(self) -> list[list[tuple[float, ...]]]:
         """The corners of each box of the world [m]."""
-        return [list(box.exterior.coords) for box in box_shapes(self.world.boxes)]
+        return [list(box.exterior.coords) for box in box_polygons(self.world.boxes)]
 
 
 def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
@@ -67,7 +67,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     table: Any = policy.policy
     scene = scene.changed(laser_noise=0.0)
     places, side = _places(scene.world, scene.robot.radius)
-    simulation = KinematicSimulation(scene.spec.without_dynamic_obstacles(), len(places))
+    simulation = KinematicSimulator(scene.spec.without_dynamic_obstacles(), len(places))
     actions, states = [], []
     for initial_state in _starts(scene, places):
         robot_state = simulation.reset(initial_state, np.random.default_rng(0))

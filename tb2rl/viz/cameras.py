@@ -9,7 +9,7 @@ import numpy as np
 from tb2rl.envs.scene import Scene
 from tb2rl.rendering.above import WorldPicture
 from tb2rl.simulation import InitialState, check_bullet
-from tb2rl.simulation.outlines import cast_all_at_movers
+from tb2rl.simulation.obstacles.outlines import cast_all_at_movers
 from tb2rl.viz.pictures import goal_of
 from tb2rl.viz.shots import Shot
 from tb2rl.worlds.geometry import cast_many

@@ -27,7 +27,7 @@ from tb2rl.tasks.outcome import OBSTACLE_COLLISION
 from tb2rl.viz.curves import Curve, Family
 from tb2rl.viz.pictures import goals_of
 from tb2rl.worlds import World
-from tb2rl.worlds.world import box_shapes
+from tb2rl.worlds.world import box_polygons
 
 WIDTH = 4.2  # [in] a phone shows it nearly as large, so its text stays readable
 _DOTS = 120  # [1/in] of what is drawn as pixels: thousands of path segments would be megabytes as SVG
@@ -168,7 +168,7 @@ def _draw_world(figure: Figure, place: tuple[int, int, int], world: World) -> Ax
         axes.yaxis.set_visible(False)
     axes.set(xlim=(x0, x1), ylim=(y0, y1))
     axes.spines[:].set_visible(False)
-    walls = [Polygon(np.array(box.exterior.coords)) for box in box_shapes(world.boxes)]
+    walls = [Polygon(np.array(box.exterior.coords)) for box in box_polygons(world.boxes)]
     posts = [Circle((x, y), radius) for x, y, radius in world.posts]
     axes.add_collection(PatchCollection([*walls, *posts], facecolor=WALL, linewidth=0, zorder=2))
     return axes

@@ -47,7 +47,7 @@ def drive_section(drive: Drive, world: World | None = None) -> DriveSection:
 
     Odometry does not know where in the world it began: such a drive begins at the world's start.
     """
-    way, told = drive.way, drive.commands
+    way, told = drive.trajectory, drive.commands
     return DriveSection(
         drive,
         world.name if world else "",
@@ -60,7 +60,7 @@ def drive_section(drive: Drive, world: World | None = None) -> DriveSection:
 
 @matplotlib.rc_context(STYLE)
 def _draw_path(drive: Drive, world: World | None) -> Markup:
-    path = drive.way[:, 1:3] if world is None or len(drive.truth) else drive.begun_at(world.start)
+    path = drive.trajectory[:, 1:3] if world is None or len(drive.truth) else drive.path_from(world.start)
     low, high = path.min(axis=0) - _MARGIN, path.max(axis=0) + _MARGIN
     if world is not None:
         low, high = np.minimum(low, world.bounds[:2]), np.maximum(high, world.bounds[2:])
@@ -80,7 +80,7 @@ def _touches(drive: Drive, path: np.ndarray) -> np.ndarray:
     """Where it began to touch something: x, y [m], shape (touches, 2)."""
     touched = np.diff(drive.touches[:, 1], prepend=0.0) > 0.0
     times = _few(drive.touches[touched, 0])
-    return np.column_stack([np.interp(times, drive.way[:, 0], column) for column in path.T])
+    return np.column_stack([np.interp(times, drive.trajectory[:, 0], column) for column in path.T])
 
 
 def _few(things: np.ndarray) -> np.ndarray:

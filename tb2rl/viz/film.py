@@ -15,13 +15,13 @@ from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import replacing
 from tb2rl.deploy.ros.robot import RosRobot, ros_robot
 from tb2rl.envs.scene import Scene
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
+from tb2rl.evaluation.moments import LARGEST_SEED, Moment, Policy, roll_out, time_limit
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.evaluation.rollout import LARGEST_SEED, Moment, Policy, roll_out, time_limit
 from tb2rl.evaluation.spaces import check_observes
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import config_of, load
-from tb2rl.simulation import SIMULATIONS, judging_simulation
+from tb2rl.simulation import SIMULATIONS, default_simulator
 from tb2rl.viz.cameras import CAMERAS
 from tb2rl.viz.caption import with_caption
 from tb2rl.viz.shots import shots
@@ -56,9 +56,9 @@ def open_env(
     steps: int,
     simulation: str | None = None,
 ) -> tuple[Policy, TurtleBot2Env]:
-    """The same with the environment, see `open_scene`; `simulation` None: see `judging_simulation`."""
+    """The same with the environment, see `open_scene`; `simulation` None: see `default_simulator`."""
     policy, scene = open_scene(policy, config, settings, steps)
-    return policy, TurtleBot2Env(scene, simulation=simulation or judging_simulation())
+    return policy, TurtleBot2Env(scene, simulation=simulation or default_simulator())
 
 
 def drives(
@@ -119,7 +119,7 @@ def film(
     check_numbers(episodes, steps, seed, speed)
     policy, scene = open_scene(policy, config, settings or {}, steps)
     if simulation is None:
-        simulation = judging_simulation()
+        simulation = default_simulator()
     if isinstance(simulation, str) and simulation in SIMULATIONS:
         env = TurtleBot2Env(scene, simulation=simulation)
     else:

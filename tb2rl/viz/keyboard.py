@@ -9,9 +9,9 @@ import numpy as np
 
 from tb2rl.envs.encodings import ranges_to_bins
 from tb2rl.envs.scene import Scene
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.robots import Laser, Robot
-from tb2rl.simulation import RobotState, judging_simulation
+from tb2rl.simulation import RobotState, default_simulator
 
 STILL = np.zeros(2)  # a command: v [m/s], w [rad/s]
 STEERING = {"w": (0.1, 0.0), "s": (-0.1, 0.0), "a": (0.0, 0.5), "d": (0.0, -0.5)}  # what a key adds to the command
@@ -24,11 +24,11 @@ class Teleop:
     Args:
         scene: What to drive, where, and at which task.
         seed: Of the start poses.
-        simulation: "bullet" or "kinematic"; None: see `judging_simulation`.
+        simulation: "bullet" or "kinematic"; None: see `default_simulator`.
     """
 
     def __init__(self, scene: Scene, seed: int, simulation: str | None = None) -> None:
-        self.scene, self.env = scene, TurtleBot2Env(scene, simulation=simulation or judging_simulation())
+        self.scene, self.env = scene, TurtleBot2Env(scene, simulation=simulation or default_simulator())
         self.command = STILL
         self.news = ""
         self.env.reset(seed=seed)

@@ -9,10 +9,10 @@ from typing import Any
 
 from tb2rl.deploy.bags.recorded import RecordedEnv
 from tb2rl.deploy.bags.recorder import check_bag, open_bag
+from tb2rl.evaluation.moments import Policy, time_limit
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.evaluation.rollout import Policy, time_limit
 from tb2rl.runs.config import Config
-from tb2rl.simulation import judging_simulation
+from tb2rl.simulation import default_simulator
 from tb2rl.viz.film import STEPS, Listener, check_numbers, drives, open_scene
 
 
@@ -46,7 +46,7 @@ def record(
     steps = time_limit(steps, settings or {}, STEPS)
     check_numbers(episodes, steps, seed)
     policy, scene = open_scene(policy, config, settings or {}, steps)
-    env = RecordedEnv(scene, simulation=simulation or judging_simulation())
+    env = RecordedEnv(scene, simulation=simulation or default_simulator())
     bar = progress_bar(None, "recording", "step", total=episodes * steps, shown=progress)
     with closing(env), bar:
         for each, moments in zip(paths, drives(env, policy, episodes, seed, listener), strict=True):

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tb2rl.evaluation.rollout import Moment
-from tb2rl.simulation.outlines import X, Y
+from tb2rl.evaluation.moments import Moment
+from tb2rl.simulation.obstacles.outlines import X, Y
 
 _HOLD = 1.0  # [s] that the end of an episode stays to be seen
 

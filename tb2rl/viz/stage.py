@@ -14,10 +14,10 @@ import numpy as np
 
 from tb2rl.rendering.above import GOAL_RADIUS
 from tb2rl.simulation import SimulationSpec
-from tb2rl.simulation.bodies import RobotBody, add_floor, add_robot, add_walls, connect
-from tb2rl.simulation.camera import take_picture
-from tb2rl.simulation.crowd import MoverBodies
-from tb2rl.simulation.physics import pybullet, quiet
+from tb2rl.simulation.bullet.bodies import RobotBody, add_floor, add_robot, add_walls, connect
+from tb2rl.simulation.bullet.camera import take_picture
+from tb2rl.simulation.bullet.client import pybullet, quiet
+from tb2rl.simulation.bullet.obstacle_bodies import MoverBodies
 from tb2rl.viz.floor import EYE, FIELD_OF_VIEW, TARGET, draw_floor
 
 _REACH = (0.05, 30.0)  # [m] nearest and farthest that the chase camera sees

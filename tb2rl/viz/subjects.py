@@ -15,11 +15,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import top_folder
 from tb2rl.envs.scene import Scene
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
-from tb2rl.evaluation.evaluator import evaluate
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run, config_file, read_config
-from tb2rl.runs.hub import HUB, name_of
+from tb2rl.runs.hub import HUB, cached_reference
 from tb2rl.runs.loading import checkpoint_file, config_of, load
 from tb2rl.viz.curves import Curve, read_curves
 
@@ -120,7 +120,7 @@ def _folders(reference: str) -> list[Path]:
 def names_of(folders: Sequence[Path]) -> list[str]:
     """What the page calls runs: as zoo and hub do, and other folders what their paths do not have in common."""
     zoo = top_folder("zoo").resolve()
-    known = {folder: f"zoo:{folder.name}" if folder.parent == zoo else name_of(folder) for folder in folders}
+    known = {folder: f"zoo:{folder.name}" if folder.parent == zoo else cached_reference(folder) for folder in folders}
     shared = shared_path([str(folder.parent) for folder in folders if known[folder] is None])
     return [known[folder] or str(folder.relative_to(shared) if shared else folder) for folder in folders]
 

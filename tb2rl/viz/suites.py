@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluator import Evaluator
+from tb2rl.evaluation.moments import Policy
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.evaluation.rollout import Policy
 from tb2rl.evaluation.suite_result import JUDGES, NamedDrive, SuiteResult
 from tb2rl.evaluation.suites import evaluator_of
 from tb2rl.runs.folder import suite_files

@@ -14,8 +14,8 @@ import numpy as np
 from tb2rl.core.errors import InputError
 from tb2rl.core.processes import main_hidden
 from tb2rl.envs.scene import Scene
-from tb2rl.evaluation.rollout import Moment
-from tb2rl.simulation import InitialState, check_bullet, judging_simulation
+from tb2rl.evaluation.moments import Moment
+from tb2rl.simulation import InitialState, check_bullet, default_simulator
 from tb2rl.viz.pictures import goal_of
 from tb2rl.viz.shots import shots
 
@@ -80,7 +80,7 @@ class Window:
 
 def has_display() -> bool:
     """Whether PyBullet's window can be expected to open; only on Linux a variable tells."""
-    return judging_simulation() == "bullet" and (
+    return default_simulator() == "bullet" and (
         not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))
     )
 

@@ -16,8 +16,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.files import write_text
 from tb2rl.core.values import Point, Pose, Positive, build
 from tb2rl.worlds.drawing import read_drawing
-from tb2rl.worlds.dynamic_obstacles import said_of
-from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.world import Bounds, BoxShape, World
 
 
@@ -49,7 +48,7 @@ class Post:
 
 @dataclass(frozen=True)
 class Description:
-    """What a world's YAML file may say."""
+    """Keys of a world's YAML file."""
 
     description: str = ""
     walls: tuple[Wall, ...] = ()
@@ -60,63 +59,53 @@ class Description:
     start: Pose | None = None
     goal: Pose | None = None
     bounds: Bounds | None = None  # None: around the obstacles
-    dynamic_obstacles: Any = None  # what moves: see `tb2rl.worlds.dynamic_obstacles`
+    dynamic_obstacles: Any = None  # see `tb2rl.worlds.dynamic_obstacles`
 
 
 def write_description(world: World, path: Path) -> None:
-    """Write a world as a YAML file that `world_from` reads: the same boxes and posts, and what moves.
+    """Write a world as a YAML file that `world_from` reads.
 
     Raises:
         OSError: If it cannot be written.
     """
-    boxes = [
-        {"centre": [x, y], "size": [2 * half_length, 2 * half_width], "yaw": math.atan2(sin, cos)}
-        for x, y, half_length, half_width, cos, sin in world.boxes.tolist()
-    ]
-    said = {
+    content = {
         "description": world.description,
-        "boxes": boxes,
+        "boxes": [{"centre": box[:2], "size": box[2:4], "yaw": box[4]} for box in map(list, world.box_shapes)],
         "posts": [{"centre": [x, y], "radius": radius} for x, y, radius in world.posts.tolist()],
         "start": [float(value) for value in world.start],
         "goal": world.goal and [float(value) for value in world.goal],
         "bounds": [float(value) for value in world.bounds],
-        "dynamic_obstacles": [said_of(group) for group in world.dynamic_obstacles],
+        "dynamic_obstacles": [group.settings() for group in world.dynamic_obstacles],
     }
-    kept = {key: value for key, value in said.items() if value}
+    kept = {key: value for key, value in content.items() if value}
     write_text(path, yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, width=120))
 
 
-def world_from(content: Any, name: str, beside: Import | None = None) -> World:
-    """The world that the content of a YAML file describes, see `Description`.
-
-    Args:
-        content: What is in the file.
-        name: What the world is called.
-        beside: What is said beside the file: it comes before what the file says.
+def world_from(content: Any, name: str, options: ImportOptions | None = None) -> World:
+    """Make a world from the content of a YAML file, see `Description`; `options` take precedence over it.
 
     Raises:
-        InputError: If it does not fit.
+        InputError: If it is invalid.
     """
-    beside = beside or Import()
-    said = build(Description, content, f"world {name}")
+    options = options or ImportOptions()
+    described = build(Description, content, f"world {name}")
     try:
-        drawn = read_drawing(said.drawing, said.cell)
+        drawn = read_drawing(described.drawing, described.cell)
     except InputError as error:
         raise InputError(f"world {name}: {error}") from None
-    start, goal = beside.start or said.start or drawn.start, beside.goal or said.goal or drawn.goal
+    start = options.start or described.start or drawn.start
     if start is None:
         raise InputError(f"world {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")
-    boxes = [*_wall_boxes(said.walls), *((*box.centre, *box.size, box.yaw) for box in said.boxes), *drawn.boxes]
-    posts = [(*post.centre, post.radius) for post in said.posts]
+    boxes = ((*box.centre, *box.size, box.yaw) for box in described.boxes)
     return World.from_shapes(
         name,
-        boxes,
-        posts,
+        [*_wall_boxes(described.walls), *boxes, *drawn.boxes],
+        [(*post.centre, post.radius) for post in described.posts],
         start=start,
-        goal=goal,
-        bounds=beside.bounds or said.bounds,
-        description=said.description,
-        dynamic_obstacles=said.dynamic_obstacles,
+        goal=options.goal or described.goal or drawn.goal,
+        bounds=options.bounds or described.bounds,
+        description=described.description,
+        dynamic_obstacles=described.dynamic_obstacles,
     )
 
 

@@ -1,6 +1,6 @@
-"""The floor of a world as a grid of squares: how far each is from what stands there, and which a robot can get to.
+"""The floor of a world as a grid of squares: their clearance, and which of them a robot can reach.
 
-A grid takes milliseconds where the exact free space (`World.free_space`) takes a second: thousands of worlds need it.
+The grid takes milliseconds where the exact free space (`World.free_space`) takes a second; thousands of worlds need it.
 """
 
 from __future__ import annotations
@@ -12,22 +12,21 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.core.errors import InputError
+from tb2rl.worlds.grid import gap_to_post, squared_gap_to_box
 from tb2rl.worlds.world import World
 
-SIDE = 0.1  # [m] of a square; so two that touch, each 0.18 m from all walls, have 0.17 m between them
-
+SIDE = 0.1  # [m] of a square; so between two neighbours, each 0.18 m from all walls, 0.17 m are free
 MOST_SQUARES = 4_000_000  # 200 x 200 m: a quarter of a gigabyte
 
 
 @dataclass(frozen=True)
 class Floor:
-    """The squares between the bounds of a world.
+    """The squares within the bounds of a world.
 
     Attributes:
-        clearance: From the middle of each to the nearest obstacle and to the bounds, at most what was asked [m], shape
-            (rows, columns).
-        corner: x and y of the lower left one's middle [m].
-        side: Of a square [m].
+        clearance: Distance from each centre to the nearest obstacle or bound, clipped [m], shape (rows, columns).
+        corner: x and y of the lower left square's centre [m].
+        side: Side of a square [m].
     """
 
     clearance: np.ndarray
@@ -35,8 +34,8 @@ class Floor:
     side: float = SIDE
 
     @classmethod
-    def of(cls, world: World, reach: float, side: float = SIDE) -> Floor:
-        """The floor of a world in squares of that side [m], with clearances up to `reach` [m].
+    def of(cls, world: World, most: float, side: float = SIDE) -> Floor:
+        """Divide the floor of a world into squares, with clearances clipped to `most` [m].
 
         Raises:
             InputError: If it has more than `MOST_SQUARES`.
@@ -51,54 +50,91 @@ class Floor:
         left, bottom = (x0 + x1 - (columns - 1) * side) / 2, (y0 + y1 - (rows - 1) * side) / 2
         x, y = left + side * np.arange(columns), bottom + side * np.arange(rows)
         clearance = np.minimum(np.minimum(y - y0, y1 - y)[:, None], np.minimum(x - x0, x1 - x))
-        clearance = np.minimum(clearance, reach)
-        _lower_around(left, bottom, side, world.boxes, world.posts, reach, clearance)
+        clearance = np.minimum(clearance, most)
+        _lower_around(x, y, side, world.boxes, world.posts, most, clearance)
         return cls(clearance, (left, bottom), side)
 
     def steps_from(self, x: float, y: float, clearance: float) -> np.ndarray:
-        """Squares on the way to each from the one at x, y [m], over those with that clearance [m]; -1: there is none.
+        """Count the steps from the square at x, y [m] over squares of that clearance [m]; -1 for unreachable squares.
 
         Returns:
             Shape (rows, columns), int32; 0 at the start itself, which counts as free.
         """
-        rows, columns = self.clearance.shape
-        column = min(max(round((x - self.corner[0]) / self.side), 0), columns - 1)
-        row = min(max(round((y - self.corner[1]) / self.side), 0), rows - 1)
-        steps = np.full((rows, columns), -1, dtype=np.int32)
-        _flood(self.clearance >= clearance, row, column, steps)
+        steps = np.full(self.clearance.shape, -1, dtype=np.int32)
+        _flood(self.clearance >= clearance, *self.square_at(x, y), steps)
         return steps
 
-    def middle(self, row: int, column: int) -> tuple[float, float]:
-        """X and y of the middle of a square [m]."""
+    def square_at(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column of the square at a point [m], or of the nearest one; 0 for NaN."""
+        rows, columns = self.clearance.shape
+        return nearest_square(y, self.corner[1], self.side, rows), nearest_square(x, self.corner[0], self.side, columns)
+
+    def centre(self, row: int, column: int) -> tuple[float, float]:
+        """X and y of a square's centre [m]."""
         return self.corner[0] + self.side * column, self.corner[1] + self.side * row
+
+    def centres(self, selected: np.ndarray) -> np.ndarray:
+        """X and y of the centres [m] of the squares that a mask (rows, columns) selects, shape (n, 2)."""
+        row, column = np.nonzero(selected)
+        return np.column_stack([self.corner[0] + self.side * column, self.corner[1] + self.side * row])
+
+
+def nearest_square(at: float, first: float, side: float, count: float) -> int:
+    """Row or column, of `count` whose first centre is at `first` [m], nearest to a coordinate [m]; 0 for NaN."""
+    return 0 if math.isnan(at) else int(min(max(round((at - first) / side), 0), count - 1))
+
+
+class GrowingTable:
+    """Rows of float32 that can be appended; the memory grows by half, so that rows are seldom copied.
+
+    Args:
+        shape: Shape of one row.
+    """
+
+    def __init__(self, *shape: int) -> None:
+        self._used, self._memory = 0, np.empty((0, *shape), dtype=np.float32)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """All rows, shape (rows, *shape)."""
+        return self._memory[: self._used]
+
+    def append(self, rows: np.ndarray) -> int:
+        """Append rows; return the number of the first one."""
+        first, needed = self._used, self._used + len(rows)
+        if needed > len(self._memory):
+            grown = np.empty((needed + needed // 2, *rows.shape[1:]), dtype=np.float32)
+            grown[:first] = self.rows
+            self._memory = grown
+        self._memory[first:needed] = rows
+        self._used = needed
+        return first
 
 
 @njit(cache=True)
-def _lower_around(left, bottom, side, boxes, posts, reach, grid):
-    """Lower `grid` (rows, columns) to the distance from each obstacle [m], in the squares that are `reach` from it."""
+def _lower_around(x, y, side, boxes, posts, most, grid):
+    """Lower `grid` (rows, columns) to the distance from each obstacle [m], in the squares within `most` of it.
+
+    `x` (columns,) and `y` (rows,) are the centres of the squares [m].
+    """
     for k in range(boxes.shape[0]):
         cos, sin = boxes[k, 4], boxes[k, 5]
-        wide = boxes[k, 2] * abs(cos) + boxes[k, 3] * abs(sin) + reach
-        high = boxes[k, 2] * abs(sin) + boxes[k, 3] * abs(cos) + reach
-        for row in range(*_within(boxes[k, 1] - bottom, high, side, grid.shape[0])):
-            for column in range(*_within(boxes[k, 0] - left, wide, side, grid.shape[1])):
-                east, north = left + side * column - boxes[k, 0], bottom + side * row - boxes[k, 1]
-                dx = max(abs(cos * east + sin * north) - boxes[k, 2], 0.0)
-                dy = max(abs(cos * north - sin * east) - boxes[k, 3], 0.0)
-                grid[row, column] = min(grid[row, column], math.sqrt(dx * dx + dy * dy))
+        wide = boxes[k, 2] * abs(cos) + boxes[k, 3] * abs(sin) + most
+        high = boxes[k, 2] * abs(sin) + boxes[k, 3] * abs(cos) + most
+        for row in range(*_within(boxes[k, 1] - y[0], high, side, y.size)):
+            for column in range(*_within(boxes[k, 0] - x[0], wide, side, x.size)):
+                gap = math.sqrt(squared_gap_to_box(x[column], y[row], boxes, k))
+                grid[row, column] = min(grid[row, column], gap)
     for k in range(posts.shape[0]):
-        wide = posts[k, 2] + reach
-        for row in range(*_within(posts[k, 1] - bottom, wide, side, grid.shape[0])):
-            for column in range(*_within(posts[k, 0] - left, wide, side, grid.shape[1])):
-                east, north = left + side * column - posts[k, 0], bottom + side * row - posts[k, 1]
-                grid[row, column] = min(
-                    grid[row, column], max(math.sqrt(east * east + north * north) - posts[k, 2], 0.0)
-                )
+        wide = posts[k, 2] + most
+        for row in range(*_within(posts[k, 1] - y[0], wide, side, y.size)):
+            for column in range(*_within(posts[k, 0] - x[0], wide, side, x.size)):
+                grid[row, column] = min(grid[row, column], gap_to_post(x[column], y[row], posts, k))
 
 
 @njit(cache=True)
 def _within(middle, half, side, count):
-    """The first and the last but one of `count` squares whose middles are within `half` of `middle` [m]."""
+    """First and end of the squares, of `count`, whose centres are within `half` of `middle` [m]."""
     return max(math.ceil((middle - half) / side), 0), min(math.floor((middle + half) / side) + 1, count)
 
 

@@ -1,7 +1,7 @@
-"""Where robots can begin in any of many worlds, without Python for each robot.
+"""Start poses in any of many worlds, drawn without Python code per robot.
 
-`World.poses_from` is exact, and takes a second for the first poses in a world of hundreds of posts. Here places are
-squares of a grid, see `tb2rl.worlds.floor`, each with the room that is around its middle.
+`World.poses_from` is exact, but its first poses take a second in a world of hundreds of posts. Here poses are drawn
+from squares of `tb2rl.worlds.floor`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from tb2rl.core.compiled import njit
-from tb2rl.worlds.floor import SIDE, Floor
+from tb2rl.worlds.floor import SIDE, Floor, GrowingTable
 from tb2rl.worlds.world import World
 
 
 class Places:
-    """The squares of many worlds in one table, each world's looked for when a robot first begins there.
+    """The squares of many worlds in one table; those of a world are found when a robot first starts there.
 
     Args:
-        worlds: Which.
-        radius: Of the robot [m]; doors that it fits through are ways, even if no episode can begin in them.
+        worlds: The worlds.
+        radius: Radius of the robot [m]; it may pass doors that fit it, even if no episode can start in them.
     """
 
     def __init__(self, worlds: Sequence[World], radius: float) -> None:
@@ -29,9 +29,9 @@ class Places:
         self._tables: dict[float, _Table] = {}
 
     def poses_from(self, worlds: np.ndarray, draws: np.ndarray, clearance: float) -> np.ndarray:
-        """The poses that four random numbers in [0, 1) each mean: a square, a point around its middle, a heading.
+        """Turn four random numbers in [0, 1) each into a pose: a square, a point around its centre, a heading.
 
-        They are where a robot gets to from the start of its world, spread evenly but for the last centimetres to walls.
+        The poses can be reached from the start of their world, and are spread evenly except near walls.
 
         Args:
             worlds: Index of each robot's world, shape (num_envs,).
@@ -45,47 +45,34 @@ class Places:
         for world in np.unique(worlds[table.first[worlds] < 0]).tolist():
             table.add(world, self._squares(self._worlds[world], clearance))
         poses = np.empty((len(draws), 3))
-        _place_in_squares(worlds, draws, table.first, table.count, table.squares, poses)
+        _place_in_squares(worlds, draws, table.first, table.count, table.squares.rows, poses)
         return poses
 
     def _squares(self, world: World, clearance: float) -> np.ndarray:
-        """x, y of the middle of each square where a robot can begin, and how far from it [m], shape (n, 3)."""
+        """x, y of the centre of each possible square, and the largest offset from it [m], shape (n, 3)."""
         floor = Floor.of(world, max(clearance, self._radius) + SIDE)
         steps = floor.steps_from(*world.start[:2], self._radius)
-        row, column = np.nonzero((steps >= 0) & (floor.clearance >= clearance))
-        if not len(row):  # in the middle of no square
+        possible = (steps >= 0) & (floor.clearance >= clearance)
+        if not possible.any():  # the start itself has room, but no centre of a square
             return np.array([(*world.start[:2], 0.0)], dtype=np.float32)
-        room = (floor.clearance[row, column] - clearance) / math.sqrt(2.0)
-        (left, bottom), room = floor.corner, np.minimum(room, SIDE / 2)
-        return np.column_stack([left + SIDE * column, bottom + SIDE * row, room]).astype(np.float32)
+        room = (floor.clearance[possible] - clearance) / math.sqrt(2.0)
+        return np.column_stack([floor.centres(possible), np.minimum(room, SIDE / 2)]).astype(np.float32)
 
 
 class _Table:
-    """The squares of all worlds, one world after the other as they were added."""
+    """Squares of all worlds: x, y and largest offset [m]; first row and number of rows of each world."""
 
     def __init__(self, worlds: int) -> None:
         self.first, self.count = np.full(worlds, -1), np.zeros(worlds, dtype=int)
-        self._used, self._room = 0, np.empty((0, 3), dtype=np.float32)
-
-    @property
-    def squares(self) -> np.ndarray:
-        """Rows of x, y and how far from there [m], shape (squares, 3)."""
-        return self._room[: self._used]
+        self.squares = GrowingTable(3)
 
     def add(self, world: int, squares: np.ndarray) -> None:
-        """Add those of a world; the table grows by half, so that it is seldom copied."""
-        needed = self._used + len(squares)
-        if needed > len(self._room):
-            grown = np.empty((needed + needed // 2, 3), dtype=np.float32)
-            grown[: self._used] = self.squares
-            self._room = grown
-        self._room[self._used : needed] = squares
-        self.first[world], self.count[world], self._used = self._used, len(squares), needed
+        self.first[world], self.count[world] = self.squares.append(squares), len(squares)
 
 
 @njit(cache=True)
 def _place_in_squares(worlds, draws, first, count, squares, poses):
-    """Write the pose (num_envs, 3) that each robot's four numbers (num_envs, 4) mean; see `Places.poses_from`."""
+    """Write the poses (num_envs, 3); see `Places.poses_from`."""
     for i in range(draws.shape[0]):
         k = worlds[i]
         square = first[k] + min(int(draws[i, 0] * count[k]), count[k] - 1)

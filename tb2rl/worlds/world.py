@@ -19,7 +19,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Point, Pose
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles, find_dynamic_obstacles
 from tb2rl.worlds.geometry import clearance_one, place_in_triangles
-from tb2rl.worlds.index import Index, index_of
+from tb2rl.worlds.index import WorldIndex, index_of
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
 _ROUNDING = 1e-9  # [m]
@@ -27,22 +27,20 @@ _ROUNDING = 1e-9  # [m]
 BoxShape = tuple[float, float, float, float, float]  # x, y, length, width [m], yaw [rad]
 PostShape = tuple[float, float, float]  # x, y, radius [m]
 Bounds = tuple[float, float, float, float]  # x from, y from, x to, y to [m]
-Triangles = tuple[np.ndarray, np.ndarray]  # corners [m], shape (triangles, 3, 2); summed shares of the area
+Triangles = tuple[np.ndarray, np.ndarray]  # corners [m], shape (triangles, 3, 2); cumulative share of the area
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Obstacles, and where a robot may be among them; made by `from_shapes`.
+    """Obstacles, start and goal; made by `from_shapes`.
 
     Attributes:
-        name: What it is called.
         boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
         posts: Rows of x, y, radius [m], shape (posts, 3).
         start: The fixed start pose x [m], y [m], yaw [rad].
         goal: The goal pose, or None.
         bounds: The rectangle that counts as the world.
         description: One line for people.
-        dynamic_obstacles: What moves in it, beside the obstacles.
     """
 
     name: str
@@ -53,8 +51,8 @@ class World:
     bounds: Bounds
     description: str = ""
     dynamic_obstacles: tuple[DynamicObstacles, ...] = ()
-    _free_spaces: dict[float, BaseGeometry] = field(default_factory=dict, repr=False)
-    _triangles: dict[float, Triangles] = field(default_factory=dict, repr=False)
+    _free_spaces: dict[float, BaseGeometry] = field(default_factory=dict, init=False, repr=False)
+    _triangles: dict[float, Triangles] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def from_shapes(
@@ -69,21 +67,21 @@ class World:
         description: str = "",
         dynamic_obstacles: Any = None,
     ) -> World:
-        """A world from the shapes in it; what a reader of a file format ends with.
+        """Make a world from its shapes.
 
         Args:
-            name: What it is called.
+            name: Name of the world.
             boxes: x, y of the centre, length, width [m] and yaw [rad] of each box.
             posts: x, y and radius [m] of each post.
             start: The fixed start pose x [m], y [m], yaw [rad].
             goal: The goal pose, if there is one.
-            bounds: The rectangle that counts as the world; None: around the obstacles.
+            bounds: The rectangle that counts as the world; None: the rectangle around the obstacles.
             description: One line for people.
-            dynamic_obstacles: What moves in it: `DynamicObstacles`, or what `find_dynamic_obstacles` takes.
+            dynamic_obstacles: `DynamicObstacles`, or a setting that `find_dynamic_obstacles` takes.
 
         Raises:
-            InputError: If there is neither an obstacle nor a rectangle, the rectangle is empty, a shape or a mover is
-                not what it should be, or the goal is outside or in an obstacle.
+            InputError: If there are neither obstacles nor bounds, a value is invalid, or the goal is outside the bounds
+                or in an obstacle.
         """
         box_rows = _box_rows(_shapes(boxes, "box", ("x", "y", "length", "width", "yaw"), name))
         post_rows = np.array(_shapes(posts, "post", ("x", "y", "radius"), name)).reshape(-1, 3)
@@ -92,7 +90,7 @@ class World:
         _numbers(bounds, ("x from", "y from", "x to", "y to"), f"world {name}: bounds")
         if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
             raise InputError(f"world {name}: bounds must be x from, y from, x to, y to, got {list(bounds)}")
-        groups = find_dynamic_obstacles(dynamic_obstacles, f"world {name}: movers")
+        groups = find_dynamic_obstacles(dynamic_obstacles, f"world {name}: dynamic_obstacles")
         world = cls(name, box_rows, post_rows, start, goal, bounds, description, groups)
         if goal is not None:
             x, y, _ = _numbers(goal, ("x", "y", "yaw"), f"world {name}: the goal")
@@ -101,71 +99,68 @@ class World:
                 raise InputError(f"world {name}: the goal ({x:g}, {y:g}) is {where}")
         return world
 
-    @cached_property
-    def index(self) -> Index:
-        """Where to look for its obstacles: what laser and clearance read."""
-        return index_of(self.boxes, self.posts)
-
     def with_places(self, start: Pose | None, goal: Pose | None, bounds: Bounds | None = None) -> World:
-        """The same obstacles with another start, goal or rectangle; None: as it is.
+        """The same obstacles with another start, goal or bounds; None keeps the present one.
 
         Raises:
-            InputError: If they do not fit, as for `from_shapes`.
+            InputError: If they are invalid, as for `from_shapes`.
         """
         if start is goal is bounds is None:
             return self
-        boxes = [(x, y, 2 * along, 2 * across, math.atan2(sin, cos)) for x, y, along, across, cos, sin in self.boxes]
-        posts = [(x, y, radius) for x, y, radius in self.posts]
-        start, goal, bounds = start or self.start, goal or self.goal, bounds or self.bounds
         return World.from_shapes(
             self.name,
-            boxes,
-            posts,
-            start=start,
-            goal=goal,
-            bounds=bounds,
+            self.box_shapes,
+            self.posts.tolist(),
+            start=start or self.start,
+            goal=goal or self.goal,
+            bounds=bounds or self.bounds,
             description=self.description,
             dynamic_obstacles=self.dynamic_obstacles,
         )
 
     @property
+    def box_shapes(self) -> list[BoxShape]:
+        """The boxes as `from_shapes` takes them."""
+        rows = self.boxes.tolist()
+        return [(x, y, 2 * along, 2 * across, math.atan2(sin, cos)) for x, y, along, across, cos, sin in rows]
+
+    @cached_property
+    def index(self) -> WorldIndex:
+        """Spatial index of the obstacles, for laser and clearance."""
+        return index_of(self.boxes, self.posts)
+
+    @property
     def obstacles(self) -> BaseGeometry:
-        """All obstacles as one shape."""
+        """Union of all obstacles."""
         return shapely.union_all(self.outlines())
 
     def outlines(self, beyond: float = 0.0, segments: int = 32) -> np.ndarray:
-        """The polygon of each obstacle, shape (boxes + posts,).
+        """Polygons of the obstacles, shape (boxes + posts,).
 
         Args:
-            beyond: How far outside of the obstacle it is drawn, corners staying corners [m].
-            segments: Of a quarter of a circle.
+            beyond: Enlargement on all sides [m]; corners stay sharp.
+            segments: Number of segments of a quarter circle.
         """
         larger = np.array([0.0, 0.0, beyond, beyond, 0.0, 0.0])
-        return np.concatenate([box_shapes(self.boxes + larger), post_shapes(self.posts + larger[:3], segments)])
+        return np.concatenate([box_polygons(self.boxes + larger), post_polygons(self.posts + larger[:3], segments)])
 
     def free_space(self, clearance: float) -> BaseGeometry:
-        """Where a robot from the start can get its centre to, `clearance` [m] from every obstacle and the bounds.
+        """Where a robot's centre can get to from the start, `clearance` [m] from every obstacle and the bounds.
 
         Raises:
             InputError: If the start itself has no such clearance.
         """
         if clearance not in self._free_spaces:
-            self._free_spaces[clearance] = self._find_free_space(clearance)
+            start, bounds = shapely.Point(self.start[:2]), shapely.box(*self.bounds)
+            space = bounds.buffer(-clearance).difference(self.obstacles.buffer(clearance, quad_segs=32))
+            reachable = [part for part in shapely.get_parts(space) if part.intersects(start)]
+            if not (bounds.covers(start) and reachable):
+                raise self._start_error(clearance)
+            self._free_spaces[clearance] = reachable[0]
         return self._free_spaces[clearance]
 
-    def _find_free_space(self, clearance: float) -> BaseGeometry:
-        start = shapely.Point(self.start[:2])
-        if not shapely.box(*self.bounds).covers(start):
-            raise self._start_error(clearance)
-        inside = shapely.box(*self.bounds).buffer(-clearance)
-        open_space = inside.difference(self.obstacles.buffer(clearance, quad_segs=32))
-        reachable = [part for part in shapely.get_parts(open_space) if part.intersects(start)]
-        if not reachable:
-            raise self._start_error(clearance)
-        return reachable[0]
-
     def check_start(self, clearance: float) -> None:
-        """Raise what `free_space` raises if there is no room at the start, in a thousandth of its time."""
+        """Raise the error of `free_space` if the start has no such clearance [m], in a thousandth of its time."""
         (x, y, _), (x0, y0, x1, y1) = self.start, self.bounds
         if min(x - x0, x1 - x, y - y0, y1 - y, self.clearance(x, y)) < clearance - _ROUNDING:
             raise self._start_error(clearance)
@@ -189,13 +184,13 @@ class World:
         return x0 <= point[0] <= x1 and y0 <= point[1] <= y1
 
     def random_poses(self, rng: np.random.Generator, count: int, clearance: float) -> np.ndarray:
-        """Poses spread evenly over the free space, headings over the circle, shape (count, 3)."""
+        """Random poses, see `poses_from`, shape (count, 3)."""
         return self.poses_from(rng.random((count, 4)), clearance)
 
     def poses_from(self, draws: np.ndarray, clearance: float) -> np.ndarray:
-        """The poses that four random numbers in [0, 1) each mean, (count, 4) to (count, 3); see `random_poses`.
+        """Turn four random numbers in [0, 1) each into a pose, (count, 4) to (count, 3).
 
-        Points come from the triangles of the free space: no rejection, whatever the world.
+        The poses are spread evenly over a triangulation of the free space and all headings.
         """
         poses = np.empty((len(draws), 3))
         place_in_triangles(draws, *self._free_triangles(clearance), poses)
@@ -209,21 +204,21 @@ class World:
         return self._triangles[clearance]
 
 
-def box_shapes(rows: np.ndarray) -> np.ndarray:
-    """The polygons of rows of `World.boxes`, shape (n,)."""
+def box_polygons(rows: np.ndarray) -> np.ndarray:
+    """Polygons of rows of `World.boxes`, shape (n,)."""
     x, y, half_length, half_width, cos, sin = rows.T
     along, across = half_length * np.array([cos, sin]), half_width * np.array([-sin, cos])
     corners = np.array([along + across, across - along, -along - across, along - across])
     return shapely.polygons(np.moveaxis(corners + np.array([x, y]), 2, 0))
 
 
-def post_shapes(rows: np.ndarray, segments: int = 32) -> np.ndarray:
-    """Polygons around rows of `World.posts`, off by less than 1 mm per metre of radius with 32; shape (n,)."""
+def post_polygons(rows: np.ndarray, segments: int = 32) -> np.ndarray:
+    """Polygons of rows of `World.posts`, off by less than 1 mm per metre of radius with 32 segments; shape (n,)."""
     return shapely.buffer(shapely.points(rows[:, :2]), rows[:, 2], quad_segs=segments)
 
 
 def _shapes(shapes: Iterable[Iterable[float]], kind: str, names: Sequence[str], world: str) -> list[list[float]]:
-    """Shapes as lists of numbers, checked: all that is neither a place nor an angle is a size."""
+    """Shapes as lists of numbers, with sizes above 0."""
     checked = []
     for number, shape in enumerate(shapes):
         where = f"world {world}: {kind} {number} (the first is 0)"
@@ -245,10 +240,10 @@ def _numbers(values: Any, names: Sequence[str], where: str) -> list[float]:
 
 
 def _box_rows(boxes: Iterable[Sequence[float]]) -> np.ndarray:
-    """The rows of `World.boxes`: turned by 45 degrees at most, those of one orientation together.
+    """Rows of `World.boxes`, turned by 45 degrees at most, and sorted by orientation.
 
-    A box turned by a quarter is the same box with its sides swapped: so the walls of a square maze share one
-    orientation, and the laser needs the beams' directions in it only once.
+    A box turned by a quarter is the same box with its sides swapped. So the walls of a rectangular maze share one
+    orientation, and the laser needs the beam directions in it only once.
     """
     rows = []
     for x, y, length, width, yaw in boxes:
@@ -262,7 +257,7 @@ def _box_rows(boxes: Iterable[Sequence[float]]) -> np.ndarray:
 
 
 def _extent(boxes: np.ndarray, posts: np.ndarray, name: str) -> Bounds:
-    shapes = [*box_shapes(boxes), *post_shapes(posts)]
+    shapes = [*box_polygons(boxes), *post_polygons(posts)]
     if not shapes:
         raise InputError(f"world {name}: without obstacles it needs `bounds: [x from, y from, x to, y to]`")
     x0, y0, x1, y1 = shapely.total_bounds(shapes).tolist()

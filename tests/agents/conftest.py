@@ -1,4 +1,4 @@
-"""Small environments in which values can be worked out by hand."""
+"""Small environments with values that can be computed by hand."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ class Bandit(gym.Env):
 
 @cache
 def navigating(guide, frame_stack):
-    """What is observed and done in task `navigate`."""
+    """A scene of task `navigate`."""
     return make_scene(make_task("navigate", {"world": "wall", "guide": guide, "frame_stack": frame_stack}), "raw")
 
 
 class Playground:
-    """A floor with posts (x, y, radius [m]) on which a robot at x = y = 0, looking ahead, is to get to a target.
+    """A floor with posts (x, y, radius [m]) and a robot at x = y = 0, facing ahead, that has a target.
 
-    A waypoint is the target itself, cut to its 1.5 m. Walls are posts in a row.
+    A waypoint is the target itself, up to 1.5 m away. Walls are posts in a row.
     """
 
     GOAL_RADIUS = 0.3  # [m]
@@ -66,25 +66,25 @@ class Playground:
         self.angles = self.scene.laser.angles
 
     def policy(self, kind, **arguments):
-        """One for what is observed here."""
+        """A policy of this scene."""
         return kind(self.scene.observation_space, self.scene.action_space, **arguments)
 
     def observe(self, pose=(0.0, 0.0, 0.0), speeds=(0.0, 0.0)):
-        """What the robot observes at a pose x, y, yaw with speeds v, w: one frame."""
+        """The observation at a pose x, y, yaw with speeds v, w: one frame."""
         x, y, yaw = pose
         east, north = self.target - (x, y)
         far, bearing = np.hypot(east, north), np.arctan2(north, east) - yaw
         direction = np.array([np.cos(bearing), np.sin(bearing)])
         guide = [far, *direction, *np.zeros(25)] if self.guide == "goal" else min(far, 1.5) * direction  # visited
-        told = np.zeros(6 if self.guide == "goal" else 2)
-        return np.array([*self._ranges(x, y, yaw), *guide, *speeds, *told], dtype=np.float32)
+        rest = np.zeros(6 if self.guide == "goal" else 2)
+        return np.array([*self._ranges(x, y, yaw), *guide, *speeds, *rest], dtype=np.float32)
 
     def command(self, kind, speeds=(0.0, 0.0), **arguments):
-        """The v and w that a policy answers at the start."""
+        """The first command of a policy, v and w."""
         return self.scene.actions.commands(self.policy(kind, **arguments).predict(self.observe(speeds=speeds))[0])
 
     def drive(self, kind, steps, **arguments):
-        """Where a policy leads in so many steps of 0.1 s at most, until it is at the target.
+        """Drive by a policy for some steps of 0.1 s, or until the target.
 
         Returns:
             The path x, y [m], shape (steps + 1, 2), and the least distance from it to a post [m].
@@ -129,13 +129,13 @@ def bandit():
 
 @pytest.fixture
 def frozen_lake():
-    """A function that makes Gymnasium's frozen lake."""
+    """Makes Gymnasium's frozen lake."""
     return lambda slippery=False: Monitor(gym.make("FrozenLake-v1", is_slippery=slippery))
 
 
 @pytest.fixture
 def epsilons():
-    """A function from a learner and steps to epsilon at the choice of each action."""
+    """Returns epsilon in each step of a learner."""
 
     def of(model, steps, **arguments):
         seen = []

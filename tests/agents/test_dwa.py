@@ -1,4 +1,4 @@
-"""The dynamic window approach takes speeds that the motors reach, from which the robot can stop."""
+"""The dynamic window approach takes reachable speeds from which the robot can stop."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from tb2rl.robots.turtlebot2 import ROBOT
 
 
 @pytest.mark.parametrize("speeds", [(0.0, 0.0), (0.3, 1.0), (0.65, -2.0)])
-def test_it_commands_what_the_motors_reach_in_a_period(speeds, playground):
+def test_it_commands_reachable_speeds(speeds, playground):
     for target in ((1.5, 0.0), (0.0, 1.0), (-1.0, -0.5)):
         v, w = playground(target).command(DWA, speeds, acceleration=1.0, turn_acceleration=6.0)
         assert abs(v - speeds[0]) <= 0.1 + 1e-6
         assert abs(w - speeds[1]) <= 0.6 + 1e-6
 
 
-def test_it_accelerates_to_its_fastest(playground):
+def test_it_accelerates_to_full_speed(playground):
     path, _ = playground((4.0, 0.0)).drive(DWA, steps=30)
-    ways = np.hypot(*np.diff(path, axis=0).T)
-    assert ways[0] == pytest.approx(0.01, abs=0.002)
-    assert ways[-1] == pytest.approx(0.065, abs=0.002)
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    assert steps[0] == pytest.approx(0.01, abs=0.002)
+    assert steps[-1] == pytest.approx(0.065, abs=0.002)
 
 
 @pytest.mark.parametrize("v", [0.2, 0.4, 0.65])
@@ -41,7 +41,7 @@ def test_weights_decide_between_target_and_speed(playground):
     assert hurries[0] == pytest.approx(0.4, abs=1e-5)
 
 
-def test_it_rotates_away_from_what_it_stands_before_to_one_side(playground):
+def test_it_rotates_away_from_a_wall_to_one_side(playground):
     wall = [(0.3, y, 0.05) for y in np.arange(-0.5, 0.51, 0.04)]
     floor = playground((1.5, 0.0), wall)
     for turn in (-1.0, 1.0):

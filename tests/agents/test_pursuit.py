@@ -1,4 +1,4 @@
-"""Pure pursuit drives the arc that leads to its target, and bends where the arc is not free."""
+"""Pure pursuit drives along the arc to its target, and bends it if it is not free."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def test_its_arc_leads_to_the_target(target, playground):
     assert w / v == pytest.approx(2.0 * target[1] / np.hypot(*target) ** 2, rel=1e-4)
 
 
-def test_it_is_slow_where_the_arc_bends_or_something_stands_ahead(playground):
+def test_it_is_slow_on_sharp_arcs_and_towards_obstacles(playground):
     straight = playground((1.4, 0.0)).command(Pursuit)[0]
     bent = playground((0.1, 0.4)).command(Pursuit)[0]
     near = playground((1.4, 0.0), [(0.7, 0.0, 0.3)]).command(Pursuit, bends=0)[0]
@@ -22,7 +22,7 @@ def test_it_is_slow_where_the_arc_bends_or_something_stands_ahead(playground):
     assert 0.0 < near < bent < straight
 
 
-def test_it_turns_on_the_spot_to_what_is_behind(playground):
+def test_it_turns_on_the_spot_to_a_target_behind(playground):
     for side in (-1.0, 1.0):
         v, w = playground((-1.0, 0.3 * side)).command(Pursuit)
         assert v == pytest.approx(0.0, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Stable-Baselines3 around the tabular learner: callbacks, processes, logs, and saved tables."""
+"""Q-learning within Stable-Baselines3: callbacks, processes, logs, and saved tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import SubprocVecEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tb2rl.agents.qlearn import QLearning, QTable
+from tb2rl.agents.qlearn import QLearning
 from tb2rl.core.processes import process_context
 
 
@@ -30,8 +30,8 @@ def test_sb3s_callbacks_evaluate_checkpoint_and_stop(tmp_path, drive):
     assert QLearning.load(tmp_path / "rl_model_5_steps.zip").num_timesteps == 5
 
 
-def test_it_trains_on_environments_in_processes_of_sb3():
-    process_context()  # SB3 forks from the same server, which imports once what all of them need
+def test_it_trains_in_subprocesses_of_sb3():
+    process_context()  # SB3 forks from the same server
     environments = make_vec_env("tb2rl:TurtleBot2Maze-v0", 2, vec_env_cls=SubprocVecEnv)
     try:
         model = QLearning("QTable", environments).learn(20)
@@ -67,14 +67,7 @@ def test_a_saved_model_acts_the_same_and_goes_on_learning(tmp_path, frozen_lake,
     assert (again.num_timesteps, again.policy.visits.sum()) == (2100, visits + 100)
 
 
-def test_a_saved_table_acts_the_same(tmp_path, frozen_lake):
-    policy = QLearning("QTable", frozen_lake(), seed=0).learn(2000).policy
-    policy.save(tmp_path / "table")
-    again = QTable.load(tmp_path / "table")
-    assert [again.predict(state)[0] for state in range(16)] == [policy.predict(state)[0] for state in range(16)]
-
-
-def test_a_saved_table_holds_the_tried_pairs_only_and_the_others_come_back_as_they_were(frozen_lake):
+def test_a_saved_table_holds_only_the_visited_pairs(frozen_lake):
     settings = {"policy_kwargs": {"initial_value": 2.5}, "seed": 0}
     model = QLearning("QTable", frozen_lake(), **settings).learn(100)
     state = model.policy.state_dict()
@@ -90,19 +83,14 @@ def test_a_saved_table_holds_the_tried_pairs_only_and_the_others_come_back_as_th
 @pytest.mark.parametrize(
     "lie",
     [
-        {"pairs": [1, 1]},
         {"pairs": [2, 1]},
         {"pairs": [-1, 1]},
         {"pairs": [1, 64]},
         {"pairs": [2**63 - 2, -(2**63)]},
-        {"pairs": [1]},
         {"pairs": [[1, 2]]},
         {"pairs": [1.0, 2.0]},
         {"q": [1.0]},
-        {"q": [1, 2]},
         {"visits": [1, 0]},
-        {"visits": [1, -1]},
-        {"visits": [1, 2, 3]},
         {"visits": None},
         {"more": [1]},
     ],

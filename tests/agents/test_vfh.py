@@ -1,4 +1,4 @@
-"""VFH+ turns to the best of the directions that are free for a robot as wide as it is."""
+"""VFH+ turns to the best of the directions that are free for the width of the robot."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tb2rl.agents.vfh import VFH
 
 
 def side_walls(width: float) -> list[tuple[float, float, float]]:
-    """Two walls across the way, 1 m ahead, with a door of this width in the middle [m]."""
+    """A wall across the path, 1 m ahead, with a door of this width in the middle [m]."""
     ends = np.arange(width / 2.0 + 0.05, 3.0, 0.05)
     return [(1.0, side * y, 0.05) for y in ends for side in (-1.0, 1.0)]
 
@@ -45,7 +45,7 @@ def test_it_keeps_turning_to_the_same_side(playground):
         assert floor.command(VFH, (0.0, turn))[1] * turn > 1.0
 
 
-def test_it_prefers_the_direction_that_it_turns_to_already(playground):
+def test_it_prefers_the_previous_direction(playground):
     floor = playground((1.5, 0.0), [(0.7, 0.0, 0.1)])
     assert floor.command(VFH, (0.5, 1.5))[1] > 0.5
     assert floor.command(VFH, (0.5, -1.5))[1] < -0.5

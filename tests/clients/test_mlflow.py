@@ -90,7 +90,7 @@ def test_a_failed_training_is_marked_as_failed(mlflow, tables, tmp_path):
     (tmp_path / "mlflow").mkdir()
     shutil.copy(tables, tmp_path / "mlflow")
     with pytest.raises(ZeroDivisionError):
-        train_config(config(), tmp_path / "run", evaluated=lambda _: 1 / 0)
+        train_config(config(), tmp_path / "run", on_evaluation=lambda _: 1 / 0)
     client, (run,) = read(mlflow, tmp_path)
     assert (run.info.status, steps(client, run, "eval/score")) == ("FAILED", [64])
 

@@ -114,7 +114,7 @@ def test_a_training_and_its_resumed_part_are_one_run_of_two_files(tmp_path, capf
 
 def test_a_failed_training_is_marked_as_failed(tmp_path):
     with pytest.raises(ZeroDivisionError):
-        train_config(config(), tmp_path / "run", evaluated=lambda _: 1 / 0)
+        train_config(config(), tmp_path / "run", on_evaluation=lambda _: 1 / 0)
     (part,) = parts(tmp_path / "run")
     assert (part.exit, part.steps("eval/score")) == (1, [64])
 

@@ -16,7 +16,7 @@ from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.runs.loading import config_of
 from tb2rl.simulation import SIMULATIONS, InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
@@ -235,7 +235,7 @@ def test_it_goes_on_from_a_restored_state_to_the_bit():
 
 def failure_free_in_the_twin(policy, poses, steps):
     scene = config_of(policy).scene
-    twin, failed = KinematicSimulation(scene.spec, len(poses)), np.zeros(len(poses), dtype=bool)
+    twin, failed = KinematicSimulator(scene.spec, len(poses)), np.zeros(len(poses), dtype=bool)
     start = InitialState.default(scene.spec, len(poses))
     start.pose[:] = poses
     robot_state = twin.reset(start, np.random.default_rng(0))

@@ -11,10 +11,11 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import tb2rl
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import robot_names
 from tb2rl.envs.encodings import BEAMS
-from tb2rl.registry import robot_names, world_names
 from tb2rl.sensors.names import SENSORS
 from tb2rl.simulation import SIMULATIONS
+from tb2rl.worlds.registry import world_names
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)

@@ -17,7 +17,7 @@ from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.envs.vector_env import BatchVectorEnv
 from tb2rl.simulation import SIMULATIONS
-from tb2rl.simulation.physics import pybullet
+from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.tasks.wander import Wander
 
 STEPS = 200

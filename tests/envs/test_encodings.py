@@ -10,14 +10,15 @@ from gymnasium import spaces
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import read_yaml, top_folder
+from tb2rl.core.plugins import task_names
 from tb2rl.core.values import build
 from tb2rl.envs.encodings import BEAMS, SensorBox, encode, ranges_to_bins
 from tb2rl.envs.scene import make_scene
-from tb2rl.registry import find_task, task_names
 from tb2rl.robots import Laser
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.registry import find_task
 from tb2rl.tasks.wander import Wander
 
 INF, NAN = math.inf, math.nan

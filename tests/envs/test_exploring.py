@@ -10,7 +10,7 @@ from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.sensors.waypoint import Waypoint
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.worlds import World
 
@@ -28,7 +28,7 @@ def scene_of(**settings):
 def waypoints(scene, poses):
     """Where the waypoint is, x and y in the world [m], for a robot that is put at one pose after the other."""
     simulation, observation_pipeline = (
-        KinematicSimulation(scene.spec),
+        KinematicSimulator(scene.spec),
         scene.observation_pipeline(scene.command_delay()),
     )
     points = []
@@ -101,7 +101,7 @@ def test_a_map_holds_against_beams_that_miss():
 
 def test_the_waypoint_is_said_in_the_robots_frame():
     scene = scene_of(map="known")
-    simulation = KinematicSimulation(scene.spec)
+    simulation = KinematicSimulator(scene.spec)
     start = scene.task.initial_state(scene.spec.within(0), _One())
     start.pose[:] = 2.0, 7.0, math.pi / 2
     robot_state = simulation.reset(start, np.random.default_rng(0))

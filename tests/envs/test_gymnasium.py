@@ -12,7 +12,7 @@ import tb2rl
 from tb2rl.core.errors import InputError
 from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.runs.plain import plain
+from tb2rl.runs.plain_values import to_plain
 from tb2rl.simulation import SIMULATIONS
 
 MAZE = "tb2rl:TurtleBot2Maze-v0"
@@ -51,7 +51,7 @@ def test_the_spec_of_an_environment_makes_it_again(what, arguments, env_id, tmp_
     assert env.spec.id == env_id
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     there = {**asdict(env.task), "world": world}
-    assert plain(asdict(again.unwrapped.task)) == plain(there)
+    assert to_plain(asdict(again.unwrapped.task)) == to_plain(there)
     for one in (env, again):
         one.reset(seed=3)
     action = env.action_space.sample()

@@ -9,10 +9,10 @@ import pytest
 
 import tb2rl
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import task_names
 from tb2rl.envs.observation_delay import Delay
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.registry import task_names
 from tb2rl.simulation import SIMULATIONS
 from tb2rl.simulation.variation import PRESETS
 from tb2rl.tasks.wander import Wander

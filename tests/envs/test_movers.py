@@ -10,16 +10,16 @@ import pytest
 
 import tb2rl
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import task_names
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.registry import task_names
 from tb2rl.rendering.colours import MOVER
 from tb2rl.runs.layers import resolve
 from tb2rl.simulation import SIMULATIONS
 from tb2rl.tasks.outcome import COLLISION, OBSTACLE_COLLISION
 from tb2rl.tasks.wander import Wander
 
-CROWD = [{"people": 3, "speed": 1.0}, {"boxes": 1}]
+OBSTACLE_SEED = [{"people": 3, "speed": 1.0}, {"boxes": 1}]
 HALL = """
 walls: [{path: [[-4, -4], [4, -4], [4, 4], [-4, 4]], closed: true}]
 start: [0, 0, 0]
@@ -34,7 +34,7 @@ def make(simulation="kinematic", observation="raw", **settings):
 
 
 def rollout(num_envs, steps=60, **settings):
-    env = BatchVecEnv(make_scene(Wander(dynamic_obstacles=CROWD, **{"episode_steps": 25, **settings}), "raw"), num_envs)
+    env = BatchVecEnv(make_scene(Wander(dynamic_obstacles=OBSTACLE_SEED, **{"episode_steps": 25, **settings}), "raw"), num_envs)
     env.seed(0)
     seen, chosen = [env.reset()], np.random.default_rng(1).integers(3, size=(steps, 80))
     seen += [env.step(actions[:num_envs]) for actions in chosen]
@@ -120,7 +120,7 @@ def test_a_batch_goes_on_from_a_state_to_the_bit():
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)
 def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation):
-    env, other = (make(simulation, dynamic_obstacles=CROWD) for _ in range(2))
+    env, other = (make(simulation, dynamic_obstacles=OBSTACLE_SEED) for _ in range(2))
     env.reset(seed=3)
     for _ in range(4):
         env.step(1)

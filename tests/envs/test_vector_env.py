@@ -10,7 +10,7 @@ from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import BatchVecEnv
 from tb2rl.envs.vector_env import BatchVectorEnv
 from tb2rl.simulation import SIMULATIONS
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.tasks.wander import Wander
 
 MAZE = "tb2rl:TurtleBot2Maze-v0"
@@ -37,7 +37,7 @@ def test_the_simulation_decides_as_it_does_for_one_environment(make_vec):
     assert (twin.single_observation_space.shape, twin.observation_space.shape) == ((9,), (5, 9))
     physics = make_vec(num_envs=2)
     assert isinstance(physics, SyncVectorEnv)
-    assert all(isinstance(env.simulation, BulletSimulation) for env in physics.envs)
+    assert all(isinstance(env.simulation, BulletSimulator) for env in physics.envs)
 
 
 @pytest.mark.parametrize("simulation", SIMULATIONS)

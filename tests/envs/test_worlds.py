@@ -18,12 +18,12 @@ from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
 from tb2rl.evaluation.evaluator import Evaluator
-from tb2rl.registry import find_world
 from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
+from tb2rl.worlds.registry import find_world
 
 FEW = {"generator": "mixed", "worlds": 10}
 EASY = {**FEW, "difficulty": 0.0}

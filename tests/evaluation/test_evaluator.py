@@ -13,16 +13,18 @@ import torch as th
 from stable_baselines3 import A2C
 
 from tb2rl import evaluate, make_env
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import agent_names
 from tb2rl.envs.scene import make_scene
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.execution.where import Where
-from tb2rl.registry import agent_names, find_agent, find_world
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
 from tb2rl.simulation import SIMULATIONS
 from tb2rl.tasks.wander import Wander
+from tb2rl.worlds.registry import find_world
 
 GUIDED = {"dwa", "pursuit", "vfh"}  # only drive to a goal: tests/agents/test_guided.py
 BASELINES = [name for name in agent_names() if find_agent(name).algorithm is None and name not in GUIDED]
@@ -133,7 +135,7 @@ def test_an_episode_leads_to_the_goal_that_was_drawn_with_its_start():
     assert [each.goal for each in episodes] == [tuple(start.goal[0].tolist()) for start in evaluator.starts]
     assert len({(each.world, each.goal) for each in episodes}) > 4
     ways = [
-        config.scene.spec.ways.path_length(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts
+        config.scene.spec.goal_paths.path_length(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts
     ]
     assert min(ways) > config.task.goal_radius, "of two random goals it is the farther one"
 

@@ -110,7 +110,7 @@ def test_the_worst_tenth_is_that_with_the_longest_ways(suite, evaluation):
     failed = [*evaluation.drives[:2], drive(2, "time limit")]
     figures = replace(evaluation, drives=failed).figures()
     assert (figures.longest_tenth_success_rate, figures.time_limit_rate) == (0.0, pytest.approx(1 / 3))
-    longer = replace(suite, worlds=suite.worlds * 7, families=suite.families * 7, ways=tuple(range(1, 22)))
+    longer = replace(suite, worlds=suite.worlds * 7, families=suite.families * 7, path_lengths=tuple(range(1, 22)))
     drives = [drive(number, "goal" if number != 19 else "bump") for number in range(21)]
     many = replace(evaluation, suite=longer, drives=drives).figures()
     assert many.longest_tenth_success_rate == pytest.approx(2 / 3), "three of 21, rounded up"
@@ -151,7 +151,7 @@ def test_the_result_says_what_drove_where(evaluation):
 
 def test_a_result_is_driven_again_step_by_step(suite, monkeypatch, tmp_path):
     """Of a policy that draws, which depends on the episodes that are driven together."""
-    tiny = replace(suite, worlds=suite.worlds * 2, families=suite.families * 2, ways=suite.ways * 2)
+    tiny = replace(suite, worlds=suite.worlds * 2, families=suite.families * 2, path_lengths=suite.path_lengths * 2)
     monkeypatch.setattr(suites, "find_suite", lambda name, path: tiny)
     config = resolve("random", "navigate", settings={"task.world": "loop", "task.laser_noise": 0.01})
     scene = suite_scene(config.scene, tiny)

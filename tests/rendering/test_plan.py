@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from PIL import ImageColor
 
-from tb2rl.registry import find_world
 from tb2rl.rendering.colours import BODY, FREE, GOAL, WALL
 from tb2rl.rendering.plan import draw_plan, sheet
 from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.worlds.registry import find_world
 from tb2rl.worlds.world import World
 
 

@@ -9,10 +9,11 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import read_yaml, top_folder
-from tb2rl.registry import find_robot, robot_names
+from tb2rl.core.plugins import robot_names
 from tb2rl.robots import Laser
 from tb2rl.robots import robot as columns
 from tb2rl.robots.jackal import ROBOT as JACKAL
+from tb2rl.robots.registry import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 

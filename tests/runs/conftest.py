@@ -1,15 +1,8 @@
-"""Runs that were killed after their first checkpoint, small changes to checkpoints, and trainings that may hang."""
+"""Small runs of each learner that stopped after their first checkpoint, and helpers for files that do not fit."""
 
 from __future__ import annotations
 
-import json
-import pickle
-import select
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -34,55 +27,10 @@ AGENTS = {
     "ppo": {"agent.n_steps": 8, "agent.batch_size": 32, "agent.n_epochs": 1, "agent.policy_kwargs.net_arch": [16]},
 }
 TRAIN = {"simulation": "kinematic", "n_envs": 8, "total_timesteps": 256, "save_freq": 128, "keep": 9, "eval_freq": 0}
-SECONDS = 20.0  # that a few steps may take
-ATTEMPTS = 250  # cases of a process: what each leaves behind must not be what another one fails for
-
-
-class Attempts:
-    """A process that attempts to train, see `attempts.py`; another one takes over if it hangs or dies."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen | None = None
-
-    def __call__(self, case: dict[str, Any]) -> str:
-        """What is wrong with how a case goes; "" if nothing is."""
-        if self._process is None or self._count >= ATTEMPTS:
-            self.stop()
-            self._start()
-        self._count += 1
-        try:
-            self._process.stdin.write(pickle.dumps(case))
-            self._process.stdin.flush()
-            if not select.select([self._process.stdout], [], [], SECONDS)[0]:
-                wrong = f"hangs for more than {SECONDS:g} s"
-            elif line := self._process.stdout.readline():
-                return json.loads(line)
-            else:
-                wrong = f"kills its process, exit code {self._process.wait(5)}"
-        except BrokenPipeError:
-            wrong = f"kills its process, exit code {self._process.wait(5)}"
-        self.stop()
-        return wrong
-
-    def _start(self) -> None:
-        self._count = 0
-        program = [sys.executable, str(Path(__file__).with_name("attempts.py"))]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen(program, **pipes)
-        assert json.loads(self._process.stdout.readline()) == "ready"
-
-    def stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            for pipe in (self._process.stdin, self._process.stdout):
-                with suppress(BrokenPipeError):
-                    pipe.close()
-            self._process = None
 
 
 def _edited(source: Path, target: Path, place: str, value: Any) -> Path:
-    """A checkpoint with another value at one place, such as "config/agent/name"; `...` takes it away."""
+    """A checkpoint with another value at one place, such as "config/agent/name"; `...` removes it."""
     content = deepcopy(read_checkpoint(source))
     *path, last = place.split("/")
     branch = content
@@ -96,10 +44,10 @@ def _edited(source: Path, target: Path, place: str, value: Any) -> Path:
     return target
 
 
-def _refused(what: Any, *arguments: Any, **named: Any) -> str:
-    """The message of the `InputError` that a call ends in; it is one line."""
+def _refused(function: Any, *arguments: Any, **named: Any) -> str:
+    """The one-line message of the `InputError` that a call raises."""
     with pytest.raises(InputError) as refused:
-        what(*arguments, **named)
+        function(*arguments, **named)
     assert len(str(refused.value).splitlines()) == 1
     return str(refused.value)
 
@@ -120,8 +68,14 @@ def runs(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session", params=AGENTS)
 def checkpoint(request, runs) -> Path:
-    """A checkpoint of each agent; not to be changed."""
+    """A checkpoint of each agent; read only."""
     return Run.open(runs / request.param).checkpoints[0]
+
+
+@pytest.fixture(scope="session")
+def dqn_checkpoint(runs) -> Path:
+    """A checkpoint of dqn; read only."""
+    return Run.open(runs / "dqn").checkpoints[0]
 
 
 @pytest.fixture
@@ -134,11 +88,3 @@ def edited():
 def refused():
     """The function `_refused`."""
     return _refused
-
-
-@pytest.fixture(scope="session")
-def attempt_settings() -> Iterator[Callable[[dict[str, Any]], str]]:
-    """A function that attempts to train and says what is wrong with how it goes, see `Attempts`."""
-    attempts = Attempts()
-    yield attempts
-    attempts.stop()

@@ -16,11 +16,13 @@ import yaml
 from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import TASKS, import_object
 from tb2rl.envs.features import InverseRange
-from tb2rl.registry import TASKS, find_agent, find_task, import_object
 from tb2rl.runs.arguments import check_arguments
 from tb2rl.runs.config import TrainSettings
+from tb2rl.tasks.registry import find_task
 
 SHARES = 12  # of the extremes, one for each key; with `-m fuzz` each key has all
 NAN, INF = float("nan"), float("inf")

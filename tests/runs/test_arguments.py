@@ -7,8 +7,8 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
+from tb2rl.core.agent import Agent, find_agent
 from tb2rl.envs.features import InverseRange
-from tb2rl.registry import Agent, find_agent
 from tb2rl.runs.arguments import agent_for, algorithm_arguments, check_arguments
 
 DQN, PPO, SAC = (Agent(f"stable_baselines3:{name}") for name in ("DQN", "PPO", "SAC"))

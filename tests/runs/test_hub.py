@@ -1,4 +1,4 @@
-"""What is on the hub may come from anybody: it is data, which drives as it did; all else is refused in one line."""
+"""Policies of the hub can come from anybody: they are data and drive as before; all else is refused in one line."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def with_config(shared, tmp_path):
     def change(section: str, key: str, value: object) -> dict[str, bytes]:
         file = tmp_path / "changed.safetensors"
         file.write_bytes(shared["best/policy.safetensors"])
-        content, said = read_checkpoint(file), json.loads(shared["config.json"])
-        content["config"][section][key] = said[section][key] = value
+        content, config = read_checkpoint(file), json.loads(shared["config.json"])
+        content["config"][section][key] = config[section][key] = value
         write_checkpoint(file, content)
-        return {**shared, "best/policy.safetensors": file.read_bytes(), "config.json": json.dumps(said).encode()}
+        return {**shared, "best/policy.safetensors": file.read_bytes(), "config.json": json.dumps(config).encode()}
 
     return change
 
@@ -65,11 +65,7 @@ def evil(tmp_path, monkeypatch):
     sys.modules.pop("evil", None)
 
 
-def files_of(folder) -> list[str]:
-    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-
-
-def test_a_policy_of_the_hub_is_that_of_its_files(hub, shared):
+def test_a_policy_of_the_hub_equals_its_files(hub, shared):
     hub.put("ada/maze", shared)
     theirs, ours = load("hf:ada/maze"), load("zoo:maze-loop-ppo")
     assert config_of(theirs) == config_of(ours)
@@ -78,15 +74,14 @@ def test_a_policy_of_the_hub_is_that_of_its_files(hub, shared):
     assert policy_digest("hf:ada/maze") == hashlib.sha256(shared["best/policy.safetensors"]).hexdigest()
 
 
-def test_a_revision_is_pinned_and_the_newest_is_the_usual_one(hub, shared, with_config):
+def test_a_revision_is_pinned_and_the_newest_is_the_default(hub, shared, with_config):
     first = hub.put("ada/maze", shared)
     hub.put("ada/maze", with_config("task", "laser_noise", 0.01))
     assert config_of(load("hf:ada/maze")).task.laser_noise == 0.01
     assert config_of(load(f"hf:ada/maze@{first}")).task.laser_noise == 0.0
-    assert config_of(load("hf:ada/maze@main")).task.laser_noise == 0.01
 
 
-def test_what_was_downloaded_is_there_without_a_connection(hub, shared, refused, monkeypatch):
+def test_a_downloaded_policy_is_available_without_a_connection(hub, shared, refused, monkeypatch):
     hub.put("ada/maze", shared)
     load("hf:ada/maze")
     monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", "http://127.0.0.1:9")
@@ -96,11 +91,8 @@ def test_what_was_downloaded_is_there_without_a_connection(hub, shared, refused,
     )
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["policy.pkl", "best/model.pt", "evil.py", "sub/__init__.py", "policy.zip", "config.yaml", "run", "a.json.so"],
-)
-def test_a_repository_with_more_than_data_is_refused_and_nothing_of_it_downloaded(name, hub, shared, refused):
+@pytest.mark.parametrize("name", ["policy.pkl", "evil.py", "config.yaml", "run", "a.json.so", "../evil.so"])
+def test_a_repository_with_more_than_data_is_refused_and_not_downloaded(name, hub, shared, refused):
     hub.put("ada/maze", {**shared, name: b"\x80\x02}q\x00."})
     for trust in (False, True):
         message = refused(load, "hf:ada/maze", trust=trust)
@@ -108,21 +100,16 @@ def test_a_repository_with_more_than_data_is_refused_and_nothing_of_it_downloade
     assert not list(hub.cache.rglob("policy.safetensors"))
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["../evil.json", "best/../../evil.json", "/etc/evil.json", "a\\b.json", "C:evil.json", "./x.json", "a\nb.json"],
-)
-def test_a_path_that_climbs_out_is_refused(name, hub, shared, refused, tmp_path):
-    hub.put("ada/maze", {**shared, name: b"{}"})
-    before = files_of(tmp_path)
-    assert "is not a path within a repository" in refused(load, "hf:ada/maze")
-    assert files_of(tmp_path) == before
+def test_only_the_files_of_a_policy_are_downloaded(hub, shared):
+    hub.put("ada/maze", {**shared, "../evil.json": b"{}", "more/data.json": b"{}"})
+    load("hf:ada/maze")
+    found = {path.name for path in hub.cache.rglob("*.*")}
+    assert {"config.json", "policy.safetensors"} <= found
+    assert not {"evil.json", "data.json"} & found
 
 
 @pytest.mark.parametrize("name", ["config.json", "best/policy.safetensors"])
-def test_a_file_that_is_too_large_or_missing_is_refused_before_it_is_downloaded(
-    name, hub, shared, refused, monkeypatch
-):
+def test_a_file_that_is_too_large_or_missing_is_refused_before_the_download(name, hub, shared, refused, monkeypatch):
     hub.put("ada/maze", shared)
     hub.repositories["ada/other"] = [{path: content for path, content in shared.items() if path != name}]
     assert refused(load, "hf:ada/other") == f"hf:ada/other is not a policy of tb2rl: it has no {name}"
@@ -136,24 +123,18 @@ def test_a_file_that_is_too_large_or_missing_is_refused_before_it_is_downloaded(
     ("section", "key", "value", "named"),
     [
         ("agent", "name", "os:system", "os"),
-        ("agent", "name", "evil:Agent", "evil"),
         ("agent", "policy_kwargs", {"features_extractor_class": "evil:Net"}, "evil"),
         ("agent", "policy_kwargs", {"optimizer_class": "evil:Adam"}, "evil"),
-        ("task", "name", "evil:Task", "evil"),
         ("task", "name", "best.evil:Task", "best.evil"),
         ("task", "robot", "evil:ROBOT", "evil"),
-        ("task", "world", "evil:WORLD", "evil"),
         ("task", "world", {"generator": "evil:make"}, "evil"),
         ("task", "world", ["loop", "evil:WORLD"], "evil"),
         ("task", "observe", ["evil:Sensor"], "evil"),
         ("task", "world", "evil:read:/etc/passwd", "/etc/passwd"),
-        ("task", "world", "/etc/passwd", "/etc/passwd"),
         ("task", "world", {"file": "hall.yaml"}, "hall.yaml"),
     ],
 )
-def test_a_config_that_names_other_modules_or_files_is_refused_and_they_are_left_alone(
-    section, key, value, named, hub, with_config, refused, evil
-):
+def test_a_config_may_not_name_other_modules_or_files(section, key, value, named, hub, with_config, refused, evil):
     hub.put("ada/maze", with_config(section, key, value))
     message = refused(load, "hf:ada/maze")
     assert "hf:ada/maze names the " in message
@@ -163,13 +144,13 @@ def test_a_config_that_names_other_modules_or_files_is_refused_and_they_are_left
     assert not evil.exists()
 
 
-def test_with_trust_what_it_names_is_imported(hub, with_config, evil):
+def test_with_trust_any_module_is_imported(hub, with_config, evil):
     hub.put("ada/maze", with_config("task", "name", "evil:Task"))
     assert config_of(load("hf:ada/maze", trust=True)).task_name == "evil:Task"
     assert evil.exists()
 
 
-def test_a_shared_run_in_a_folder_is_a_strangers_too(with_config, refused, evil, tmp_path):
+def test_a_shared_run_in_a_local_folder_is_untrusted_too(with_config, refused, evil, tmp_path):
     for path, content in with_config("task", "name", "evil:Task").items():
         (tmp_path / "theirs" / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "theirs" / path).write_bytes(content)
@@ -183,11 +164,10 @@ def test_a_shared_run_in_a_folder_is_a_strangers_too(with_config, refused, evil,
     ("name", "content", "named"),
     [
         ("config.json", b"{", "is not JSON"),
-        ("config.json", b"[" * 100_000, "is not JSON"),
         ("config.json", b"[1]", "expected a mapping"),
         ("config.json", b'{"agent": {"name": "os:system"}}', "is not what its policy was trained with"),
         ("best/policy.safetensors", b"\x80\x04\x95.", "is not a checkpoint"),
-        ("best/policy.safetensors", b"../../../../../etc/passwd", "is not a checkpoint"),  # as git keeps a link
+        ("best/policy.safetensors", b"../../../../../etc/passwd", "is not a checkpoint"),  # as git stores a link
     ],
 )
 def test_a_damaged_file_is_refused(name, content, named, hub, shared, refused):
@@ -195,10 +175,9 @@ def test_a_damaged_file_is_refused(name, content, named, hub, shared, refused):
     assert named in refused(load, "hf:ada/maze")
 
 
-@pytest.mark.parametrize("reference", ["hf:", "hf:maze", "hf:a/b/c", "hf:a/b@", "hf:../x", "hf:a/..", "hf:a b/c"])
-def test_what_is_no_reference_is_refused(reference, hub, refused):
+@pytest.mark.parametrize("reference", ["hf:", "hf:a/b/c", "hf:a/b@", "hf:../x", "hf:a b/c"])
+def test_a_malformed_reference_is_refused(reference, hub, refused):
     assert reference in refused(load, reference)
-    assert not list(hub.cache.rglob("*.safetensors"))
 
 
 @pytest.mark.parametrize(
@@ -211,7 +190,7 @@ def test_what_is_no_reference_is_refused(reference, hub, refused):
         (403, "", "HF_TOKEN"),
     ],
 )
-def test_what_the_hub_refuses_is_one_line(status, code, named, hub, refused):
+def test_an_error_of_the_hub_is_one_line(status, code, named, hub, refused):
     hub.refuses = status, code
     assert named in refused(load, "hf:ada/maze")
 
@@ -221,25 +200,26 @@ def test_without_the_library_the_extra_is_named(refused, monkeypatch):
     assert refused(load, "hf:ada/maze") == f"the hub takes the extra `hub`: {install_extra('hub')}"
 
 
-def test_nothing_is_asked_of_the_hub_for_other_policies(hub):
-    load("zoo:maze-loop-ppo")
+def test_the_hub_is_not_contacted_for_other_policies(hub):
+    load("zoo:maze-loop-qlearn")
     with pytest.raises(InputError):
         load("ada/maze")
     assert hub.authorisations == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arguments", ["evaluate hf:ada/maze --episodes 1 --steps 3 --workers 1", "play hf:ada/maze"])
-def test_a_command_says_in_one_line_what_it_does_not_import(arguments, hub, with_config, evil, tmp_path):
+@pytest.mark.parametrize(
+    "arguments", ["evaluate hf:ada/maze --episodes 1 --steps 3 --workers 1", "play hf:ada/maze --steps 3 --video a.gif"]
+)
+def test_a_command_reports_an_untrusted_module_in_one_line(arguments, hub, with_config, evil, tmp_path):
     hub.put("ada/maze", with_config("task", "name", "evil:Task"))
     command = [sys.executable, "-m", "tb2rl", *arguments.split()]
-    shown = ["--steps", "3", "--video", "film.gif"] if "play" in arguments else []
     settings = {"cwd": tmp_path, "env": os.environ | {"HF_TOKEN": "hf_secret"}, "capture_output": True, "text": True}
-    done = subprocess.run([*command, *shown], **settings, check=False)
+    done = subprocess.run(command, **settings, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "hf:ada/maze names the module 'evil'" in done.stderr
     assert not evil.exists()
-    done = subprocess.run([*command, *shown, "--trust"], **settings, check=False)
+    done = subprocess.run([*command, "--trust"], **settings, check=False)
     assert done.returncode == 0, done.stderr
     assert evil.exists()
     assert "Bearer hf_secret" in hub.authorisations
@@ -247,20 +227,15 @@ def test_a_command_says_in_one_line_what_it_does_not_import(arguments, hub, with
 
 
 @pytest.mark.slow
-def test_a_page_and_a_zip_are_made_of_it(hub, shared, tmp_path, monkeypatch, capsys):
+def test_reports_and_archives_are_made_of_policies_of_the_hub(hub, shared, with_config, evil, tmp_path, monkeypatch):
     hub.put("ada/maze", shared)
+    hub.put("ada/evil", with_config("task", "name", "evil:Task"))
     monkeypatch.chdir(tmp_path)
     report.main(["hf:ada/maze"])
     assert "hf:ada/maze" in (tmp_path / "report.html").read_text(encoding="utf-8")
     convert.main(["hf:ada/maze", "policy.zip"])
-    assert capsys.readouterr().out.endswith("wrote policy.zip\n")
-
-
-def test_a_page_does_not_import_what_it_names_either(hub, with_config, evil, tmp_path, monkeypatch, capsys):
-    hub.put("ada/maze", with_config("task", "name", "evil:Task"))
-    monkeypatch.chdir(tmp_path)
-    for command, arguments in ((report, []), (convert, ["policy.zip"])):
+    assert (tmp_path / "policy.zip").is_file()
+    for command, arguments in ((report, []), (convert, ["other.zip"])):
         with pytest.raises(SystemExit, match="2"):
-            command.main(["hf:ada/maze", *arguments])
-        assert "names the module 'evil'" in capsys.readouterr().err
+            command.main(["hf:ada/evil", *arguments])
     assert not evil.exists()

@@ -1,31 +1,25 @@
-"""Where settings come from: layers of presets and single settings, of which later ones win."""
+"""Layers of presets and settings; later ones win."""
 
 from __future__ import annotations
 
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from tb2rl.core.files import top_folder
-from tb2rl.registry import agent_names, task_names
+from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.runs.config import TrainSettings
-from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.runs.layers import as_preset, parse_settings, resolve
 from tb2rl.tasks.wander import Wander
 
-NAN, INF = float("nan"), float("inf")
+NAN = float("nan")
 CONFIGS = top_folder("configs")
 
 
 def test_later_layers_win(tmp_path, monkeypatch):
-    fields = (
-        "turn_rate",
-        "turn_speed",
-        "laser_noise",
-        "forward_speed",
-    )  # each layer sets one field less than the one before
+    fields = ("turn_rate", "turn_speed", "laser_noise", "forward_speed")  # each layer sets one field less
     files = [tmp_path / name for name in ("tasks/maze.yaml", "agents/qlearn.yaml", "mine.yaml")]
     for layer, file in enumerate(files):
         file.parent.mkdir(exist_ok=True)
@@ -33,11 +27,11 @@ def test_later_layers_win(tmp_path, monkeypatch):
     monkeypatch.setattr("tb2rl.runs.layers.top_folder", lambda _: tmp_path)
     task = resolve("qlearn", "maze", "mine", {"task.forward_speed": 0.4}).task
     assert [getattr(task, field) for field in fields] == pytest.approx([0.1, 0.2, 0.3, 0.4])
-    assert task.control_period == Wander().control_period, "what no layer sets stands in the signature"
+    assert task.control_period == Wander().control_period, "the default of the signature"
 
 
-def test_what_suits_a_robot_lies_above_the_presets_of_this_folder_and_below_what_the_user_says(tmp_path):
-    (tmp_path / "mine.yaml").write_text("task: {robot: turtlebot3, noise: 0.01}")
+def test_settings_of_a_robot_lie_between_built_in_and_user_presets(tmp_path):
+    (tmp_path / "mine.yaml").write_text("task: {robot: turtlebot3, laser_noise: 0.01}")
     (tmp_path / "slow.yaml").write_text("task: {robot: turtlebot3, control_period: 1.0}")
     for preset, settings, period in (
         ("mine", {}, 0.4),
@@ -47,11 +41,10 @@ def test_what_suits_a_robot_lies_above_the_presets_of_this_folder_and_below_what
         ("mine", {"task.robot": "turtlebot2"}, 0.2),
     ):
         preset = preset and str(tmp_path / f"{preset}.yaml")
-        for task in ("maze", "wall"):
-            assert resolve("ppo", task, preset, settings).task.control_period == period
+        assert resolve("ppo", "wall", preset, settings).task.control_period == period
 
 
-def test_a_policy_that_is_to_drive_another_robot_gets_what_suits_it():
+def test_a_policy_on_another_robot_gets_that_robots_settings():
     trained = resolve("ppo")
     assert trained.with_task({"robot": "turtlebot3"}).task.control_period == 0.4
     assert trained.with_task({"robot": "turtlebot3", "control_period": 0.1}).task.control_period == 0.1
@@ -63,10 +56,15 @@ def test_the_name_on_the_command_line_wins_over_the_presets():
     assert resolve("dqn", settings={"agent.name": "ppo"}).agent_name == "dqn"
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+def test_a_preset_made_of_arguments_resolves_to_the_same_config(tmp_path):
+    arguments = {"preset": "tutorial-wall", "settings": {"agent.gamma": 0.5}}
+    (tmp_path / "all.yaml").write_text(yaml.safe_dump(as_preset(**arguments)))
+    assert resolve(preset=str(tmp_path / "all.yaml")) == resolve(**arguments)
+
+
 @pytest.mark.parametrize("preset", ["tutorial", "tutorial-wall"])
-def test_the_tutorials_beams_are_spread_over_half_a_circle_in_both_simulations(preset, simulation):
-    angles = resolve(preset=preset, settings={"train.simulation": simulation}).scene.laser.angles
+def test_the_tutorials_beams_are_spread_over_half_a_circle(preset):
+    angles = resolve(preset=preset).scene.laser.angles
     assert np.degrees(angles) == pytest.approx([-90, -53.9, -17.9, 18.2, 54.2], abs=0.1)
 
 
@@ -75,18 +73,13 @@ def test_a_task_may_be_given_as_its_class():
     assert (config.task_name, type(config.task)) == ("tb2rl.tasks.wander:Wander", Wander)
 
 
-def test_a_schedule_of_a_later_layer_replaces_a_number_and_the_other_way_round():
-    line = {"start": 0.4, "end": 0.1, "fraction": 0.5}
-    assert resolve("dqn", settings={"agent.learning_rate": line}).agent_arguments["learning_rate"] == line
-    assert resolve("ppo", settings={"agent.learning_rate": 0.1}).agent_arguments["learning_rate"] == 0.1
-    assert resolve("ppo", settings={"agent.learning_rate": line}).agent_arguments["learning_rate"] == line
-
-
-def test_a_schedule_does_not_inherit_parts_of_the_schedule_that_it_replaces(tmp_path):
+def test_schedules_and_numbers_replace_each_other(tmp_path):
     (tmp_path / "mine.yaml").write_text("agent: {learning_rate: {start: 0.5, end: 0.4, fraction: 0.3}}")
     line = {"start": 0.2, "end": 0.1}
+    assert resolve("dqn", settings={"agent.learning_rate": line}).agent_arguments["learning_rate"] == line
+    assert resolve("ppo", settings={"agent.learning_rate": 0.1}).agent_arguments["learning_rate"] == 0.1
     mine = resolve(preset=str(tmp_path / "mine.yaml"), settings={"agent.learning_rate": line})
-    assert mine.agent_arguments["learning_rate"] == line
+    assert mine.agent_arguments["learning_rate"] == line, "without parts of the replaced schedule"
 
 
 def test_one_key_of_policy_kwargs_leaves_the_others():
@@ -95,17 +88,17 @@ def test_one_key_of_policy_kwargs_leaves_the_others():
     assert changed == {**kwargs, "net_arch": [8]}
 
 
-PRESETS = sorted(file for file in CONFIGS.rglob("*.yaml") if file.parent.name != "tuning")  # those are tests/tuning's
+PRESETS = sorted(file for file in CONFIGS.rglob("*.yaml") if file.parent.name not in ("tuning", "worlds"))
 
 
 @pytest.mark.parametrize("file", PRESETS, ids=lambda file: str(file.relative_to(CONFIGS)))
 def test_every_shipped_config_resolves(file):
-    if file.parent.name == "worlds":
-        assert resolve(settings={"task.world": file.stem}).task.world == file.stem
-    elif file.parent.name == "kinematic":
+    if file.parent.name == "kinematic":
         assert file.stem in agent_names(), "a preset that nobody reads"
-        fast, slow = (resolve(file.stem, settings={"train.simulation": name}) for name in ("kinematic", "bullet"))
-        assert fast.train.n_envs > slow.train.n_envs
+        kinematic, bullet = (
+            resolve(file.stem, settings={"train.simulation": name}) for name in ("kinematic", "bullet")
+        )
+        assert kinematic.train.n_envs > bullet.train.n_envs
     elif file.parent.name == "tasks" and file.stem not in task_names():
         task, _, agent = file.stem.rpartition("-")
         assert (task, agent) in product(task_names(), agent_names()), "a preset that nobody reads"
@@ -125,19 +118,14 @@ def test_settings_of_the_command_line_are_yaml():
 
 
 @pytest.mark.parametrize("pair", ["a.b", "a.b=[1", "a.b=&x [*x]"])
-def test_what_is_not_a_setting_is_refused(pair, refused):
+def test_a_pair_that_is_not_a_setting_is_refused(pair, refused):
     assert "a.b" in refused(parse_settings, [pair])
 
 
 @pytest.mark.parametrize(
-    "value",
-    [
-        "9" * 5000, "0x" + "f" * 5000, "1" + ":59" * 3000, "!!int ''", "!!int _", "!!int [1]", "!!float ''",
-        "!!float _", "!!bool maybe", "!!timestamp maybe", "!!timestamp 2001-99-01", "!!binary é", "!!set 3",
-        "!!omap [1]", "!!python/name:os.mkdir",
-    ],
-)  # fmt: skip
-def test_a_value_that_does_not_fit_its_tag_is_refused_wherever_it_stands(value, refused, tmp_path):
+    "value", ["9" * 5000, "!!int ''", "!!float _", "!!bool maybe", "!!timestamp 2001-99-01", "!!python/name:os.mkdir"]
+)
+def test_a_value_that_does_not_fit_its_tag_is_refused(value, refused, tmp_path):
     assert "is not YAML" in refused(parse_settings, [f"agent.gamma={value}"])
     (tmp_path / "mine.yaml").write_text(f"agent: {value}", encoding="utf-8")
     refused(resolve, preset=str(tmp_path / "mine.yaml"))
@@ -145,8 +133,7 @@ def test_a_value_that_does_not_fit_its_tag_is_refused_wherever_it_stands(value, 
 
 @pytest.mark.parametrize("value", ["1.0e-3", "1e-3", "0.001"])
 def test_a_number_is_a_number_however_it_is_written(value):
-    settings = parse_settings([f"agent.gamma={value}", f"task.laser_noise={value}"])
-    config = resolve("qlearn", settings=settings)
+    config = resolve("qlearn", settings=parse_settings([f"agent.gamma={value}", f"task.laser_noise={value}"]))
     assert (config.agent_arguments["gamma"], config.task.laser_noise) == (0.001, 0.001)
 
 
@@ -154,7 +141,7 @@ def test_the_defaults_of_the_training_are_the_signatures():
     assert resolve("stable_baselines3:A2C").train == TrainSettings()
 
 
-# ---- what is refused, with what its message names
+# ---- refusals, with the words of their messages
 
 
 @pytest.mark.parametrize(
@@ -164,6 +151,8 @@ def test_the_defaults_of_the_training_are_the_signatures():
         ({"task": "wal"}, ["'wal'", "did you mean 'wall'", *task_names()]),
         ({"preset": "tutoral"}, ["'tutoral'", "did you mean 'tutorial'"]),
         ({"preset": "no/such.yaml"}, ["no/such.yaml"]),
+        ({"preset": "\0.yaml"}, ["preset file"]),
+        ({"preset": "x" * 5000 + ".yaml"}, ["preset file"]),
         ({"task": "tb2rl.tasks:Task"}, ["tb2rl.tasks:Task"]),
         ({"agent": "dqn", "settings": {"task.observation": "rw"}}, ["'rw'", "did you mean 'raw'", "discrete"]),
     ],
@@ -176,24 +165,17 @@ def test_an_unknown_name_is_refused(arguments, named, refused):
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"gamma": 0.9}, ["agent.gamma"]),
         ({"agnt.gamma": 0.9}, ["'agnt'", "did you mean 'agent'", "task", "train"]),
         ({"agent.gama": 0.9}, ["'gama'", "did you mean 'gamma'", "learning_rate"]),
         ({"task.turnrate": 1}, ["'turnrate'", "did you mean 'turn_rate'", "forward_speed"]),
         ({"train.sead": 1}, ["'sead'", "did you mean 'seed'", "n_envs"]),
         ({"agent.learning_rate.strat": 1}, ["'strat'", "did you mean 'start'", "fraction"]),
-        ({"agent.gamma": {"start": 1, "end": 0}}, ["agent.gamma"]),
         ({"agent.gamma": 1, "agent.gamma.start": 1}, ["agent.gamma"]),
         ({"agent.gamma": "high"}, ["agent.gamma", "number", "'high'"]),
         ({"agent.exploration": "greedy"}, ["agent.exploration", "epsilon_greedy", "noisy_values", "'greedy'"]),
-        ({"agent.gamma": NAN}, ["agent.gamma", "finite", "nan"]),
         ({"agent.learning_rate": {"start": NAN, "end": 0}}, ["agent.learning_rate.start", "finite", "nan"]),
-        ({"task.turn_rate": NAN}, ["task.turn_rate", "finite", "nan"]),
-        ({"task.turn_rate": INF}, ["task.turn_rate", "finite", "inf"]),
         ({"task.start": "anywhere"}, ["task.start", "fixed", "random", "'anywhere'"]),
-        ({"task.range_bins": []}, ["task.range_bins"]),
         ({"train.n_envs": 2.5}, ["train.n_envs", "integer", "2.5"]),
-        ({"train.n_envs": 0}, ["train.n_envs", "greater than or equal to 1", "0"]),
         ({"train.reward_scale": -1}, ["train.reward_scale", "greater than 0", "-1"]),
         ({"task.world": "lop"}, ["'lop'", "did you mean 'loop'", "circuit"]),
         ({"task.robot": "turtelbot2"}, ["'turtelbot2'", "did you mean 'turtlebot2'"]),
@@ -212,7 +194,7 @@ def test_no_agent_ignores_a_setting(agent, refused):
 
 
 @pytest.mark.parametrize("content", ["- 1", "agent: qlearn", "agents: {}", "agent: {gama: 1}", "agent: [", "\x00"])
-def test_a_preset_file_that_does_not_fit_is_refused(content, refused, tmp_path: Path):
+def test_a_preset_file_that_does_not_fit_is_refused(content, refused, tmp_path):
     (tmp_path / "mine.yaml").write_text(content)
     refused(resolve, preset=str(tmp_path / "mine.yaml"))
 
@@ -223,7 +205,6 @@ def test_a_preset_file_that_does_not_fit_is_refused(content, refused, tmp_path: 
         ("world", "task.world"),
         ("gamma", "agent.gamma"),
         ("observation", "task.observation"),
-        ("n_envs", "train.n_envs"),
         ("name", "agent.name or task.name"),
         ("robots", "agent.robots, task.robots or train.robots"),
     ],

@@ -1,4 +1,4 @@
-"""How a policy comes back: from a run folder, a checkpoint or the zoo; and what is refused instead."""
+"""Loading of policies from a run folder, a checkpoint or the zoo, and what is refused."""
 
 from __future__ import annotations
 
@@ -9,32 +9,25 @@ import numpy as np
 import pytest
 
 from tb2rl import make_env
-from tb2rl.registry import agent_names, find_agent
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import config_from
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import checkpoint_file, config_of, content_config, load
 
-LEARNERS = [name for name in agent_names() if find_agent(name).algorithm is not None]
 
-
-def test_a_policy_comes_back_with_what_it_was_trained_to_do(checkpoint):
+def test_a_policy_comes_back_with_its_config_and_drives(checkpoint):
     policy, content = load(checkpoint), read_checkpoint(checkpoint)
     assert policy.num_timesteps == content["timesteps"] == 128
     assert config_of(policy) == content_config(content, checkpoint) == config_from(content["config"])
     for name, array in content["policy"].items():
         np.testing.assert_array_equal(policy.policy.state_dict()[name], array)
-
-
-def test_it_drives_the_environment_that_is_made_of_it(checkpoint):
-    policy = load(checkpoint)
     env = make_env(policy, simulation="kinematic")
     observation, _ = env.reset(seed=0)
     env.step(policy.predict(observation, deterministic=True)[0])
 
 
-def test_a_run_folder_stands_for_its_best_else_its_final_else_its_latest_policy(runs, tmp_path):
+def test_the_policy_of_a_run_folder_is_its_best_else_its_final_else_its_latest(runs, tmp_path):
     algorithm = load(runs / "qlearn")
     run = Run.create(tmp_path / "run", algorithm.trained_with)
     for place, timesteps in (("checkpoints/step-0000000900", 900), ("checkpoints/step-0000001000", 1000)):
@@ -49,9 +42,10 @@ def test_a_run_folder_stands_for_its_best_else_its_final_else_its_latest_policy(
     assert load(run.folder / "final" / "policy.safetensors").num_timesteps == 2000
 
 
-def test_the_zoo_is_loaded_by_name():
+def test_the_zoo_is_loaded_by_name(refused):
     assert load("zoo:maze-loop-qlearn").trained_with.task.world == "loop"
     assert checkpoint_file("zoo:maze-loop-qlearn").parts[-3:] == ("maze-loop-qlearn", "best", "policy.safetensors")
+    assert "did you mean 'maze-loop-qlearn'" in refused(load, "zoo:maze-lop-qlearn")
 
 
 @pytest.mark.parametrize("reference", ["no/such/run", "zoo:no-such-policy", "zoo:", "zoo:.."])
@@ -59,56 +53,44 @@ def test_an_unknown_reference_is_refused(reference, refused):
     assert reference.removeprefix("zoo:") in refused(load, reference)
 
 
-def test_an_unknown_name_of_the_zoo_comes_with_the_nearest(refused):
-    assert "did you mean 'maze-loop-qlearn'" in refused(load, "zoo:maze-lop-qlearn")
-
-
-def test_something_else_than_a_trained_policy_has_no_config(refused):
+def test_an_object_that_is_no_trained_policy_has_no_config(refused):
     assert "does not come from tb2rl.load" in refused(config_of, object())
 
 
 # ---- files that are not checkpoints
 
 
-@pytest.mark.parametrize("size", [0, 1, 100, 0.5, -10])
-def test_a_truncated_checkpoint_is_refused(size, checkpoint, refused, tmp_path):
-    content = checkpoint.read_bytes()
+@pytest.mark.parametrize("size", [0, 100, 0.5, -10])
+def test_a_truncated_checkpoint_is_refused(size, dqn_checkpoint, refused, tmp_path):
+    content = dqn_checkpoint.read_bytes()
     size = int(size * len(content)) if isinstance(size, float) else size
     (tmp_path / "policy.safetensors").write_bytes(content[:size])
     assert "policy.safetensors is not a checkpoint" in refused(load, tmp_path / "policy.safetensors")
 
 
-@pytest.mark.parametrize(
-    "content", [b"hello world\n", b"\x80\x02}q\x00.", b"\x00" * 1000, b"PK\x03\x04", b"}", b"I1\n."]
-)
+@pytest.mark.parametrize("content", [b"hello world\n", b"\x80\x02}q\x00.", b"\x00" * 1000, b"PK\x03\x04"])
 def test_any_other_file_is_refused(content, refused, tmp_path):
     (tmp_path / "policy.safetensors").write_bytes(content)
     assert "policy.safetensors is not a checkpoint" in refused(load, tmp_path / "policy.safetensors")
 
 
-def test_a_file_that_stable_baselines_saved_is_refused(checkpoint, refused, tmp_path):
-    load(checkpoint).save(tmp_path / "policy.zip")
-    assert "is not a checkpoint" in refused(load, tmp_path / "policy.zip")
-
-
-def test_another_format_is_refused_with_the_one_that_is_read(checkpoint, refused, monkeypatch, tmp_path):
-    file = shutil.copy(checkpoint, tmp_path / "policy.safetensors")
+def test_another_format_is_refused_with_the_supported_one(dqn_checkpoint, refused, monkeypatch, tmp_path):
+    file = shutil.copy(dqn_checkpoint, tmp_path / "policy.safetensors")
     monkeypatch.setattr("tb2rl.runs.checkpoint.FORMAT", 3)
     assert "has checkpoint format 2; this tb2rl reads 3" in refused(load, file)
 
 
-@pytest.mark.parametrize("config", ["", "- 1", "agent: 3\ntask: {name: maze}", "agent: {name: qlearn}", "{", None])
+@pytest.mark.parametrize("config", ["- 1", "agent: 3\ntask: {name: maze}", "agent: {name: qlearn}", "{", None])
 def test_a_folder_that_is_not_a_run_is_refused(config, refused, tmp_path):
     if config is not None:
         (tmp_path / "config.yaml").write_text(config)
     assert str(tmp_path) in refused(load, tmp_path)
 
 
-def test_a_run_without_a_checkpoint_yet_says_so(refused, tmp_path):
+def test_a_run_without_a_checkpoint_says_so(refused, tmp_path):
     Run.create(tmp_path / "run", resolve())
-    said = "holds no checkpoint yet; if its training has ended, it ended before the first: remove the folder, and train"
-    assert said in refused(load, tmp_path / "run")
-    assert said in refused(Run.open(tmp_path / "run").read_evaluation), "it does not send anybody to evaluate"
+    hint = "holds no checkpoint yet; if its training has ended, it ended before the first: remove the folder, and train"
+    assert hint in refused(load, tmp_path / "run")
 
 
 # ---- checkpoints whose content does not fit
@@ -118,31 +100,25 @@ def test_a_run_without_a_checkpoint_yet_says_so(refused, tmp_path):
     ("place", "value", "named"),
     [
         ("config", ..., "'config'"),
-        ("config", {}, "agent.name"),
         ("config", [1], "sections"),
         ("config", {"agent": {"name": "qlearn"}}, "task.name"),
-        ("config/agent/name", "no_such", "no_such"),
         ("config/agent", {"name": "wallfollower"}, "wallfollower"),
         ("config/task/world", "no_such", "no_such"),
-        ("config/task/robot", "no_such", "no_such"),
         ("config/task/no_such", 1, "no_such"),
         ("config/train/device", "nowhere", "train.device"),
         ("timesteps", ..., "timesteps"),
         ("timesteps", "many", "timesteps is 'many'"),
         ("timesteps", -1, "timesteps is -1"),
-        ("timesteps", True, "timesteps is True"),
     ],
 )
-def test_a_config_that_does_not_fit_is_refused(place, value, named, checkpoint, edited, refused, tmp_path):
-    file = edited(checkpoint, tmp_path / "policy.safetensors", place, value)
+def test_a_config_that_does_not_fit_is_refused(place, value, named, dqn_checkpoint, edited, refused, tmp_path):
+    file = edited(dqn_checkpoint, tmp_path / "policy.safetensors", place, value)
     message = refused(load, file)
     assert message.startswith(str(file))
     assert named in message
 
 
-@pytest.mark.parametrize("name", LEARNERS)
-def test_another_agents_checkpoint_is_refused(name, checkpoint, edited, refused, tmp_path):
-    config = resolve(name).to_dict()
-    if config["agent"]["name"] != read_checkpoint(checkpoint)["config"]["agent"]["name"]:
-        file = edited(checkpoint, tmp_path / "policy.safetensors", "config", config)
-        assert re.match(f"{file}( does not fit its config|: agent {name} learns continuous)", refused(load, file))
+@pytest.mark.parametrize("name", ["qlearn", "ppo", "recurrent_ppo", "sac"])
+def test_another_agents_checkpoint_is_refused(name, dqn_checkpoint, edited, refused, tmp_path):
+    file = edited(dqn_checkpoint, tmp_path / "policy.safetensors", "config", resolve(name).to_dict())
+    assert re.match(f"{file}( does not fit its config|: agent {name} learns continuous)", refused(load, file))

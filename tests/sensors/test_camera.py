@@ -16,7 +16,7 @@ class Painted:
     def __init__(self, colours, depth):
         self.colours, self.depth, self.asked = np.asarray(colours), np.asarray(depth, np.float32), 0
 
-    def look(self, robot_state, width, height):
+    def render_camera(self, robot_state, width, height):
         self.asked += 1
         assert self.depth.shape[1:] == (height, width)
         return self.colours, self.depth

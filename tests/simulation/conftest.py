@@ -9,10 +9,11 @@ from contextlib import ExitStack, closing
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_robot, robot_names
+from tb2rl.core.plugins import robot_names
+from tb2rl.robots.registry import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.worlds.description import world_from
 
 OPEN = {"boxes": [{"centre": [19, 19], "size": [1, 1]}], "bounds": [-20, -20, 20, 20]}
@@ -29,7 +30,7 @@ def _rows(robot_state: RobotState) -> Iterator[np.ndarray]:
 class Track:
     """One robot in PyBullet, to be placed and driven."""
 
-    def __init__(self, simulation: BulletSimulation) -> None:
+    def __init__(self, simulation: BulletSimulator) -> None:
         self.simulation, self.world, self.robot = simulation, simulation.spec.worlds[0], simulation.spec.robot
 
     def place(self, x=0.0, y=0.0, yaw=0.0, seed=0) -> RobotState:
@@ -70,7 +71,7 @@ def robot(request):
 def make_bullet():
     """A function from a setup to its simulation in PyBullet, which is closed after the test."""
     with ExitStack() as stack:
-        yield lambda spec: stack.enter_context(closing(BulletSimulation(spec)))
+        yield lambda spec: stack.enter_context(closing(BulletSimulator(spec)))
 
 
 @pytest.fixture

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.bodies import connect
-from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.physics import pybullet
+from tb2rl.simulation.bullet.bodies import connect
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.registry import world_names
 
 BEAM = 1e-3  # [m] half the thickness of a beam: what a ray of single precision may miss at an edge
 
@@ -79,7 +79,7 @@ def test_no_obstacle_of_many_is_missing_and_all_go_when_the_world_does(world, ma
         robot_state = simulation.reset(InitialState.default(spec, 1, world=number), rng)
         poses = spec.worlds[number].random_poses(rng, 60, 0.05)
         assert_rays_fit(simulation, spec.worlds[number], poses, np.linspace(-3, 3, 40))
-    twin = KinematicSimulation(spec).reset(InitialState.default(spec, 1, world=1), rng)
+    twin = KinematicSimulator(spec).reset(InitialState.default(spec, 1, world=1), rng)
     np.testing.assert_allclose(robot_state.ranges, twin.ranges)
     simulation.reset(InitialState.default(spec, 1), rng)
     assert pybullet.getNumBodies(simulation._client) == bodies
@@ -101,7 +101,7 @@ def test_every_obstacle_of_many_is_drawn(make_setup, make_bullet, start_at):
     world = field(20, 20)
     spec, rng = make_setup(world, beams=1), np.random.default_rng(0)
     poses = world.random_poses(rng, 30, 0.2)
-    simulation, twin = make_bullet(spec), KinematicSimulation(spec, len(poses))
+    simulation, twin = make_bullet(spec), KinematicSimulator(spec, len(poses))
     expected = twin.reset(start_at(spec, poses), rng).look(64, 64)[1]
     seen = [simulation.reset(start_at(spec, [pose]), rng).look(64, 64) for pose in poses]
     drawn = np.concatenate([depth for _, depth in seen])

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import find_world
 from tb2rl.robots.robot import RADIUS
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
-from tb2rl.simulation.bullet import BulletSimulation
-from tb2rl.simulation.bullet_batch import BulletBatch
+from tb2rl.simulation.bullet.batch import BulletBatch
+from tb2rl.simulation.bullet.simulator import BulletSimulator
+from tb2rl.worlds.registry import find_world
 
 WORLDS = tuple(map(find_world, ("loop", "maze")))
 SETUP = SimulationSpec(ROBOT, replace(ROBOT.laser, beams=9, noise=0.02), WORLDS)
@@ -72,7 +72,7 @@ class Singles:
     """Simulations of one robot each, as a reference."""
 
     def __init__(self, num_envs):
-        self.worlds, self.num_envs = [BulletSimulation(SETUP) for _ in range(num_envs)], num_envs
+        self.worlds, self.num_envs = [BulletSimulator(SETUP) for _ in range(num_envs)], num_envs
 
     def reset(self, start, rng):
         self.noise = rng.spawn(self.num_envs)
@@ -123,13 +123,13 @@ def test_the_cameras_see_where_each_robot_is(make):
     told = commands(1, 4)[0]
     robot_state = batch.step(told, PERIOD)
     _, first = batch.restart(np.array([1, 2]), starts(2, seed=5), robot_state)
-    colours, depth = robot_state.look(24, 18)
+    colours, depth = robot_state.render_camera(24, 18)
     assert (colours.shape, colours.dtype, depth.shape) == ((4, 18, 24, 3), np.uint8, (4, 18, 24))
     for some, robots in ((first, [1, 2]), (robot_state, [0, 1, 2, 3])):
         for image, robot in zip(some.look(24, 18)[0], robots, strict=True):
             np.testing.assert_array_equal(image, colours[robot])
     assert len({image.tobytes() for image in colours}) == 4
-    alone = BulletSimulation(SETUP)
+    alone = BulletSimulator(SETUP)
     alone.reset(InitialState(starts(4).table[3:]), np.random.default_rng(0))
     np.testing.assert_array_equal(alone.step(told[3:], PERIOD).look(24, 18)[0][0], colours[3])
     alone.close()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.registry import world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.bullet import BulletSimulation
+from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.simulation.spec import WHEEL
+from tb2rl.worlds.registry import world_names
 
 TARGETS = {
     "a wall": {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]},
@@ -113,8 +113,8 @@ def test_a_touch_is_felt_when_larger_wheels_drive_faster_than_the_top_speed(make
 
 def test_contacts_are_asked_for_only_where_a_touch_is_possible(make_track, monkeypatch):
     asked = []
-    feel = BulletSimulation._touches_a_wall
-    monkeypatch.setattr(BulletSimulation, "_touches_a_wall", lambda self: asked.append(1) or feel(self))
+    feel = BulletSimulator._touches_a_wall
+    monkeypatch.setattr(BulletSimulator, "_touches_a_wall", lambda self: asked.append(1) or feel(self))
     track = make_track(TARGETS["a wall"])
     for gap, most in ((0.3, 0), (0.1, 7), (0.05, 13), (0.005, 16)):  # in the 16 physics steps of 0.2 s
         track.place(-0.1 - ROBOT.radius - gap)

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.registry import world_names
 from tb2rl.robots.robot import MAX_SPEED, RADIUS, WHEEL_ACCELERATION, WHEEL_SEPARATION
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.spec import PHYSICS_RATE
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.registry import world_names
 
 PERIOD = 0.2  # [s]
 OPEN = World.from_shapes("open", start=(0.0, 0.0, 0.0), bounds=(-40.0, -40.0, 40.0, 40.0))
@@ -29,7 +29,7 @@ def wheel_speeds(twist: np.ndarray, separation: float) -> np.ndarray:
 
 def drive(spec, start, commands, seed=0):
     """The readings of the twin's robots that are told each of `commands` (steps, robots, 2)."""
-    twin = KinematicSimulation(spec, len(start.table))
+    twin = KinematicSimulator(spec, len(start.table))
     first = twin.reset(start, np.random.default_rng(seed))
     return [first, *(twin.step(told, PERIOD) for told in np.asarray(commands, dtype=float))]
 
@@ -48,7 +48,7 @@ def drive(spec, start, commands, seed=0):
 )
 def test_the_rims_speed_up_as_the_robots_numbers_say(told, pushes, together, coupling, make_setup):
     spec = make_setup(OPEN, robot=replace(ROBOT, wheel_coupling=coupling), beams=1)
-    twin = KinematicSimulation(spec)
+    twin = KinematicSimulator(spec)
     twin.reset(InitialState.default(spec, 1), np.random.default_rng(0))
     twists = np.concatenate([twin.step(np.array([told]), 1 / PHYSICS_RATE).twist for _ in range(6)])
     speeds = wheel_speeds(twists, ROBOT.wheel_separation)
@@ -89,7 +89,7 @@ def test_both_simulations_read_the_same_at_the_same_pose(make_setup, make_bullet
     spec, rng = make_setup("round", beams=36), np.random.default_rng(3)
     (world,) = spec.worlds
     poses = world.random_poses(rng, 20, 0.3)
-    physics, twin = make_bullet(spec), KinematicSimulation(spec, 20)
+    physics, twin = make_bullet(spec), KinematicSimulator(spec, 20)
     read = twin.reset(start_at(spec, poses), rng).ranges
     for pose, ranges in zip(poses, read, strict=True):
         np.testing.assert_allclose(physics.reset(start_at(spec, [pose]), rng).ranges[0], ranges, atol=1e-3)
@@ -202,7 +202,7 @@ def test_a_larger_robot_stops_farther_from_the_wall(make_setup):
 
 def test_a_robot_with_its_wheels_twice_as_far_apart_turns_half_as_fast_at_first(make_setup):
     spec = make_setup(OPEN, beams=1)
-    twin = KinematicSimulation(spec, 2)
+    twin = KinematicSimulator(spec, 2)
     twin.reset(varied(spec, WHEEL_SEPARATION, [1.0, 2.0]), np.random.default_rng(0))
     own, wide = twin.step(np.full((2, 2), (0.0, 9.0)), 0.1).twist[:, 1]
     assert wide == pytest.approx(own / 2)
@@ -211,7 +211,7 @@ def test_a_robot_with_its_wheels_twice_as_far_apart_turns_half_as_fast_at_first(
 
 def test_it_says_how_far_each_robot_moved(make_setup):
     spec, rng = make_setup("loop"), np.random.default_rng(0)
-    simulation, start = KinematicSimulation(spec, 100), InitialState.default(spec, 100)
+    simulation, start = KinematicSimulator(spec, 100), InitialState.default(spec, 100)
     start.pose[:] = spec.worlds[0].random_poses(rng, 100, 0.2)
     before = simulation.reset(start, rng).pose
     for _ in range(5):

@@ -8,7 +8,7 @@ import pytest
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.spec import WHEEL, WORLD
 
 PERIOD = 0.2  # [s]
@@ -16,7 +16,7 @@ PERIOD = 0.2  # [s]
 
 def test_noise_has_its_width_and_robots_have_their_own(make_setup):
     spec = make_setup("loop", beams=200, noise=0.05)
-    twin, quiet = KinematicSimulation(spec, 50), KinematicSimulation(make_setup("loop", beams=200))
+    twin, quiet = KinematicSimulator(spec, 50), KinematicSimulator(make_setup("loop", beams=200))
     noisy = twin.reset(InitialState.default(spec, 50), np.random.default_rng(0)).ranges
     exact = quiet.reset(InitialState.default(spec, 1), np.random.default_rng(0)).ranges
     errors = noisy - exact
@@ -34,7 +34,7 @@ def driven(make_setup, start_at, num_envs=30):
     start = start_at(spec, np.stack([spec.worlds[k].random_poses(rng, 1, 0.3)[0] for k in worlds]), worlds)
     start.parameters[:, MAX_SPEED] *= rng.uniform(0.5, 1.0, num_envs)
     start.goal[:] = rng.uniform(0, 9, (num_envs, 2))
-    twin, told = KinematicSimulation(spec, num_envs), rng.uniform(-1, 1, (20, num_envs, 2))
+    twin, told = KinematicSimulator(spec, num_envs), rng.uniform(-1, 1, (20, num_envs, 2))
     twin.reset(start, rng)
     for command in told:
         twin.step(command, PERIOD)
@@ -45,7 +45,7 @@ def test_a_restored_state_goes_on_to_the_bit(make_setup, start_at):
     twin, told = driven(make_setup, start_at)
     state = twin.state()
     first = [twin.step(command, PERIOD) for command in told]
-    other = KinematicSimulation(twin.spec, 30)
+    other = KinematicSimulator(twin.spec, 30)
     for goes_on in (twin, other):
         goes_on.restore(state)
         for command, robot_state in zip(told, first, strict=True):
@@ -101,7 +101,7 @@ def test_robots_that_begin_anew_leave_the_others_alone(make_setup, start_at):
 def test_a_restored_reading_says_what_was_told_and_felt(make_setup, start_at):
     twin, told = driven(make_setup, start_at)
     last = twin.step(told[0], PERIOD)
-    again = KinematicSimulation(twin.spec, 30).restore(twin.state())
+    again = KinematicSimulator(twin.spec, 30).restore(twin.state())
     np.testing.assert_array_equal(again.command, told[0])
     np.testing.assert_array_equal(again.acceleration, last.acceleration)
     np.testing.assert_array_equal(again.twist, last.twist)
@@ -131,7 +131,7 @@ def test_a_state_from_which_a_step_would_not_end_is_refused(change, words, make_
 
 def test_a_robot_of_negative_coupling_has_states_too(make_setup):
     spec = make_setup(robot=replace(ROBOT, wheel_coupling=-0.4), beams=1)
-    twin = KinematicSimulation(spec)
+    twin = KinematicSimulator(spec)
     expected = twin.step(np.array([[0.5, 0.5]]), PERIOD).pose
     twin.restore(twin.state())
     assert twin.state()["poses"] == pytest.approx(expected)

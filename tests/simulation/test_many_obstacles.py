@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_world
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.worlds import World
+from tb2rl.worlds.registry import find_world
 
 ROBOTS = 512
 
@@ -35,7 +35,7 @@ def seconds_of(works, times=20):
 def step_in(worlds, make_setup):
     """A step of robots at the starts of some worlds, which turn on the spot."""
     spec, rng = make_setup(*worlds, beams=36), np.random.default_rng(0)
-    simulation = KinematicSimulation(spec, ROBOTS)
+    simulation = KinematicSimulator(spec, ROBOTS)
     start = InitialState.default(spec, ROBOTS, rng.integers(len(worlds), size=ROBOTS))
     start.pose[:, 2] = rng.uniform(-3, 3, ROBOTS)
     simulation.reset(start, rng)

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_robot, robot_names
+from tb2rl.core.plugins import robot_names
+from tb2rl.robots.registry import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation.motors import measure_motors
+from tb2rl.simulation.bullet.motors import measure_motors
 from tb2rl.simulation.spec import PHYSICS_RATE
 
 FASTEST, COUPLED = ROBOT.wheel_acceleration, ROBOT.wheel_coupling  # [m/s^2]

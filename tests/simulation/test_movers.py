@@ -12,10 +12,10 @@ import pytest
 
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, simulate
-from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.outlines import COS, LENGTH, SIN, WIDTH, X, Y
-from tb2rl.simulation.spec import CROWD
-from tb2rl.simulation.walking import NEXT, SPEED, STRIDE
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y
+from tb2rl.simulation.spec import OBSTACLE_SEED
+from tb2rl.simulation.obstacles.motion import NEXT, SPEED, STRIDE
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 from tb2rl.worlds.world import World
 
@@ -40,7 +40,7 @@ def begin(spec, rng, num_envs=1, clearance=0.3):
     worlds = rng.integers(len(spec.worlds), size=num_envs)
     start = InitialState.default(spec, num_envs, worlds)
     start.pose[:] = spec.poses_from(worlds, rng.random((num_envs, 4)), clearance)
-    start.table[:, CROWD] = rng.random(num_envs)
+    start.table[:, OBSTACLE_SEED] = rng.random(num_envs)
     return start
 
 
@@ -93,7 +93,7 @@ def ray_errors(bullet, robot_state):
 @pytest.mark.parametrize("dynamic_obstacles", KINDS, ids=str)
 def test_twin_and_physics_stay_together_until_the_first_touch(dynamic_obstacles, make_setup, make_bullet):
     spec = among(make_setup("loop", "maze", beams=36), dynamic_obstacles)
-    bullet, twin, rng = make_bullet(spec), KinematicSimulation(spec), np.random.default_rng(0)
+    bullet, twin, rng = make_bullet(spec), KinematicSimulator(spec), np.random.default_rng(0)
     parted, rays, ends = [], [], []
     for _ in range(40):
         start = begin(spec, rng)
@@ -122,7 +122,7 @@ def test_twin_and_physics_stay_together_until_the_first_touch(dynamic_obstacles,
 
 def test_without_movers_a_reading_says_nothing_of_them(make_setup, make_bullet):
     spec = make_setup("loop", beams=9)
-    for simulation in (make_bullet(spec), KinematicSimulation(spec)):
+    for simulation in (make_bullet(spec), KinematicSimulator(spec)):
         robot_state = simulation.reset(InitialState.default(spec, 1), np.random.default_rng(0))
         assert robot_state.dynamic_obstacles is None
         assert robot_state.nearest_is_dynamic is None
@@ -135,7 +135,7 @@ def test_worlds_have_movers_of_their_own_beside_those_of_the_task(make_setup):
     )
     bare = World.from_shapes("bare", start=(0, 0, 0), bounds=(-9, -9, 9, 9))
     spec = among(make_setup(bare, own), {"people": 1})
-    twin = KinematicSimulation(spec, 2)
+    twin = KinematicSimulator(spec, 2)
     robot_state = twin.reset(InitialState.default(spec, 2, np.array([0, 1])), np.random.default_rng(0))
     assert ((robot_state.dynamic_obstacles[..., LENGTH] > 0).sum(axis=1) == (1, 3)).all()
     assert (robot_state.dynamic_obstacles[0, 1:, [LENGTH, WIDTH]] == 0).all()
@@ -144,13 +144,13 @@ def test_worlds_have_movers_of_their_own_beside_those_of_the_task(make_setup):
 def test_a_group_is_there_in_its_share_of_the_episodes_all_of_it_or_nobody(make_setup, make_bullet):
     groups = [{"people": 3, "presence": 0.25}, {"posts": 1}, {"boxes": 2, "presence": 0.8}]
     spec, rng = among(make_setup("loop", "maze", beams=9), groups), np.random.default_rng(3)
-    twin, start = KinematicSimulation(spec, 2000), begin(spec, rng, 2000)
+    twin, start = KinematicSimulator(spec, 2000), begin(spec, rng, 2000)
     there = twin.reset(start, rng).dynamic_obstacles[..., LENGTH] > 0
     assert (there[:, :3] == there[:, [0]]).all() & there[:, 3].all() & (there[:, 4] == there[:, 5]).all()
     both = [np.mean(there[:, 0]), np.mean(there[:, 4]), np.mean(there[:, 0] & there[:, 4])]
     assert both == pytest.approx([0.25, 0.8, 0.2], abs=0.03)
     twin.step(np.zeros((2000, 2)), STEP)
-    again = KinematicSimulation(spec, 2000)
+    again = KinematicSimulator(spec, 2000)
     again.restore(twin.state())
     step = np.full((2000, 2), 0.2)
     assert (again.step(step, STEP).dynamic_obstacles == twin.step(step, STEP).dynamic_obstacles).all()
@@ -166,7 +166,7 @@ def test_depth_images_show_what_moves(name, make_setup):
     spec = among(make_setup(World.from_shapes("floor", start=(0, 0, 0), bounds=(-9, -9, 9, 9))), path)
     simulation = simulate(name, spec)
     robot_state = simulation.reset(InitialState.default(spec, 1), np.random.default_rng(0))
-    depth = robot_state.look(64, 48)[1][0]
+    depth = robot_state.render_camera(64, 48)[1][0]
     simulation.close()
     camera = ROBOT.camera.position[0]
     assert depth[23, 32] == pytest.approx(2.0 - camera - 0.3, abs=0.01)
@@ -364,7 +364,7 @@ def test_robots_that_begin_anew_leave_the_others_and_their_movers_alone(make_set
     start, anew = begin(spec, rng, 20), np.array([0, 3, 11])
     runs, told = [], rng.uniform((-0.1, -1), (0.6, 1), (20, 20, 2))
     for restarting in (False, True):
-        twin = KinematicSimulation(spec, 20)
+        twin = KinematicSimulator(spec, 20)
         twin.reset(InitialState(start.table.copy()), np.random.default_rng(0))
         for each in told[:10]:
             robot_state = twin.step(each, STEP)
@@ -374,7 +374,7 @@ def test_robots_that_begin_anew_leave_the_others_and_their_movers_alone(make_set
             np.testing.assert_array_equal(first.dynamic_obstacles, robot_state.dynamic_obstacles[anew])
             np.testing.assert_array_equal(first.nearest_is_dynamic, robot_state.nearest_is_dynamic[anew])
             np.testing.assert_array_equal(first.ranges, robot_state.ranges[anew])
-            beginner = KinematicSimulation(spec, 3).reset(fresh, np.random.default_rng(0))
+            beginner = KinematicSimulator(spec, 3).reset(fresh, np.random.default_rng(0))
             np.testing.assert_array_equal(first.dynamic_obstacles, beginner.dynamic_obstacles)
         runs.append([twin.step(each, STEP) for each in told[10:]])
     others = np.setdiff1d(np.arange(20), anew)
@@ -390,7 +390,7 @@ def test_threads_and_the_number_of_robots_change_nothing(make_setup, monkeypatch
     for worth, robots in ((0.0, 64), (1e9, 64), (1e9, 7)):
         monkeypatch.setattr("tb2rl.simulation.kinematic.WORTH_THREADS", worth)
         monkeypatch.setattr("tb2rl.simulation.kinematic.WAKING", 0.0)
-        twin = KinematicSimulation(spec, robots)
+        twin = KinematicSimulator(spec, robots)
         twin.reset(InitialState(start.table[:robots].copy()), np.random.default_rng(0))
         for each in told:
             robot_state = twin.step(each[:robots], STEP)
@@ -447,7 +447,7 @@ def test_a_robot_out_of_reach_of_all_movers_drives_to_the_bit_as_one_alone(make_
     )
     poses = []
     for spec in (make_setup(world, beams=9), among(make_setup(world, beams=9), far)):
-        twin = KinematicSimulation(spec)
+        twin = KinematicSimulator(spec)
         twin.reset(InitialState.default(spec, 1), np.random.default_rng(0))
         poses.append([twin.step(each[None], STEP).pose for each in told])
     np.testing.assert_array_equal(*poses)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tb2rl.simulation import threads
-from tb2rl.simulation.threads import parallel_for
+from tb2rl.simulation.kinematic.threads import parallel_for
 
 
 @pytest.mark.parametrize("count", [1, 2, 10, 1001])

@@ -13,9 +13,9 @@ import pytest
 from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import SIMULATIONS, InitialState, simulate
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.random_streams import GeneratorDraws, StreamDraws
-from tb2rl.simulation.spec import LEFT_COUNT, RIGHT_COUNT
+from tb2rl.simulation.spec import LEFT_ENCODER, RIGHT_ENCODER
 from tb2rl.simulation.variation import NONE, PRESETS, Variation, find_variation
 from tb2rl.worlds import World
 
@@ -79,7 +79,7 @@ def test_encoders_that_count_otherwise_change_odometry_alone(simulation, begin, 
     made, _ = begin(simulation, None)
     true = made.step(np.array([[0.4, 0.0]]), 2.0)
     start = InitialState.default(made.spec, 1)
-    start.table[:, [LEFT_COUNT, RIGHT_COUNT]] = 0.99, 1.01
+    start.table[:, [LEFT_ENCODER, RIGHT_ENCODER]] = 0.99, 1.01
     made.reset(start, np.random.default_rng(0))
     after = made.step(np.array([[0.4, 0.0]]), 2.0)
     np.testing.assert_array_equal(after.pose, true.pose)
@@ -201,7 +201,7 @@ def test_varied_robots_end_where_they_do_in_pybullet(make_setup, make_bullet):
     start.pose[:] = spec.worlds[0].random_poses(rng, count, 0.3)
     strong.vary(start, GeneratorDraws(rng, count))
     commands = rng.uniform((-ROBOT.max_speed, -2.0), (ROBOT.max_speed, 2.0), (25, count, 2))
-    twin, physics = KinematicSimulation(spec, count), make_bullet(spec)
+    twin, physics = KinematicSimulator(spec, count), make_bullet(spec)
     twin.reset(InitialState(start.table.copy()), rng)
     readings = [twin.step(told, PERIOD) for told in commands]
     missed, counted = [], []
@@ -226,7 +226,7 @@ def test_states_of_varied_robots_go_on_to_the_bit(preset, make_setup, make_bulle
     for simulation in SIMULATIONS:
         spec = make_setup("loop", beams=20)
         num_envs = 1 if simulation == "bullet" else 30
-        made = make_bullet(spec) if simulation == "bullet" else KinematicSimulation(spec, num_envs)
+        made = make_bullet(spec) if simulation == "bullet" else KinematicSimulator(spec, num_envs)
         start = InitialState.default(spec, num_envs)
         PRESETS[preset].vary(start, streams(num_envs, key=5))
         made.reset(start, np.random.default_rng(0))
@@ -241,7 +241,7 @@ def test_states_of_varied_robots_go_on_to_the_bit(preset, make_setup, make_bulle
 
 def test_a_robot_whose_episode_begins_anew_counts_from_there(make_setup):
     spec = make_setup("loop", beams=3)
-    twin = KinematicSimulation(spec, 3)
+    twin = KinematicSimulator(spec, 3)
     twin.reset(varied(spec, 3, wheel_radius=(0.9, 1.1)), np.random.default_rng(0))
     last = twin.step(np.full((3, 2), 0.4), 1.0)
     robot_state, first = twin.restart(np.array([1]), varied(spec, 1, wheel_radius=(0.9, 1.1)), last)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
-from tb2rl.simulation.outlines import COS, SIN, X, Y
-from tb2rl.simulation.social_force import social_force
-from tb2rl.simulation.spec import CROWD
-from tb2rl.simulation.walking import HURRY, SPEED
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.obstacles.outlines import COS, SIN, X, Y
+from tb2rl.simulation.obstacles.social_force import social_force
+from tb2rl.simulation.spec import OBSTACLE_SEED
+from tb2rl.simulation.obstacles.motion import HURRY, SPEED
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 
@@ -35,7 +35,7 @@ FORCES = [
 COMPARE = """
 import sys
 import numpy as np
-from tb2rl.simulation.social_force import social_force
+from tb2rl.simulation.obstacles.social_force import social_force
 import numba
 numba.config.DISABLE_JIT = 1  # the library's functions would need SciPy
 from pysocialforce import Simulator
@@ -62,8 +62,8 @@ def walk(make_setup):
             dynamic_obstacles=find_dynamic_obstacles(dynamic_obstacles, "dynamic_obstacles"),
         )
         start = InitialState.default(spec, num_envs)
-        start.table[:, CROWD] = np.random.default_rng(seed).random(num_envs)
-        twin = KinematicSimulation(spec, num_envs)
+        start.table[:, OBSTACLE_SEED] = np.random.default_rng(seed).random(num_envs)
+        twin = KinematicSimulator(spec, num_envs)
         readings = [twin.reset(start, np.random.default_rng(0))]
         readings += [twin.step(np.zeros((num_envs, 2)), duration) for _ in range(steps)]
         return np.array([robot_state.dynamic_obstacles for robot_state in readings]), twin
@@ -177,8 +177,8 @@ def test_whether_people_see_the_robot_is_a_setting(make_setup, start_at):
             dynamic_obstacles=find_dynamic_obstacles({"people": 4, "avoid_robot": sees}, "dynamic_obstacles"),
         )
         start = InitialState.default(spec, 200)
-        start.table[:, CROWD] = np.random.default_rng(0).random(200)
-        twin, touched = KinematicSimulation(spec, 200), np.zeros(200, dtype=bool)
+        start.table[:, OBSTACLE_SEED] = np.random.default_rng(0).random(200)
+        twin, touched = KinematicSimulator(spec, 200), np.zeros(200, dtype=bool)
         twin.reset(start, np.random.default_rng(0))
         for _ in range(100):
             touched |= twin.step(np.zeros((200, 2)), STEP).bumped

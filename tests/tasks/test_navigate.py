@@ -9,7 +9,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.envs.make import make_env, make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.simulation import InitialState
-from tb2rl.simulation.kinematic import KinematicSimulation
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks import Commands, Velocities
 from tb2rl.tasks.navigate import Navigate
@@ -21,7 +21,7 @@ def begun(num_envs=200, **settings):
     """A scene, the starts of some episodes in it, and the twin that is there."""
     scene = make_scene(make_task("navigate", {"world": FIVE, **settings}), "raw")
     start = scene.task.initial_state(scene.spec, GeneratorDraws(np.random.default_rng(0), num_envs))
-    return scene, start, KinematicSimulation(scene.spec, num_envs)
+    return scene, start, KinematicSimulator(scene.spec, num_envs)
 
 
 def stand(scene, simulation, start, *places):
@@ -70,7 +70,7 @@ def make_task_scene(world, goal):
 def test_a_step_pays_the_way_that_became_shorter_and_not_the_straight_line():
     scene, start, simulation = begun(world="maze", step_reward=0.0, margin_reward=0.0)
     here = start.pose[:, :2]
-    near = scene.spec.ways.lookahead_point(start.world.astype(int), start.way.astype(int), here, 0.05)
+    near = scene.spec.goal_paths.lookahead_point(start.world.astype(int), start.goal_path.astype(int), here, 0.05)
     before, after = stand(scene, simulation, start, here, near)
     forth = scene.task.outcome(before, np.zeros((200, 2)), after)
     back = scene.task.outcome(after, np.zeros((200, 2)), before)

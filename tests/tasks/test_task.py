@@ -8,14 +8,17 @@ import pytest
 
 from tb2rl import make_env
 from tb2rl.core.errors import InputError
+from tb2rl.core.plugins import task_names
 from tb2rl.core.values import build
-from tb2rl.registry import find_robot, find_task, find_world, task_names
+from tb2rl.robots.registry import find_robot
 from tb2rl.robots.robot import WHEEL_ACCELERATION
 from tb2rl.simulation.random_streams import GeneratorDraws, StreamDraws
-from tb2rl.simulation.spec import BOUNDS, CROWD, GOAL, POSE, WORLD
+from tb2rl.simulation.spec import BOUNDS, OBSTACLE_SEED, GOAL, POSE, WORLD
 from tb2rl.tasks import Commands
+from tb2rl.tasks.registry import find_task
 from tb2rl.tasks.wander import Wander
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
+from tb2rl.worlds.registry import find_world
 
 
 def draws(num_envs=1, seed=0):
@@ -127,9 +130,9 @@ def test_movers_change_nothing_that_was_drawn_before_them(name, variation, make_
     alone, among = (
         task.randomized_initial_state(spec, StreamDraws(keys, np.zeros(5, np.uint64))).table for spec in (bare, moving)
     )
-    np.testing.assert_array_equal(among[:, :CROWD], alone[:, :CROWD])
-    assert (alone[:, CROWD] == 0).all()
-    assert len(np.unique(among[:, CROWD])) == 5
+    np.testing.assert_array_equal(among[:, :OBSTACLE_SEED], alone[:, :OBSTACLE_SEED])
+    assert (alone[:, OBSTACLE_SEED] == 0).all()
+    assert len(np.unique(among[:, OBSTACLE_SEED])) == 5
 
 
 # ---- a task of one's own

@@ -1,7 +1,8 @@
-"""Trainings of a few steps, what is left of a killed one, and tasks in a module of a user's own."""
+"""Trainings of a few steps, what a killed one leaves behind, and tasks in a module of a user's own."""
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 
@@ -28,8 +30,8 @@ MY_TASKS = """
     class Picture(Sensor):
         name, shape = "picture", (1, 36, 36)
 
-        def read(self, reading):
-            rows = np.arange(36)[:, None] < 12 * np.minimum(reading.ranges, 3.0)[:, None, :]
+        def read(self, robot_state):
+            rows = np.arange(36)[:, None] < 12 * np.minimum(robot_state.ranges, 3.0)[:, None, :]
             return (255 * rows[:, None]).astype(np.uint8)
 
     @dataclass(frozen=True)
@@ -38,27 +40,26 @@ MY_TASKS = """
         actions = Velocities(forward=(-0.1, 0.5), turn=(-1.0, 1.0))
 
         def outcome(self, before, action, after):
-            crashed = after.bumped | (after.nearest < 0.5)
-            return Outcome(np.where(crashed, -10.0, after.twist[:, 0]), failed={"collision": crashed})
+            collided = after.bumped | (after.nearest < 0.5)
+            return Outcome(np.where(collided, -10.0, after.twist[:, 0]), failed={"collision": collided})
 
     @dataclass(frozen=True)
     class Pictured(Wander):
         "An image beside the laser's ranges."
-        def sensors(self, setup):
-            return (*super().sensors(setup), Picture())
+        def sensors(self, spec):
+            return (*super().sensors(spec), Picture())
 
     @dataclass(frozen=True)
     class OnlyPicture(Wander):
         "An image alone."
-        def sensors(self, setup):
+        def sensors(self, spec):
             return (Picture(),)
     """
-TIMED = {"elapsed"}  # what a clock says
 
 
 @pytest.fixture(scope="session", autouse=True)
 def my_tasks(tmp_path_factory) -> Iterator[None]:
-    """The tasks "my_tasks:Glide" and "my_tasks:Pictured", in a module that Python finds."""
+    """The importable module `my_tasks`."""
     folder = tmp_path_factory.mktemp("modules")
     (folder / "my_tasks.py").write_text(dedent(MY_TASKS))
     sys.path.insert(0, str(folder))
@@ -67,64 +68,85 @@ def my_tasks(tmp_path_factory) -> Iterator[None]:
 
 
 def _differences(one: Any, other: Any, path: str = "") -> Iterator[str]:
-    """Where two trees differ, to the bit."""
+    """The places where two trees differ by a bit, except in elapsed time."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         if one.keys() != other.keys():
             yield f"{path}: {sorted(one.keys() ^ other.keys())}"
-        for key in one.keys() & other.keys() - TIMED:
+        for key in one.keys() & other.keys() - {"elapsed"}:
             yield from _differences(one[key], other[key], f"{path}/{key}")
-    elif isinstance(one, list) and isinstance(other, list):
-        if len(one) != len(other):
-            yield f"{path}: lengths {len(one)}, {len(other)}"
-        for i, (a, b) in enumerate(zip(one, other, strict=False)):
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
             yield from _differences(a, b, f"{path}/{i}")
     elif isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        if one.dtype != other.dtype or one.shape != other.shape or one.tobytes() != other.tobytes():
+        if (one.dtype, one.shape, one.tobytes()) != (other.dtype, other.shape, other.tobytes()):
             yield path
     elif one != other:
         yield f"{path}: {one!r}, {other!r}"
 
 
-def _killed(whole: Run, folder: Path) -> Run:
-    """What `kill -9` leaves after the first checkpoint of a run, some of what came later included."""
-    shutil.copytree(whole.folder, folder)
-    for file in Run.open(folder).checkpoints[:-1]:
-        file.unlink()
-    shutil.rmtree(folder / "final")
-    return Run.open(folder)
+def _evaluations(run: Run) -> list[dict[str, Any]]:
+    """The evaluations during a training, without the time that they took."""
+    file = run.folder / "evaluations.jsonl"
+    lines = map(json.loads, file.read_text().splitlines() if file.exists() else ())
+    return [{key: value for key, value in line.items() if key not in {"seconds", "elapsed"}} for line in lines]
 
 
-def _config(agent="qlearn", task="maze", settings=None, **train):
-    """A training in the twin without evaluations and checkpoints on the way, unless `train` says otherwise."""
-    train = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "eval_freq": 0, "save_freq": 0, **train}
-    return resolve(agent, task, settings={f"train.{key}": value for key, value in train.items()} | (settings or {}))
+@pytest.fixture(scope="session")
+def assert_same_runs():
+    """Asserts that two runs have the same last checkpoint, policy and evaluations, to the bit."""
+
+    def compare(one: Run, other: Run) -> None:
+        assert list(_differences(*(read_checkpoint(run.checkpoints[0]) for run in (one, other)))) == []
+        assert list(_differences(*(read_checkpoint(run.policy_file) for run in (one, other)))) == []
+        assert _evaluations(one) == _evaluations(other)
+
+    return compare
 
 
-def _scalars(run: Run, tag: str) -> list[tuple[int, float]]:
-    """The steps and values of a curve in TensorBoard."""
-    events = EventAccumulator(str(run.folder / "tensorboard")).Reload()
-    return [(event.step, event.value) for event in events.Scalars(tag)]
+@pytest.fixture(scope="session")
+def evaluations():
+    """The function `_evaluations`."""
+    return _evaluations
 
 
-@pytest.fixture
-def differences():
-    """A function from two trees to a list of the places where they differ, to the bit."""
-    return lambda one, other: list(_differences(one, other))
-
-
-@pytest.fixture
+@pytest.fixture(scope="session")
 def killed():
-    """The function `_killed`."""
-    return _killed
+    """Copies a run as `kill -9` leaves it after its first checkpoint, with some files from later on."""
+
+    def copy(whole: Run, folder: Path) -> Run:
+        shutil.copytree(whole.folder, folder)
+        for file in Run.open(folder).checkpoints[:-1]:
+            file.unlink()
+        shutil.rmtree(folder / "final")
+        return Run.open(folder)
+
+    return copy
 
 
 @pytest.fixture(scope="session")
 def small():
-    """The function `_config`."""
-    return _config
+    """Makes the config of a short kinematic training without evaluations and checkpoints, unless it asks for them."""
+
+    def make(agent="qlearn", task="maze", settings=None, **train):
+        train = {
+            "simulation": "kinematic",
+            "n_envs": 4,
+            "total_timesteps": 128,
+            "eval_freq": 0,
+            "save_freq": 0,
+            **train,
+        }
+        return resolve(agent, task, settings={f"train.{key}": value for key, value in train.items()} | (settings or {}))
+
+    return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def scalars():
-    """The function `_scalars`."""
-    return _scalars
+    """Reads the steps and values of a curve in TensorBoard."""
+
+    def read(run: Run, tag: str) -> list[tuple[int, float]]:
+        events = EventAccumulator(str(run.folder / "tensorboard")).Reload()
+        return [(event.step, event.value) for event in events.Scalars(tag)]
+
+    return read

@@ -7,9 +7,10 @@ from functools import partial
 import pytest
 import yaml
 
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
-from tb2rl.registry import agent_names, find_agent
+from tb2rl.core.plugins import agent_names
 from tb2rl.runs.layers import resolve
 from tb2rl.tune import main
 from tb2rl.tuning.space import check_space, find_space, space_from, without_fixed

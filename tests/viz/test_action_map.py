@@ -12,13 +12,13 @@ import shapely
 import torch as th
 
 from tb2rl.envs.make import make_env
-from tb2rl.registry import find_world
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.viz.action_map import HEADINGS, OVER, UNMET, action_map
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
+from tb2rl.worlds.registry import find_world
 
 
 def test_the_map_shows_what_the_policy_does_where_training_met_the_state(seeds):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tb2rl.evaluation.rollout import roll_out
-from tb2rl.registry import find_world
 from tb2rl.rendering.colours import BODY
 from tb2rl.viz.cameras import CAMERAS
 from tb2rl.viz.film import film, open_env
 from tb2rl.viz.shots import shots
+from tb2rl.worlds.registry import find_world
 
 STEPS = 10
 

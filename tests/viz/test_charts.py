@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tb2rl.registry import find_world
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.viz.charts import WIDTH, draw_curves, draw_time, draw_ways, shown_worlds, time_shares, with_own_ids
 from tb2rl.viz.curves import Curve, Family
 from tb2rl.viz.groups import grouped
 from tb2rl.viz.page import charts
 from tb2rl.viz.subjects import read_subject
+from tb2rl.worlds.registry import find_world
 
 
 def marks(picture: str, kind: str) -> np.ndarray:

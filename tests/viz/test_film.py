@@ -10,13 +10,13 @@ import av
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import world_names
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.viz.cameras import CAMERAS
 from tb2rl.viz.film import film, open_env
 from tb2rl.viz.writers import WRITERS
+from tb2rl.worlds.registry import world_names
 
 STEPS = 10
 HOLD = 1.0  # [s] at the end of an episode

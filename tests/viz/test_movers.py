@@ -12,7 +12,7 @@ from tb2rl.evaluation.rollout import roll_out
 from tb2rl.rendering.colours import MOVER, ROUTE
 from tb2rl.rendering.plan import draw_plan
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation.crowd import _COLOUR
+from tb2rl.simulation.bullet.obstacle_bodies import _COLOUR
 from tb2rl.tasks.outcome import OBSTACLE_COLLISION
 from tb2rl.viz.cameras import CAMERAS
 from tb2rl.viz.charts import draw_ways

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_world
-from tb2rl.simulation.physics import pybullet
+from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.viz.floor import draw_floor
 from tb2rl.viz.stage import Stage, _coloured_shell
+from tb2rl.worlds.registry import find_world
 
 SIDES = 160, 90  # [px]
 NO_GOAL = np.full(2, np.nan)

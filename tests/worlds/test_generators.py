@@ -15,7 +15,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.values import build
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds.floor import SIDE, Floor
-from tb2rl.worlds.generators import FAMILIES, GENERATORS, Generated, generate, solvable
+from tb2rl.worlds.generators import FAMILIES, GENERATORS, GeneratorSettings, generate, solvable
 from tb2rl.worlds.generators.lattice import neighbours, spanning_tree
 from tb2rl.worlds.generators.maze import WALL
 
@@ -24,7 +24,9 @@ NAMES = [maker.__name__ for maker in FAMILIES]
 
 def made(generator, purpose="training", **settings):
     settings = {"worlds": 10, **settings}
-    return generate(build(Generated, {"generator": generator, **settings}, "test"), GENERATORS[generator], purpose)
+    return generate(
+        build(GeneratorSettings, {"generator": generator, **settings}, "test"), GENERATORS[generator], purpose
+    )
 
 
 def bits(worlds):
@@ -149,8 +151,8 @@ def test_a_world_follows_from_its_purpose_seed_and_number_alone():
 def test_another_process_makes_the_same_worlds():
     code = (
         "import hashlib, numpy as np; np.random.seed(5); np.random.random(9)\n"
-        "from tb2rl.worlds.generators import GENERATORS, Generated, generate\n"
-        "worlds = generate(Generated('mixed', worlds=10, seed=3), GENERATORS['mixed'], 'test')\n"
+        "from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate\n"
+        "worlds = generate(GeneratorSettings('mixed', worlds=10, seed=3), GENERATORS['mixed'], 'test')\n"
         "print(hashlib.sha256(b''.join(w.boxes.tobytes() + w.posts.tobytes() for w in worlds)).hexdigest())\n"
     )
     here = b"".join(w.boxes.tobytes() + w.posts.tobytes() for w in made("mixed", "test", seed=3))
@@ -176,7 +178,7 @@ def test_a_range_of_difficulties_is_drawn_from():
         asked.append(difficulty)
         return GENERATORS["clutter"][0](rng, difficulty, size)
 
-    generate(Generated("noted", worlds=50, difficulty=(0.2, 0.4)), (noted,), "training")
+    generate(GeneratorSettings("noted", worlds=50, difficulty=(0.2, 0.4)), (noted,), "training")
     assert 0.2 <= min(asked) < 0.25
     assert 0.35 < max(asked) <= 0.4
 

@@ -6,10 +6,11 @@ import time
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_world, world_names
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many, clearance_one
 from tb2rl.worlds.index import COLUMNS, FEW, ROWS, index_of, join
+from tb2rl.worlds.registry import find_world, world_names
+from tb2rl.worlds.index import COLUMNS, GRID_ABOVE, ROWS, index_of, join
 
 BEAMS = np.cos(np.linspace(-3, 3, 60)), np.sin(np.linspace(-3, 3, 60))
 
@@ -76,7 +77,7 @@ def assert_close(found, expected):
 
 def both(world):
     """The index of a world with a grid, and without one."""
-    indices = index_of(world.boxes, world.posts, few=0), index_of(world.boxes, world.posts, few=10**9)
+    indices = index_of(world.boxes, world.posts, grid_above=0), index_of(world.boxes, world.posts, grid_above=10**9)
     assert [index.parts[0, COLUMNS] > 0 for index in indices] == [True, False]
     return indices
 
@@ -118,7 +119,7 @@ def test_the_built_in_worlds_are_small_enough_to_need_no_grid(name):
 def test_a_world_of_many_obstacles_has_a_grid_of_about_as_many_cells():
     index = scattered(np.random.default_rng(0)).index
     assert 150 <= index.parts[0, COLUMNS] * index.parts[0, ROWS] <= 600
-    assert scattered(np.random.default_rng(0), FEW, 0).index.parts[0, COLUMNS] == 0
+    assert scattered(np.random.default_rng(0), GRID_ABOVE, 0).index.parts[0, COLUMNS] == 0
 
 
 def test_obstacles_that_cover_each_other_do_not_fill_the_memory():

@@ -5,13 +5,13 @@ import pytest
 import shapely
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import find_world
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
-from tb2rl.worlds.generators import GENERATORS, Generated, generate
+from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate
 from tb2rl.worlds.places import Places
+from tb2rl.worlds.registry import find_world
 
-WORLDS = generate(Generated("mixed", worlds=15, difficulty=(1.0, 1.0)), GENERATORS["mixed"], "training")
+WORLDS = generate(GeneratorSettings("mixed", worlds=15, difficulty=(1.0, 1.0)), GENERATORS["mixed"], "training")
 
 
 def poses_in(worlds, chosen, clearance=0.25, seed=0):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.worlds import Import, World
+from tb2rl.worlds import ImportOptions, World
 from tb2rl.worlds.readers import READERS, read_world
 
 DRAWING = "#####\n#S.G#\n#...#\n#####\n"
@@ -43,16 +43,16 @@ def test_a_start_and_a_goal_can_be_given_beside_any_file(file, text, tmp_path):
 
     reader = read if file == "my.own" else None
     before = read_world(tmp_path / file, reader)
-    after = read_world(tmp_path / file, reader, Import(start=(3, 3, 1), goal=(3.5, 3, 0), bounds=(0, 0, 20, 20)))
-    assert (after.initial_state, after.goal, after.bounds) == ((3, 3, 1), (3.5, 3, 0), (0, 0, 20, 20))
+    after = read_world(tmp_path / file, reader, ImportOptions(start=(3, 3, 1), goal=(3.5, 3, 0), bounds=(0, 0, 20, 20)))
+    assert (after.start, after.goal, after.bounds) == ((3, 3, 1), (3.5, 3, 0), (0, 0, 20, 20))
     assert np.allclose(after.boxes, before.boxes)
     assert np.allclose(after.posts, before.posts)
-    assert read_world(tmp_path / file, reader).start == before.initial_state
+    assert read_world(tmp_path / file, reader).start == before.start
 
 
 def test_a_start_beside_the_file_is_enough(tmp_path):
     (tmp_path / "mine.yaml").write_text(YAML.replace("start: [1.5, 2.5, 0.0]\n", ""))
-    assert read_world(tmp_path / "mine.yaml", said=Import(start=(1, 1, 0))).start == (1, 1, 0)
+    assert read_world(tmp_path / "mine.yaml", options=ImportOptions(start=(1, 1, 0))).start == (1, 1, 0)
 
 
 def test_a_file_is_read_once_and_again_when_it_changed(tmp_path):
@@ -62,7 +62,7 @@ def test_a_file_is_read_once_and_again_when_it_changed(tmp_path):
     assert read_world(file) is before
     file.write_text("#.S.#")
     os.utime(file, ns=(0, 1))  # two writes within a tick of the file system's clock look alike
-    assert read_world(file).start != before.initial_state
+    assert read_world(file).start != before.start
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ import shapely
 
 from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.worlds.generators import FAMILIES, GENERATORS, Generated, Purpose, generate, generator_of
-from tb2rl.worlds.suites import LEAST_WAY, RADIUS, Suite, barn, find_suite, unseen
+from tb2rl.worlds.generators import FAMILIES, GENERATORS, GeneratorSettings, Purpose, generate, world_rng
+from tb2rl.worlds.suites import MIN_PATH_LENGTH, RADIUS, Suite, barn, find_suite, unseen
 from tb2rl.worlds.world import World
 
 DIGEST = "edf133da02086c2c9c181ef4e1c84501f5f628353e42b8378965b010b006f725"
@@ -51,9 +51,9 @@ def test_every_family_has_two_hundred_worlds(suite):
 
 def test_every_way_is_worth_driving_and_can_be_driven(suite):
     assert ROBOT.radius == RADIUS
-    assert min(suite.ways) >= LEAST_WAY == 4.0
-    assert max(suite.ways) < ROBOT.max_speed * suite.time_limit / 2, "half the top speed is enough for each"
-    for world, way in zip(suite.worlds, suite.ways, strict=True):
+    assert min(suite.path_lengths) >= MIN_PATH_LENGTH == 4.0
+    assert max(suite.path_lengths) < ROBOT.max_speed * suite.time_limit / 2, "half the top speed is enough for each"
+    for world, way in zip(suite.worlds, suite.path_lengths, strict=True):
         straight = math.dist(world.start[:2], world.goal[:2])
         assert straight <= 1.02 * way
         assert world.clearance(*world.start[:2]) >= 0.25 - 1e-6
@@ -73,9 +73,9 @@ def test_starts_look_anywhere_and_difficulties_differ(suite):
 
 def test_nothing_else_draws_its_worlds(suite):
     purposes = get_args(Purpose)
-    assert len({generator_of(purpose, 0, 7).random() for purpose in purposes}) == len(purposes) == 5
+    assert len({world_rng(purpose, 0, 7).random() for purpose in purposes}) == len(purposes) == 5
     own = {world.boxes.tobytes() + world.posts.tobytes() for world in suite.worlds if "clutter" in world.name}
-    settings = Generated("mixed", worlds=100)
+    settings = GeneratorSettings("mixed", worlds=100)
     for purpose in ("training", "validation", "test", "search"):
         others = generate(settings, GENERATORS["mixed"], purpose)
         assert own.isdisjoint(world.boxes.tobytes() + world.posts.tobytes() for world in others)
@@ -136,8 +136,8 @@ def test_worlds_of_barn_have_its_rules_and_its_reference_paths(tmp_path):
         assert shapely.box(*world.bounds).covers(shapely.Point(*world.start[:2]).buffer(1.5))
     way = [(-2.25, 3.0), (-2.325, 5.175), (-2.325, 9.525), (-2.25, 13.0)]
     assert suite.references[0] == pytest.approx(sum(math.dist(*pair) for pair in pairwise(way)))
-    assert suite.ways[1] == pytest.approx(10.0, abs=0.15)
-    assert suite.ways[0] > suite.ways[1], "round a post"
+    assert suite.path_lengths[1] == pytest.approx(10.0, abs=0.15)
+    assert suite.path_lengths[0] > suite.path_lengths[1], "round a post"
 
 
 def sdf(posts: np.ndarray) -> str:
@@ -161,7 +161,7 @@ def test_a_copy_of_the_repository_has_the_same_worlds(place, worlds, tmp_path):
     copy, archive = barn(tmp_path / "copy"), barn(saved(tmp_path, **ARRAYS))
     assert [world.name for world in copy.worlds] == ["barn 4", "barn 12"]
     assert copy.references == archive.references
-    assert copy.ways == pytest.approx(archive.ways, abs=1e-3)
+    assert copy.path_lengths == pytest.approx(archive.path_lengths, abs=1e-3)
     (folder / "path_files" / "path_4.npy").unlink()
     with pytest.raises(InputError, match=r"cannot read .*path_4.npy"):
         barn(tmp_path / "copy")

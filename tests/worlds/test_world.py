@@ -7,10 +7,11 @@ import pytest
 import shapely
 
 from tb2rl.core.errors import InputError
-from tb2rl.registry import find_world, world_names
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
+from tb2rl.worlds.registry import find_world, world_names
 from tb2rl.worlds.world import box_shapes, post_shapes
+from tb2rl.worlds.world import box_polygons, post_polygons
 
 START = (0.0, 0.0, 0.0)
 BOUNDS = (-5.0, -5.0, 5.0, 5.0)
@@ -108,8 +109,8 @@ def test_a_world_of_shapes_has_them_as_its_obstacles():
     turned = shapely.affinity.rotate(shapely.box(1.0, 0.8, 3.0, 1.2), 30)
     expected = shapely.union_all([turned, shapely.box(-3.5, -0.5, -2.5, 0.5), shapely.Point(0, 3).buffer(0.5, 32)])
     assert world.obstacles.symmetric_difference(expected).area == pytest.approx(0, abs=1e-6)
-    assert sum(box.area for box in box_shapes(world.boxes)) == pytest.approx(1.8)
-    assert post_shapes(world.posts)[0].area == pytest.approx(math.pi / 4, rel=1e-3)
+    assert sum(box.area for box in box_polygons(world.boxes)) == pytest.approx(1.8)
+    assert post_polygons(world.posts)[0].area == pytest.approx(math.pi / 4, rel=1e-3)
 
 
 def test_boxes_of_one_orientation_stand_together_whichever_way_they_were_said():

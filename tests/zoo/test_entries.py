@@ -12,9 +12,9 @@ import pytest
 import tb2rl
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, evaluate
 from tb2rl.evaluation.statistics import wilson_interval
-from tb2rl.registry import world_names
 from tb2rl.runs.config import config_from
 from tb2rl.worlds.generators import GENERATORS
+from tb2rl.worlds.registry import world_names
 from tb2rl.zoo import checking
 from tb2rl.zoo.cards import card, overview, table
 from tb2rl.zoo.entry import MAZES, WORLDS, entries, zoo_folder

@@ -1,5 +1,5 @@
-"""Drives as bags, the recordings of ROS: an episode is written, and what anybody's robot recorded is read.
+"""Bags, the recordings of ROS: an episode is written as a bag, and a bag of any robot is read as a drive.
 
-The library `rosbags` (the extra `bags`) does both without ROS. Imported from here: environments and what lies below
-them.
+The library `rosbags` (the extra `bags`) reads and writes them without ROS. May import: environments and the packages
+below them.
 """

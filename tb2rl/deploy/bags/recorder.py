@@ -1,17 +1,17 @@
-"""An episode as a bag: a ROS 1 file, or a ROS 2 folder with an mcap file, with the topics of a simulated TurtleBot2.
+"""Writes an episode as a bag: a ROS 1 file, or a ROS 2 folder with an mcap file, with a simulated TurtleBot2's topics.
 
-| topic | message | what |
+| topic | message | content |
 |---|---|---|
-| `/kobuki/laser/scan` | sensor_msgs/LaserScan | the laser; NaN where the task does not read a beam |
-| `/odom` | nav_msgs/Odometry | by the wheels, from where the episode began |
-| `/ground_truth` | nav_msgs/Odometry | the true pose and speed, in the frame `map`, which is the world's |
-| `/cmd_vel` | geometry_msgs/Twist | what the policy says, at the beginning of each step |
+| `/kobuki/laser/scan` | sensor_msgs/LaserScan | the laser; NaN for beams that the task does not use |
+| `/odom` | nav_msgs/Odometry | wheel odometry since the start of the episode |
+| `/ground_truth` | nav_msgs/Odometry | true pose and speeds, in the frame `map`, which is the world's |
+| `/cmd_vel` | geometry_msgs/Twist | command of the policy, at the beginning of each step |
 | `/tf` | tf2_msgs/TFMessage | `map` to `odom` to `base_footprint` |
-| `/clock` | rosgraph_msgs/Clock | simulated time, which all stamps are in |
+| `/clock` | rosgraph_msgs/Clock | simulated time, the time of all stamps |
 | `/bumper` | std_msgs/Bool | whether the base touched anything since the last message |
-| `/mobile_base/events/bumper`, in ROS 2 `/events/bumper` | BumperEvent of the Kobuki | a bumper is pressed or let go |
-| `/reward` | std_msgs/Float64 | of each step |
-| `/move_base_simple/goal`, in ROS 2 `/goal_pose` | geometry_msgs/PoseStamped | the goal, of a task that has one |
+| `/mobile_base/events/bumper`, in ROS 2 `/events/bumper` | BumperEvent of the Kobuki | press or release of a bumper |
+| `/reward` | std_msgs/Float64 | reward of each step |
+| `/move_base_simple/goal`, in ROS 2 `/goal_pose` | geometry_msgs/PoseStamped | the goal, for a task that has one |
 """
 
 from __future__ import annotations
@@ -29,154 +29,121 @@ import numpy as np
 
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import replacing
-from tb2rl.deploy.bags.topics import BUMPER_EVENTS, message_types, rosbags_library
+from tb2rl.deploy.bags.messages import BagMessages, rosbags_library
+from tb2rl.deploy.ros.messages import (
+    BILLION,
+    Clock,
+    Goal,
+    LaserScan,
+    Odometry,
+    OutgoingMessage,
+    Transform,
+    Transforms,
+    Twist,
+    bumper_events,
+    quaternion,
+)
+from tb2rl.deploy.ros.topics import TURTLEBOT2, Topics
 from tb2rl.envs.scene import Scene
 from tb2rl.sensors.bumper import bumper_at
 from tb2rl.simulation import RobotState
 
-BEGIN = 1.0  # [s] the clock as an episode begins: in ROS, 0 means that there is no time yet
-_TOPICS = {1: ("/move_base_simple/goal", "/mobile_base/events/bumper"), 2: ("/goal_pose", "/events/bumper")}
+BEGIN = 1.0  # [s] the clock as an episode begins, because 0 is an invalid time in ROS
 MAP, ODOM, BASE = "map", "odom", "base_footprint"  # frames (REP 105); the laser is above the middle of the axle
 
 
 class Recorder:
-    """Writes one episode into a bag that is open; made by `open_bag`.
+    """Writes one episode into an open bag; made by `open_bag`.
 
     Args:
-        bag: A writer of the library.
-        store: The message types of its ROS.
-        serialize: From a message and its type to bytes.
-        ros: Which, 1 or 2.
-        scene: Of the environment.
+        bag: Writer of the library.
+        messages: Messages of its ROS.
+        scene: Scene of the environment.
     """
 
-    def __init__(self, bag: Any, store: Any, serialize: Any, ros: int, scene: Scene) -> None:
-        self._bag, self._serialize, self._store = bag, serialize, store
-        self._goal_topic, self._bumper_topic = _TOPICS[ros]
-        self._event, self._scene = BUMPER_EVENTS[ros].replace("/msg/", "/"), scene
-        self._pressed: int | None = None  # which of the bumpers
+    def __init__(self, bag: Any, messages: BagMessages, scene: Scene) -> None:
+        self._bag, self._messages, self._scene = bag, messages, scene
+        self._topics, self._input_topics = Topics(), TURTLEBOT2[messages.ros]
         self._connections: dict[str, Any] = {}
         self._step = 0
-        self._whole = replace(scene.laser, indices=None).angles
-        self._new = {name.replace("/msg/", "/"): made for name, made in store.types.items()}
+        self._pressed: int | None = None  # number of the pressed bumper
+        self._all_angles = replace(scene.laser, indices=None).angles
 
-    def begin(self, robot_state: RobotState) -> None:
-        """The first reading of the episode."""
+    def reset(self, robot_state: RobotState) -> None:
+        """Write the initial robot state of the episode."""
         if self._scene.task.goal_task:
-            pose = self._pose(np.array([*robot_state.goal[0], 0.0]))
-            self._write(self._goal_topic, "geometry_msgs/PoseStamped", header=self._header(MAP), pose=pose)
-        self._sense(robot_state)
+            x, y = robot_state.goal[0].tolist()
+            self._write(self._input_topics.goal, Goal(MAP, (x, y), self._now))
+        self._write_sensors(robot_state)
 
     def step(self, command: np.ndarray, reward: float, robot_state: RobotState) -> None:
-        """A control step.
-
-        Args:
-            command: What the policy said, v [m/s] and w [rad/s], shape (2,).
-            reward: Of the step.
-            robot_state: What it led to.
-        """
-        v, w = command.tolist()
-        self._write("/cmd_vel", "geometry_msgs/Twist", linear=self._vector(v), angular=self._vector(0.0, 0.0, w))
+        """Write a control step: command v [m/s] and w [rad/s], shape (2,), reward, and the robot state after it."""
+        self._write(self._topics.velocity, Twist(*command.tolist()))
         self._step += 1
-        self._sense(robot_state)
-        self._write("/reward", "std_msgs/Float64", data=reward)
+        self._messages.seq = self._step
+        self._write_sensors(robot_state)
+        self._write_number("/reward", "std_msgs/Float64", reward)
 
-    def _sense(self, robot_state: RobotState) -> None:
-        pose, odometry = robot_state.pose[0], robot_state.odometry[0]
-        self._write("/clock", "rosgraph_msgs/Clock", clock=self._time())
-        transforms = [self._transform(MAP, ODOM, _difference(pose, odometry)), self._transform(ODOM, BASE, odometry)]
-        self._write("/tf", "tf2_msgs/TFMessage", transforms=transforms)
-        self._write_odometry("/ground_truth", MAP, pose, robot_state.twist[0])
-        self._write_odometry("/odom", ODOM, odometry, robot_state.odometry_twist[0])
-        self._write("/kobuki/laser/scan", "sensor_msgs/LaserScan", **self._scan(robot_state.ranges[0]))
-        self._write("/bumper", "std_msgs/Bool", data=bool(robot_state.bumped[0]))
+    def _write_sensors(self, robot_state: RobotState) -> None:
+        x, y, yaw = robot_state.pose[0].tolist()
+        odometry = robot_state.odometry[0].tolist()
+        (v, w), (wheel_v, wheel_w) = robot_state.twist[0].tolist(), robot_state.odometry_twist[0].tolist()
+        self._write("/clock", Clock(self._now))
+        origin = _odometry_origin((x, y, yaw), odometry)
+        transforms = (_transform(MAP, ODOM, *origin), _transform(ODOM, BASE, *odometry))
+        self._write("/tf", Transforms(self._now, transforms))
+        self._write("/ground_truth", Odometry(self._now, MAP, BASE, (x, y, yaw), (v, w)))
+        self._write(self._topics.odometry, Odometry(self._now, ODOM, BASE, odometry, (wheel_v, wheel_w)))
+        self._write(self._topics.scan, self._scan(robot_state.ranges[0]))
+        bumped = bool(robot_state.bumped[0])
+        self._write_number("/bumper", "std_msgs/Bool", bumped)
         nearest = self._scene.laser.angles[np.argmin(robot_state.ranges[0])]
-        self._press(bumper_at(nearest) if robot_state.bumped[0] else None)
+        released, self._pressed = self._pressed, bumper_at(nearest) if bumped else None
+        for event in bumper_events(released, self._pressed):
+            self._write(self._input_topics.bumper, event)
 
-    def _press(self, bumper: int | None) -> None:
-        """Say which bumper was let go and which is pressed now, if that is another."""
-        if bumper != self._pressed:
-            for which, state in ((self._pressed, 0), (bumper, 1)):
-                if which is not None:
-                    self._write(self._bumper_topic, self._event, bumper=which, state=state)
-            self._pressed = bumper
-
-    def _write_odometry(self, topic: str, frame: str, pose: np.ndarray, twist: np.ndarray) -> None:
-        v, w = twist.tolist()
-        unknown = np.zeros(36)
-        moving = self._new["geometry_msgs/Twist"](linear=self._vector(v), angular=self._vector(0.0, 0.0, w))
-        self._write(
-            topic,
-            "nav_msgs/Odometry",
-            header=self._header(frame),
-            child_frame_id=BASE,
-            pose=self._new["geometry_msgs/PoseWithCovariance"](pose=self._pose(pose), covariance=unknown),
-            twist=self._new["geometry_msgs/TwistWithCovariance"](twist=moving, covariance=unknown),
-        )
-
-    def _scan(self, read: np.ndarray) -> dict[str, Any]:
-        laser, angles = self._scene.laser, self._whole
-        ranges = np.full(len(angles), math.nan, dtype=np.float32)
-        ranges[slice(None) if laser.indices is None else list(laser.indices)] = read
-        return {
-            "header": self._header(BASE),
-            "angle_min": float(angles[0]),
-            "angle_max": float(angles[-1]),
-            "angle_increment": float(angles[1] - angles[0]) if len(angles) > 1 else 0.0,
-            "time_increment": 0.0,
-            "scan_time": self._scene.task.control_period,
-            "range_min": laser.min_range,
-            "range_max": laser.max_range,
-            "ranges": ranges,
-            "intensities": np.empty(0, dtype=np.float32),
-        }
-
-    def _transform(self, frame: str, child: str, pose: np.ndarray) -> Any:
-        placed = self._pose(pose)
-        shift = self._vector(placed.position.x, placed.position.y)
-        moved = self._new["geometry_msgs/Transform"](translation=shift, rotation=placed.orientation)
-        header = self._header(frame)
-        return self._new["geometry_msgs/TransformStamped"](header=header, child_frame_id=child, transform=moved)
-
-    def _pose(self, pose: np.ndarray) -> Any:
-        x, y, yaw = pose.tolist()
-        turned = self._new["geometry_msgs/Quaternion"](x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
-        point = self._new["geometry_msgs/Point"](x=x, y=y, z=0.0)
-        return self._new["geometry_msgs/Pose"](position=point, orientation=turned)
-
-    def _vector(self, x: float, y: float = 0.0, z: float = 0.0) -> Any:
-        return self._new["geometry_msgs/Vector3"](x=x, y=y, z=z)
-
-    def _header(self, frame: str) -> Any:
-        number = {"seq": self._step} if "seq" in self._new["std_msgs/Header"].__annotations__ else {}  # ROS 1
-        return self._new["std_msgs/Header"](stamp=self._time(), frame_id=frame, **number)
-
-    def _time(self) -> Any:
-        seconds, nanoseconds = divmod(self._now, 10**9)
-        return self._new["builtin_interfaces/Time"](sec=seconds, nanosec=nanoseconds)
+    def _scan(self, used: np.ndarray) -> LaserScan:
+        laser, angles = self._scene.laser, self._all_angles
+        ranges = np.full(len(angles), math.nan)
+        ranges[slice(None) if laser.indices is None else list(laser.indices)] = used
+        increment = float(angles[1] - angles[0]) if len(angles) > 1 else 0.0
+        period, limits = self._scene.task.control_period, (laser.min_range, laser.max_range)
+        return LaserScan(self._now, BASE, float(angles[0]), increment, period, *limits, ranges)
 
     @property
     def _now(self) -> int:
-        """The simulated time [ns]."""
-        return round((BEGIN + self._step * self._scene.task.control_period) * 1e9)
+        """Simulated time [ns]."""
+        return round((BEGIN + self._step * self._scene.task.control_period) * BILLION)
 
-    def _write(self, topic: str, kind: str, **fields: Any) -> None:
-        name = kind.replace("/", "/msg/")
+    def _write(self, topic: str, message: OutgoingMessage) -> None:
+        self._write_ros(topic, message.to_ros(self._messages))
+
+    def _write_number(self, topic: str, kind: str, number: float) -> None:
+        message = self._messages.new(kind)
+        message.data = number
+        self._write_ros(topic, message)
+
+    def _write_ros(self, topic: str, message: Any) -> None:
         if topic not in self._connections:
-            self._connections[topic] = self._bag.add_connection(topic, name, typestore=self._store)
-        self._bag.write(self._connections[topic], self._now, self._serialize(self._new[kind](**fields), name))
+            store = self._messages.store
+            self._connections[topic] = self._bag.add_connection(topic, message.__msgtype__, typestore=store)
+        self._bag.write(self._connections[topic], self._now, self._messages.serialize(message))
 
 
-def _difference(pose: np.ndarray, odometry: np.ndarray) -> np.ndarray:
-    """Where the frame that `odometry` is in lies, if the robot is at `pose`: x, y, yaw, shape (3,)."""
+def _transform(frame: str, child: str, x: float, y: float, yaw: float) -> Transform:
+    return Transform(frame, child, (x, y, 0.0), quaternion(yaw))
+
+
+def _odometry_origin(pose: tuple[float, float, float], odometry: list[float]) -> tuple[float, float, float]:
+    """Return the pose x, y, yaw of the odometry frame in the world, for a robot at `pose`."""
     yaw = pose[2] - odometry[2]
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y = odometry[0] * cos - odometry[1] * sin, odometry[0] * sin + odometry[1] * cos
-    return np.array([pose[0] - x, pose[1] - y, yaw])
+    return pose[0] - x, pose[1] - y, yaw
 
 
 def check_bag(path: str | Path) -> Path:
-    """The path of a bag that can be written.
+    """Return the path of a bag that can be written.
 
     Raises:
         InputError: If it cannot, or `rosbags` is not installed.
@@ -189,32 +156,31 @@ def check_bag(path: str | Path) -> Path:
         raise InputError(f"cannot write {path}: it exists already; remove it, or take another name")
     folder = path.absolute().parent
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(f"cannot write {path}: its folder does not exist, or takes no files")
+        raise InputError(f"cannot write {path}: its folder does not exist, or is not writable")
     return path
 
 
 @contextmanager
 def open_bag(path: Path, scene: Scene) -> Iterator[Recorder]:
-    """A bag to record one episode into; it is there once the block ends well.
+    """Open a bag for one episode; it appears when the block ends without an error.
 
     Args:
-        path: As `check_bag` takes it; an older file is replaced.
-        scene: Of the environment that is recorded.
+        path: A path from `check_bag`; an older file is replaced.
+        scene: Scene of the environment.
 
     Raises:
         InputError: If it cannot be written.
     """
-    library = rosbags_library()
-    store = message_types(library, first=bool(path.suffix))
+    library, messages = rosbags_library(), BagMessages(1 if path.suffix else 2)
     try:
-        if path.suffix:
+        if messages.ros == 1:
             with replacing(path) as temporary, library.rosbag1.Writer(temporary) as bag:
-                yield Recorder(bag, store, store.serialize_ros1, 1, scene)
+                yield Recorder(bag, messages, scene)
         else:
             plugin = library.rosbag2.StoragePlugin.MCAP
             with _new_folder(path) as folder, library.rosbag2.Writer(folder, version=8, storage_plugin=plugin) as bag:
-                yield Recorder(bag, store, store.serialize_cdr, 2, scene)
-    except BrokenPipeError:  # not of the bag: whoever reads what is printed went away
+                yield Recorder(bag, messages, scene)
+    except BrokenPipeError:  # of the terminal, not of the bag
         raise
     except OSError as error:
         raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
@@ -222,7 +188,7 @@ def open_bag(path: Path, scene: Scene) -> Iterator[Recorder]:
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A folder of the same name elsewhere, which becomes `path` once the block ends well: a bag knows its name."""
+    """Make a temporary folder with the name of `path`, because a bag stores its name; move it to `path` at the end."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         yield temporary / path.name

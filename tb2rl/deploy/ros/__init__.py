@@ -1,8 +1,7 @@
-"""Where ROS is: our robot as one of ROS 1 or ROS 2, and what carries a policy to a robot of either.
+"""ROS 1 and ROS 2: policies drive robots, and programs of ROS drive our simulated robot.
 
-`messages` says what travels on topics, as plain values, and `graph` what a program asks of ROS. `ros1` and `ros2` are
-that in rospy and in rclpy: neither is imported where the other is asked for. The programs are commands of
-`python -m tb2rl.ros`, and know no ROS: `simulate` puts `simulator` on a graph, `drive` a driver by `pilot`. `robot` is
-any robot of a graph as an environment, with `remote` in the place of a simulation. Imported from here: drivers and what
-lies below them, and ROS.
+`messages` are plain values, and `node` is the interface to ROS that `ros1` (rospy) and `ros2` (rclpy) implement; only
+the one that is asked for is imported. Everything else is independent of ROS: `simulation_server` publishes a
+`simulated_robot`, `driver_node` connects a driver, and `robot` makes an environment of a robot, with `remote` as its
+simulator. May import: drivers and the packages below them, and ROS.
 """

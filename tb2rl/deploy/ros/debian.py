@@ -1,4 +1,4 @@
-"""ROS 1 as Debian packages it, for a virtual environment: it stands in a folder of its own that pip does not know."""
+"""Debian's packages of ROS 1, made importable in a virtual environment."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INSTALL = (
 
 
 def find_rospy() -> None:
-    """Make rospy importable, with the messages of ROS 1: those of ROS 2 have the same names, and may be here, too.
+    """Make rospy importable, with the messages of ROS 1: those of ROS 2 may be installed under the same names.
 
     Raises:
         InputError: If it is not installed.
@@ -27,21 +27,21 @@ def find_rospy() -> None:
     spec = find_spec("rospy")
     if spec is None and not (PACKAGES / "rospy").is_dir():
         raise InputError(f"--ros 1 needs rospy, which is not installed; on Debian and Ubuntu: {INSTALL}")
-    home = PACKAGES if spec is None or spec.origin is None else Path(spec.origin).parent.parent
+    folder = PACKAGES if spec is None or spec.origin is None else Path(spec.origin).parent.parent
     if spec is None:
-        sys.path.append(str(home))  # at the end: what pip installed comes first
+        sys.path.append(str(folder))  # at the end, because packages of pip come first
     if not any(isinstance(finder, _MessageFinder) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _MessageFinder(home))
+        sys.meta_path.insert(0, _MessageFinder(folder))
 
 
 class _MessageFinder:
-    """Finds packages of messages where rospy is, before others of their names."""
+    """Finds message packages in the folder of rospy first."""
 
-    def __init__(self, home: Path) -> None:
-        self._home = str(home)
+    def __init__(self, folder: Path) -> None:
+        self._folder = str(folder)
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """See `importlib.abc.MetaPathFinder`."""
-        return PathFinder.find_spec(name, [self._home]) if name.endswith(("_msgs", "_srvs")) else None
+        return PathFinder.find_spec(name, [self._folder]) if name.endswith(("_msgs", "_srvs")) else None

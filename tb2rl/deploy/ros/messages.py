@@ -1,91 +1,94 @@
-"""What travels on topics, as plain values; the messages of ROS 1 and ROS 2 are made of them, and they of those.
+"""Messages as plain values that convert from and to those of ROS 1, ROS 2 and bags.
 
-Frames are those of REP 103 and REP 105: x forward, y left, angles counter-clockwise, metres and radians; a stamp is in
-nanoseconds of the graph's time.
+Frames follow REP 103 and REP 105: x forward, y left, angles counter-clockwise, metres and radians. A stamp counts the
+nanoseconds of the ROS time.
 """
 
 from __future__ import annotations
 
 import math
-from array import array
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
 from tb2rl.deploy.portable.policy_contract import are_usable
+from tb2rl.deploy.portable.readings import Scan
 
 BILLION = 1_000_000_000  # [ns] in a second
-_TOLERANCE = 0.1  # of the length of a quaternion: more than its rounding, and less than what is left empty
+_TOLERANCE = 0.1  # of the length of a quaternion: more than rounding, less than the length of an empty one
 
 
-class Dialect(Protocol):
-    """What ROS 1 and ROS 2 write differently."""
+class MessageFactory(Protocol):
+    """Makes messages of one version of ROS."""
 
     def new(self, kind: str) -> Any:
-        """An empty message of a kind, such as "sensor_msgs/LaserScan"."""
+        """Make an empty message of a kind, such as "sensor_msgs/LaserScan"."""
 
     def time(self, nanoseconds: int) -> Any:
-        """A stamp."""
+        """Make a stamp."""
 
-    def octets(self, data: bytes) -> Any:
-        """What a field of type uint8[] takes."""
+    def uint8_array(self, data: bytes) -> Any:
+        """Make a value for a field of type uint8[]."""
+
+    def float32_array(self, values: np.ndarray) -> Any:
+        """Make a value for a field of type float32[]."""
 
 
-class Message(Protocol):
+class OutgoingMessage(Protocol):
     """A value that can be published."""
 
-    kind: ClassVar[str]  # of the message: its package and its name
+    kind: ClassVar[str]  # package and name of the message
 
-    def to_ros(self, ros: Dialect) -> Any:
-        """The message of ROS."""
+    def to_ros(self, ros: MessageFactory) -> Any:
+        """Convert it to a message of ROS."""
 
 
-class Heard(Protocol):
-    """A value that can be listened for."""
+class IncomingMessage(Protocol):
+    """A value that can be received."""
 
-    kind: ClassVar[str]  # of the message: its package and its name
+    kind: ClassVar[str]  # package and name of the message
 
     @classmethod
     def from_ros(cls, message: Any) -> Self:
-        """What a message of ROS says."""
+        """Convert a message of ROS."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """What time it is in the simulation."""
+    """Simulated time."""
 
     kind: ClassVar[str] = "rosgraph_msgs/Clock"
     stamp: int  # [ns]
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message = ros.new(self.kind)
         message.clock = ros.time(self.stamp)
         return message
 
 
 @dataclass(frozen=True)
-class Velocity:
-    """A command to the base."""
+class Twist:
+    """A velocity command."""
 
     kind: ClassVar[str] = "geometry_msgs/Twist"
     linear: float  # [m/s] forward
     angular: float  # [rad/s] to the left
 
     @classmethod
-    def from_ros(cls, message: Any) -> Velocity:
-        """What a message says; numbers that are not finite are no command, and stop the base."""
+    def from_ros(cls, message: Any) -> Twist:
+        """Convert a message; a command with a number that is not finite stops the base."""
         speeds = message.linear.x, message.angular.z
         return cls(*speeds) if all(map(math.isfinite, speeds)) else cls(0.0, 0.0)
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message = ros.new(self.kind)
         message.linear.x, message.angular.z = self.linear, self.angular
         return message
 
 
 @dataclass(frozen=True)
-class Scan:
+class LaserScan:
     """One sweep of the laser, from right to left."""
 
     kind: ClassVar[str] = "sensor_msgs/LaserScan"
@@ -99,117 +102,121 @@ class Scan:
     ranges: np.ndarray  # [m] shape (beams,), inf where nothing was hit (REP 117)
 
     @classmethod
-    def from_ros(cls, message: Any) -> Scan:
+    def from_ros(cls, message: Any) -> LaserScan:
         sweep = message.angle_min, message.angle_increment, message.scan_time
         limits = message.range_min, message.range_max
         return cls(*_header(message), *sweep, *limits, np.array(message.ranges, dtype=float))
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message = _stamped(ros, self.kind, self.stamp, self.frame)
         message.angle_min, message.angle_increment = self.angle_min, self.angle_increment
         message.angle_max = self.angle_min + (len(self.ranges) - 1) * self.angle_increment
         message.scan_time = self.period
         message.range_min, message.range_max = self.range_min, self.range_max
-        message.ranges = array("f", self.ranges.astype(np.float32).tobytes())
+        message.ranges = ros.float32_array(self.ranges)
         return message
+
+    def to_scan(self) -> Scan:
+        """Convert it to what a driver takes."""
+        return Scan(self.ranges, self.angle_min, self.angle_increment, self.range_min, self.range_max)
 
 
 @dataclass(frozen=True)
 class Odometry:
-    """Where the wheels say that the robot is, and how fast."""
+    """Pose and speeds."""
 
     kind: ClassVar[str] = "nav_msgs/Odometry"
     stamp: int  # [ns]
     frame: str  # of the pose
-    child: str  # the robot's, of the speeds
+    child: str  # frame of the speeds: the robot's
     pose: tuple[float, float, float]  # x [m], y [m], yaw [rad]
     twist: tuple[float, float]  # forward [m/s], to the left [rad/s]
 
     @classmethod
     def from_ros(cls, message: Any) -> Odometry:
-        """What a message says; the yaw is NaN if the orientation is no rotation."""
-        position, turn, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
-        pose, speeds = (position.x, position.y, _yaw(turn)), (twist.linear.x, twist.angular.z)
+        """Convert a message; the yaw is NaN if the orientation is no rotation."""
+        position, rotation, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
+        pose, speeds = (position.x, position.y, _yaw(rotation)), (twist.linear.x, twist.angular.z)
         return cls(*_header(message), message.child_frame_id, pose, speeds)
 
     @property
     def is_usable(self) -> bool:
-        """Whether a robot may drive by its numbers."""
+        """Whether all numbers are finite and of a plausible size."""
         return are_usable((*self.pose, *self.twist))
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message = _stamped(ros, self.kind, self.stamp, self.frame)
         message.child_frame_id = self.child
         pose, twist = message.pose.pose, message.twist.twist
         pose.position.x, pose.position.y, _ = self.pose
-        _turn(pose.orientation, upright(self.pose[2]))
+        _set_rotation(pose.orientation, quaternion(self.pose[2]))
         twist.linear.x, twist.angular.z = self.twist
         return message
 
 
 @dataclass(frozen=True)
 class Transform:
-    """Where a frame is in its parent."""
+    """Pose of a frame in its parent."""
 
     frame: str
     child: str
-    place: tuple[float, float, float]  # x, y, z [m]
+    translation: tuple[float, float, float]  # x, y, z [m]
     rotation: tuple[float, float, float, float]  # quaternion x, y, z, w
 
 
 @dataclass(frozen=True)
 class Transforms:
-    """Where some frames are at one instant."""
+    """Poses of frames at one instant."""
 
     kind: ClassVar[str] = "tf2_msgs/TFMessage"
     stamp: int  # [ns]
     transforms: tuple[Transform, ...]
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message = ros.new(self.kind)
         message.transforms = [self._to_ros(ros, each) for each in self.transforms]
         return message
 
-    def _to_ros(self, ros: Dialect, transform: Transform) -> Any:
+    def _to_ros(self, ros: MessageFactory, transform: Transform) -> Any:
         message = _stamped(ros, "geometry_msgs/TransformStamped", self.stamp, transform.frame)
         message.child_frame_id = transform.child
-        place = message.transform.translation
-        place.x, place.y, place.z = transform.place
-        _turn(message.transform.rotation, transform.rotation)
+        translation = message.transform.translation
+        translation.x, translation.y, translation.z = transform.translation
+        _set_rotation(message.transform.rotation, transform.rotation)
         return message
 
 
 @dataclass(frozen=True)
 class Image:
-    """What the camera sees: colours, uint8 (height, width, 3), or depths [m], float32 (height, width)."""
+    """A camera image: colours, uint8 (height, width, 3), or depths [m], float32 (height, width)."""
 
     kind: ClassVar[str] = "sensor_msgs/Image"
     stamp: int  # [ns]
     frame: str
     pixels: np.ndarray
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message = _stamped(ros, self.kind, self.stamp, self.frame)
         message.height, message.width = self.pixels.shape[:2]
         message.encoding = "32FC1" if self.pixels.ndim == 2 else "rgb8"
         message.step = self.pixels.strides[0]
-        message.data = ros.octets(self.pixels.tobytes())
+        message.data = ros.uint8_array(self.pixels.tobytes())
         return message
 
 
 @dataclass(frozen=True)
-class Bump:
-    """One of the three bumpers is pressed, or let go again."""
+class BumperEvent:
+    """Press or release of one of the three bumpers."""
 
     kind: ClassVar[str] = "kobuki_msgs/BumperEvent"
     bumper: int  # 0 left, 1 in the middle, 2 right
     pressed: bool
 
     @classmethod
-    def from_ros(cls, message: Any) -> Bump:
+    def from_ros(cls, message: Any) -> BumperEvent:
         return cls(message.bumper, bool(message.state))
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message = ros.new(self.kind)
         message.bumper, message.state = self.bumper, int(self.pressed)
         return message
@@ -217,20 +224,28 @@ class Bump:
 
 @dataclass(frozen=True)
 class Goal:
-    """Where somebody wants the robot."""
+    """A goal position."""
 
     kind: ClassVar[str] = "geometry_msgs/PoseStamped"
     frame: str
-    place: tuple[float, float]  # x, y [m]
+    position: tuple[float, float]  # x, y [m]
+    stamp: int = 0  # [ns]
 
     @classmethod
     def from_ros(cls, message: Any) -> Goal:
-        return cls(_header(message)[1], (message.pose.position.x, message.pose.position.y))
+        stamp, frame = _header(message)
+        return cls(frame, (message.pose.position.x, message.pose.position.y), stamp)
+
+    def to_ros(self, ros: MessageFactory) -> Any:
+        message = _stamped(ros, self.kind, self.stamp, self.frame)
+        message.pose.position.x, message.pose.position.y = self.position
+        message.pose.orientation.w = 1.0
+        return message
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The way there."""
+    """A planned path to a goal."""
 
     kind: ClassVar[str] = "nav_msgs/Path"
     frame: str
@@ -243,19 +258,19 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Report:
-    """How a program is, for who watches a robot."""
+class Diagnostics:
+    """Diagnostic status of a node."""
 
     kind: ClassVar[str] = "diagnostic_msgs/DiagnosticArray"
     stamp: int  # [ns]
     level: str  # OK, WARN or ERROR
     name: str
-    sentence: str
+    summary: str
     values: dict[str, str]
 
-    def to_ros(self, ros: Dialect) -> Any:
+    def to_ros(self, ros: MessageFactory) -> Any:
         message, status = _stamped(ros, self.kind, self.stamp, ""), ros.new("diagnostic_msgs/DiagnosticStatus")
-        status.level, status.name, status.message = getattr(status, self.level), self.name, self.sentence
+        status.level, status.name, status.message = getattr(status, self.level), self.name, self.summary
         for key, value in self.values.items():
             pair = ros.new("diagnostic_msgs/KeyValue")
             pair.key, pair.value = key, value
@@ -264,35 +279,43 @@ class Report:
         return message
 
 
-RARE: frozenset[Any] = frozenset({Transforms, Bump, Report})  # not installed with every ROS; all can do without
-SENSED: frozenset[Any] = frozenset({Scan, Odometry})  # only the newest counts
+OPTIONAL: frozenset[Any] = frozenset({Transforms, BumperEvent, Diagnostics})  # some installations of ROS lack these
+LATEST_ONLY: frozenset[Any] = frozenset({LaserScan, Odometry})  # a new message replaces one that waits
 
 
-def upright(yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion x, y, z, w of a turn to the left [rad]."""
+def bumper_events(released: int | None, pressed: int | None) -> list[BumperEvent]:
+    """Return the events between two instants, each with the number of the pressed bumper or None."""
+    if released == pressed:
+        return []
+    changes = ((released, False), (pressed, True))
+    return [BumperEvent(bumper, state) for bumper, state in changes if bumper is not None]
+
+
+def quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """Return the quaternion x, y, z, w of a turn to the left [rad]."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 
-def _yaw(turn: Any) -> float:
-    """The turn to the left of a quaternion [rad]; NaN if that is none: its length is not about 1."""
-    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+def _yaw(rotation: Any) -> float:
+    """Return the yaw of a quaternion [rad]; NaN if its length is not about 1."""
+    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
     if not abs(math.hypot(x, y, z, w) - 1.0) <= _TOLERANCE:
         return math.nan
     return math.atan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
 
 
-def _stamped(ros: Dialect, kind: str, stamp: int, frame: str) -> Any:
+def _set_rotation(rotation: Any, values: tuple[float, float, float, float]) -> None:
+    rotation.x, rotation.y, rotation.z, rotation.w = values
+
+
+def _stamped(ros: MessageFactory, kind: str, stamp: int, frame: str) -> Any:
     message = ros.new(kind)
     message.header.stamp, message.header.frame_id = ros.time(stamp), frame
     return message
 
 
 def _header(message: Any) -> tuple[int, str]:
-    """The stamp [ns] and the frame; ROS 1 wrote frames with a slash, once."""
+    """Return stamp [ns] and frame; early versions of ROS 1 put a slash before frames."""
     stamp = message.header.stamp
     seconds, rest = (stamp.secs, stamp.nsecs) if hasattr(stamp, "secs") else (stamp.sec, stamp.nanosec)
     return seconds * BILLION + rest, message.header.frame_id.lstrip("/")
-
-
-def _turn(rotation: Any, quaternion: tuple[float, float, float, float]) -> None:
-    rotation.x, rotation.y, rotation.z, rotation.w = quaternion

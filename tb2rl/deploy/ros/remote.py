@@ -1,4 +1,4 @@
-"""A robot of a graph of ROS in the place of a simulation: time passes by itself, and odometry says where it is."""
+"""A simulator that is a robot of ROS: time passes by itself, and odometry stands for the true pose."""
 
 from __future__ import annotations
 
@@ -6,297 +6,302 @@ import atexit
 import math
 import sys
 import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
 
 from tb2rl.core.errors import InputError
 from tb2rl.deploy import Limits, Mounting, Needs, ScanReader
-from tb2rl.deploy import Scan as Turn
 from tb2rl.deploy.portable.driver import stale
 from tb2rl.deploy.portable.preflight import STALE
-from tb2rl.deploy.portable.scan import Seen
-from tb2rl.deploy.ros.graph import EMPTY, Graph
-from tb2rl.deploy.ros.messages import BILLION, Bump, Odometry, Scan, Velocity
+from tb2rl.deploy.ros.messages import BILLION, BumperEvent, LaserScan, Odometry, Twist
+from tb2rl.deploy.ros.node import EMPTY, Node
 from tb2rl.deploy.ros.topics import DriverTopics
+from tb2rl.deploy.ros.wall_clock import WallClock
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 
-RESETS = ("/gazebo/reset_world", "/reset_world")  # services of Gazebo that put a robot back, in ROS 1 and in ROS 2
-PUT_BACK = "put the robot where the episode is to begin, then press Enter: "
+RESETS = ("/gazebo/reset_world", "/reset_world")  # services of Gazebo in ROS 1 and in ROS 2
+PROMPT = "put the robot where the episode is to begin, then press Enter: "
 _STILL = (0.0, 0.0)
-_SLOW = (0.02, 0.05)  # [m/s], [rad/s] what is slower stands
-_EARLY, _LATE = 0.1, 0.5  # shares of a control step: a scan may end it so early, and be missing for so long at its end
-_LOOK_UP = 0.02  # [s] of wall-clock time between looks
-_AGAIN = 0.2  # [s] of wall-clock time after which the wheels are told the same again: a base forgets after 0.6 s
-_LOST = 2.0  # [s] the same in a simulation, which may take a word for the answer to a scan that is under way
-_STOPS = 10  # times that the wheels are told to stand; then somebody else may drive the robot
-_LEFT = 0.5  # [s] of wall-clock time without another step after which the robot is told to stand
-_PATIENCE = 10.0  # [s] of wall-clock time for sensors to begin, and for a simulation's clock that stands still
-_ROLLING = 3.0  # [s] of wall-clock time until a robot stands
-_SETTLED = 2  # scans that come after a robot was put back, before one counts: others may be under way
-_ANOTHER = 1e6  # [s] between two clocks of which one counts from the beginning of a simulation
+_AT_REST = (0.02, 0.05)  # [m/s], [rad/s] speeds below are noise
+_EARLY, _LATE = 0.1, 0.5  # shares of a control step by which the scan that ends it may come early or late
+_MAX_STOPS = 10  # zero commands in a row; then other programs may drive the robot
+_SETTLED = 2  # scans after a reset before one counts, because others may be on their way
+_OTHER_CLOCK = 1e6  # [s] larger differences are those between wall-clock time and simulated time
+# All in seconds of wall-clock time:
+_POLL = 0.02
+_REPEAT = 0.2  # period of repeated commands, because a base forgets them after 0.6 s
+_REPEAT_SIMULATED = 2.0  # longer, because a simulation may take a repeated command for the answer to a later scan
+_ABANDONED = 0.5  # without another step, after which the robot stops
+_PATIENCE = 10.0  # for sensors to begin, and for a simulated time that stands still
+_BRAKING = 3.0  # longest time until a robot is at rest
+
+
+@dataclass
+class _Input:
+    """The last message of a sensor."""
+
+    value: Any
+    time: float = -math.inf  # [s] of arrival in ROS time; in simulated time its stamp
+    arrival: float = -math.inf  # [s] of wall-clock time
+    count: int = 0  # of messages so far
+
+    def update(self, value: Any, time: float, arrival: float) -> None:
+        self.value, self.time, self.arrival, self.count = value, time, arrival, self.count + 1
 
 
 class RemoteRobot:
-    """See `tb2rl.simulation.Simulation`. A step ends with the scan that comes when its time is over, on average.
+    """A simulator with one environment, see `tb2rl.simulation.Simulator`. It has no state to save and no images.
 
-    An episode begins at the start that it is given, and odometry counts on from there: there is no other truth. What
-    Gazebo does not put back, the user does, if a terminal can ask for it; else the robot goes on from where it is.
+    A step ends with the scan that arrives at its end; steps have the right duration on average. An episode begins at
+    the initial state, and odometry counts from there. Gazebo resets the robot; otherwise the user is asked to in the
+    terminal. Without both the robot starts where it is.
 
-    The robot is told to stand at a touch, where scans or odometry are missing or no step follows for half a second,
-    between episodes, and at the end.
+    The robot stops on contact, when scans or odometry are missing or no step follows for half a second, between
+    episodes, and at the end.
 
     Args:
-        spec: The robot, its laser, and the world that its episodes count in.
-        needs: What its policy needs to see.
-        graph: Where it is; `close` leaves it.
-        topics: By which names.
-        mounting: Where its scanner is.
-        limits: What it is to do at most; what is faster is slowed down on the same arc.
+        spec: The robot, its laser, and the world of its episodes.
+        needs: Requirements of the policy.
+        node: Our node; `close` closes it.
+        topics: Topic names.
+        mounting: Pose of the scanner on the robot.
+        limits: Limits of commands; faster ones are slowed down on the same arc.
+        wall: Wall-clock time.
     """
 
     num_envs = 1
 
     def __init__(
-        self, spec: SimulationSpec, needs: Needs, graph: Graph, topics: DriverTopics, mounting: Mounting, limits: Limits
+        self,
+        spec: SimulationSpec,
+        needs: Needs,
+        node: Node,
+        topics: DriverTopics,
+        mounting: Mounting,
+        limits: Limits,
+        wall: WallClock | None = None,
     ) -> None:
-        self.spec, self._graph, self._topics, self._limits = spec, graph, topics, limits
-        self._reader = ScanReader(needs, mounting)
-        self._simulated = graph.time_is_simulated()
-        self._turn = threading.Condition(threading.RLock())  # whose it is: ours, or that of a thread of ROS
-        self._scan: Scan | None = None  # the last, which nobody has looked at
-        self._came = self._heard = -math.inf  # when, by the graph's clock and by the one on the wall
-        self._seen, self._seen_count = Seen(np.empty(0), np.empty(0)), 0  # of those that show what the policy needs
-        self._seen_at = self._seen_heard = -math.inf
-        self._lacks = ""  # what is wrong with the last one
-        self._odometry = Odometry(0, "", "", (0.0, 0.0, 0.0), _STILL)
-        self._counted_at = self._counted_heard = -math.inf
-        self._touched = self._pressed = False
-        self._told, self._stops, self._said = _STILL, 0, -math.inf  # when, by the clock on the wall
-        self._until = -math.inf  # to when the wheels are told the same; then a scan ends the step that is under way
-        self._left = math.inf  # when the robot counts as left alone, by the clock on the wall
-        self._velocity = graph.publisher(topics.velocity, Velocity)
-        graph.listen(topics.scan, Scan, self._see_scan)
-        graph.listen(topics.odometry, Odometry, self._see_odometry)
-        graph.listen(topics.bumper, Bump, self._feel)
-        self._over = threading.Event()
-        self._watch = threading.Thread(target=self._keep_telling, daemon=True)
-        self._watch.start()
+        self.spec, self._node, self._topics, self._limits = spec, node, topics, limits
+        self._reader, self._wall = ScanReader(needs, mounting), wall or WallClock()
+        self._sim_time = node.uses_sim_time()
+        self._lock = threading.Condition()  # shared with the threads of ROS and the watchdog
+        self._ranges, self._odometry = _Input(np.empty(0)), _Input(Odometry(0, "", "", (0.0, 0.0, 0.0), _STILL))
+        self._scan_problem = ""  # why the last scan cannot be used
+        self._bumped = self._pressed = False
+        self._command, self._stops_left, self._published = _STILL, 0, -math.inf
+        self._hold_until = -math.inf  # ROS time until which each scan is answered by the same command
+        self._abandoned_at = math.inf  # wall-clock time at which the watchdog stops the robot
+        self._closed = False
+        self._velocity = node.create_publisher(topics.velocity, Twist)
+        node.create_subscription(topics.scan, LaserScan, self._on_scan)
+        node.create_subscription(topics.odometry, Odometry, self._on_odometry)
+        node.create_subscription(topics.bumper, BumperEvent, self._on_bumper)
+        self._end_watchdog = self._wall.repeat(_REPEAT, self._watch)
         atexit.register(self.close)
 
     def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
-        """See `tb2rl.simulation.Simulation`.
+        """See `tb2rl.simulation.Simulator`.
 
         Raises:
-            InputError: If nothing is heard of the robot, or it was left.
+            InputError: If sensors are missing, or the robot was closed.
         """
-        if self._over.is_set():
-            raise InputError("the robot was left when its environment was closed: make another one")
-        self._stand(lambda: True)
-        self._put_back()
-        before, until = self._seen_count, time.monotonic() + _ROLLING
-        self._stand(lambda: self._seen_count >= before + _SETTLED)
-        self._stand(lambda: self._stands() or time.monotonic() > until)
-        with self._turn:
-            self._initial_state, self._origin, self._speed = initial_state, self._odometry.pose, 0.0
-            self._touched, self._due = False, -math.inf
-            return self._reading(math.inf)
+        if self._closed:
+            raise InputError("the environment of the robot is closed: make another one")
+        self._stand_until(lambda: True)
+        self._reset_pose()
+        scans, deadline = self._ranges.count, self._wall.now() + _BRAKING
+        self._stand_until(
+            lambda: self._ranges.count >= scans + _SETTLED and (self._at_rest() or self._wall.now() > deadline)
+        )
+        with self._lock:
+            self._initial_state, self._origin, self._speed = initial_state, self._odometry.value.pose, 0.0
+            self._bumped, self._due, self._place = False, -math.inf, initial_state.pose[0, :2]
+            return self._robot_state(math.inf)
 
-    def step(self, commands: np.ndarray, duration: float) -> RobotState:
-        """See `tb2rl.simulation.Simulation`.
+    def step(self, commands: np.ndarray, duration: float, skip: np.ndarray | None = None) -> RobotState:
+        """See `tb2rl.simulation.Simulator`.
 
         Raises:
             InputError: If scans or odometry are missing for half a second.
         """
-        with self._turn:
-            self._look()
-            before, now = self._seen_count, self._graph.now()
-            if abs(now - self._due) > duration:  # it begins, was left alone, or its clock was set back
+        with self._lock:
+            scans, now = self._ranges.count, self._node.now()
+            if abs(now - self._due) > duration:  # the first step, one after a break, or the clock was set back
                 self._due = now
             self._due += duration
-            late, self._until = self._due + _LATE * duration, self._due - _EARLY * duration
-            self._left = math.inf
-            self._tell(self._limits.slowed(*commands[0].tolist()))
+            latest, self._hold_until = self._due + _LATE * duration, self._due - _EARLY * duration
+            self._abandoned_at = math.inf
+            self._send(self._limits.slowed(*commands[0].tolist()))
 
-            def is_shown() -> bool:  # or the clock was set back
-                return self._seen_count > before and not now - duration < self._seen_at < self._until
+            def finished() -> bool:
+                scanned = self._ranges.count > scans and not now - duration < self._ranges.time < self._hold_until
+                return scanned or self._node.now() > latest
 
             try:
-                self._wait(lambda: is_shown() or self._graph.now() > late, STALE)
-                if self._simulated:  # odometry of the same instant may come after the scan
-                    self._turn.wait_for(lambda: self._counted_at >= self._seen_at, _LOOK_UP)
+                self._wait_until(finished, STALE)
+                deadline = self._wall.now() + _POLL
+                while self._sim_time and self._odometry.time < self._ranges.time and self._wall.now() < deadline:
+                    self._wall.wait(self._lock, _POLL)  # odometry of the same instant may arrive after the scan
             except BaseException:
-                self._tell(_STILL)
+                self._send(_STILL)
                 raise
             finally:
-                self._until, self._left = -math.inf, time.monotonic() + _LEFT
-            return self._reading(duration)
+                self._hold_until, self._abandoned_at = -math.inf, self._wall.now() + _ABANDONED
+            return self._robot_state(duration)
 
     def __reduce__(self) -> NoReturn:
-        raise InputError("there is one robot with ROS: it cannot be copied")
+        raise InputError("a robot with ROS cannot be copied")
 
     def state(self) -> NoReturn:
-        """Not of a robot.
-
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("a robot with ROS cannot be put back into a state")
+        """Raise an `InputError`."""
+        raise InputError("a robot with ROS has no state to save or restore")
 
     def restore(self, state: Mapping[str, Any]) -> NoReturn:
-        """See `state`."""
+        """Raise an `InputError`."""
         self.state()
 
-    def look(self, robot_state: RobotState, width: int, height: int) -> NoReturn:
-        """Not by ROS.
+    def reset_at(
+        self,
+        indices: np.ndarray,
+        initial_state: InitialState,
+        robot_state: RobotState,
+        rng: Sequence[np.random.Generator] | None = None,
+    ) -> tuple[RobotState, RobotState]:
+        """See `reset`."""
+        first = self.reset(initial_state, np.random.default_rng())
+        return first, first
 
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("a robot with ROS hands over no images here")
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> NoReturn:
+        """Raise an `InputError`."""
+        raise InputError("a robot with ROS has no images here")
 
     def close(self) -> None:
-        """Tell the wheels to stand, and leave the graph."""
-        if self._over.is_set():
+        """Stop the robot, and leave ROS."""
+        if self._closed:
             return
+        self._closed = True
         atexit.unregister(self.close)
-        self._over.set()
-        self._watch.join()
-        for _ in range(_STOPS):
-            with self._turn:
-                self._tell(_STILL)
-            time.sleep(_LOOK_UP)  # the last words shall be heard
-        self._graph.close()
+        self._end_watchdog()
+        for _ in range(_MAX_STOPS):
+            with self._lock:
+                self._send(_STILL)
+            self._wall.sleep(_POLL)  # so that the last commands arrive
+        self._node.close()
 
-    # ---- what the threads of ROS call
+    # ---- called by the threads of ROS and the watchdog
 
-    def _see_scan(self, scan: Scan) -> None:
-        with self._turn:
-            self._scan, self._heard = scan, time.monotonic()
-            # The clock of a simulation comes on a topic of its own, maybe after the scan of the same instant.
-            self._came = scan.stamp / BILLION if self._simulated else self._graph.now()
-            if self._came < self._until:
-                self._say()  # simulations may wait for an answer to each scan
-            self._turn.notify_all()
+    def _on_scan(self, message: LaserScan) -> None:
+        with self._lock:
+            # In simulated time the clock of the same instant may arrive after the scan.
+            time = message.stamp / BILLION if self._sim_time else self._node.now()
+            view = self._reader.read(message.to_scan())
+            self._scan_problem = view.lacks or _age_problem(time - message.stamp / BILLION)
+            if not self._scan_problem:
+                self._ranges.update(view.ranges, time, self._wall.now())
+            if time < self._hold_until:
+                self._publish()  # a simulation in lockstep waits for an answer to each scan
+            self._lock.notify_all()
 
-    def _see_odometry(self, odometry: Odometry) -> None:
-        if odometry.is_usable:  # else it is as good as none
-            with self._turn:
-                self._odometry, self._counted_heard = odometry, time.monotonic()
-                self._counted_at = odometry.stamp / BILLION if self._simulated else self._graph.now()
-                self._turn.notify_all()
+    def _on_odometry(self, message: Odometry) -> None:
+        if message.is_usable:
+            with self._lock:
+                time = message.stamp / BILLION if self._sim_time else self._node.now()
+                self._odometry.update(message, time, self._wall.now())
+                self._lock.notify_all()
 
-    def _feel(self, bump: Bump) -> None:
-        with self._turn:
-            self._pressed = bump.pressed
-            if bump.pressed:
-                self._touched = True
-                self._tell(_STILL)
+    def _on_bumper(self, event: BumperEvent) -> None:
+        with self._lock:
+            self._pressed = event.pressed
+            if event.pressed:
+                self._bumped = True
+                self._send(_STILL)
 
-    # ---- what they and our own threads do in turns
+    def _watch(self) -> None:
+        """Stop an abandoned robot; repeat the command of a step in progress, and zero commands."""
+        with self._lock:
+            now, silence = self._wall.now(), _REPEAT_SIMULATED if self._sim_time else 0.0
+            if now > self._abandoned_at and self._command != _STILL:
+                self._send(_STILL)
+            elif now > self._published + silence and (self._stops_left or self._hold_until > -math.inf):
+                self._publish()
 
-    def _keep_telling(self) -> None:
-        again = _LOST if self._simulated else 0.0
-        while not self._over.wait(_AGAIN):
-            with self._turn:
-                if time.monotonic() > self._left and self._told != _STILL:
-                    self._tell(_STILL)
-                elif time.monotonic() > self._said + again and (self._stops or self._until > -math.inf):
-                    self._say()
+    # ---- called with the lock held
 
-    def _tell(self, speeds: tuple[float, float]) -> None:
-        self._told, self._stops = speeds, _STOPS if speeds == _STILL else 0
-        self._say()
+    def _send(self, command: tuple[float, float]) -> None:
+        self._command, self._stops_left = command, _MAX_STOPS if command == _STILL else 0
+        self._publish()
 
-    def _say(self) -> None:
-        self._stops, self._said = max(0, self._stops - 1), time.monotonic()
-        self._velocity.say(Velocity(*self._told))
+    def _publish(self) -> None:
+        self._stops_left, self._published = max(0, self._stops_left - 1), self._wall.now()
+        self._velocity.publish(Twist(*self._command))
 
-    def _stand(self, enough: Callable[[], bool]) -> None:
-        """See `_wait`: and stand so long, which is said again and again, for a simulation may wait for it."""
-        with self._turn:
-            self._until = math.inf
-            self._tell(_STILL)
+    def _stand_until(self, finished: Callable[[], bool]) -> None:
+        """Stop and wait, see `_wait_until`; answer scans meanwhile, because a simulation in lockstep waits for it."""
+        with self._lock:
+            self._hold_until = math.inf
+            self._send(_STILL)
             try:
-                self._wait(enough)
+                self._wait_until(finished)
             finally:
-                self._until = -math.inf
+                self._hold_until = -math.inf
 
-    def _wait(self, enough: Callable[[], bool], oldest: float = math.inf) -> None:
-        """Until there is odometry and a scan that shows what the policy needs, and it is enough.
+    def _wait_until(self, finished: Callable[[], bool], max_age: float = math.inf) -> None:
+        """Wait for odometry, a usable scan, and a condition.
 
         Args:
-            enough: Says so.
-            oldest: How old both may become [s]; they must come within ten seconds of wall-clock time anyway.
+            finished: The condition.
+            max_age: Age of sensor data [s] above which it is missing.
 
         Raises:
-            InputError: If one of them is missing.
+            InputError: If one of them is missing, or does not arrive within ten seconds of wall-clock time.
         """
-        with self._turn:
-            began = time.monotonic()
-            while not (self._look() and self._counted_at > -math.inf and enough()):
-                missing = self._missing(began, oldest)
-                if missing:
-                    raise InputError(f"the robot stands: {missing}")
-                self._turn.wait(_LOOK_UP)
+        began = self._wall.now()
+        while not (self._ranges.count and self._odometry.count and finished()):
+            now, wall = self._node.now(), self._wall.now()
+            for sensor, problem in (
+                (self._ranges, self._scan_problem or f"no scan on {self._topics.scan}"),
+                (self._odometry, f"no odometry on {self._topics.odometry}"),
+            ):
+                on_its_way = self._sim_time and wall < sensor.arrival + max_age  # in a fast simulation
+                outdated = now > sensor.time + max_age and not on_its_way
+                if outdated or wall > max(sensor.arrival, began) + _PATIENCE:
+                    raise InputError(f"the robot stands: {problem}")
+            self._wall.wait(self._lock, _POLL)
 
-    def _look(self) -> bool:
-        """Whether there is a scan that shows what the policy needs, this one or one before."""
-        if self._scan is not None:
-            scan, self._scan = self._scan, None
-            seen = self._reader.read(
-                Turn(scan.ranges, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
-            )
-            self._lacks = seen.lacks or self._old(self._came - scan.stamp / BILLION)
-            if not self._lacks:
-                self._seen, self._seen_count = seen, self._seen_count + 1
-                self._seen_at, self._seen_heard = self._came, self._heard
-        return self._seen_count > 0
+    def _at_rest(self) -> bool:
+        return bool((np.abs(self._odometry.value.twist) < _AT_REST).all())
 
-    def _old(self, age: float) -> str:
-        """Why a scan of this age [s] cannot be driven by; "": it can."""
-        if abs(age) < _ANOTHER:
-            return stale("scan", age)
-        return (
-            "the scans have the time of another clock; if that of a simulation, begin after it, and in ROS 2 with "
-            "use_sim_time"
-        )
-
-    def _missing(self, began: float, oldest: float) -> str:
-        """What has not come for too long, in words; "": nothing. See `_wait`, which began at that wall-clock time."""
-        wall, now, topics = time.monotonic(), self._graph.now(), self._topics
-        for what, heard, at in (
-            (self._lacks or f"no scan on {topics.scan}", self._seen_heard, self._seen_at),
-            (f"no odometry on {topics.odometry}", self._counted_heard, self._counted_at),
-        ):
-            on_its_way = self._simulated and wall < heard + oldest  # in a simulation that is fast
-            if (now > at + oldest and not on_its_way) or wall > max(heard, began) + _PATIENCE:
-                return what
-        return ""
-
-    def _stands(self) -> bool:
-        return bool((np.abs(self._odometry.twist) < _SLOW).all())
-
-    def _put_back(self) -> None:
-        if any(self._graph.call(service, EMPTY) for service in RESETS):
+    def _reset_pose(self) -> None:
+        if any(self._node.call(service, EMPTY) for service in RESETS):
             return
         if sys.stdin is not None and sys.stdin.isatty():
-            input(PUT_BACK)
+            input(PROMPT)
 
-    def _reading(self, duration: float) -> RobotState:
-        """What was sensed last, `duration` [s] after the last reading."""
-        (x, y, yaw), (v, w) = self._odometry.pose, self._odometry.twist
-        at_x, at_y, at_yaw = self._origin
+    def _robot_state(self, duration: float) -> RobotState:
+        """Make the robot state of the last sensor data, `duration` [s] after the previous one."""
+        (x, y, yaw), (v, w) = self._odometry.value.pose, self._odometry.value.twist
+        origin_x, origin_y, origin_yaw = self._origin
         start_x, start_y, start_yaw = self._initial_state.pose[0].tolist()
-        cos, sin = math.cos(start_yaw - at_yaw), math.sin(start_yaw - at_yaw)
-        east, north = x - at_x, y - at_y
-        turned = math.remainder(start_yaw + yaw - at_yaw, math.tau)
-        pose = np.array([start_x + cos * east - sin * north, start_y + sin * east + cos * north, turned])
-        touched, self._touched = self._touched or self._pressed, False
-        faster, self._speed = (v - self._speed) / duration, v
-        twist, told = np.array([v, w]), np.array(self._told)
-        return RobotState.of_one(
-            (pose, twist, pose, twist, self._seen.ranges, touched, told, faster), self._initial_state, self
-        )
+        cos, sin = math.cos(start_yaw - origin_yaw), math.sin(start_yaw - origin_yaw)
+        east, north = x - origin_x, y - origin_y
+        heading = math.remainder(start_yaw + yaw - origin_yaw, math.tau)
+        pose = np.array([start_x + cos * east - sin * north, start_y + sin * east + cos * north, heading])
+        self.travelled, self._place = np.array([math.dist(pose[:2], self._place)]), pose[:2]
+        bumped, self._bumped = self._bumped or self._pressed, False
+        acceleration, self._speed = (v - self._speed) / duration, v
+        twist, command = np.array([v, w]), np.array(self._command)
+        arrays = (pose, twist, pose, twist, self._ranges.value, bumped, command, acceleration)
+        return RobotState.of_one(arrays, self._initial_state, self)
+
+
+def _age_problem(age: float) -> str:
+    """Return why a scan of this age [s] cannot be used; "" if it can."""
+    if abs(age) < _OTHER_CLOCK:
+        return stale("scan", age)
+    return (
+        "the scans have the time of another clock; if that of a simulation, begin after it, and in ROS 2 with "
+        "use_sim_time"
+    )

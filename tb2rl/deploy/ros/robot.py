@@ -1,7 +1,7 @@
-"""A robot with ROS as an environment: `make_env(policy, simulation="ros")`, or with a `RosRobot` for what is not usual.
+"""Environments of a robot with ROS: `make_env(policy, simulation="ros")`, or with a `RosRobot` for other settings.
 
-Its episodes begin where the robot stands, on a floor that knows no walls: x ahead, y to the left. A policy that plans
-its way on a map needs one: there they begin at the start of the task's world.
+Episodes begin where the robot stands, on a floor without walls: x ahead, y to the left. A policy that plans on a map
+needs the map's world: there they begin at its start.
 """
 
 from __future__ import annotations
@@ -11,15 +11,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 from tb2rl.core.errors import InputError
-from tb2rl.core.values import build
-from tb2rl.deploy import Limits, Mounting
-from tb2rl.deploy.ros.graph import join
+from tb2rl.core.values import Positive, build, checked
+from tb2rl.deploy import Limits, Mounting, Needs
+from tb2rl.deploy.ros.node import create_node
 from tb2rl.deploy.ros.remote import RemoteRobot
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics
 from tb2rl.deploy.trained import floor, needs_in
 from tb2rl.envs.scene import Scene
-from tb2rl.envs.single import TurtleBot2Env
-from tb2rl.simulation import ROS, SIMULATIONS
+from tb2rl.simulation import SimulationSpec, SimulatorType
 
 NAME = "tb2rl_environment"  # of the node
 _UPSIDE_DOWN = "upside-down"
@@ -27,16 +26,16 @@ _UPSIDE_DOWN = "upside-down"
 
 @dataclass(frozen=True)
 class RosRobot:
-    """Where a robot is, and what there is to know of it.
+    """Connection to a robot and its properties.
 
     Attributes:
-        ros: Which ROS, 1 or 2.
-        topics: Other names than a TurtleBot2's, by the keys of `tb2rl.deploy.ros.topics.DriverTopics`.
-        mounting: Where its scanner is.
-        limits: What it is to do at most.
-        goal: Where to get, at a task with goals: x, y [m] ahead and to the left of where an episode begins, or on the
-            map of a policy that plans its way on one; None: what `task.goal` says.
-        arguments: What follows `--ros-args` on a command line; for ROS 2.
+        ros: Version of ROS, 1 or 2.
+        topics: Topic names that differ from a TurtleBot2's, by the keys of `tb2rl.deploy.ros.topics.DriverTopics`.
+        mounting: Pose of its scanner.
+        limits: Limits of its commands.
+        goal: Goal of a task that has one: x, y [m] ahead and to the left of the start of an episode, or on the map of a
+            policy that plans on one; None: `task.goal`.
+        arguments: Command line arguments behind `--ros-args`; for ROS 2.
     """
 
     ros: int = 1
@@ -46,62 +45,60 @@ class RosRobot:
     goal: tuple[float, float] | None = None
     arguments: tuple[str, ...] = ()
 
-    def env(self, scene: Scene, render_mode: str | None = None) -> TurtleBot2Env:
-        """The environment, in the graph of ROS; there is one at a time.
+    def simulator_type(self) -> SimulatorType:
+        """The robot as a simulator, see `find_simulator`; there is one connection at a time.
 
         Raises:
-            InputError: If this ROS is not installed, or what the scene's task needs is not to be had of a robot.
+            InputError: If there is no such ROS.
         """
         if self.ros not in TURTLEBOT2:
             raise InputError(f"there is ROS 1 and ROS 2, got {self.ros!r}")
         if self.arguments and self.ros == 1:
             raise InputError("--ros-args is for --ros 2")
+        return SimulatorType(
+            name="ros",
+            title="a robot with ROS",
+            make=self._connect,
+            is_robot=True,
+            prepare=lambda scene: robot_scene(scene, self.goal),
+        )
+
+    def _connect(self, spec: SimulationSpec, num_envs: int) -> RemoteRobot:
         topics = build(DriverTopics, {**asdict(TURTLEBOT2[self.ros]), **self.topics}, "topics")
-        scene = robot_scene(scene, self.goal)
-        graph = join(self.ros, NAME, self.arguments)
+        laser, robot = spec.laser, spec.robot
+        limits = 1.0, robot.max_speed, robot.max_turn_rate, robot.name
+        node = create_node(self.ros, NAME, self.arguments)
         try:
-            robot = RemoteRobot(scene.spec, needs_in(scene), graph, topics, self.mounting, self.limits)
+            needs = Needs(laser.angles, laser.min_range, laser.max_range, *limits)
+            return RemoteRobot(spec, needs, node, topics, self.mounting, self.limits)
         except BaseException:
-            graph.close()
+            node.close()
             raise
-        return TurtleBot2Env(scene, render_mode, robot)
 
 
-def ros_robot(simulation: RosRobot | str) -> RosRobot:
-    """The robot itself, or a TurtleBot2 with ROS 1 for "ros": what evaluations and films take as `simulation`.
-
-    Raises:
-        InputError: For another name.
-    """
-    if isinstance(simulation, str):
-        if simulation != ROS:
-            raise InputError(
-                f"simulation takes {', '.join(map(repr, SIMULATIONS))}, {ROS!r} or a RosRobot, got {simulation!r}"
-            )
-        return RosRobot()
-    return simulation
+SIMULATOR = RosRobot().simulator_type()
 
 
 def robot_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:
-    """A scene as a robot has it, which comes as it is, and whose world nobody knows.
+    """Adapt a scene to a robot: without variation, and in a world without walls unless the policy plans on a map.
 
     Args:
-        scene: What the policy was trained at.
+        scene: Scene in which the policy was trained.
         goal: See `RosRobot`.
 
     Raises:
-        InputError: If a policy cannot do there what it does in the scene.
+        InputError: If a robot cannot do the task.
     """
-    task, planned = scene.task, needs_in(scene).goal == "plan"
+    task, plans_on_map = scene.task, needs_in(scene).goal == "plan"
     worlds = scene.spec.worlds
-    if planned and len(worlds) > 1:
-        raise InputError(f"a way is planned on one map, and {scene.place} are {len(worlds)}: name yours by task.world")
+    if plans_on_map and len(worlds) > 1:
+        raise InputError(f"a path is planned on one map, and {scene.place} are {len(worlds)}: name yours by task.world")
     if goal is not None and not hasattr(task, "goal"):
         raise InputError("a goal goes with a task that has one, such as navigate")
     goal = goal or getattr(task, "goal", None)
-    if task.goal_task and goal is None and not (planned and worlds[0].goal):
-        raise InputError("say where to get, such as --goal 3,0.5: m ahead and to the left of where the robot begins")
-    if not planned:
+    if task.goal_task and goal is None and not (plans_on_map and worlds[0].goal):
+        raise InputError("the task needs a goal, such as --goal 3,0.5: m ahead and to the left of the robot's start")
+    if not plans_on_map:
         worlds = (floor((0.0, 0.0), goal or (0.0, 0.0)),)
     worlds = tuple(replace(world, dynamic_obstacles=()) for world in worlds)
     goals = {} if goal is None else {"goal": goal}
@@ -109,10 +106,10 @@ def robot_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:
 
 
 def parse_mounting(text: str) -> Mounting:
-    """Where the scanner is, as the command line has it: "x,y,yaw" or "x,y,yaw,upside-down".
+    """Parse "x,y,yaw" or "x,y,yaw,upside-down".
 
     Raises:
-        InputError: If it is not that.
+        InputError: For another form.
     """
     *numbers, last = text.split(",")
     upside_down = last == _UPSIDE_DOWN
@@ -128,13 +125,5 @@ def parse_mounting(text: str) -> Mounting:
 
 
 def parse_limits(speed: float | None, option: str = "--speed") -> Limits:
-    """The speed [m/s] that the robot is to keep to; None: what the policy drives.
-
-    Raises:
-        InputError: If it is no speed.
-    """
-    if speed is None:
-        return Limits()
-    if not 0.0 < speed < math.inf:
-        raise InputError(f"{option} takes m/s above 0, got {speed:g}")
-    return Limits(speed=speed)
+    """Return the limits for a speed [m/s]; None: those of the policy."""
+    return Limits() if speed is None else Limits(speed=checked(Positive, speed, option))

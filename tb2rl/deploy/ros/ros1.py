@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,77 +12,79 @@ from typing import Any
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.deploy.ros.debian import INSTALL, find_rospy
 from tb2rl.deploy.ros.definitions import write_packages
-from tb2rl.deploy.ros.graph import SET_PHYSICS, End, H, Nobody, Publisher, find_kind
-from tb2rl.deploy.ros.messages import BILLION, RARE, SENSED, Message
+from tb2rl.deploy.ros.messages import BILLION, LATEST_ONLY, OutgoingMessage
+from tb2rl.deploy.ros.node import QUEUE, SET_PHYSICS, Endpoint, M, Node, Publisher
 
 find_rospy()
 
 import rosgraph  # noqa: E402 (now they can be found)
 import rospy  # noqa: E402
 
-_QUEUE = 10  # messages wait for a slow listener, then the oldest goes
-_SIMULATED = "/use_sim_time"
+_SIM_TIME = "/use_sim_time"
 
 
-class Graph1:
-    """A node of ROS 1, see `tb2rl.deploy.ros.graph.Graph`.
-
-    Args:
-        name: Of the node.
+class Ros1Node(Node):
+    """A node of ROS 1.
 
     Raises:
         InputError: If no master answers.
     """
 
+    version, install = 1, f"on Debian and Ubuntu: {INSTALL}"
+
     def __init__(self, name: str) -> None:
-        where = rosgraph.get_master_uri()
         try:
-            answers = rosgraph.is_master_online()
-        except (OSError, ValueError):  # what is not the address of anything
-            answers = False
-        if not answers:
+            online = rosgraph.is_master_online()
+        except (OSError, ValueError):  # ROS_MASTER_URI is no address
+            online = False
+        if not online:
             raise InputError(
-                f"no ROS master answers at {where}: start one with `rosmaster --core` or `roscore`, "
-                "or set ROS_MASTER_URI to the address of yours"
+                f"no ROS master answers at {rosgraph.get_master_uri()}: start one with `rosmaster --core` or "
+                "`roscore`, or set ROS_MASTER_URI to the address of yours"
             )
         if rospy.is_shutdown():
-            raise InputError("rospy joins a graph once in the life of a process: begin another process")
+            raise InputError("rospy joins ROS once in the life of a process: start another process")
         rospy.init_node(name, disable_signals=True)
-        self._keeps_time = False
+        self._announced = False
 
-    def publisher(self, topic: str, kind: type[Message]) -> Publisher:
-        if kind in RARE and _find(kind.kind) is None:
-            return Nobody()
-        return _Publisher(topic, _class(kind.kind))
+    def time(self, nanoseconds: int) -> Any:
+        return rospy.Time(*divmod(nanoseconds, BILLION))
 
-    def listen(self, topic: str, kind: type[H], heard: Callable[[H], None]) -> End:
-        if kind in RARE and _find(kind.kind) is None:
-            return Nobody()
+    def uint8_array(self, data: bytes) -> bytes:
+        return data
 
-        def hear(message: Any) -> None:
-            heard(kind.from_ros(message))
+    def _create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> Publisher:
+        publisher = rospy.Publisher(topic, self.get_type(message_type.kind), queue_size=QUEUE)
+        return Publisher(publisher.get_num_connections, publisher.publish, self)
 
-        newest = 1 if kind in SENSED else None
-        return _End(rospy.Subscriber(topic, _class(kind.kind), hear, queue_size=newest, tcp_nodelay=True))
+    def _create_subscription(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> Endpoint:
+        def convert(message: Any) -> None:
+            callback(message_type.from_ros(message))
 
-    def serve(self, service: str, kind: str, called: Callable[[], str | None]) -> None:
-        offered = _set_physics() if kind == SET_PHYSICS else _class(kind, "srv")
-        response = offered._response_class
+        queue = 1 if message_type in LATEST_ONLY else None
+        ros_type = self.get_type(message_type.kind)
+        return Endpoint(
+            rospy.Subscriber(topic, ros_type, convert, queue_size=queue, tcp_nodelay=True).get_num_connections
+        )
+
+    def create_service(self, service: str, kind: str, callback: Callable[[], str | None]) -> None:
+        service_type = self._set_physics() if kind == SET_PHYSICS else self.get_type(kind, "srv")
+        response = service_type._response_class  # rospy's generated classes have no public name for it
 
         def answer(request: Any) -> Any:
-            failed = called() or ""
+            failure = callback() or ""
             if "success" not in response.__slots__:
                 return response()
-            return response(not failed, failed)  # and so begins that of Gazebo
+            return response(not failure, failure)  # Gazebo's response begins with the same two fields
 
-        rospy.Service(service.replace("~/", "~"), offered, answer)
+        rospy.Service(service.replace("~/", "~"), service_type, answer)
 
     def call(self, service: str, kind: str) -> bool:
         code, _, _ = rospy.get_master().lookupService(service)
         if code != 1:
             return False
         try:
-            rospy.ServiceProxy(service, _class(kind, "srv"))()
+            rospy.ServiceProxy(service, self.get_type(kind, "srv"))()
         except rospy.ServiceException as error:
             raise InputError(one_line(f"the service {service} failed: {error}")) from None
         return True
@@ -91,79 +92,31 @@ class Graph1:
     def now(self) -> float:
         return rospy.get_time()
 
-    def time_is_simulated(self) -> bool:
+    def uses_sim_time(self) -> bool:
         return not rospy.rostime.is_wallclock()
 
-    def keep_time(self) -> None:
-        self._keeps_time = not rospy.get_param(_SIMULATED, False)
-        rospy.set_param(_SIMULATED, True)
+    def announce_sim_time(self) -> None:
+        self._announced = not rospy.get_param(_SIM_TIME, False)
+        rospy.set_param(_SIM_TIME, True)
 
-    def is_over(self) -> bool:
+    def is_shutdown(self) -> bool:
         return rospy.is_shutdown()
 
     def close(self) -> None:
-        with suppress(OSError):  # the master may have gone first
-            if self._keeps_time:
-                rospy.delete_param(_SIMULATED)  # else all that begins later waits for a clock that has stopped
+        with suppress(OSError):  # the master may have ended first
+            if self._announced:
+                rospy.delete_param(_SIM_TIME)  # otherwise later programs wait for a clock that has stopped
         rospy.signal_shutdown("the program has ended")
 
-
-class _Dialect:
-    """See `tb2rl.deploy.ros.messages.Dialect`."""
-
-    def new(self, kind: str) -> Any:
-        return _class(kind)()
-
-    def time(self, nanoseconds: int) -> Any:
-        return rospy.Time(*divmod(nanoseconds, BILLION))
-
-    def octets(self, data: bytes) -> bytes:
-        return data
-
-
-class _End:
-    """See `tb2rl.deploy.ros.graph.End`."""
-
-    def __init__(self, topic: Any) -> None:
-        self._topic = topic
-
-    def connected(self) -> bool:
-        return self._topic.get_num_connections() > 0
-
-
-class _Publisher(_End):
-    """See `tb2rl.deploy.ros.graph.Publisher`."""
-
-    def __init__(self, topic: str, kind: type) -> None:
-        super().__init__(rospy.Publisher(topic, kind, queue_size=_QUEUE))
-
-    def say(self, message: Message) -> None:
-        if self.connected():
-            self._topic.publish(message.to_ros(_Dialect()))
-
-
-@cache
-def _class(kind: str, part: str = "msg") -> Any:
-    found = _find(kind, part)
-    if found is None:
-        raise InputError(f"there is no {kind} for ROS 1; on Debian and Ubuntu: {INSTALL}")
-    return found
-
-
-def _find(kind: str, part: str = "msg") -> Any:
-    package, name = kind.split("/")
-    return find_kind(package, part, name)
-
-
-def _set_physics() -> Any:
-    """The class of the service, by our own definition where Gazebo's messages are not installed."""
-    found = _find(SET_PHYSICS, "srv")
-    if found is not None:
-        return found
-    with TemporaryDirectory() as folder:
-        write_packages(Path(folder))
-        sys.path.append(folder)
-        try:
-            return _find(SET_PHYSICS, "srv")
-        finally:
-            sys.path.remove(folder)
+    def _set_physics(self) -> Any:
+        """Return the class of the service, generated from our definition if Gazebo's messages are not installed."""
+        found = self.find_type(SET_PHYSICS, "srv")
+        if found is not None:
+            return found
+        with TemporaryDirectory() as folder:
+            write_packages(Path(folder))
+            sys.path.append(folder)
+            try:
+                return self.find_type(SET_PHYSICS, "srv")
+            finally:
+                sys.path.remove(folder)

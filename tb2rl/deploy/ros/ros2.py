@@ -6,13 +6,12 @@ import traceback
 from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
 from threading import Event, Thread
 from typing import Any
 
 from tb2rl.core.errors import InputError, install_extra, one_line
-from tb2rl.deploy.ros.graph import SET_PHYSICS, End, H, Nobody, Publisher, find_kind
-from tb2rl.deploy.ros.messages import BILLION, RARE, SENSED, Image, Message, Scan
+from tb2rl.deploy.ros.messages import BILLION, LATEST_ONLY, Image, LaserScan, OutgoingMessage
+from tb2rl.deploy.ros.node import QUEUE, SET_PHYSICS, Endpoint, M, Node, Publisher
 
 _INSTALL = f"source your installation of ROS 2, or: {install_extra('ros2')}"
 
@@ -24,24 +23,20 @@ try:
 except ImportError as error:
     raise InputError(f"--ros 2 needs rclpy ({error}); {_INSTALL}") from None
 
-_DISCOVERY, _ANSWER = 1.0, 30.0  # [s] until services of others are known, and until they answer
-_QUEUE = 10  # messages wait for a slow listener, then the oldest goes
-_RENAMED = {"kobuki_msgs": "kobuki_ros_interfaces"}  # what has another name in ROS 1
+_DISCOVERY, _ANSWER = 1.0, 30.0  # [s] timeouts for finding a service and for its answer
 
 
-class Graph2:
-    """A node of ROS 2, see `tb2rl.deploy.ros.graph.Graph`.
+class Ros2Node(Node):
+    """A node of ROS 2.
 
-    Scans and images are published as sensors' data (best effort, as drivers of lasers do), all else reliably; scans
-    and odometry are heard whichever way they are published.
-
-    Args:
-        name: Of the node.
-        arguments: What follows `--ros-args`.
+    It publishes scans and images with the QoS of sensor data (best effort, as laser drivers do), the rest reliably. It
+    receives scans and odometry with either reliability.
 
     Raises:
-        InputError: If ROS does not know these.
+        InputError: If ROS rejects the arguments.
     """
+
+    version, install = 2, _INSTALL
 
     def __init__(self, name: str, arguments: Sequence[str] = ()) -> None:
         try:
@@ -58,43 +53,50 @@ class Graph2:
         with suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def publisher(self, topic: str, kind: type[Message]) -> Publisher:
-        if kind in RARE and _find(kind.kind) is None:
-            return Nobody()
-        quality = qos_profile_sensor_data if kind in (Scan, Image) else _QUEUE
-        return _Publisher(self._node.create_publisher(_class(kind.kind), topic, quality))
+    def time(self, nanoseconds: int) -> Any:
+        message = self.new("builtin_interfaces/Time")
+        message.sec, message.nanosec = divmod(nanoseconds, BILLION)
+        return message
 
-    def listen(self, topic: str, kind: type[H], heard: Callable[[H], None]) -> End:
-        if kind in RARE and _find(kind.kind) is None:
-            return Nobody()
+    def uint8_array(self, data: bytes) -> array[int]:
+        return array("B", data)
 
-        def hear(message: Any) -> None:
+    def find_type(self, kind: str, part: str = "msg") -> Any:
+        return super().find_type(kind.replace("kobuki_msgs/", "kobuki_ros_interfaces/"), part)
+
+    def _create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> Publisher:
+        quality = qos_profile_sensor_data if message_type in (LaserScan, Image) else QUEUE
+        publisher = self._node.create_publisher(self.get_type(message_type.kind), topic, quality)
+        return Publisher(publisher.get_subscription_count, publisher.publish, self)
+
+    def _create_subscription(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> Endpoint:
+        def convert(message: Any) -> None:
             try:
-                heard(kind.from_ros(message))
-            except Exception:  # it would end the thread that hears all topics, the bumper's, too; rospy does the same
+                callback(message_type.from_ros(message))
+            except Exception:  # would end the thread that receives all topics; rospy logs it, too
                 self._node.get_logger().error(f"a message on {topic} is ignored: {traceback.format_exc()}")
 
-        quality = qos_profile_sensor_data if kind in SENSED else _QUEUE
-        self._node.create_subscription(_class(kind.kind), topic, hear, quality)
-        return _Listener(self._node, topic)
+        quality = qos_profile_sensor_data if message_type in LATEST_ONLY else QUEUE
+        self._node.create_subscription(self.get_type(message_type.kind), topic, convert, quality)
+        return Endpoint(lambda: self._node.count_publishers(topic))
 
-    def serve(self, service: str, kind: str, called: Callable[[], str | None]) -> None:
+    def create_service(self, service: str, kind: str, callback: Callable[[], str | None]) -> None:
         def answer(request: Any, response: Any) -> Any:
-            failed = called() or ""
+            failure = callback() or ""
             if hasattr(response, "success"):
-                response.success, response.message = not failed, failed
+                response.success, response.message = not failure, failure
             return response
 
-        if kind != SET_PHYSICS:  # that is for programs of ROS 1 alone
-            self._node.create_service(_class(kind, "srv"), service, answer)
+        if kind != SET_PHYSICS:  # only programs of ROS 1 call it
+            self._node.create_service(self.get_type(kind, "srv"), service, answer)
 
     def call(self, service: str, kind: str) -> bool:
-        offered = _class(kind, "srv")
-        client = self._node.create_client(offered, service)
+        service_type = self.get_type(kind, "srv")
+        client = self._node.create_client(service_type, service)
         try:
             if not client.wait_for_service(_DISCOVERY):
                 return False
-            answered, answer = Event(), client.call_async(offered.Request())
+            answered, answer = Event(), client.call_async(service_type.Request())
             answer.add_done_callback(lambda _: answered.set())
             if not answered.wait(_ANSWER):
                 raise InputError(f"the service {service} does not answer")
@@ -105,13 +107,13 @@ class Graph2:
     def now(self) -> float:
         return self._node.get_clock().now().nanoseconds / BILLION
 
-    def time_is_simulated(self) -> bool:
+    def uses_sim_time(self) -> bool:
         return bool(self._node.get_parameter("use_sim_time").value)
 
-    def keep_time(self) -> None:
-        """In ROS 2 each program has a parameter of its own for that."""
+    def announce_sim_time(self) -> None:
+        """Do nothing: each node of ROS 2 has its own setting."""
 
-    def is_over(self) -> bool:
+    def is_shutdown(self) -> bool:
         return not rclpy.ok()
 
     def close(self) -> None:
@@ -119,55 +121,3 @@ class Graph2:
         self._thread.join()
         self._node.destroy_node()
         rclpy.try_shutdown()
-
-
-class _Dialect:
-    """See `tb2rl.deploy.ros.messages.Dialect`."""
-
-    def new(self, kind: str) -> Any:
-        return _class(kind)()
-
-    def time(self, nanoseconds: int) -> Any:
-        message = self.new("builtin_interfaces/Time")
-        message.sec, message.nanosec = divmod(nanoseconds, BILLION)
-        return message
-
-    def octets(self, data: bytes) -> array:
-        return array("B", data)
-
-
-class _Listener:
-    """See `tb2rl.deploy.ros.graph.End`."""
-
-    def __init__(self, node: Any, topic: str) -> None:
-        self._node, self._topic = node, topic
-
-    def connected(self) -> bool:
-        return self._node.count_publishers(self._topic) > 0
-
-
-class _Publisher:
-    """See `tb2rl.deploy.ros.graph.Publisher`."""
-
-    def __init__(self, publisher: Any) -> None:
-        self._publisher = publisher
-
-    def connected(self) -> bool:
-        return self._publisher.get_subscription_count() > 0
-
-    def say(self, message: Message) -> None:
-        if self.connected():
-            self._publisher.publish(message.to_ros(_Dialect()))
-
-
-@cache
-def _class(kind: str, part: str = "msg") -> Any:
-    found = _find(kind, part)
-    if found is None:
-        raise InputError(f"there is no {kind} for ROS 2; {_INSTALL}")
-    return found
-
-
-def _find(kind: str, part: str = "msg") -> Any:
-    package, name = kind.split("/")
-    return find_kind(_RENAMED.get(package, package), part, name)

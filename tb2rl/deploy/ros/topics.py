@@ -1,4 +1,4 @@
-"""Where what is said, by the names of topics: those of a TurtleBot2, unless others are given."""
+"""Topic names; those of a TurtleBot2 are the defaults."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from tb2rl.core.values import build
 _NAME = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", flags=re.ASCII)
 
 
-def _of_a_topic(name: str) -> str:
+def _check_name(name: str) -> str:
     if not _NAME.fullmatch(name):
         raise ValueError("must be the name of a topic, such as /scan")
     return name
 
 
-Topic = Annotated[str, AfterValidator(_of_a_topic)]
+Topic = Annotated[str, AfterValidator(_check_name)]
 
 
 @dataclass(frozen=True)
 class Topics:
-    """What our robot says and hears; the names are those of the 2018 tutorial's robot in Gazebo."""
+    """Topics of the simulated robot: those of the 2018 tutorial's robot in Gazebo."""
 
     velocity: Topic = "/cmd_vel"  # commands to the base
     navigation: Topic = "/cmd_vel_mux/input/navi"  # the same, by the TurtleBot2's multiplexer
@@ -39,9 +39,9 @@ class Topics:
 
 @dataclass(frozen=True)
 class DriverTopics:
-    """What drives a robot hears and says, by the names of a TurtleBot2 with ROS 1.
+    """Topics of a node that drives a robot: those of a TurtleBot2 with ROS 1.
 
-    The multiplexer lets its safety controller, and who drives by hand, go before what comes to its navigation input.
+    The multiplexer gives its safety controller and manual control priority over its navigation input.
     """
 
     velocity: Topic = "/cmd_vel_mux/input/navi"
@@ -59,16 +59,16 @@ TURTLEBOT2 = {  # by the version of ROS
 T = TypeVar("T", Topics, DriverTopics)
 
 
-def parse_topics(pairs: Iterable[str], usual: T) -> T:
-    """Topics as the command line has them, such as "scan=/scan"; where it has none, the usual ones.
+def parse_topics(pairs: Iterable[str], defaults: T) -> T:
+    """Parse topics from the command line, such as "scan=/scan".
 
     Raises:
-        InputError: For a pair without "=", a key that is not there, or what is no name of a topic.
+        InputError: For a pair without "=", an unknown key, or an invalid name.
     """
-    names = asdict(usual)
+    names = asdict(defaults)
     for pair in pairs:
         key, equals, name = pair.partition("=")
         if not equals:
             raise InputError(f"--topics takes KEY=TOPIC, for example scan=/scan, got {pair!r}")
         names[key] = name
-    return build(type(usual), names, "--topics")
+    return build(type(defaults), names, "--topics")

@@ -1,4 +1,1 @@
-"""Worlds that others drew: Gazebo's SDF, and the maps of ROS; each reader ends with `finished`, see `imports`.
-
-Imported from here: the world itself and its geometry, and what all need.
-"""
+"""Readers of foreign formats: Gazebo's SDF, ROS maps and BARN; each ends with `imports.complete_world`."""

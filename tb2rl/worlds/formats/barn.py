@@ -1,15 +1,13 @@
 """The worlds of the BARN challenge (Perille et al. 2020, "Benchmarking Metric Ground Navigation").
 
-Posts on a grid stand in a yard, which posts side by side close on three sides. A robot starts in its closed half, and
-its goal lies beyond the open end. A reference path leads through the posts.
+Posts on a grid stand in a yard that is closed by posts on three sides. A robot starts in its closed half, and its goal
+lies beyond the open end. A reference path leads through the posts.
 """
 
 from __future__ import annotations
 
 import os
 import re
-import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,47 +15,37 @@ from pathlib import Path
 import numpy as np
 
 from tb2rl.core.errors import InputError, one_line
-from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.formats.sdf import read_sdf
 from tb2rl.worlds.world import World
 
 START, GOAL = (-2.25, 3.0, 1.57), (-2.25, 13.0, 1.57)  # x [m], y [m], yaw [rad]
-# The yard is x from -4.5 to 0 m and y from 0 to 9.6 m. There, the floor around it has no end: here it has 2 m, enough
-# to come out to the goal anywhere, and a way around the yard leads nowhere.
+# The yard is x from -4.5 to 0 m and y from 0 to 9.6 m. In the challenge the floor around it has no end. Here it is 2 m
+# wide, enough to come out to the goal anywhere; a path around the yard leads nowhere.
 BOUNDS = (-6.5, -2.0, 2.0, 15.0)
-_STEP, _FIRST = (
-    0.15,
-    np.array([-4.425, 5.175]),
-)  # [m] of a path's rows along x and columns along y, and the first of each
-_FOLDERS = ("", "jackal_helper/worlds/BARN", "worlds/BARN", "BARN")  # of a repository, in which worlds may be
-_LARGEST = 2**28  # [bytes] all of BARN has 4 MB
-_FAR = 1000.0  # [m], or rows: whatever is farther away is no such world
-_MOST = 20_000  # posts of a world, or steps of a path
-_DAMAGE = (
-    OSError, ValueError, TypeError, KeyError, EOFError, MemoryError, NotImplementedError, RuntimeError,
-    zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
+_STEP = 0.15  # [m] between a path's rows along x, and its columns along y
+_FIRST = np.array([-4.425, 5.175])  # [m] x of the first row, y of the first column
+_FOLDERS = ("", "jackal_helper/worlds/BARN", "worlds/BARN", "BARN")  # of a repository, where worlds may be
 
 
 @dataclass(frozen=True)
 class BarnWorld:
-    """A world, and how long the way from its start over the reference path to its goal is [m]."""
+    """A world, and the length of its reference path with the ends to its start and its goal [m]."""
 
     world: World
     reference: float
 
 
 def read_barn(path: Path) -> list[BarnWorld]:
-    """The worlds of a file or a folder, by their numbers.
+    """Read the worlds of a file or a folder, sorted by their numbers.
 
     Args:
         path: An .npz file with `posts_N`, x, y and radius [m], shape (posts, 3), and `path_N`, row and column of the
             reference path, shape (steps, 2), for each number N; or a folder with `path_files/path_N.npy` and
-            `world_N.world`, these in `world_files` or not: that of the data set, or a copy of the challenge's
-            repository.
+            `world_N.world`, optionally in `world_files`: the data set, or a copy of the challenge's repository.
 
     Raises:
-        InputError: If it does not hold such worlds.
+        InputError: If it does not contain such worlds.
     """
     is_folder = os.path.isdir(path)  # noqa: PTH112 (Path.is_dir raises for a name that is too long)
     found = dict(_in_folder(path) if is_folder else _in_archive(path))
@@ -67,7 +55,11 @@ def read_barn(path: Path) -> list[BarnWorld]:
 
 
 def _in_archive(path: Path) -> Iterator[tuple[int, BarnWorld]]:
-    arrays = _arrays(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = dict(archive)
+    except Exception as error:  # any error that a broken file causes
+        raise InputError(one_line(f"{path} is not an .npz file of worlds: {error}")) from None
     for name in arrays:
         if (match := re.fullmatch(r"posts_(\d{1,6})", name)) is None:
             continue
@@ -79,46 +71,35 @@ def _in_archive(path: Path) -> Iterator[tuple[int, BarnWorld]]:
         yield number, BarnWorld(world, _reference(arrays[f"path_{match[1]}"], f"{path}: path_{match[1]}"))
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > _LARGEST:
-                raise ValueError(f"it holds more than {_LARGEST >> 20} MB")
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except _DAMAGE as error:
-        raise InputError(one_line(f"{path} is not an .npz file of worlds: {error}")) from None
-
-
 def _in_folder(path: Path) -> Iterator[tuple[int, BarnWorld]]:
     folder = next((path / name for name in _FOLDERS if (path / name / "path_files").is_dir()), None)
     if folder is None:
         raise InputError(f"{path} holds no worlds of BARN: there is no folder path_files in it, with their paths")
-    said = Import(start=START, goal=GOAL, bounds=BOUNDS)
+    options = ImportOptions(start=START, goal=GOAL, bounds=BOUNDS)
     for file in (*folder.glob("world_*.world"), *folder.glob("world_files/world_*.world")):
         if (match := re.fullmatch(r"world_(\d{1,6})", file.stem)) is None:
             continue
-        way = folder / "path_files" / f"path_{match[1]}.npy"
+        reference = folder / "path_files" / f"path_{match[1]}.npy"
         try:
-            cells = np.load(way, allow_pickle=False)
-        except _DAMAGE as error:
-            raise InputError(one_line(f"cannot read {way}: {error}")) from None
-        world = replace(read_sdf(file, said), name=f"barn {int(match[1])}")
-        yield int(match[1]), BarnWorld(world, _reference(cells, str(way)))
+            cells = np.load(reference, allow_pickle=False)
+        except Exception as error:  # any error that a broken file causes
+            raise InputError(one_line(f"cannot read {reference}: {error}")) from None
+        world = replace(read_sdf(file, options), name=f"barn {int(match[1])}")
+        yield int(match[1]), BarnWorld(world, _reference(cells, str(reference)))
 
 
 def _reference(cells: np.ndarray, where: str) -> float:
-    """How long the way from the start over the path's rows and columns, shape (steps, 2), to the goal is [m]."""
+    """Length from the start over the path's rows and columns, shape (steps, 2), to the goal [m]."""
     places = _FIRST + _STEP * _table(cells, 2, where)
-    way = np.concatenate([[START[:2]], places, [GOAL[:2]]])
-    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+    path = np.concatenate([[START[:2]], places, [GOAL[:2]]])
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
 def _table(values: object, columns: int, where: str) -> np.ndarray:
-    """Rows of so many numbers, checked."""
+    """Check a table of numbers."""
     array = np.asarray(values)
-    if array.ndim != 2 or array.shape[1] != columns or not 0 < len(array) <= _MOST or array.dtype.kind not in "iuf":
+    if array.ndim != 2 or array.shape[1] != columns or len(array) == 0 or array.dtype.kind not in "iuf":
         raise InputError(f"{where} must be rows of {columns} numbers, but is {array.dtype} of shape {array.shape}")
-    if not (np.abs(array.astype(float)) <= _FAR).all():
-        raise InputError(f"{where} has a number that is NaN, or beyond {_FAR:g}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{where} has a number that is NaN or infinite")
     return array.astype(float)

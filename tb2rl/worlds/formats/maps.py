@@ -1,7 +1,7 @@
-"""Occupancy maps of ROS (map_server): a YAML file beside a picture, read as boxes; and worlds written as such maps.
+"""Occupancy maps of ROS (map_server): a YAML file beside an image, read as boxes; and worlds written as such maps.
 
-The meaning of a cell follows map_server's own image loader (http://wiki.ros.org/map_server). Beside its keys, `start`
-and `goal` may stand in the YAML file: map_server overlooks them.
+The meaning of a cell follows map_server's own image loader (http://wiki.ros.org/map_server). The YAML file may
+have the keys `start` and `goal`, too, which map_server ignores.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from tb2rl.core.errors import InputError, WorldWarning, one_line
 from tb2rl.core.files import replacing, write_text
 from tb2rl.core.values import Fraction, Pose, Positive, build
 from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
-from tb2rl.worlds.formats.imports import Goal, Import, finished
+from tb2rl.worlds.formats.imports import Goal, ImportOptions, complete_world
 from tb2rl.worlds.world import World
 
 MOST_CELLS = 4_000_000  # 2 000 x 2 000 cells: 100 x 100 m at the usual resolution
-_MOST_BOXES = 20_000  # a picture of noise is no map; one of a campus makes 3 000
+_MOST_BOXES = 20_000  # noise makes more; a map of a campus makes 3 000
 _FREE, _OCCUPIED = 254, 0  # the greys that map_server's own saver writes
 _DECIMALS = 9  # of an origin [m]: enough for any map, and no 0.30000000000000004
 
 
 @dataclass(frozen=True)
 class OccupancyMap:
-    """What the YAML file of a map says.
+    """Keys of a map's YAML file.
 
     Attributes:
-        image: The picture, beside the file; its rows run from top to bottom.
+        image: File beside the YAML file; its rows run from top to bottom.
         resolution: Side of a cell [m].
         origin: Pose of the lower left corner of the lower left cell: x [m], y [m], yaw [rad].
         negate: Whether white is occupied and black free.
-        occupied_thresh: Cells whose occupancy is above are occupied.
-        free_thresh: Cells whose occupancy is below are free; all others are unknown.
+        occupied_thresh: Cells with a higher occupancy are occupied.
+        free_thresh: Cells with a lower occupancy are free; all others are unknown.
         mode: "trinary" and "scale" take (255 - grey) / 255 as the occupancy of a cell, "raw" takes grey / 100, which is
-            unknown above 1. In "scale", what is transparent is unknown; in "trinary", alpha counts as a colour.
+            unknown above 1. In "scale", transparent cells are unknown; in "trinary", alpha counts as a colour.
         start: x [m], y [m], yaw [rad]; ours, not map_server's, as is the next one.
         goal: x [m], y [m], and yaw [rad] or nothing.
     """
@@ -60,54 +60,41 @@ class OccupancyMap:
 
 
 def is_map(content: Any) -> bool:
-    """Whether the content of a YAML file is that of a map, and not of a world of ours."""
+    """Whether the content of a YAML file is a map, and not a world of ours."""
     return isinstance(content, Mapping) and "image" in content
 
 
-def read_map(path: Path, content: Mapping[str, Any], said: Import) -> World:
-    """The world of a map.
+def read_map(path: Path, content: Mapping[str, Any], options: ImportOptions) -> World:
+    """Make a world from a map's YAML file and its content.
 
-    Its unknown cells are obstacles, unless `said.unknown` is "free". Where the map ends is no wall.
-
-    Args:
-        path: The YAML file.
-        content: What is in it.
-        said: What was said beside it.
+    Unknown cells are obstacles, unless `options.unknown` is "free". The edge of the map is no wall.
 
     Raises:
-        InputError: If the file does not fit `OccupancyMap`, its picture cannot be read, or makes no world.
+        InputError: If the content does not fit `OccupancyMap`, the image cannot be read, or that is no world.
     """
-    known = {field.name for field in fields(OccupancyMap)}
+    name, known = path.stem, {field.name for field in fields(OccupancyMap)}
     if others := [str(key) for key in content if key not in known]:
-        text = f"map {path.stem}: keys that are not understood: {', '.join(others)}"
+        text = f"map {name}: keys that are not understood: {', '.join(others)}"
         warnings.warn(one_line(text), WorldWarning, stacklevel=2)
-    described = build(OccupancyMap, {key: content[key] for key in content if key in known}, f"map {path.stem}")
+    described = build(OccupancyMap, {key: content[key] for key in content if key in known}, f"map {name}")
     if described.free_thresh > described.occupied_thresh:
-        raise InputError(f"map {path.stem}: free_thresh must be at most occupied_thresh, got {described.free_thresh}")
-    pixels = _read_picture(path.parent / described.image)
-    occupancy = _occupancy(pixels, described)
+        raise InputError(f"map {name}: free_thresh must be at most occupied_thresh, got {described.free_thresh}")
+    occupancy = _occupancy(_read_image(path.parent / described.image), described)
     cells = occupancy > described.occupied_thresh
-    if said.unknown == "obstacle":
+    if options.unknown == "obstacle":
         cells = ~(occupancy < described.free_thresh)  # so that NaN is an obstacle, too
     cells = cells[::-1]
-    _check_fineness(cells, path.stem)
-    boxes = merge_cells(cells, described.resolution, described.origin)
-    said = replace(said, start=said.start or described.start, goal=said.goal or described.goal)
-    size = f"{cells.shape[1]} x {cells.shape[0]} cells of {described.resolution:g} m"
-    return finished(path.stem, boxes, [], said, bounds=_rectangle(cells, described), description=f"a map of {size}")
-
-
-def _check_fineness(cells: np.ndarray, name: str) -> None:
-    """Raise an `InputError` for cells of which most would be obstacles by themselves."""
-    begins = min(
-        np.count_nonzero(np.diff(cells, axis=axis) & cells.take(range(1, cells.shape[axis]), axis)) for axis in (0, 1)
-    )
-    if begins > _MOST_BOXES:
+    steps = (np.count_nonzero(np.diff(cells, axis=axis) & np.delete(cells, 0, axis)) for axis in (0, 1))
+    if min(steps) > _MOST_BOXES:
         raise InputError(f"map {name}: its cells make more than {_MOST_BOXES} obstacles, the limit")
+    boxes = merge_cells(cells, described.resolution, described.origin)
+    options = replace(options, start=options.start or described.start, goal=options.goal or described.goal)
+    about = f"a map of {cells.shape[1]} x {cells.shape[0]} cells of {described.resolution:g} m"
+    return complete_world(name, boxes, [], options, bounds=_bounds(cells, described), description=about)
 
 
-def _read_picture(path: Path) -> np.ndarray:
-    """The channels of a picture from 0 to 255, shape (rows, columns, channels), the top row first."""
+def _read_image(path: Path) -> np.ndarray:
+    """Channels of an image from 0 to 255, shape (rows, columns, channels), the top row first."""
     try:
         if not path.is_file():  # a pipe or a device would never end
             raise InputError(one_line(f"there is no picture {path}"))
@@ -120,9 +107,7 @@ def _read_picture(path: Path) -> np.ndarray:
                 return _channels(picture)
     except InputError:
         raise
-    except Image.DecompressionBombError:
-        raise InputError(f"{path} is too large: the limit is {MOST_CELLS} cells in all") from None
-    except Exception as error:  # whatever a broken picture leads to: Pillow raises SyntaxError, struct.error and more
+    except Exception as error:  # any error that a broken image causes: Pillow raises SyntaxError, struct.error and more
         raise InputError(one_line(f"cannot read the picture {path}: {error}")) from None
 
 
@@ -136,7 +121,7 @@ def _channels(picture: Image.Image) -> np.ndarray:
 
 
 def _occupancy(pixels: np.ndarray, described: OccupancyMap) -> np.ndarray:
-    """How occupied each cell is, from 0 to 1, NaN where it is unknown; shape (rows, columns)."""
+    """Occupancy of each cell from 0 to 1, NaN for unknown cells; shape (rows, columns)."""
     colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
     averaged = pixels if described.mode == "trinary" else pixels[:, :, :colours]
     grey = averaged.mean(axis=2, dtype=float)
@@ -150,8 +135,8 @@ def _occupancy(pixels: np.ndarray, described: OccupancyMap) -> np.ndarray:
     return occupancy
 
 
-def _rectangle(cells: np.ndarray, described: OccupancyMap) -> tuple[float, float, float, float]:
-    """The rectangle around a map, which may be turned."""
+def _bounds(cells: np.ndarray, described: OccupancyMap) -> tuple[float, float, float, float]:
+    """Bounds of a map, which may be turned."""
     x, y, yaw = described.origin
     along, up = cells.shape[1] * described.resolution, cells.shape[0] * described.resolution
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -161,17 +146,17 @@ def _rectangle(cells: np.ndarray, described: OccupancyMap) -> tuple[float, float
 
 
 def write_map(world: World, path: Path, resolution: float = 0.05) -> tuple[Path, Path]:
-    """Write a world as a map that map_server and RViz open: a YAML file, and a PGM picture beside it.
+    """Write a world as a map for map_server and RViz: a YAML file, and a PGM image beside it.
 
-    What is read from them and written again gives the same files. Walls thinner than a cell are a cell thick.
+    A map that is read and written again gives the same files. Walls thinner than a cell are a cell thick.
 
     Args:
-        world: The world; its `bounds` are the map's edges.
-        path: The YAML file or the picture; the other one has the other ending.
+        world: The world; its bounds are the edges of the map.
+        path: The YAML file or the image; the other one has the other ending.
         resolution: Side of a cell [m].
 
     Returns:
-        The YAML file and the picture.
+        The YAML file and the image.
 
     Raises:
         InputError: If the map would have more than `MOST_CELLS` cells.
@@ -181,14 +166,14 @@ def write_map(world: World, path: Path, resolution: float = 0.05) -> tuple[Path,
     if not (resolution > 0 and (x1 - x0) * (y1 - y0) / resolution**2 <= MOST_CELLS):
         raise InputError(f"a map of {world.name} in cells of {resolution:g} m has more than {MOST_CELLS} cells")
     if world.dynamic_obstacles:
-        text = f"world {world.name}: a map has nothing that moves: its movers are left out"
+        text = f"world {world.name}: a map holds static obstacles only; its dynamic obstacles are left out"
         warnings.warn(one_line(text), WorldWarning, stacklevel=2)
     cells = occupied_cells(world, resolution)[::-1]
     settings, picture = path.with_suffix(".yaml"), path.with_suffix(".pgm")
     header = f"P5\n# {resolution:g} m/pix\n{cells.shape[1]} {cells.shape[0]}\n255\n".encode()
     with replacing(picture) as temporary:
         temporary.write_bytes(header + np.where(cells, _OCCUPIED, _FREE).astype(np.uint8).tobytes())
-    lines = {
+    content = {
         "image": picture.name,
         "mode": "trinary",
         "resolution": resolution,
@@ -197,8 +182,7 @@ def write_map(world: World, path: Path, resolution: float = 0.05) -> tuple[Path,
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
         "start": [float(value) for value in world.start],
-        "goal": world.goal and [float(value) for value in world.goal],
+        **({"goal": [float(value) for value in world.goal]} if world.goal else {}),
     }
-    said = {key: value for key, value in lines.items() if value is not None}
-    write_text(settings, yaml.safe_dump(said, sort_keys=False, default_flow_style=None))
+    write_text(settings, yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
     return settings, picture

@@ -13,115 +13,102 @@ import shapely
 
 from tb2rl.core.errors import install_extra
 from tb2rl.worlds.formats.markup import LARGEST_NUMBER, read_limited, read_xml
-from tb2rl.worlds.formats.slices import STRAIGHT, Side, Slice
+from tb2rl.worlds.formats.slices import STRAIGHT, LeftOut, Slice
 
-ENDINGS = (".dae", ".obj", ".stl")  # those of Gazebo; they name no other files that matter
+ENDINGS = (".dae", ".obj", ".stl")  # Gazebo's formats; they reference no other files that matter
 _GRID = 1e-5  # [m] ends of lines that are nearer than this are one point
-_MOST_LINES, _MOST_MET, _ASKED = (
-    30_000,
-    40,
-    500,
-)  # lines in a cut; others that one of them meets, of some that are asked
-_OPEN = 0.25  # [m] a body with holes is filled where no robot of this radius could be inside
-
-
-class MeshError(Exception):
-    """A mesh that cannot be cut: why."""
+_MOST_LINES = 30_000  # in a cut
+_MOST_CROSSED, _SAMPLED = 40, 500  # lines that one line crosses on average, estimated from a sample
+_OPEN = 0.25  # [m] an open body is filled where no robot of this radius could be inside
 
 
 def load_mesh(path: Path) -> Any:
-    """A mesh in metres, as trimesh has it.
+    """Load a mesh with trimesh, in metres.
 
     Raises:
-        MeshError: If it is not such a file, or trimesh is missing.
+        LeftOut: If it is no such file, or trimesh is missing.
         InputError: If it is too large, or declares entities.
     """
     ending = path.suffix.lower()
     if ending not in ENDINGS:
-        raise MeshError(f"meshes of other kinds than {', '.join(ENDINGS)}")
+        raise LeftOut(f"meshes of other kinds than {', '.join(ENDINGS)}")
     try:
         import trimesh
 
         if ending == ".dae":
             import collada  # noqa: F401 (trimesh reads these with it)
     except ImportError:
-        raise MeshError(f"meshes that take the extra `meshes`: {install_extra('meshes')}") from None
-    # Our own parser refuses entities, before another one would expand them.
+        raise LeftOut(f"meshes that take the extra `meshes`: {install_extra('meshes')}") from None
+    # Our own parser refuses entities before another one would expand them.
     metres = _metres(read_xml(path)) if ending == ".dae" else 1.0
     content = read_limited(path)
     try:
         mesh: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], force="mesh", skip_materials=True)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         usable = len(mesh.faces) > 0 and bool(np.isfinite(mesh.vertices).all())
-    except Exception as error:  # whatever a broken file leads to
-        raise MeshError(f"meshes that cannot be read ({type(error).__name__})") from None
+    except Exception as error:  # any error that a broken file causes
+        raise LeftOut(f"meshes that cannot be read ({type(error).__name__})") from None
     if not usable:
-        raise MeshError("meshes without faces")
+        raise LeftOut("meshes without faces")
     return mesh.apply_scale(metres)
 
 
-def cut(mesh: Any, pose: np.ndarray, scale: np.ndarray, into: Slice) -> Side:
-    """Add what a mesh is at the height of a slice.
+def cut(mesh: Any, pose: np.ndarray, scale: np.ndarray, into: Slice) -> None:
+    """Add a mesh to a slice.
 
     Args:
-        mesh: Of `load_mesh`.
-        pose: Where it stands, shape (4, 4).
+        mesh: From `load_mesh`.
+        pose: Shape (4, 4).
         scale: Along its own axes, shape (3,).
         into: The slice.
-
-    Returns:
-        Where it is.
     """
     import trimesh
 
     placed = mesh.copy()
     placed.apply_transform(pose @ np.diag([*scale, 1.0]))
-    if (side := into.side(*placed.bounds[:, 2])) != "met":
-        return side
+    into.check_height(*placed.bounds[:, 2])
     lines = trimesh.intersections.mesh_plane(placed, (0.0, 0.0, 1.0), (0.0, 0.0, into.height))
-    drawn = _joined(shapely.linestrings(lines[:, :, :2]))
+    drawn = _union(shapely.linestrings(lines[:, :, :2]))
     faces = shapely.get_parts(shapely.polygonize([drawn]))
-    solid = [face for face in faces if _is_solid(face, drawn, bool(placed.is_watertight))]
-    body = shapely.union_all(solid)
+    body = shapely.union_all([face for face in faces if _is_solid(face, drawn, bool(placed.is_watertight))])
     into.add_outline(body)
     rest = shapely.line_merge(drawn.difference(body.buffer(2 * _GRID)))
     into.add_sheets(line.coords for line in shapely.get_parts(shapely.simplify(rest, STRAIGHT)))
-    return side
 
 
-def _joined(lines: np.ndarray) -> shapely.Geometry:
-    """Lines as one shape, in which they meet at their ends alone.
+def _union(lines: np.ndarray) -> shapely.Geometry:
+    """Union of lines, split where they cross.
 
     Raises:
-        MeshError: If they are too many, or cross each other everywhere: to join these would take hours.
+        LeftOut: If they are too many, or cross each other everywhere: their union would take hours.
     """
-    some = np.random.default_rng(0).permutation(lines)[:_ASKED]
-    met = shapely.STRtree(lines).query(some).shape[1] / len(some) if len(lines) <= _MOST_LINES else math.inf
-    if met > _MOST_MET:
-        raise MeshError("meshes that are too fine, or whose faces cut each other everywhere")
+    some = np.random.default_rng(0).permutation(lines)[:_SAMPLED]
+    crossed = shapely.STRtree(lines).query(some).shape[1] / len(some) if len(lines) <= _MOST_LINES else math.inf
+    if crossed > _MOST_CROSSED:
+        raise LeftOut("meshes that are too fine, or whose faces cut each other everywhere")
     return shapely.union_all(lines, grid_size=_GRID)
 
 
 def _is_solid(face: shapely.Polygon, drawn: shapely.Geometry, closed: bool) -> bool:
-    """Whether a face between the lines of a cut is inside of the body: a ray from there leaves it an odd time.
+    """Whether a face between the lines of a cut is inside the body: a ray from there crosses an odd number of lines.
 
-    A body that is not closed, such as a house of thin walls, has no inside but where no robot fits.
+    The inside of an open body, such as a house of thin walls, is only where no robot fits.
     """
     if not closed and shapely.maximum_inscribed_circle(face, tolerance=0.01).length > _OPEN:
         return False
     inside = face.representative_point()
-    end = (drawn.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew: it meets no corner
+    end = (drawn.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew, so that the ray meets no corner
     crossed = shapely.LineString([inside, end]).intersection(drawn)
     return len(shapely.get_parts(crossed)) % 2 == 1
 
 
 def _metres(root: Element) -> float:
-    """How long the unit of a COLLADA file is [m]; the axis that it calls up is not read, as Gazebo does not."""
+    """The unit of a COLLADA file [m]; its up axis is ignored, as in Gazebo."""
     unit = root.find("{*}asset/{*}unit")
     try:
         metres = float("1" if unit is None else unit.get("meter", "1"))
     except ValueError:
         metres = math.nan
     if not 0 < metres <= LARGEST_NUMBER:
-        raise MeshError("meshes whose unit is no length")
+        raise LeftOut("meshes whose unit is no length")
     return metres

@@ -1,7 +1,7 @@
-"""Where SDF finds its models and meshes: `model://`, `package://`, `file://` and relative names as files on disk.
+"""Resolves `model://`, `package://`, `file://` and relative URIs in SDF to files on disk.
 
 The folders are those of the setting `model_path`, of Gazebo's own variables, and those beside the world's file. Nothing
-is downloaded, and nothing outside of these folders is read: a stranger's world names files, too.
+is downloaded, and nothing outside of these folders is read, because the world may come from a stranger.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.worlds.formats.markup import read_xml, text_of
 
 VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
-_FOLDERS_OF_MODELS = ("model", "package")  # the schemes that are looked up in the folders
 
 
 class ModelPath:
@@ -34,40 +33,32 @@ class ModelPath:
         self.folders = [*found, beside, beside / "models", beside.parent / "models"]
 
     def find(self, uri: str, within: Path) -> Path | None:
-        """The file or folder that a URI names; None if there is none.
-
-        Args:
-            uri: Such as "model://table/meshes/table.dae", or "meshes/table.dae".
-            within: The folder of the file that names it.
+        """The file or folder that a URI in a file of folder `within` names; None if there is none.
 
         Raises:
             InputError: If it climbs out of the folders.
         """
         scheme, _, rest = uri.rpartition("://")
         rest = unquote(rest)
-        if scheme in _FOLDERS_OF_MODELS:
-            places = [(folder, folder / rest.lstrip("/")) for folder in self.folders]
-        else:
-            places = [(within, within / rest), *((folder, folder / rest.lstrip("/")) for folder in self.folders)]
+        places = [(folder, folder / rest.lstrip("/")) for folder in self.folders]
+        if scheme not in ("model", "package"):
+            places.insert(0, (within, within / rest))
         for folder, place in places:
-            path = Path(os.path.normpath(place))  # not `resolve`: workspaces of ROS are full of symbolic links
+            path = Path(os.path.normpath(place))  # not `resolve`: ROS workspaces are full of symbolic links
             if not any(path.is_relative_to(inside) for inside in (folder, *self.folders)):
                 raise InputError(one_line(f"{uri} climbs out of the folders of models; name its folder as model path"))
-            if _exists(path):
+            if os.path.exists(path):  # noqa: PTH110 (Path.exists raises for a name that is too long)
                 return path
         return None
 
-    def __str__(self) -> str:
-        return os.pathsep.join(map(str, self.folders))
-
 
 def is_remote(uri: str) -> bool:
-    """Whether a URI names what would have to be downloaded."""
+    """Whether a URI would have to be downloaded."""
     return uri.partition("://")[0].lower() in ("http", "https")
 
 
 def model_file(place: Path) -> Path:
-    """The SDF file of a model: the file itself, or the one of the highest version that its folder's model.config names.
+    """The SDF file of a model: the file itself, or the one of the highest version in its folder's model.config.
 
     Raises:
         InputError: If the folder names a file outside of it.
@@ -86,7 +77,3 @@ def model_file(place: Path) -> Path:
 
 def _version(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in text.split(".") if part.isdecimal())
-
-
-def _exists(path: Path) -> bool:
-    return os.path.exists(path)  # noqa: PTH110 (Path.exists raises for a name that is too long)

@@ -1,4 +1,4 @@
-"""The <state> of an SDF world: where its models were when it was saved, and what came and went before."""
+"""The <state> of an SDF world: the poses of its models when it was saved, and models that came and went before."""
 
 from __future__ import annotations
 
@@ -14,72 +14,68 @@ from tb2rl.worlds.formats.poses import matrix
 
 
 class State:
-    """What a state says about a world, or about one model.
+    """The state of a world or a model.
 
     Gazebo saves the poses of models, of models within models and of links all in the world's frame.
 
     Args:
-        element: The <state>, or a <model> of it; None: nothing is said.
-        above: The state that this one is part of.
+        element: The <state>, or a <model> of it; None if there is none.
+        parent: The state that contains this one.
     """
 
-    def __init__(self, element: Element | None, above: State | None = None) -> None:
-        self._element = element
-        self.depth: int = 0 if above is None else above.depth + 1  # models within models
-        self._label: str = "" if above is None or element is None else f"{above._label}{name_of(element)}/"
-        self._parts: dict[str, Element] = {}
+    def __init__(self, element: Element | None, parent: State | None = None) -> None:
+        self._element = Element("state") if element is None else element
+        self._parent = parent
+        self.depth: int = 0 if parent is None else parent.depth + 1  # models within models
+        self._label: str = "" if parent is None else f"{parent._label}{name_of(self._element)}/"
+        self._parts = {f"{part.tag} {name_of(part)}": part for part in self._element if part.tag in ("model", "link")}
         self._used: set[str] = set()
         self._within: list[State] = []
-        for part in () if element is None else element:
-            if part.tag in ("model", "link"):
-                self._parts[f"{part.tag} {name_of(part)}"] = part
-        self._gone = set() if element is None else {text_of(name) for name in element.findall("deletions/name")}
-        self._above = above
+        self._deleted = {text_of(name) for name in self._element.findall("deletions/name")}
 
     @property
     def pose(self) -> np.ndarray | None:
-        """Where the model stands in the world, shape (4, 4); None: where its own pose says."""
-        return None if self._element is None else _pose(self._element)
+        """Pose of the model in the world, shape (4, 4); None: its own pose counts."""
+        return _pose(self._element)
 
     @cached_property
     def scale(self) -> Sequence[float]:
-        """By how much the model's shapes were drawn out along their axes, three numbers."""
-        scale = None if self._element is None else self._element.find("scale")
+        """Scale of the model's shapes along their axes, three numbers."""
+        scale = self._element.find("scale")
         if scale is None:
-            return (1.0, 1.0, 1.0) if self._above is None else self._above.scale
-        said = numbers(scale, 3)
-        if min(said) <= 0:
+            return (1.0, 1.0, 1.0) if self._parent is None else self._parent.scale
+        factors = numbers(scale, 3)
+        if min(factors) <= 0:
             raise InputError(f"<scale> of {self._label} must be above 0, got {text_of(scale)}")
-        return said
+        return factors
 
     @property
     def inserted(self) -> list[Element]:
-        """The models that came into the world after it began."""
-        return [] if self._element is None else self._element.findall("insertions/model")
+        """Models that were inserted while the world ran."""
+        return self._element.findall("insertions/model")
 
     def deletes(self, model: str) -> bool:
-        """Whether a model had gone from the world."""
-        return model in self._gone
+        """Whether a model was deleted while the world ran."""
+        return model in self._deleted
 
     def of(self, model: Element) -> State:
-        """What is said about a model within."""
-        key = f"model {name_of(model)}"
-        state = State(self._parts.get(key), self)
-        self._used.add(key)
-        self._within.append(state)
-        return state
+        """State of a model within."""
+        self._within.append(State(self._part(model), self))
+        return self._within[-1]
 
     def link(self, link: Element) -> np.ndarray | None:
-        """Where a link of the model is in the world, shape (4, 4); None: where its own pose says."""
-        key = f"link {name_of(link)}"
+        """Pose of a link of the model in the world, shape (4, 4); None: its own pose counts."""
+        part = self._part(link)
+        return None if part is None else _pose(part)
+
+    def _part(self, element: Element) -> Element | None:
+        key = f"{element.tag} {name_of(element)}"
         self._used.add(key)
-        return _pose(self._parts[key]) if key in self._parts else None
+        return self._parts.get(key)
 
     def missing(self) -> Iterator[str]:
-        """What the state names, though nobody asked for it: it was not in the world."""
-        for key, part in self._parts.items():
-            if key not in self._used:
-                yield f"{self._label}{name_of(part)}"
+        """Names in the state that were never looked up, because the world does not have them."""
+        yield from (f"{self._label}{name_of(part)}" for key, part in self._parts.items() if key not in self._used)
         for state in self._within:
             yield from state.missing()
 

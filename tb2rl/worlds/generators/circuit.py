@@ -1,6 +1,6 @@
-"""`circuit`: one closed corridor with bends to both sides, neither junctions nor dead ends.
+"""`circuit`: one closed corridor with bends to both sides, without junctions or dead ends.
 
-It runs around a tree whose fields are two by two of its own: all around a tree, a way comes back to where it began.
+It runs around a spanning tree of blocks of two by two fields, and so returns to where it began.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from tb2rl.worlds.world import World
 
 CORRIDOR = (1.6, 1.0)  # [m] its width at difficulty 0 and 1, at least
 WALL = 0.16  # [m] its thickness
-_WAY = 2 * NARROW / CORRIDOR[0]  # of a corridor's width is a passage: on a small floor less than the difficulty says
-_USED = 0.75  # of the fields of the tree, at least; the others are solid
+_PASSAGE = 2 * NARROW / CORRIDOR[0]  # share of a corridor's width that is required as passage on a small floor
+_USED = 0.75  # least share of the blocks in the tree; the others are solid
 
 
 def circuit(rng: np.random.Generator, difficulty: float, size: Size) -> World:
     """Each stretch of the corridor has a width of its own."""
     narrowest = min(_fields(difficulty, length)[1] for length in size)
-    return solvable(_draw, rng, difficulty, size, widest=_WAY * narrowest)
+    return solvable(_draw, rng, difficulty, size, widest=_PASSAGE * narrowest)
 
 
 def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
@@ -33,25 +33,25 @@ def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
 
 
 def _fields(difficulty: float, length: float) -> tuple[int, float]:
-    """How many fields of the tree fit along a side of the floor, and how wide their corridors are at least [m]."""
+    """Number of blocks along a side of the floor, and least width of their corridors [m]."""
     width = float(np.interp(difficulty, (0.0, 1.0), CORRIDOR))
     count = max(2, int((length + WALL) / (width + WALL) / 2))
     return count, min(width, (length - (2 * count - 1) * WALL) / (2 * count))
 
 
 def _around(tree: set[frozenset[Field]]) -> set[frozenset[Field]]:
-    """The pairs of quarters of fields that a way around a tree leads through."""
+    """Pairs of adjacent fields along the way around a tree."""
     joined = set[frozenset[Field]]()
     for column, row in {field for pair in tree for field in pair}:
         x, y = 2 * column, 2 * row
-        sides = {  # the two quarters at each side, and the neighbour there
+        sides = {  # the neighbouring block, and the two fields on its side
             (column, row - 1): ((x, y), (x + 1, y)),
             (column, row + 1): ((x, y + 1), (x + 1, y + 1)),
             (column - 1, row): ((x, y), (x, y + 1)),
             (column + 1, row): ((x + 1, y), (x + 1, y + 1)),
         }
         for other, quarters in sides.items():
-            if frozenset(((column, row), other)) in tree:  # the way goes over to it, and comes back
+            if frozenset(((column, row), other)) in tree:  # one corridor there, and one back
                 dx, dy = other[0] - column, other[1] - row
                 joined |= {frozenset((quarter, (quarter[0] + dx, quarter[1] + dy))) for quarter in quarters}
             else:

@@ -1,4 +1,4 @@
-"""`clutter`: posts and boxes that stand anywhere, few and far apart, or many and close."""
+"""`clutter`: posts and boxes anywhere, few and far apart, or many and close."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from tb2rl.worlds.generators.enclosure import Shapes, Size, solvable
 from tb2rl.worlds.world import World
 
-EDGE = 0.5  # [m] between the wall around and the middle of an obstacle, at least
+EDGE = 0.5  # [m] least distance from the wall around to the centre of an obstacle
 DENSITY = (0.1, 0.45)  # [1/m^2] obstacles at difficulty 0 and 1
 
 

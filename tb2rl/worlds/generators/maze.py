@@ -1,6 +1,6 @@
 """`maze`: corridors with junctions and dead ends, wide with some loops, or narrow with hardly any.
 
-A spanning tree by depth-first search, the common way to draw mazes, with some walls taken out.
+A spanning tree by depth-first search, with some walls removed.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from tb2rl.worlds.generators.enclosure import Shapes, Size, solvable
 from tb2rl.worlds.generators.lattice import neighbours, spanning_tree, walls
 from tb2rl.worlds.world import World
 
-CORRIDOR = (2.0, 1.2)  # [m] its width at difficulty 0 and 1, at least
-LOOPS = (0.3, 0.05)  # of the walls that a tree leaves, taken out
-WALL = 0.16  # [m] its thickness: six corridors of 1.2 m fill 8 m
+CORRIDOR = (2.0, 1.2)  # [m] least width at difficulty 0 and 1
+LOOPS = (0.3, 0.05)  # share of the remaining walls that is removed
+WALL = 0.16  # [m] thickness: six corridors of 1.2 m fill 8 m
 
 
 def maze(rng: np.random.Generator, difficulty: float, size: Size) -> World:
-    """As many corridors of the same width as fit beside each other."""
+    """Corridors of the same width, as many as fit."""
     return solvable(_draw, rng, difficulty, size)
 
 

@@ -1,4 +1,4 @@
-"""`rooms`: rooms in rows and columns, and doors between them: wide ones of few rooms, or narrow ones of many."""
+"""`rooms`: rooms in rows and columns with doors between them: few rooms and wide doors, or many and narrow ones."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from tb2rl.worlds.generators.enclosure import NARROW, Shapes, Size, solvable
 from tb2rl.worlds.generators.lattice import neighbours, spanning_tree
 from tb2rl.worlds.world import BoxShape, World
 
-SIDE = (4.0, 2.6)  # [m] of a room, about, at difficulty 0 and 1
-DOOR = (1.2, NARROW)  # [m] its width
-WALL = 0.1  # [m] its thickness
-EXTRA = 0.3  # of the walls without need have a door, too
+SIDE = (4.0, 2.6)  # [m] approximate side of a room at difficulty 0 and 1
+DOOR = (1.2, NARROW)  # [m] width at difficulty 0 and 1
+WALL = 0.1  # [m] thickness
+EXTRA = 0.3  # probability of a door that the tree does not need
 _CORNER = 0.15  # [m] between a door and the end of its wall
 
 
 def rooms(rng: np.random.Generator, difficulty: float, size: Size) -> World:
-    """Every room can be reached; some by more than one way."""
+    """Every room can be reached, some of them by several paths."""
     return solvable(_draw, rng, difficulty, size)
 
 
@@ -39,7 +39,7 @@ def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
 
 
 def _lines(rng: np.random.Generator, count: int, length: float) -> list[float]:
-    """Where rooms begin and end [m]: `count` of nearly the same size."""
+    """Borders [m] of `count` rooms of nearly the same size."""
     step = length / count
     return [0.0, *(step * (np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1))).tolist(), length]
 
@@ -47,7 +47,7 @@ def _lines(rng: np.random.Generator, count: int, length: float) -> list[float]:
 def _pieces(
     rng: np.random.Generator, first: float, last: float, door: float, has_door: bool
 ) -> list[tuple[float, float]]:
-    """Middle and length [m] of the parts of a wall, with a door of this width somewhere in it; corners are filled."""
+    """Centre and length [m] of the parts of a wall with a door of this width at a random place; corners are filled."""
     first, last = first - WALL / 2, last + WALL / 2
     ends = [first, last]
     if has_door:

@@ -1,13 +1,13 @@
-"""Real graphs of ROS 1 and ROS 2 for tests, on this machine's loopback alone, and programs that join them.
+"""Real graphs of ROS 1 and ROS 2, on this machine's loopback alone, and fakes of ROS and of wall-clock time.
 
     def test_it(graph):                                     # once in ROS 1, once in ROS 2
         with graph.start("simulate", "--rate", "5") as simulated, graph.probe() as probe:
-            probe.listen("/odom", "nav_msgs/Odometry")
+            probe.subscribe("/odom", "nav_msgs/Odometry")
             (odometry,) = probe.take("/odom")
 
-A program is a process of its own, as on a robot: `start` gives one of `python -m tb2rl.ros`, once it has said its first
-line. ROS 1 is Debian's (see `.ci/run`), ROS 2 that of `make ros`, or what this Python has. Without them the tests are
-skipped, and say what is missing. `FakeGraph` is one of plain Python.
+`start` runs `python -m tb2rl.ros` in a process of its own and returns after its first line. ROS 1 is Debian's (see
+`.ci/run`), ROS 2 that of `make ros`, or of this Python. Without them the tests are skipped. Fast tests use `FakeNode`
+and `FakeClock`: a wait lets simulated time pass at once, and no test waits for real time.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -30,38 +31,35 @@ from typing import Any
 import pytest
 
 from tb2rl.deploy.ros.debian import PACKAGES
-from tb2rl.deploy.ros.messages import Heard, Message
+from tb2rl.deploy.ros.messages import IncomingMessage, OutgoingMessage
 
-CHECKOUT = Path(__file__).parent.parent.parent
+CHECKOUT = Path(__file__).parents[3]
 DEBIANS_PYTHON = "/usr/bin/python3"
 PATIENCE = 300.0  # [s] for a process to begin or to end: the machine may be busy
 
 
 class Process:
-    """A program whose lines are read as they come."""
+    """A program in a process of its own; its lines are read as they come."""
 
     def __init__(self, command: list[str], env: dict[str, str], folder: Path) -> None:
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         self._process = subprocess.Popen(command, env=env, cwd=folder, text=True, bufsize=1, **pipes)
-        self.lines: list[str] = []  # of its stdout
-        self.errors: list[str] = []  # of its stderr
-        self._readers = [
-            threading.Thread(target=self._read, args=pair, daemon=True)
-            for pair in ((self._process.stdout, self.lines), (self._process.stderr, self.errors))
-        ]
-        for reader in self._readers:
+        self.lines, self.errors, self._readers = list[str](), list[str](), list[threading.Thread]()
+        for stream, lines in ((self._process.stdout, self.lines), (self._process.stderr, self.errors)):
+            reader = threading.Thread(target=self._read, args=(stream, lines), daemon=True)
             reader.start()
+            self._readers.append(reader)
 
     def _read(self, stream: Any, lines: list[str]) -> None:
         lines.extend(line.rstrip("\n") for line in stream)
 
-    def say(self, line: str) -> None:
+    def write(self, line: str) -> None:
         """Write a line to its stdin."""
         self._process.stdin.write(f"{line}\n")
 
-    def wait_for_line(self, number: int, seconds: float = PATIENCE) -> str:
-        """Line `number` of its stdout, once it is there."""
-        until = time.monotonic() + seconds
+    def wait_for_line(self, number: int) -> str:
+        """Return line `number` of its stdout, once it is there."""
+        until = time.monotonic() + PATIENCE
         while len(self.lines) <= number:
             ended = self._process.poll()
             assert ended is None or len(self.lines) > number, f"ended with {ended}: {self.lines} {self.errors}"
@@ -69,15 +67,15 @@ class Process:
             time.sleep(0.01)
         return self.lines[number]
 
-    def wait(self, seconds: float = PATIENCE) -> int:
-        """Its exit status, once it has ended by itself and all its lines are read."""
-        status = self._process.wait(seconds)
+    def wait(self) -> int:
+        """Return its exit status, once it has ended and all its lines are read."""
+        status = self._process.wait(PATIENCE)
         for reader in self._readers:
             reader.join()
         return status
 
     def stop(self, sign: signal.Signals = signal.SIGINT) -> int:
-        """End it by a signal: its exit status."""
+        """End it by a signal; return its exit status."""
         self._process.send_signal(sign)
         return self.wait()
 
@@ -91,20 +89,18 @@ class Process:
 
 
 class Probe(Process):
-    """A node of its own that does what `tests/deploy/ros/probe.py` can: `probe.take("/odom", count=3)`."""
+    """A node with the methods of `tests/deploy/ros/probe.py`: `probe.take("/odom", count=3)`."""
 
-    def ask(self, what: str, **arguments: Any) -> Any:
-        """One of its methods: what that returns."""
-        self.say(json.dumps([what, arguments]))
+    _asked = 0
+
+    def ask(self, method: str, **arguments: Any) -> Any:
+        """Call one of its methods."""
+        self.write(json.dumps([method, arguments]))
         self._asked += 1
         return json.loads(self.wait_for_line(self._asked))
 
-    def begin(self) -> None:
-        self._asked = 0
-        assert json.loads(self.wait_for_line(0)) == "ready"
-
-    def listen(self, topic: str, kind: str) -> None:
-        self.ask("listen", topic=topic, kind=kind)
+    def subscribe(self, topic: str, kind: str) -> None:
+        self.ask("subscribe", topic=topic, kind=kind)
 
     def take(self, topic: str, count: int = 1, fresh: bool = True) -> list[dict[str, Any]]:
         return self.ask("take", topic=topic, count=count, fresh=fresh)
@@ -117,181 +113,142 @@ class Probe(Process):
 
 
 class RosGraph:
-    """One graph: what its processes need to join it.
+    """A graph of ROS 1 or 2.
 
     Args:
         version: 1 or 2.
-        folder: For logs, and to work in.
-        variables: Of the environment, that join this graph.
+        folder: Working folder of its processes, and for logs.
+        variables: Environment variables that join this graph.
     """
 
     def __init__(self, version: int, folder: Path, variables: dict[str, str]) -> None:
         self.version, self.folder = version, folder
-        logs = {"ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / "log")}
-        self.env = {**clean_environment(), **variables, **logs}
-        self.python = sys.executable if version == 1 else ros2_python()  # what has both tb2rl and this ROS
+        others = ("ROS", "RMW", "AMENT", "CMAKE_PREFIX", "PYTHONPATH", "PYTHONHOME")  # of the shell's own ROS
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith(others)}
+        self.env = {**inherited, **variables, "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / "log")}
+        self.python = sys.executable if version == 1 else str(ros2_python())  # has both tb2rl and this ROS
 
     @contextmanager
-    def start(self, what: str, *arguments: str) -> Iterator[Process]:
-        """`python -m tb2rl.ros` with some arguments, once it has said its first line."""
-        with self.command("ros", what, "--ros", str(self.version), *arguments) as process:
+    def process(self, command: list[str], path: str = "", kind: type[Process] = Process) -> Iterator[Any]:
+        """Run a command; ROS 1 finds generated messages in the folder `messages`."""
+        path = os.pathsep.join([path, str(self.folder / "messages")])
+        process = kind(command, {**self.env, "PYTHONPATH": path}, self.folder)
+        try:
+            yield process
+        finally:
+            process.close()
+
+    def command(self, name: str, *arguments: str) -> AbstractContextManager[Process]:
+        """`python -m tb2rl.NAME` with some arguments."""
+        return self.process([self.python, "-m", f"tb2rl.{name}", *arguments], str(CHECKOUT))
+
+    @contextmanager
+    def start(self, name: str, *arguments: str) -> Iterator[Process]:
+        """`python -m tb2rl.ros NAME` with some arguments, after its first line."""
+        with self.command("ros", name, "--ros", str(self.version), *arguments) as process:
             process.wait_for_line(0)
             yield process
 
     @contextmanager
-    def command(self, name: str, *arguments: str) -> Iterator[Process]:
-        """`python -m tb2rl.NAME` with some arguments."""
-        command = [str(self.python), "-m", f"tb2rl.{name}", *arguments]
-        process = Process(command, {**self.env, "PYTHONPATH": self._path(CHECKOUT)}, self.folder)
-        try:
-            yield process
-        finally:
-            process.close()
-
-    @contextmanager
     def probe(self) -> Iterator[Probe]:
-        """A node that a test tells what to do."""
-        python = DEBIANS_PYTHON if self.version == 1 else str(self.python)
+        """A node that a test controls."""
+        python = DEBIANS_PYTHON if self.version == 1 else self.python
         command = [python, str(Path(__file__).with_name("probe.py")), str(self.version)]
-        process = Probe(command, {**self.env, "PYTHONPATH": self._path()}, self.folder)
-        try:
-            process.begin()
-            yield process
-        finally:
-            process.close()
-
-    def run(self, program: Path, *arguments: str) -> list[str]:
-        """A program of ROS 1 that knows nothing of ours, until it ends: the lines of its stdout."""
-        command = [DEBIANS_PYTHON, str(program), *arguments]
-        process = Process(command, {**self.env, "PYTHONPATH": self._path()}, self.folder)
-        try:
-            assert process.wait(10 * PATIENCE) == 0, process.errors
-            return process.lines
-        finally:
-            process.close()
-
-    def _path(self, *more: Path) -> str:
-        return os.pathsep.join(map(str, [*more, self.folder / "messages"]))  # of ROS 1, if a test wrote any
+        with self.process(command, kind=Probe) as probe:
+            probe.wait_for_line(0)
+            yield probe
 
 
 @contextmanager
 def ros1(folder: Path) -> Iterator[RosGraph]:
     """A master on a free port."""
-    folder.mkdir(exist_ok=True)
-    port = free_port()
-    variables = {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
-    graph = RosGraph(1, folder, variables)
-    master = Process([rosmaster(), "--core", "-p", str(port)], graph.env, folder)
-    try:
-        wait_for_port(port, master)
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port = found.getsockname()[1]
+    graph = RosGraph(1, folder, {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"})
+    with graph.process(["rosmaster", "--core", "-p", str(port)]) as master:
+        until = time.monotonic() + PATIENCE
+        with socket.socket() as client:
+            while client.connect_ex(("127.0.0.1", port)):
+                assert time.monotonic() < until, f"no master on port {port}: {master.errors}"
+                time.sleep(0.05)
         yield graph
-    finally:
-        master.close()
-
-
-@contextmanager
-def ros2(folder: Path) -> Iterator[RosGraph]:
-    """A domain of its own."""
-    folder.mkdir(exist_ok=True)
-    domain = str(1 + os.getpid() % 100)  # 101 is the largest that needs no ports that Linux gives to others
-    yield RosGraph(2, folder, {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
-
-
-def clean_environment() -> dict[str, str]:
-    """Ours, without what says which ROS and which Python packages a shell is set up for."""
-    ours = ("ROS", "RMW", "AMENT", "CMAKE_PREFIX", "PYTHONPATH", "PYTHONHOME")
-    return {name: value for name, value in os.environ.items() if not name.startswith(ours)}
-
-
-def rosmaster() -> str:
-    """The master's program."""
-    return shutil.which("rosmaster") or "rosmaster"
 
 
 def ros2_python() -> Path | None:
-    """A Python that has rclpy, and tb2rl; None: there is none."""
+    """A Python that has rclpy and tb2rl."""
     made = CHECKOUT / ".venv-ros2" / "bin" / "python"
     if made.exists():
         return made
     return Path(sys.executable) if find_spec("rclpy") else None
 
 
-def skip_without(version: int) -> None:
-    """Skip the test where this ROS is not installed."""
-    if version == 1 and not ((PACKAGES / "rospy").is_dir() and shutil.which("rosmaster")):
-        pytest.skip("ROS 1 is not installed: apt-get install python3-rospy python3-rosmaster ... (see .ci/run)")
-    if version == 2 and ros2_python() is None:
-        pytest.skip("ROS 2 is not installed: make ros")
-
-
-def free_port() -> int:
-    """A port of the loopback that nobody listens at."""
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
-def wait_for_port(port: int, server: Process) -> None:
-    """Until somebody listens there."""
-    until = time.monotonic() + PATIENCE
-    while True:
-        try:
-            with socket.create_connection(("127.0.0.1", port), timeout=1.0):
-                return
-        except OSError:
-            assert time.monotonic() < until, f"nobody listens at {port}: {server.errors}"
-            time.sleep(0.05)
-
-
-@pytest.fixture(scope="module", params=[1, 2], ids=["ros1", "ros2"])
-def graph(request, tmp_path_factory):
-    """A graph of ROS 1, then one of ROS 2."""
-    yield from _graph(request.param, tmp_path_factory.mktemp("graph"))
-
-
 @pytest.fixture(scope="module")
 def graph1(tmp_path_factory):
     """A graph of ROS 1."""
-    yield from _graph(1, tmp_path_factory.mktemp("graph"))
-
-
-def _graph(version: int, folder: Path) -> Iterator[RosGraph]:
-    skip_without(version)
-    with (ros1 if version == 1 else ros2)(folder) as graph:
+    if not ((PACKAGES / "rospy").is_dir() and shutil.which("rosmaster")):
+        pytest.skip("ROS 1 is not installed: apt-get install python3-rospy python3-rosmaster ... (see .ci/run)")
+    with ros1(tmp_path_factory.mktemp("graph")) as graph:
         yield graph
 
 
-class FakeEnd:
-    """An end of a topic that somebody is at the other end of, unless a test says else."""
+@pytest.fixture(scope="module")
+def graph2(tmp_path_factory):
+    """A graph of ROS 2."""
+    if ros2_python() is None:
+        pytest.skip("ROS 2 is not installed: make ros")
+    domain = str(1 + os.getpid() % 100)  # 101 is the largest that needs no ports that Linux gives to others
+    variables = {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return RosGraph(2, tmp_path_factory.mktemp("graph"), variables)
+
+
+@pytest.fixture(scope="module", params=["graph1", "graph2"], ids=["ros1", "ros2"])
+def graph(request):
+    """A graph of ROS 1, then one of ROS 2."""
+    return request.getfixturevalue(request.param)
+
+
+class FakeEndpoint:
+    """An endpoint that keeps what is published."""
 
     def __init__(self) -> None:
-        self.there, self.said = True, list[Message]()
+        self.peers, self.messages = True, list[OutgoingMessage]()
+        self.react: Callable[[Any], None] = lambda message: None  # a program at the other end
 
     def connected(self) -> bool:
-        return self.there
+        return self.peers
 
-    def say(self, message: Message) -> None:
-        self.said.append(message)
+    def publish(self, message: OutgoingMessage) -> None:
+        self.messages.append(message)
+        self.react(message)
 
 
-class FakeGraph:
-    """See `tb2rl.deploy.ros.graph.Graph`: it keeps what is published, and a test calls what listens and what serves."""
+class FakeNode:
+    """A `tb2rl.deploy.ros.node.Node` without ROS.
+
+    Attributes:
+        topics: Endpoints by topic.
+        receive: Functions that deliver a message, by topic.
+        services: Our services, and those of others.
+    """
 
     def __init__(self) -> None:
-        self.ends: dict[str, FakeEnd] = {}
-        self.heard: dict[str, Callable[[Any], None]] = {}
-        self.services: dict[str, Callable[[], str | None]] = {}  # ours, and those of others
-        self.over, self.time, self.simulated = False, 0.0, False
+        self.topics: dict[str, FakeEndpoint] = defaultdict(FakeEndpoint)
+        self.receive: dict[str, Callable[[Any], None]] = {}
+        self.services: dict[str, Callable[[], str | None]] = {}
+        self.over, self.time, self.sim_time = False, 0.0, False
 
-    def publisher(self, topic: str, kind: type[Message]) -> FakeEnd:
-        return self.ends.setdefault(topic, FakeEnd())
+    def create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> FakeEndpoint:
+        return self.topics[topic]
 
-    def listen(self, topic: str, kind: type[Heard], heard: Callable[[Any], None]) -> FakeEnd:
-        self.heard[topic] = heard
-        return self.ends.setdefault(topic, FakeEnd())
+    def create_subscription(
+        self, topic: str, message_type: type[IncomingMessage], callback: Callable[[Any], None]
+    ) -> FakeEndpoint:
+        self.receive[topic] = callback
+        return self.topics[topic]
 
-    def serve(self, service: str, kind: str, called: Callable[[], str | None]) -> None:
-        self.services[service] = called
+    def create_service(self, service: str, kind: str, callback: Callable[[], str | None]) -> None:
+        self.services[service] = callback
 
     def call(self, service: str, kind: str) -> bool:
         if service in self.services:
@@ -301,20 +258,61 @@ class FakeGraph:
     def now(self) -> float:
         return self.time
 
-    def time_is_simulated(self) -> bool:
-        return self.simulated
+    def uses_sim_time(self) -> bool:
+        return self.sim_time
 
-    def keep_time(self) -> None:
-        self.keeps_time = True
+    def announce_sim_time(self) -> None:
+        self.announced = True
 
-    def is_over(self) -> bool:
+    def is_shutdown(self) -> bool:
         return self.over
 
     def close(self) -> None:
         self.over = True
 
+    def commands(self, topic: str) -> list[tuple[float, float]]:
+        """The velocity commands so far."""
+        return [(each.linear, each.angular) for each in self.topics[topic].messages]
+
+
+class FakeClock:
+    """A `WallClock` whose time passes in waits; `events` are called at each step of it."""
+
+    def __init__(self) -> None:
+        self.time, self.events = 0.0, list[Callable[[], None]]()
+        self._timers: list[list[Any]] = []
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        until = self.time + seconds
+        while self.time < until:
+            self.time = min(until, self.time + 0.02)
+            for timer in self._timers:
+                period, due, callback = timer
+                if self.time >= due:
+                    timer[1] = self.time + period
+                    callback()
+            for event in list(self.events):
+                event()
+
+    def wait(self, condition: threading.Condition | threading.Event, seconds: float) -> bool:
+        self.sleep(seconds)
+        return isinstance(condition, threading.Event) and condition.is_set()
+
+    def repeat(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
+        self._timers.append([seconds, self.time + seconds, callback])
+        return self._timers.clear
+
 
 @pytest.fixture
-def fake_graph() -> FakeGraph:
-    """A `FakeGraph`."""
-    return FakeGraph()
+def node() -> FakeNode:
+    """A `FakeNode`."""
+    return FakeNode()
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    """A `FakeClock`."""
+    return FakeClock()

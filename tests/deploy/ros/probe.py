@@ -1,8 +1,6 @@
-"""A node of ROS that does what a test tells it, in lines of JSON, and answers in JSON; it imports nothing of ours.
+"""A node of ROS that a test controls by lines of JSON; it imports nothing of ours.
 
-    probe.py 1|2
-
-It runs in a process of its own: rospy and rclpy change much of the Python that they are in.
+probe.py 1|2
 """
 
 from __future__ import annotations
@@ -26,18 +24,15 @@ def find(kind, part="msg"):
 
 
 def plain(value):
-    """A message as dicts, lists and numbers; octets as base64."""
+    """Convert a message to dicts, lists and numbers; uint8[] to base64."""
     if isinstance(value, bytes) or getattr(value, "typecode", "") == "B":
         return base64.b64encode(bytes(value)).decode()
     if hasattr(value, "__slots__"):
-        return {RENAMED.get(name.lstrip("_"), name.lstrip("_")): plain(getattr(value, name)) for name in slots(value)}
+        slots = [name for name in value.__slots__ if name != "_check_fields"]
+        return {RENAMED.get(name.lstrip("_"), name.lstrip("_")): plain(getattr(value, name)) for name in slots}
     if isinstance(value, str | int | float):
         return value
     return [plain(each) for each in value]
-
-
-def slots(message):
-    return [name for name in message.__slots__ if name != "_check_fields"]
 
 
 class Node1:
@@ -49,20 +44,17 @@ class Node1:
         self.rospy = rospy
         rospy.init_node("probe", anonymous=True, disable_signals=True)
 
-    def listen(self, topic, kind, heard):
-        self.rospy.Subscriber(topic, find(kind), heard, tcp_nodelay=True)
+    def subscribe(self, topic, kind, callback):
+        self.rospy.Subscriber(topic, find(kind), callback, tcp_nodelay=True)
 
     def publisher(self, topic, kind):
         publisher = self.rospy.Publisher(topic, find(kind), queue_size=10)
         return publisher.publish, publisher.get_num_connections
 
-    def call(self, service, kind):
+    def call(self, service, kind="std_srvs/Empty"):
         self.rospy.wait_for_service(service, PATIENCE)
         answer = self.rospy.ServiceProxy(service, find(kind, "srv"))()
         return [getattr(answer, "success", True), getattr(answer, "message", "")]
-
-    def parameter(self, name):
-        return self.rospy.get_param(name, None)
 
 
 class Node2:
@@ -78,18 +70,18 @@ class Node2:
         executor.add_node(self.node)
         threading.Thread(target=executor.spin, daemon=True).start()
 
-    def listen(self, topic, kind, heard):
+    def subscribe(self, topic, kind, callback):
         from rclpy.qos import QoSProfile, ReliabilityPolicy
 
         sensor = kind in ("sensor_msgs/LaserScan", "sensor_msgs/Image")
         reliability = ReliabilityPolicy.BEST_EFFORT if sensor else ReliabilityPolicy.RELIABLE
-        self.node.create_subscription(find(kind), topic, heard, QoSProfile(depth=1000, reliability=reliability))
+        self.node.create_subscription(find(kind), topic, callback, QoSProfile(depth=1000, reliability=reliability))
 
     def publisher(self, topic, kind):
         publisher = self.node.create_publisher(find(kind), topic, 10)
         return publisher.publish, publisher.get_subscription_count
 
-    def call(self, service, kind):
+    def call(self, service, kind="std_srvs/Empty"):
         kind = find(kind, "srv")
         client = self.node.create_client(kind, service)
         assert client.wait_for_service(PATIENCE), service
@@ -98,33 +90,30 @@ class Node2:
         assert answered.wait(PATIENCE), service
         return [getattr(future.result(), "success", True), getattr(future.result(), "message", "")]
 
-    def parameter(self, name):
-        return None
-
 
 class Probe:
     """What a test can ask for."""
 
     def __init__(self):
         self.node = Node1() if VERSION == 1 else Node2()
-        self.heard, self.publishers = {}, {}
+        self.received, self.publishers = {}, {}
 
-    def listen(self, topic, kind):
+    def subscribe(self, topic, kind):
         """Keep the messages of a topic from now on."""
-        self.heard[topic] = queue.Queue()
-        self.node.listen(topic, kind, self.heard[topic].put)
+        self.received[topic] = queue.Queue()
+        self.node.subscribe(topic, kind, self.received[topic].put)
 
     def take(self, topic, count=1, fresh=True):
         """The next messages; fresh: leaving out those that have come before."""
-        while fresh and not self.heard[topic].empty():
-            self.heard[topic].get_nowait()
-        return [plain(self.heard[topic].get(timeout=PATIENCE)) for _ in range(count)]
+        while fresh and not self.received[topic].empty():
+            self.received[topic].get_nowait()
+        return [plain(self.received[topic].get(timeout=PATIENCE)) for _ in range(count)]
 
     def count(self, topic, seconds):
         """How many messages come within some seconds of wall-clock time."""
-        self.heard[topic].queue.clear()
+        self.received[topic].queue.clear()
         time.sleep(seconds)
-        return self.heard[topic].qsize()
+        return self.received[topic].qsize()
 
     def pass_time(self, seconds):
         """Wait until so many simulated seconds have passed: how many wall-clock seconds that took."""
@@ -135,30 +124,30 @@ class Probe:
         return time.monotonic() - began
 
     def watch(self, velocity, odometry):
-        """Keep when the wheels were last told to move, and then to stand, and when the robot last moved.
+        """Record the times of the last commands to move and to stop, and when the robot last moved.
 
-        `went on` is how many simulated seconds it then moved: the simulation may be slower than the wall clock.
+        `went on` is for how many simulated seconds it moved after a command.
         """
-        self.last = last = {"told to move": 0.0, "told to stand": 0.0, "moved": 0.0, "went on": 0.0}
-        stamps = {"told": 0.0, "now": 0.0}
+        self.last = last = {"move command": 0.0, "stop command": 0.0, "moved": 0.0, "went on": 0.0}
+        stamps = {"command": 0.0, "now": 0.0}
 
-        def hear(message):
+        def on_command(message):
             if message.linear.x or message.angular.z:
-                last["told to move"], stamps["told"] = time.monotonic(), stamps["now"]
-            elif last["told to stand"] <= last["told to move"]:
-                last["told to stand"] = time.monotonic()
+                last["move command"], stamps["command"] = time.monotonic(), stamps["now"]
+            elif last["stop command"] <= last["move command"]:
+                last["stop command"] = time.monotonic()
 
-        def see(message):
+        def on_odometry(message):
             stamp, twist = plain(message.header.stamp), message.twist.twist
             stamps["now"] = stamp["sec"] + 1e-9 * stamp["nanosec"]
             if abs(twist.linear.x) > 0.02 or abs(twist.angular.z) > 0.05:
-                last["moved"], last["went on"] = time.monotonic(), stamps["now"] - stamps["told"]
+                last["moved"], last["went on"] = time.monotonic(), stamps["now"] - stamps["command"]
 
-        self.node.listen(velocity, "geometry_msgs/Twist", hear)
-        self.node.listen(odometry, "nav_msgs/Odometry", see)
+        self.node.subscribe(velocity, "geometry_msgs/Twist", on_command)
+        self.node.subscribe(odometry, "nav_msgs/Odometry", on_odometry)
 
     def watched(self, until=None, seconds=0.0):
-        """What `watch` keeps, so long after something of it was noticed anew, or after now."""
+        """Return the record of `watch`, some seconds after a new event of a kind, or after now."""
         began, patience = time.monotonic(), time.monotonic() + PATIENCE
         while until and self.last[until] < began:
             assert time.monotonic() < patience, self.last
@@ -167,30 +156,36 @@ class Probe:
         return self.last
 
     def trigger(self, service):
-        """Call a service of std_srvs/Trigger: whether it did it, and what it said."""
+        """Call a service of std_srvs/Trigger; return whether it succeeded, and its message."""
         return self.node.call(service, "std_srvs/Trigger")
 
-    def drive(self, topic, linear, angular):
-        """Publish a command, as soon as somebody listens."""
-        say = self.velocity(topic)
-        say(linear, angular)
+    def call(self, service):
+        self.node.call(service)
 
-    def drive_until(self, topic, linear, angular, heard):
+    def parameter(self, name):
+        return self.node.rospy.get_param(name, None)
+
+    def drive(self, topic, linear, angular):
+        """Publish a command, as soon as a node subscribes."""
+        send = self.velocity(topic)
+        send(linear, angular)
+
+    def drive_until(self, topic, linear, angular, receives):
         """Publish a command again and again, until there is a message on another topic: that."""
-        say, until = self.velocity(topic), time.monotonic() + PATIENCE
-        while self.heard[heard].empty():
-            assert time.monotonic() < until, f"nothing on {heard}"
-            say(linear, angular)
+        send, until = self.velocity(topic), time.monotonic() + PATIENCE
+        while self.received[receives].empty():
+            assert time.monotonic() < until, f"nothing on {receives}"
+            send(linear, angular)
             time.sleep(0.05)
-        return plain(self.heard[heard].get())
+        return plain(self.received[receives].get())
 
     def answer(self, topic, scans, commands):
         """Answer each scan by the next command: the ranges of these scans, and of the one after them."""
-        say = self.velocity(topic)
+        send = self.velocity(topic)
         seen = []
         for linear, angular in commands:
             seen += self.take(scans, fresh=False)
-            say(linear, angular)
+            send(linear, angular)
         return [*seen, *self.take(scans, fresh=False)]
 
     def velocity(self, topic):
@@ -199,21 +194,15 @@ class Probe:
         publish, listeners = self.publishers[topic]
         until = time.monotonic() + PATIENCE
         while not listeners():
-            assert time.monotonic() < until, f"nobody listens to {topic}"
+            assert time.monotonic() < until, f"no node subscribes to {topic}"
             time.sleep(0.01)
 
-        def say(linear, angular):
+        def send(linear, angular):
             message = find("geometry_msgs/Twist")()
             message.linear.x, message.angular.z = float(linear), float(angular)
             publish(message)
 
-        return say
-
-    def call(self, service, kind="std_srvs/Empty"):
-        self.node.call(service, kind)
-
-    def parameter(self, name):
-        return self.node.parameter(name)
+        return send
 
 
 probe = Probe()

@@ -1,4 +1,4 @@
-"""`python -m tb2rl.ros simulate` on real graphs of ROS 1 and ROS 2: what programs of ROS hear, say and call there."""
+"""`python -m tb2rl.ros simulate` on real graphs of ROS 1 and ROS 2: its topics, services and parameters."""
 
 from __future__ import annotations
 
@@ -22,24 +22,32 @@ BUMPER = {"kobuki_msgs/msg/BumperEvent.msg": "uint8 bumper\nuint8 state\n"}
 
 @pytest.fixture(scope="module")
 def simulated(graph):
-    """A robot that simulates in real time or faster, for all tests of what it says."""
+    """A simulation for all tests of this module."""
     if graph.version == 1:
         write_packages(graph.folder / "messages", BUMPER)
     with graph.start("simulate", "--rate", str(RATE)) as process:
         yield process
 
 
-@pytest.fixture
-def probe(simulated, graph):
-    """A node of a user's, and the robot at its start."""
+@pytest.fixture(scope="module")
+def connected(simulated, graph):
+    """A node that receives and publishes."""
     with graph.probe() as probe:
-        probe.listen("/clock", "rosgraph_msgs/Clock")
-        probe.listen("/odom", "nav_msgs/Odometry")
-        probe.drive(0.0, 0.0)  # they are connected, and the next one is not late
-        probe.drive(0.0, 0.0, topic="/cmd_vel_mux/input/navi")
-        probe.call("/gazebo/unpause_physics")
-        probe.call("/gazebo/reset_world")
+        probe.subscribe("/clock", "rosgraph_msgs/Clock")
+        probe.subscribe("/odom", "nav_msgs/Odometry")
+        probe.subscribe(SCAN, SCANS)
+        for topic in ("/cmd_vel", "/cmd_vel_mux/input/navi"):
+            probe.drive(0.0, 0.0, topic)
         yield probe
+
+
+@pytest.fixture
+def probe(connected):
+    """This node, with the robot at its start."""
+    connected.call("/gazebo/unpause_physics")
+    connected.call("/gazebo/reset_world")
+    back_at_the_start(connected)
+    return connected
 
 
 def seconds(stamp):
@@ -52,7 +60,6 @@ def place(odometry):
 
 
 def test_scans_are_those_of_the_tutorials_laser_ten_times_a_second(probe):
-    probe.listen(SCAN, SCANS)
     first, *_, last = probe.take(SCAN, count=5)
     assert len(first["ranges"]) == 720
     assert (first["angle_min"], first["angle_max"]) == pytest.approx((-math.pi / 2, math.pi / 2))
@@ -71,20 +78,21 @@ def stands(odometry):
 
 
 def driven(probe, linear, angular, **topic):
-    """Odometry of every 0.025 s from before a command until the robot has obeyed it and stands again."""
-    heard = probe.take("/odom")
+    """Odometry of every 0.025 s from before a command until the robot has executed it and stands again."""
+    received = probe.take("/odom")
     probe.drive(linear, angular, **topic)
-    while stands(heard[-1]):  # a busy machine is late
-        heard += probe.take("/odom", fresh=False)
-        assert len(heard) < 1000, "it stands"
-    while not stands(heard[-1]):
-        heard += probe.take("/odom", fresh=False)
-        assert len(heard) < 2000, "it does not stop after 0.6 s without a command"
-    return heard
+    while stands(received[-1]):  # a busy machine is late
+        received += probe.take("/odom", fresh=False)
+        assert len(received) < 1000, "it stands"
+    while not stands(received[-1]):
+        received += probe.take("/odom", fresh=False)
+        assert len(received) < 2000, "it does not stop after 0.6 s without a command"
+    return received
 
 
 def back_at_the_start(probe):
-    """The first odometry that says so."""
+    """The first odometry message at the start."""
+    probe.take("/odom")
     for _ in range(200):
         (odometry,) = probe.take("/odom", fresh=False)
         if place(odometry) == pytest.approx(START, abs=0.01):
@@ -92,7 +100,7 @@ def back_at_the_start(probe):
     raise AssertionError(odometry)
 
 
-def test_odometry_begins_at_the_start_pose_and_follows_commands_until_they_stop(probe):
+def test_odometry_follows_commands_until_they_stop_and_reset_world_puts_the_robot_back(probe):
     odometry = back_at_the_start(probe)
     assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("odom", "base_footprint")
     straight = driven(probe, 0.5, 0.0)
@@ -102,9 +110,11 @@ def test_odometry_begins_at_the_start_pose_and_follows_commands_until_they_stop(
     turned = driven(probe, 0.0, 1.0, topic="/cmd_vel_mux/input/navi")
     assert max(each["twist"]["twist"]["angular"]["z"] for each in turned) == pytest.approx(1.0, abs=0.05)
     assert 0.4 < place(turned[-1])[2] < 0.8
+    probe.call("/gazebo/reset_world")
+    assert seconds(back_at_the_start(probe)["header"]["stamp"]) > seconds(turned[-1]["header"]["stamp"])
 
 
-def test_stamps_are_times_of_the_clock(probe):
+def test_stamps_are_times_of_the_clock_which_a_pause_stops(probe):
     probe.take("/clock")
     odometry = [seconds(each["header"]["stamp"]) for each in probe.take("/odom", count=20)]
     clock = [0.0]
@@ -112,31 +122,23 @@ def test_stamps_are_times_of_the_clock(probe):
         clock += [seconds(each["clock"]) for each in probe.take("/clock", fresh=False)]
     assert np.diff(odometry) == pytest.approx(0.025)
     assert {round(stamp, 3) for stamp in odometry} <= {round(stamp, 3) for stamp in clock}
-
-
-def test_a_pause_stops_the_clock_and_the_robot_until_it_ends(probe):
-    probe.drive(0.5, 0.0)
     probe.call("/gazebo/pause_physics")
-    assert probe.ask("count", topic="/clock", seconds=0.2) <= 2, "what was on its way"
+    assert probe.ask("count", topic="/clock", seconds=0.2) <= 2, "messages that were on their way"
     assert probe.ask("count", topic="/odom", seconds=0.5) == 0
     probe.call("/gazebo/unpause_physics")
     assert probe.take("/clock", count=3)
 
 
-def test_resets_put_the_robot_back_and_one_of_them_the_clock(probe):
-    moved = driven(probe, 0.5, 0.0)[-1]
-    assert place(moved)[0] > START[0] + 0.2
-    probe.call("/gazebo/reset_world")
-    back = back_at_the_start(probe)
-    assert seconds(back["header"]["stamp"]) > seconds(moved["header"]["stamp"])
+def test_reset_simulation_sets_the_clock_back(probe):
+    before = back_at_the_start(probe)
     probe.call("/gazebo/reset_simulation")
     stamps = [seconds(each["header"]["stamp"]) for each in probe.take("/odom", count=40)]
-    assert stamps[-1] < seconds(back["header"]["stamp"])
+    assert stamps[-1] < seconds(before["header"]["stamp"])
 
 
 def test_the_camera_has_colours_and_depths(probe):
-    probe.listen("/camera/rgb/image_raw", "sensor_msgs/Image")
-    probe.listen("/camera/depth/image_raw", "sensor_msgs/Image")
+    probe.subscribe("/camera/rgb/image_raw", "sensor_msgs/Image")
+    probe.subscribe("/camera/depth/image_raw", "sensor_msgs/Image")
     (colours,) = probe.take("/camera/rgb/image_raw")
     (depth,) = probe.take("/camera/depth/image_raw")
     assert (colours["encoding"], colours["height"], colours["width"], colours["step"]) == ("rgb8", 240, 320, 960)
@@ -148,34 +150,22 @@ def test_the_camera_has_colours_and_depths(probe):
     np.testing.assert_allclose(depths, env.unwrapped.camera()[1], atol=0.05, rtol=0.05)
 
 
-def test_frames_lead_from_odometry_to_laser_and_camera(probe, graph):
-    if graph.version == 2:
-        pytest.skip("tf2_msgs of ROS 2 is on robots alone: pip has no package of it")
-    probe.listen("/tf", "tf2_msgs/TFMessage")
-    (message,) = probe.take("/tf")
-    frames = {each["child_frame_id"]: each["header"]["frame_id"] for each in message["transforms"]}
-    assert frames["base_footprint"] == "odom"
-    assert frames["laser_link"] == frames["camera_rgb_optical_frame"] == "base_footprint"
-    where = message["transforms"][0]["transform"]["translation"]
-    assert (where["x"], where["y"]) == pytest.approx(START[:2], abs=0.01)
-
-
 CALLBACK = """
 import sys, threading
-from tb2rl.deploy.ros.graph import join
 from tb2rl.deploy.ros.messages import Odometry
+from tb2rl.deploy.ros.node import create_node
 
-graph, heard, again = join(int(sys.argv[1]), "listener"), [], threading.Event()
+node, received, again = create_node(int(sys.argv[1]), "listener"), [], threading.Event()
 
 def hear(odometry):
-    heard.append(odometry)
-    if len(heard) == 1:
+    received.append(odometry)
+    if len(received) == 1:
         raise OverflowError("a number is too large")
     again.set()
 
-graph.listen("/odom", Odometry, hear)
+node.create_subscription("/odom", Odometry, hear)
 print(again.wait(20.0))
-graph.close()
+node.close()
 """
 
 
@@ -187,15 +177,17 @@ def test_an_error_in_a_callback_does_not_end_the_thread_that_calls_it(simulated,
     assert "a number is too large" in done.stderr
 
 
-def test_a_wall_presses_the_bumper(probe, graph):
+def test_ros1_has_transforms_bumper_events_and_a_parameter_for_simulated_time(probe, graph):
     if graph.version == 2:
-        pytest.skip("kobuki_ros_interfaces is on robots alone: pip has no package of it")
-    probe.listen("/mobile_base/events/bumper", "kobuki_msgs/BumperEvent")
-    event = probe.ask("drive_until", topic="/cmd_vel", linear=0.6, angular=0.0, heard="/mobile_base/events/bumper")
-    assert event == {"bumper": 1, "state": 1}
-
-
-def test_programs_are_told_that_time_is_simulated(probe, graph):
-    if graph.version == 2:
-        pytest.skip("in ROS 2 each program is told by itself")
+        pytest.skip("tf2_msgs and kobuki_ros_interfaces are on robots alone, and each node has its own use_sim_time")
     assert probe.ask("parameter", name="/use_sim_time") is True
+    probe.subscribe("/tf", "tf2_msgs/TFMessage")
+    (message,) = probe.take("/tf")
+    frames = {each["child_frame_id"]: each["header"]["frame_id"] for each in message["transforms"]}
+    assert frames["base_footprint"] == "odom"
+    assert frames["laser_link"] == frames["camera_rgb_optical_frame"] == "base_footprint"
+    where = message["transforms"][0]["transform"]["translation"]
+    assert (where["x"], where["y"]) == pytest.approx(START[:2], abs=0.01)
+    probe.subscribe("/mobile_base/events/bumper", "kobuki_msgs/BumperEvent")
+    event = probe.ask("drive_until", topic="/cmd_vel", linear=0.6, angular=0.0, receives="/mobile_base/events/bumper")
+    assert event == {"bumper": 1, "state": 1}

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 pytestmark = pytest.mark.slow
-PAGE = Path(__file__).parent.parent.parent / "tb2rl" / "ros" / "README.md"
+PAGE = Path(__file__).parents[3] / "tb2rl" / "deploy" / "ros" / "README.md"
 SIM_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
 SHORTER = ["--steps", "3"]
 
 
 def commands(version):
-    """The words of each of tb2rl's commands on the page for this ROS, behind `python -m`."""
+    """The words of the page's commands for this ROS, behind `python -m`."""
     blocks = re.findall(r"^```sh\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     shown = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
     ours = [words[2:] for words in shown if words[:2] == ["python", "-m"]]
@@ -23,16 +23,15 @@ def commands(version):
 
 
 def on_ros(words, version):
-    """As the page says that a command is to be changed for ROS 2 and for a simulation."""
+    """Change a command for ROS 2 and a simulation, as the page explains."""
     more = [] if version == 1 or "--ros" in words else ["--ros", "2"]
     return [*words, *more, *(SIM_TIME if version == 2 and "--ros-args" not in words else [])]
 
 
 def run(graph, words):
-    """What a command says until it ends; one that drives is stopped once it does.
+    """Run a command until it ends, or stop it once it drives; return its lines.
 
-    The simulated robot's scanner looks ahead: who is told that it looks back says that it sees too little, and stands.
-    Others may say before they drive that they stand, for no scan has come yet.
+    The simulated scanner looks ahead: with the mounting of one that looks back, the driver sees too little and stands.
     """
     name, *arguments = words
     with graph.command(name.removeprefix("tb2rl."), *arguments) as driving:
@@ -48,7 +47,7 @@ def run(graph, words):
         return driving.lines
 
 
-def test_every_command_of_the_page_does_what_it_says(graph):
+def test_all_commands_of_the_page_run(graph):
     version = graph.version
     (simulate,) = [words for words in commands(version) if "simulate" in words]
     drives = [words for words in commands(version) if "drive" in words]

@@ -1,8 +1,9 @@
-"""A training as the 2018 tutorial's: its calls in its order, against a robot in Gazebo, or what says that it is one.
+"""A training as the 2018 tutorial's: its calls in its order, against a robot in Gazebo or a simulation in its place.
 
-    tutorial.py EPISODES STEPS SECONDS    # of wall-clock time that an action lasts: 0.2 there
+    tutorial.py EPISODES STEPS SECONDS    # wall-clock time of an action: 0.2 there
 
-It is written from the list of what the tutorial's programs and `openai_ros` call, and imports nothing of ours.
+It is written from the list of calls of the tutorial's programs and `openai_ros`, and imports nothing of ours. Its
+actions are random, because the learner makes no calls.
 """
 
 from __future__ import annotations
@@ -24,66 +25,52 @@ from std_srvs.srv import Empty
 
 ACTIONS = ((0.5, 0.0), (0.05, 0.3), (0.05, -0.3))  # forward, left, right: v [m/s], w [rad/s]
 KEPT, FARTHEST, COLLISION = 144, 6, 0.5  # every so many readings; [m]; [m]
-ALPHA, GAMMA, EPSILON = 0.1, 0.7, 0.9
-
-
-class Gazebo:
-    """The services of the simulation."""
-
-    def __init__(self):
-        self.pause = rospy.ServiceProxy("/gazebo/pause_physics", Empty)
-        self.unpause = rospy.ServiceProxy("/gazebo/unpause_physics", Empty)
-        self.reset_simulation = rospy.ServiceProxy("/gazebo/reset_simulation", Empty)
-        self.reset_world = rospy.ServiceProxy("/gazebo/reset_world", Empty)
-        rospy.wait_for_service("/gazebo/set_physics_properties")
-        self.set_physics = rospy.ServiceProxy("/gazebo/set_physics_properties", SetPhysicsProperties)
-        for service in ("pause_physics", "unpause_physics", "reset_simulation", "reset_world"):
-            rospy.wait_for_service(f"/gazebo/{service}")
 
 
 class Environment:
-    """The robot, as the tutorial's task environment sees it."""
+    """The robot and the services of Gazebo, as the tutorial's task environment sees them."""
 
     def __init__(self, seconds):
-        self.seconds, self.gazebo = seconds, Gazebo()
-        self.gazebo.unpause()
+        self.seconds = seconds
+        services = ("pause_physics", "unpause_physics", "reset_simulation", "reset_world")
+        proxies = [rospy.ServiceProxy(f"/gazebo/{service}", Empty) for service in services]
+        self.pause, self.unpause, self.reset_simulation, self.reset_world = proxies
+        rospy.wait_for_service("/gazebo/set_physics_properties")
+        self.set_physics = rospy.ServiceProxy("/gazebo/set_physics_properties", SetPhysicsProperties)
+        for service in services:
+            rospy.wait_for_service(f"/gazebo/{service}")
+        self.unpause()
         self.wait_for_sensors()
-        rospy.Subscriber("/odom", Odometry, self.hear_odometry)
-        rospy.Subscriber("/kobuki/laser/scan", LaserScan, self.hear_scan)
+        rospy.Subscriber("/odom", Odometry, lambda message: setattr(self, "odometry", message))
+        rospy.Subscriber("/kobuki/laser/scan", LaserScan, lambda message: setattr(self, "scan", message))
         self.velocity = rospy.Publisher("/cmd_vel", Twist, queue_size=1)
         while self.velocity.get_num_connections() == 0:
             time.sleep(0.1)
         self.filtered = rospy.Publisher("/turtlebot2/laser/scan_filtered", LaserScan, queue_size=1)
         self.reward = rospy.Publisher("/openai/reward", RLExperimentInfo, queue_size=1)
-        self.gazebo.pause()
+        self.pause()
 
     def wait_for_sensors(self):
         self.odometry = rospy.wait_for_message("/odom", Odometry, timeout=30.0)
         self.scan = rospy.wait_for_message("/kobuki/laser/scan", LaserScan, timeout=30.0)
 
-    def hear_odometry(self, message):
-        self.odometry = message
-
-    def hear_scan(self, message):
-        self.scan = message
-
     def reset(self):
-        self.gazebo.pause()
-        self.gazebo.reset_world()
-        self.gazebo.unpause()
+        self.pause()
+        self.reset_world()
+        self.unpause()
         self.wait_for_sensors()
         self.move(0.0, 0.0)
-        self.gazebo.pause()
-        return self.observe()
+        self.pause()
 
     def step(self, action):
-        self.gazebo.unpause()
+        self.unpause()
         self.move(*ACTIONS[action])
-        self.gazebo.pause()
-        state = self.observe()
-        collided = any(0.0 < robot_state < COLLISION for robot_state in self.kept())
-        reward = -200 if collided else 5 if action == 0 else 1
-        return state, reward, collided
+        self.pause()
+        self.filtered.publish(self.scan)
+        ranges = self.scan.ranges[::KEPT]
+        state = [FARTHEST if each == float("inf") else min(int(each), FARTHEST) for each in ranges]
+        collided = any(0.0 < each < COLLISION for each in ranges)
+        return state, -200 if collided else 5 if action == 0 else 1, collided
 
     def move(self, linear, angular):
         command = Twist()
@@ -91,41 +78,20 @@ class Environment:
         self.velocity.publish(command)
         time.sleep(self.seconds)
 
-    def kept(self):
-        return self.scan.ranges[::KEPT]
-
-    def observe(self):
-        self.filtered.publish(self.scan)
-        return tuple(
-            FARTHEST if robot_state == float("inf") else min(int(robot_state), FARTHEST) for robot_state in self.kept()
-        )
-
 
 def train(episodes, steps, seconds):
-    """Learn, and print a line for each episode."""
-    environment, values, epsilon = Environment(seconds), {}, EPSILON
+    """Drive at random, and print a line for each episode."""
+    environment = Environment(seconds)
     for episode in range(episodes):
-        state, rewards = environment.reset(), []
-        if epsilon > 0.05:
-            epsilon *= 0.999
-        for _ in range(steps):
-            known = [values.get((state, action), 0.0) for action in range(len(ACTIONS))]
-            action = random.randrange(3) if random.random() < epsilon else known.index(max(known))
-            after, reward, done = environment.step(action)
+        environment.reset()
+        rewards, done = [], False
+        while len(rewards) < steps and not done:
+            state, reward, done = environment.step(random.choice([0, 0, 1, 2]))
             rewards.append(reward)
-            future = max(values.get((after, each), 0.0) for each in range(len(ACTIONS)))
-            old = values.get((state, action))
-            values[state, action] = reward if old is None else old + ALPHA * (reward + GAMMA * future - old)
-            state = after
-            if done:
-                break
         environment.reward.publish(RLExperimentInfo(episode_number=episode, episode_reward=sum(rewards)))
         x = environment.odometry.pose.pose.position.x
-        print(
-            json.dumps({"steps": len(rewards), "reward": sum(rewards), "done": done, "x": x, "state": state}),
-            flush=True,
-        )
-    print(json.dumps({"values": len(values)}), flush=True)
+        line = {"steps": len(rewards), "reward": sum(rewards), "done": done, "x": x, "state": state}
+        print(json.dumps(line), flush=True)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import warnings
 import pytest
 
 from tb2rl.core.errors import WorldWarning
-from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.readers import read_world
 
 
@@ -72,7 +72,7 @@ def read(write):
         path = write(name, f"<sdf version='1.6'><world name='default'>{inside}</world></sdf>")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            world = read_world(path, said=Import(start=start, **said))
+            world = read_world(path, options=ImportOptions(start=start, **said))
         assert {warning.category for warning in caught} <= {WorldWarning}
         return world, [str(warning.message) for warning in caught]
 

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from tb2rl.core.errors import InputError
-from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.readers import read_world
 
 SOLID = (
@@ -274,7 +274,7 @@ def test_a_bad_map_is_one_line_within_two_seconds(name, write):
     path = write(f"{name}.yaml", settings)
     began = time.process_time()
     with pytest.raises(InputError) as refused:
-        read_world(path, said=Import(unknown="free"))
+        read_world(path, options=ImportOptions(unknown="free"))
     assert time.process_time() - began < 2.0
     message = str(refused.value)
     assert words in message

@@ -13,13 +13,13 @@ import shapely
 from PIL import Image
 
 from tb2rl.core.errors import InputError, WorldWarning
-from tb2rl.registry import find_world, world_names
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
-from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.formats.maps import write_map
 from tb2rl.worlds.geometry import cast
 from tb2rl.worlds.readers import read_world
+from tb2rl.worlds.registry import find_world, world_names
 from tb2rl.worlds.world import World
 
 START = (0.0, 0.0, 0.0)
@@ -34,7 +34,7 @@ def read(write, tmp_path):
         text = f"image: {picture}\n{settings}"
         return read_world(
             write("map.yaml", text if "resolution" in text else f"resolution: 1.0\n{text}"),
-            said=Import(start=start, **said),
+            options=ImportOptions(start=start, **said),
         )
 
     return read_map
@@ -247,10 +247,10 @@ def test_keys_of_others_are_named(read):
 
 def test_a_map_is_read_again_when_its_picture_changed(read, tmp_path):
     before = read([[254, 0]])
-    assert read_world(tmp_path / "map.yaml", said=Import(start=START)) is before
+    assert read_world(tmp_path / "map.yaml", options=ImportOptions(start=START)) is before
     Image.fromarray(np.array([[0, 254]], dtype=np.uint8)).save(tmp_path / "map.pgm")
     os.utime(tmp_path / "map.pgm", ns=(0, 1))  # two writes within a tick of the file system's clock look alike
-    after = read_world(tmp_path / "map.yaml", said=Import(start=START))
+    after = read_world(tmp_path / "map.yaml", options=ImportOptions(start=START))
     assert (occupied(before, 1, 2), occupied(after, 1, 2)) == ([[0, 1]], [[1, 0]])
 
 

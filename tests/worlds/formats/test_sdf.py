@@ -10,7 +10,7 @@ import pytest
 import shapely
 
 from tb2rl.core.errors import InputError
-from tb2rl.worlds.formats.imports import Import
+from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.readers import read_world
 
 
@@ -231,7 +231,7 @@ def test_what_is_not_understood_is_named(inside, named, read, sdf):
 
 def test_a_model_alone_is_a_world(write, sdf):
     path = write("pole.sdf", f"<sdf version='1.6'>{sdf.solid(sdf.cylinder())}</sdf>")
-    assert posts(read_world(path, said=Import(start=(2, 0, 0)))) == [(0, 0, 0.2)]
+    assert posts(read_world(path, options=ImportOptions(start=(2, 0, 0)))) == [(0, 0, 0.2)]
 
 
 def test_a_start_and_a_goal_beyond_the_obstacles_are_within_the_world(read, sdf):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tb2rl.worlds.formats.poses import _from_angles
+from tb2rl.worlds.formats.poses import from_angles
 from tb2rl.worlds.formats.slices import Slice
 from tb2rl.worlds.world import World
 
@@ -17,7 +17,7 @@ TURNS = [(0, 0, 0.7), (math.pi, 0, 0.3), (0.4, 0, 0.2), (0, -0.6, 1.0), (0.5, 0.
 
 def pose(turn, place=(0.3, -0.2, 0.4)):
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = _from_angles(*turn), place
+    matrix[:3, :3], matrix[:3, 3] = from_angles(*turn), place
     return matrix
 
 

@@ -1,0 +1,137 @@
+"""Plugins by name: built-in objects, those of other packages, and references such as "module:Name".
+
+A name is a built-in one or an entry point of the group `tb2rl.agents`, `tb2rl.simulators` and so on.
+Built-in names win. Listing names imports nothing.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+import sys
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any, Literal
+
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.files import top_folder
+from tb2rl.core.trust import check_module
+
+Kind = Literal["agent", "filter", "robot", "simulator", "task", "world"]
+
+FILTERS = {"speed_limits": "tb2rl.envs.filters:SpeedLimits"}
+ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot3", "jackal")}
+SIMULATORS = {  # in the order of preference for evaluations
+    "bullet": "tb2rl.simulation.bullet:SIMULATOR",
+    "kinematic": "tb2rl.simulation.kinematic:SIMULATOR",
+    "ros": "tb2rl.deploy.ros.robot:SIMULATOR",
+}
+TASKS = {
+    "drive": "tb2rl.tasks.drive:Drive",
+    "maze": "tb2rl.tasks.wander:Wander",
+    "navigate": "tb2rl.tasks.navigate:Navigate",
+    "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
+    "wall": "tb2rl.tasks.reach_goal:ReachGoal",
+}
+
+
+def agent_names() -> list[str]:
+    """Names of all agents: the files of `agents/` and entry points."""
+    return sorted(_references("agent"))
+
+
+def robot_names() -> list[str]:
+    """Names of all robots, built-in ones and entry points."""
+    return sorted(_references("robot"))
+
+
+def simulator_names() -> list[str]:
+    """Names of all simulators, in the order of preference: built-in ones, then entry points."""
+    return [*SIMULATORS, *sorted(entry_point_references("simulator").keys() - SIMULATORS.keys())]
+
+
+def task_names() -> list[str]:
+    """Names of all tasks, built-in ones and entry points."""
+    return sorted(_references("task"))
+
+
+def find_plugin(kind: Kind, name: str) -> Any:
+    """The object of a name or of a reference "module:Name".
+
+    Raises:
+        InputError: If there is none; the message lists the known names.
+    """
+    if ":" in name:
+        try:
+            return import_object(name)
+        except InputError as error:
+            raise InputError(f"{kind}: {error}") from None
+    references = _references(kind)
+    if name not in references:
+        raise unknown(kind, name, references)
+    return import_object(references[name])
+
+
+def entry_point_references(kind: Kind) -> dict[str, str]:
+    """References of the entry points of one kind, by name."""
+    return {point.name: point.value for point in entry_points(group=f"tb2rl.{kind}s")}
+
+
+def import_object(reference: str) -> Any:
+    """The object of a reference "module:Name".
+
+    Raises:
+        InputError: If the module or the name does not exist, or an untrusted config names it (`tb2rl.core.trust`).
+            Errors inside the module pass unchanged.
+    """
+    check_module(reference)
+    module_name, _, attribute = reference.partition(":")
+    if module_name == "__main__":
+        return _from_main(attribute)
+    if module_name.endswith(".py") and module_name[:-3].isidentifier():
+        hint = f"a module has no .py; write {module_name[:-3]}:{attribute}"
+        raise InputError(f"cannot import {reference!r}: {hint}")
+    if not all(part.isidentifier() and part != "__main__" for part in module_name.split(".")):
+        raise InputError(f"cannot import {reference!r}: it should read module:Class")
+    try:
+        module = import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name and not (module_name + ".").startswith(error.name + "."):
+            raise
+        hint = "; pip install sb3-contrib brings it" if error.name == "sb3_contrib" else ""
+        raise InputError(f"cannot import {reference!r}: there is no module {error.name!r}{hint}") from None
+    if not hasattr(module, attribute):
+        raise InputError(f"cannot import {reference!r}: module {module_name!r} has no {attribute!r}")
+    return getattr(module, attribute)
+
+
+def reference_to(cls: type) -> str:
+    """The reference "module:Class" of a class, by which a run finds it again.
+
+    Raises:
+        InputError: If the reference means another class.
+    """
+    reference = f"{cls.__module__}:{cls.__qualname__}"
+    if import_object(reference) is not cls:
+        raise InputError(f"{reference} means another class by now; give that one, or define this one again")
+    return reference
+
+
+def _from_main(name: str) -> Any:
+    """A class or a dataclass (agent, robot, world) of the running script or notebook; functions are refused."""
+    found = vars(sys.modules["__main__"]).get(name)
+    if not is_dataclass(found) and not isinstance(found, type):
+        where = f"it was made in another script or notebook; save __main__:{name} in a file, and name it module:{name}"
+        raise InputError(one_line(f"cannot import '__main__:{name}': {where}"))
+    return found
+
+
+def _references(kind: Kind) -> Mapping[str, str]:
+    built_in = {"agent": _agent_files(), "filter": FILTERS, "robot": ROBOTS, "simulator": SIMULATORS, "task": TASKS}
+    return {**entry_point_references(kind), **built_in[kind]}
+
+
+def _agent_files() -> dict[str, str]:
+    files = [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))])]
+    return {name: f"tb2rl.agents.{name}:AGENT" for name in files if not name.startswith("_")}

@@ -1,0 +1,1 @@
+"""Dynamic obstacles: people, posts and boxes that move beside the robots, the same in every simulator."""

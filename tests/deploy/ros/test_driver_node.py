@@ -1,0 +1,339 @@
+"""A driver on a fake node: when it starts, its commands, and its printed lines."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import signal
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tb2rl.deploy import Driver, Limits, Needs
+from tb2rl.deploy.ros.driver_node import DriverNode, run
+from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Goal, LaserScan, Odometry, Plan, Twist
+from tb2rl.deploy.ros.topics import TURTLEBOT2
+from tb2rl.ros import parse
+
+TOPICS = TURTLEBOT2[1]
+FORWARD, STILL = (0.4, 0.2), (0.0, 0.0)
+ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
+
+
+class FakePolicy:
+    """A policy that always drives at `speeds`."""
+
+    def __init__(self, **needs):
+        self.needs = Needs(np.linspace(-1.5, 1.5, 7), 0.1, 30.0, 0.2, 0.5, 1.0, "turtlebot2", **needs)
+        self.speeds, self.sensed = FORWARD, []
+
+    def begin(self):
+        pass
+
+    def act(self, sensed):
+        self.sensed.append(sensed)
+        return self.speeds
+
+
+class Robot:
+    """The robot's side of the topics of a driver node; it scans ten times a second."""
+
+    def __init__(self, node, clock, waits=False, dry_run=False, limits=None, **needs):
+        self.node, self.clock, self.policy = node, clock, FakePolicy(**needs)
+        self.driver = Driver(self.policy, limits, dry_run=dry_run)
+        self.driver_node = DriverNode(self.driver, self.policy.needs, node, TOPICS, waits, dry_run, clock)
+
+    def scan(self, count=1, odometry=True, age=0.0):
+        for _ in range(count):
+            self.node.time = round(self.node.time + 0.1, 6)
+            stamp = round((self.node.time - age) * BILLION)
+            if odometry:
+                self.publish("odometry", Odometry(stamp, "odom", "base", (1.0, 0.0, 0.0), STILL))
+            self.publish("scan", LaserScan(stamp, "laser", -1.57, 3.14 / 360, 0.1, 0.1, 30.0, np.full(361, 2.0)))
+
+    def publish(self, topic, message):
+        self.node.receive[getattr(TOPICS, topic)](message)
+
+    def call(self, service):
+        return self.node.services[f"~/{service}"]()
+
+    def run(self, seconds):
+        """Let the node run for so long without sensor data."""
+        ending, until, start = threading.Event(), self.clock.time + seconds, self.clock.time - self.node.time
+
+        def follow():
+            self.node.time = round(self.clock.time - start, 6)
+            if self.clock.time >= until:
+                ending.set()
+
+        self.clock.events.append(follow)
+        self.driver_node.run(ending)
+        self.clock.events.remove(follow)
+
+    def commands(self):
+        """The commands since the last call."""
+        commands = self.node.commands(TOPICS.velocity)
+        self.node.topics[TOPICS.velocity].messages.clear()
+        return commands
+
+
+@pytest.fixture
+def robot(node, clock):
+    """A function that makes a `Robot`."""
+    return lambda **options: Robot(node, clock, **options)
+
+
+def lines(capsys):
+    return capsys.readouterr().out.splitlines()
+
+
+def test_it_starts_by_itself_after_five_scans_and_answers_each(robot, capsys):
+    it = robot()
+    it.scan(4)
+    assert it.commands() == [STILL] * 4
+    it.scan(6)
+    assert it.commands() == [FORWARD] * 6
+    assert len(it.policy.sensed) == 3, "it decides each 0.2 s"
+    assert lines(capsys) == ["driving"]
+
+
+def test_services_start_and_stop_it_and_so_does_a_contact(robot, capsys):
+    it = robot(waits=True)
+    it.scan(20)
+    assert set(it.commands()) == {STILL}
+    for stop in (lambda: it.call("stop"), lambda: it.publish("bumper", BumperEvent(1, True))):
+        assert it.call("start") == ""
+        it.scan()
+        assert it.commands() == [FORWARD]
+        stop()
+        assert it.commands() == [STILL], "at once"
+        it.scan()
+        assert it.commands() == [STILL]
+    stands = [f"it stands: {reason}" for reason in ("not started", "told to stop", "the bumper was touched")]
+    assert lines(capsys) == [stands[0], "driving", stands[1], "driving", stands[2]]
+
+
+def test_a_serious_finding_prevents_the_start_and_is_in_the_diagnostics(robot, node, capsys):
+    it = robot(goal="goal")
+    it.scan(8)
+    assert set(it.commands()) == {STILL}
+    serious = it.call("start")
+    it.run(1.1)
+    it.publish("goal", Goal("odom", (4.0, 0.0)))
+    it.scan()
+    assert it.commands()[-1] == FORWARD
+    it.clock.sleep(1.0)
+    it.run(0.1)
+    lost, fine = node.topics["/diagnostics"].messages
+    assert (lost.level, lost.values["finding 1"]) == ("ERROR", serious)
+    assert (fine.level, fine.summary, fine.values["v [m/s]"]) == ("OK", "driving", "0.400")
+    printed = lines(capsys)
+    assert printed.count(f"it stands: {serious}") == 1
+    assert printed[-2:] == ["the goal is (4.00, 0.00) in 'odom'", "driving"]
+
+
+def test_missing_scans_and_minor_findings_are_printed(robot, capsys):
+    it = robot(limits=Limits(speed=0.2))
+    it.run(3.1)
+    it.scan(5)
+    assert it.commands()[-1] == (0.2, 0.1)
+    no_scan, slowed, driving = lines(capsys)
+    assert no_scan == "it stands: no scan has come yet"
+    assert slowed.startswith("mind: ")
+    assert "slowed to 0.2" in slowed
+    assert driving == "driving"
+
+
+def test_it_stands_while_scans_are_missing_and_then_drives_on(robot, capsys):
+    it = robot()
+    it.scan(6)
+    it.commands()
+    it.run(0.45)
+    assert set(it.commands()) == {FORWARD}, "by the last scan"
+    it.run(2.0)
+    assert it.commands() == [STILL] * 9, "then other programs may drive the robot"
+    it.scan()
+    assert it.commands() == [FORWARD]
+    assert lines(capsys)[1:] == ["it stands: the last scan is 0.5 s old", "driving"]
+
+
+@pytest.mark.parametrize(("now", "age", "printed"), [(0.0, 0.7, "0.7 s old"), (1.8e9, 1.8e9, "use_sim_time")])
+def test_it_does_not_drive_by_old_scans(now, age, printed, robot, node, capsys):
+    it = robot()
+    node.time = now
+    it.scan(7, odometry=False, age=age)
+    assert set(it.commands()) == {STILL}
+    assert printed in lines(capsys)[0]
+
+
+def test_it_stands_while_simulated_time_stands_still(robot, node, clock, capsys):
+    node.sim_time = True
+    it = robot()
+    it.scan(6)
+    it.driver_node._poll()
+    it.commands()
+    clock.sleep(0.5)
+    it.driver_node._poll()
+    assert it.commands() == [STILL]
+    it.scan()
+    assert it.commands() == [FORWARD]
+    node.time = 0.0  # a reset of the simulation
+    it.scan(2)
+    assert it.commands() == [FORWARD] * 2
+    assert lines(capsys) == ["driving", "it stands: simulated time stands still", "driving"]
+
+
+def test_in_simulated_time_a_scan_may_arrive_before_its_clock(robot, node):
+    node.sim_time = True
+    it = robot()
+    it.scan(10, odometry=False, age=-0.2)
+    it.commands()
+    decided = len(it.policy.sensed)
+    it.scan(2, odometry=False, age=-0.2)
+    assert len(it.policy.sensed) == decided + 1
+    assert it.commands() == [FORWARD] * 2
+
+
+def test_goals_and_plans_in_another_frame_are_refused_and_early_ones_wait_for_odometry(robot, capsys):
+    it = robot(goal="goal")
+    it.publish("goal", Goal("map", (4.0, 0.0)))
+    it.scan()
+    assert lines(capsys) == ["this goal is refused: it is in the frame 'map', and the odometry in 'odom'"]
+    it.publish("goal", Goal("odom", (math.nan, 0.0)))
+    assert lines(capsys) == ["this goal is refused: its numbers are no position"]
+
+
+def test_it_follows_a_plan_to_its_end(robot, capsys):
+    it = robot(goal="plan", lookahead=1.0)
+    it.scan()
+    for refused in (Plan("odom", np.empty((0, 2))), Plan("map", np.zeros((2, 2)))):
+        it.publish("plan", refused)
+    assert len(lines(capsys)) == 2
+    it.publish("plan", Plan("odom", np.array([[1.0, 0.0], [1.0, 3.0]])))
+    it.scan(6)
+    assert it.commands()[-1] == FORWARD
+    assert it.policy.sensed[-1].waypoint == pytest.approx((1.0, 1.0))
+    it.publish("plan", Plan("odom", np.array([[1.0, 0.0], [1.0, 0.1]])))
+    it.scan()
+    assert it.commands()[-1] == STILL
+    assert lines(capsys)[-1] == "it stands: the goal is reached"
+
+
+def test_a_dry_run_publishes_no_commands_and_prints_them(robot, capsys):
+    it = robot(dry_run=True)
+    it.scan(6)
+    it.clock.sleep(1.0)
+    it.run(0.1)
+    it.driver_node.close()
+    assert it.commands() == []
+    assert "it would drive 0.40 m/s ahead, 0.20 rad/s to the left" in lines(capsys)
+
+
+@pytest.mark.parametrize("terminal", ["open", "closed"])
+def test_at_the_end_it_stops_the_wheels_several_times(terminal, robot, monkeypatch, capsys):
+    it = robot()
+    it.scan(6)
+    it.commands()
+
+    def write_nowhere(line):
+        raise OSError(errno.EIO, "Input/output error")
+
+    if terminal == "closed":
+        monkeypatch.setattr("tb2rl.deploy.ros.driver_node._print", write_nowhere)
+    it.driver_node.close()
+    assert it.commands() == [STILL] * 9
+    if terminal == "open":
+        assert lines(capsys)[-1].startswith("6 scans, from scan to command: ")
+
+
+@pytest.fixture
+def restored_signals():
+    """Signals without a handler end no test; afterwards all handlers are as before."""
+    before = {sign: signal.signal(sign, lambda *_: None) for sign in ENDINGS}
+    yield
+    for sign, handler in before.items():
+        signal.signal(sign, handler)
+
+
+@pytest.mark.parametrize("sign", ENDINGS)
+def test_each_signal_that_ends_the_node_stops_the_wheels(sign, node, clock, restored_signals, monkeypatch):
+    module = "tb2rl.deploy.ros.driver_node"
+    replaced = {
+        "create_node": lambda *_: node,
+        "load": lambda *_: None,
+        "TrainedPolicy": lambda _: FakePolicy(),
+        "th.set_num_threads": lambda _: None,
+        "WallClock": lambda: clock,
+    }
+    for name, value in replaced.items():
+        monkeypatch.setattr(f"{module}.{name}", value)
+    robot = Robot.__new__(Robot)
+    robot.node = node
+
+    def drive_then_signal():
+        clock.events.clear()
+        robot.scan(6)
+        os.kill(os.getpid(), sign)
+
+    clock.events.append(drive_then_signal)
+    run(parse(["drive", "zoo:maze-loop-ppo"]))
+    commands = node.commands(TOPICS.velocity)
+    assert FORWARD in commands
+    assert commands[-5:] == [STILL] * 5
+
+
+def test_an_error_of_the_policy_or_in_a_service_ends_the_node_and_no_thread_of_ros(robot, monkeypatch):
+    it = robot()
+    it.policy.act = lambda sensed: 1 / 0
+    it.scan(6)
+    with pytest.raises(ZeroDivisionError):
+        it.driver_node.run(threading.Event())
+    it = robot(waits=True)
+    monkeypatch.setattr(it.driver, "preflight", lambda: 1 / 0)
+    assert it.call("start") == "the node ends: division by zero"
+    with pytest.raises(ZeroDivisionError):
+        it.driver_node.run(threading.Event())
+
+
+def odometry_message(position=(1.0, 0.0), quaternion=(0.0, 0.0, 0.0, 1.0), twist=STILL):
+    """A message of ROS."""
+    new = SimpleNamespace
+    header = new(stamp=new(sec=3, nanosec=5), frame_id="/odom")
+    rotation = new(**dict(zip("xyzw", quaternion, strict=True)))
+    pose = new(pose=new(position=new(x=position[0], y=position[1]), orientation=rotation))
+    speeds = new(twist=new(linear=new(x=twist[0]), angular=new(z=twist[1])))
+    return new(header=header, child_frame_id="base", pose=pose, twist=speeds)
+
+
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1e200, 1e200), (0.0, 0.0, 0.0, math.nan)])
+def test_odometry_whose_orientation_is_no_rotation_is_ignored(quaternion, robot, capsys):
+    it = robot(goal="goal")
+    it.publish("goal", Goal("odom", (4.0, 0.0)))
+    it.scan(6)
+    assert it.commands()[-1] == FORWARD
+    for _ in range(6):
+        it.publish("odometry", Odometry.from_ros(odometry_message(quaternion=quaternion)))
+        it.scan(odometry=False)
+    assert it.commands()[-1] == STILL
+    *_, mind, stands = lines(capsys)
+    assert mind == "mind: odometry is ignored if its orientation is no rotation or a number is not finite"
+    assert stands.startswith("it stands: the last odometry is 0.")
+
+
+def test_messages_become_values():
+    odometry = Odometry.from_ros(odometry_message(twist=(0.3, 0.1)))
+    assert odometry == Odometry(3 * BILLION + 5, "odom", "base", (1.0, 0.0, 0.0), (0.3, 0.1))
+    for message in ({"position": (1e200, 0.0)}, {"twist": (0.1, math.inf)}):
+        assert not Odometry.from_ros(odometry_message(**message)).is_usable
+    for yaw in (-3.1, 0.7):
+        rounded = (0.0, 0.0, 1.05 * math.sin(yaw / 2), 1.05 * math.cos(yaw / 2))
+        assert Odometry.from_ros(odometry_message(quaternion=rounded)).pose[2] == pytest.approx(yaw)
+    command = SimpleNamespace(linear=SimpleNamespace(x=math.nan), angular=SimpleNamespace(z=1.0))
+    assert Twist.from_ros(command) == Twist(0.0, 0.0), "a command that is no number stops the base"
+    stamped = SimpleNamespace(header=odometry_message().header, pose=odometry_message().pose.pose)
+    assert Goal.from_ros(stamped).position == (1.0, 0.0)
+    plan = Plan.from_ros(SimpleNamespace(header=stamped.header, poses=[stamped, stamped]))
+    assert plan.points.tolist() == [[1.0, 0.0], [1.0, 0.0]]

@@ -1,0 +1,83 @@
+"""A training that does not learn prints advice once; one that learns prints nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tb2rl.core.errors import InputError
+from tb2rl.training.diagnostics import ADVICE, TrainingDiagnostics
+from tb2rl.training.training import resume, train_config
+
+PROBLEMS = {
+    "failing": {"task.collision_range": 1.5, "agent.exploration_fraction": 0.1},
+    "spinning": {
+        "task.forward_reward": 0.0,
+        "task.turn_reward": 5.0,
+        "train.episode_steps": 100,
+        "agent.exploration_fraction": 0.5,
+        "agent.exploration_final_eps": 0.02,
+    },
+    "flat": {"agent.learning_rate": 0.0, "agent.exploration_fraction": 0.01},
+    "values": {"agent.learning_rate": 3.0},
+}
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
+def test_a_problem_is_named_once_with_advice(problem, small, scalars, tmp_path, capsys):
+    run = train_config(small(settings=PROBLEMS[problem], n_envs=64, total_timesteps=40_000), tmp_path / "run").run
+    warnings = capsys.readouterr().err.splitlines()
+    assert len([line for line in warnings if ADVICE[problem] in line]) == 1
+    assert all(line.startswith("warning: after ") for line in warnings)
+    assert max(value for _, value in scalars(run, f"watch/{problem}")) == 1.0
+    if problem == "values":
+        with pytest.raises(InputError, match="weights that learning does not lead to"):
+            resume(run.folder, 41_000)
+        return
+    resume(run.folder, 41_000)
+    assert ADVICE[problem] not in capsys.readouterr().err, "once is enough, resumed or not"
+
+
+@pytest.mark.parametrize(
+    ("agent", "steps", "settings"),
+    [
+        ("dqn", 1500, {"agent.learning_rate": 10.0, "agent.learning_starts": 100, "agent.batch_size": 32}),
+        (
+            "sb3_contrib:RecurrentPPO",
+            256,
+            {
+                "agent.learning_rate": 1000.0,
+                "agent.gamma": 0.5,
+                "agent.n_steps": 16,
+                "agent.policy_kwargs.lstm_hidden_size": 8,
+            },
+        ),
+    ],
+)
+def test_diverging_values_of_a_network_are_named(agent, steps, settings, small, tmp_path, capsys):
+    train_config(small(agent, settings=settings, n_envs=8, total_timesteps=steps), tmp_path / "run")
+    assert ADVICE["values"] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("agent", ["qlearn", pytest.param("ppo", marks=pytest.mark.slow)])
+def test_a_training_that_learns_prints_nothing(agent, small, tmp_path, capsys):
+    config = small(agent, settings={"train.episode_steps": 300}, n_envs=64, total_timesteps=150_000)
+    training = train_config(config, tmp_path / "run")
+    assert np.mean(training.lengths[-50:]) > 150
+    assert capsys.readouterr().err == ""
+
+
+def test_a_slow_robot_is_not_said_to_turn_on_the_spot(small, tmp_path, capsys):
+    speeds = {"task.forward_speed": 0.07, "task.turn_speed": 0.07, "task.turn_rate": 0.1, "train.episode_steps": 100}
+    train_config(small(settings=speeds, n_envs=64, total_timesteps=20_000), tmp_path / "run")
+    assert ADVICE["spinning"] not in capsys.readouterr().err
+
+
+def test_a_return_is_not_flat_after_a_single_check():
+    diagnostics = TrainingDiagnostics(total_timesteps=900, control_period=0.2, max_speed=0.5)
+    latest, history = [[1.0, 10, 1.0, True], [3.0, 10, 1.0, True]], [[100, 2.0], [900, 2.0]]
+    diagnostics.restore({**diagnostics.state(), "latest": latest, "history": history})
+    diagnostics.num_timesteps = 900
+    assert not diagnostics._return_is_flat(), "there is only one check in the last third"
+    diagnostics._history.insert(1, (700, 2.0))
+    assert diagnostics._return_is_flat()

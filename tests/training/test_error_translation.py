@@ -1,0 +1,99 @@
+"""Errors of the machine and of libraries are one line, and the last checkpoint stands."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import os
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tb2rl import load
+from tb2rl.core.errors import InputError
+from tb2rl.simulation.bullet_batch import BulletBatch
+from tb2rl.tasks.wander import Wander
+from tb2rl.training.training import resume, train_config
+
+PPO = {"agent.n_steps": 16, "agent.batch_size": 32}
+
+
+def test_a_full_disk_is_named_though_tensorboard_writes_in_a_thread(small, tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    shown = []
+    monkeypatch.setattr("tensorboard.summary.writer.record_writer.RecordWriter.write", full)
+    monkeypatch.setattr(threading, "excepthook", shown.append)
+    with pytest.raises(InputError, match="No space left"):
+        train_config(small(), tmp_path / "run")
+    assert shown == [], "tracebacks of threads"
+
+
+def test_a_killed_simulator_process_is_named_and_none_is_left(small, tmp_path, monkeypatch):
+    before, step = set(multiprocessing.active_children()), BulletBatch.step
+
+    def killed(batch, *arguments):
+        for process in batch._processes:
+            process.kill()
+            process.join()
+        return step(batch, *arguments)
+
+    monkeypatch.setattr("tb2rl.simulation.bullet_batch.processors", lambda: 3)
+    monkeypatch.setattr(BulletBatch, "step", killed)
+    with pytest.raises(InputError, match="a process with worlds of PyBullet has ended"):
+        train_config(small(simulation="bullet", n_envs=3), tmp_path / "run")
+    assert set(multiprocessing.active_children()) <= before
+
+
+@pytest.mark.parametrize("error", [errno.EROFS, errno.ENOSPC])
+def test_a_folder_that_cannot_be_written_is_named_and_the_last_checkpoint_stands(error, small, tmp_path, monkeypatch):
+    run = train_config(small(), tmp_path / "run").run
+
+    def refuse(*_: object) -> None:
+        raise OSError(error, os.strerror(error))
+
+    monkeypatch.setattr(Path, "replace", refuse)  # permissions do not stop root
+    with pytest.raises(InputError, match=os.strerror(error)) as stopped:
+        resume(run.folder, 256)
+    assert "\n" not in str(stopped.value)
+    assert load(run.folder).num_timesteps == int(run.checkpoints[0].stem[5:]) == 128
+    assert not [file for file in run.folder.rglob(".*") if file.name != ".lock"], "nothing half-written is left"
+
+
+def test_too_little_memory_is_named(small, tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("tb2rl.envs.vec_env.BatchVecEnv.step_wait", full)
+    with pytest.raises(InputError, match=r"not enough memory: .*train\.n_envs"):
+        train_config(small(), tmp_path / "run")
+
+
+@pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value encountered")
+@pytest.mark.parametrize(
+    ("agent", "settings", "message"),
+    [
+        ("ppo", {**PPO, "agent.learning_rate": 1e8}, r"diverged .*smaller agent\.learning_rate"),
+        ("ppo", {**PPO, "agent.n_epochs": 0}, r"agent ppo .*refuses its settings.*n_epochs"),
+        ("dqn", {"agent.learning_starts": 8, "agent.train_freq": 0}, r"agent dqn .*refuses its settings.*train_freq"),
+        ("sb3_contrib:ARS", {}, "ARS does not tell its callbacks of every step"),
+    ],
+)
+def test_settings_that_fail_while_learning_are_named(agent, settings, message, small, tmp_path):
+    if "diverged" in message:  # ReLU grows without bounds
+        settings = {**settings, "task.observation": "raw", "agent.policy_kwargs.activation_fn": "torch.nn:ReLU"}
+    with pytest.raises(InputError, match=message) as stopped:
+        train_config(small(agent, settings=settings, total_timesteps=2000), tmp_path / "run")
+    assert "\n" not in str(stopped.value)
+
+
+def test_an_error_in_a_task_keeps_its_traceback(small, tmp_path, monkeypatch):
+    configs = {simulation: small(simulation=simulation, n_envs=1) for simulation in ("kinematic", "bullet")}
+    monkeypatch.setattr(Wander, "outcome", lambda *_: np.zeros(3) + np.zeros(4))
+    for simulation, config in configs.items():
+        with pytest.raises(ValueError, match="could not be broadcast") as bug:
+            train_config(config, tmp_path / simulation)
+        assert not isinstance(bug.value, InputError)

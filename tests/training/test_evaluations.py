@@ -1,0 +1,158 @@
+"""Evaluations during a training: their simulator, and how good ones stop a training early."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import zip_longest
+
+import pytest
+
+from tb2rl import load
+from tb2rl.core.errors import InputError
+from tb2rl.evaluation.evaluation import Evaluation
+from tb2rl.evaluation.twin import TwinEvaluator
+from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.runs.layers import resolve
+from tb2rl.train import main
+from tb2rl.training import environments
+from tb2rl.training.environments import make_evaluator
+from tb2rl.training.training import resume, train_config
+
+OFTEN = {"total_timesteps": 512, "eval_freq": 64, "eval_episodes": 20, "eval_steps": 10, "stop_score": None}
+
+
+@pytest.fixture
+def rates(monkeypatch):
+    """Makes evaluations report the given shares of good episodes, and returns, one after the other."""
+    run = TwinEvaluator.run
+
+    def report(*shares: float, returns: Sequence[float] = ()) -> None:
+        left = list(zip_longest(shares, returns))
+
+        def evaluate(evaluator: TwinEvaluator, *arguments) -> Evaluation:
+            evaluation, (share, found) = run(evaluator, *arguments), left.pop(0)
+            good = round(share * len(evaluation.episodes))
+            others = {} if found is None else {"episode_return": found}
+            episodes = [
+                replace(e, failed=i >= good, success=i < good, **others) for i, e in enumerate(evaluation.episodes)
+            ]
+            return replace(evaluation, episodes=episodes)
+
+        monkeypatch.setattr(TwinEvaluator, "run", evaluate)
+
+    return report
+
+
+def timesteps(evaluations) -> list[int]:
+    return [each["timesteps"] for each in evaluations]
+
+
+@pytest.mark.parametrize(
+    ("agent", "task", "settings"),
+    [("qlearn", "maze", {}), ("qlearn", "wall", {}), ("ppo", "maze", {"agent.n_steps": 32, "agent.batch_size": 64})],
+)
+def test_good_evaluations_in_a_row_stop_a_training(agent, task, settings, small, rates, evaluations, tmp_path):
+    rates(0.95, 0.9, 0.95, 0.95)
+    trained = train_config(small(agent, task, settings, **{**OFTEN, "stop_score": 0.95}), tmp_path / "run")
+    assert trained.stopped_after == trained.timesteps == 256
+    assert timesteps(evaluations(trained.run)) == [64, 128, 192, 256], "the last one is not repeated"
+    assert load(trained.run.folder / "final" / "policy.safetensors").num_timesteps == 256
+
+
+@pytest.mark.parametrize(
+    ("train", "shares", "stopped_after"),
+    [
+        ({}, [1.0] * 8, None),
+        ({"stop_score": 0.9}, [1.0, 0.5] * 4, None),
+        ({"stop_score": 1.0, "stop_evaluations": 3}, [1.0] * 3, 192),
+    ],
+)
+def test_when_evaluations_stop_a_training_is_a_setting(train, shares, stopped_after, small, rates, tmp_path):
+    rates(*shares)
+    trained = train_config(small(**{**OFTEN, **train}), tmp_path / "run")
+    assert (trained.stopped_after, trained.timesteps) == (stopped_after, stopped_after or 512)
+
+
+def test_a_stopped_training_continues_if_more_steps_are_asked(small, rates, evaluations, tmp_path):
+    rates(1.0, 1.0)
+    run = train_config(small(**{**OFTEN, "stop_score": 0.99}), tmp_path / "run").run
+    with pytest.raises(InputError, match=r"stopped after 128 of 512 steps: 2 evaluations in a row reached 99 %; raise"):
+        resume(run.folder)
+    rates(1.0, 0.9, 0.9, 1.0, 1.0)
+    more = resume(run.folder, total_timesteps=1024)
+    assert (more.stopped_after, more.timesteps) == (448, 320), "it counts anew"
+    assert timesteps(evaluations(run)) == [64, 128, 192, 256, 320, 384, 448]
+
+
+def test_a_resumed_training_stops_where_the_uninterrupted_one_did(small, rates, killed, assert_same_runs, tmp_path):
+    rates(0.5, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0)
+    config = small(**{**OFTEN, "stop_score": 0.99, "stop_evaluations": 3, "save_freq": 150, "keep": 9})
+    whole = train_config(config, tmp_path / "whole")
+    resumed = killed(whole.run, tmp_path / "resumed")
+    rates(1.0, 0.5, 1.0, 1.0, 1.0)
+    assert resume(resumed.folder).stopped_after == whole.stopped_after == 448
+    assert_same_runs(whole.run, resumed)
+
+
+def test_the_command_prints_that_a_training_was_stopped(rates, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rates(1.0, 1.0)
+    flags = "--simulation kinematic --n-envs 4 --total-timesteps 512 --eval-freq 64 --no-evaluation --name run"
+    main([*flags.split(), "--set", "train.stop_score=0.995", "train.eval_episodes=20"])
+    assert "stopped after 128 of 512 steps: 2 evaluations in a row reached 99.5 %\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+def test_evaluations_run_in_the_simulator_of_the_settings(simulation, small, evaluations, tmp_path):
+    few = {"eval_freq": 128, "eval_episodes": 3, "eval_steps": 10, "eval_simulation": simulation}
+    (line,) = evaluations(train_config(small(**few), tmp_path / "run").run)
+    assert (line["simulation"], line["episodes"], line["steps"]) == (simulation, 3, 10)
+    assert line["median_squares"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "episodes"),
+    [({}, 1000), ({"train.eval_simulation": "bullet"}, 20), ({"task.observe": ["camera"]}, 20)],
+)
+def test_an_evaluation_has_fewer_episodes_if_a_step_takes_time(settings, episodes):
+    config = resolve("stable_baselines3:PPO", settings=settings | {"train.eval_steps": 2})
+    with make_evaluator(config.scene, config.train) as evaluator:
+        algorithm = make_algorithm(config, Spaces.vectorised(config))
+        assert len(evaluator.run(algorithm.policy).episodes) == episodes
+
+
+def test_evaluations_are_in_validation_worlds(small):
+    for simulation in ("kinematic", "bullet"):
+        world = {"task.world": {"generator": "rooms", "worlds": 4, "difficulty": 0.0}}
+        config = small(settings=world, eval_simulation=simulation, eval_episodes=2)
+        with make_evaluator(config.scene, config.train) as evaluator:
+            worlds = [world.name for world in evaluator.scene.spec.worlds]
+        assert worlds == [f"rooms {i} (validation)" for i in range(4)]
+
+
+def test_what_the_kinematic_simulator_cannot_observe_is_evaluated_in_pybullet(
+    small, evaluations, tmp_path, monkeypatch, capsys
+):
+    def refuse(*_arguments) -> None:
+        raise InputError("there are no colours")
+
+    monkeypatch.setattr(environments, "TwinEvaluator", refuse)
+    run = train_config(small(eval_freq=128, eval_episodes=3, eval_steps=10), tmp_path / "run").run
+    assert "evaluations on the way are in PyBullet, and slower: there are no colours\n" in capsys.readouterr().out
+    (line,) = evaluations(run)
+    assert line["simulation"] == "bullet"
+
+
+@pytest.mark.parametrize(("best_by", "timesteps"), [("success", 128), ("return", 192)])
+def test_best_by_decides_which_policy_is_kept(best_by, timesteps, small, rates, tmp_path):
+    rates(0.5, 0.9, 0.8, 0.8, returns=(7.0, 1.0, 9.0, 8.0))  # a robot that turns on the spot collides least
+    trained = train_config(small(**{**OFTEN, "total_timesteps": 256, "best_by": best_by}), tmp_path / "run")
+    assert load(trained.run.folder).num_timesteps == timesteps
+
+
+def test_seconds_of_evaluations_and_of_the_training_are_noted(small, tmp_path):
+    run = train_config(small(**{**OFTEN, "total_timesteps": 128}), tmp_path / "run").run
+    lines = list(map(json.loads, (run.folder / "evaluations.jsonl").read_text().splitlines()))
+    assert 0.0 < lines[0]["seconds"] <= lines[0]["elapsed"] < lines[1]["elapsed"]
