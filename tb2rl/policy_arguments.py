@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from tb2rl.core.plugins import simulator_names
+
 
 def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the policy and its task."""
@@ -20,8 +22,8 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the simulator, or a robot with ROS in its place."""
     parser.add_argument(
         "--simulation",
-        choices=("bullet", "kinematic", "ros"),
-        help="simulator (default: bullet, which is PyBullet), or ros: a robot, see tb2rl/deploy/ros/README.md",
+        metavar="NAME",
+        help=f"simulator: {', '.join(simulator_names())} (default: bullet); for ros see tb2rl/deploy/ros/README.md",
     )
     parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: speed limit")
     parser.add_argument("--goal", metavar="X,Y", help="goal of task navigate, from the start pose [m]")

@@ -13,7 +13,8 @@ import pytest
 import tb2rl
 from tb2rl import benchmark
 from tb2rl.core.errors import InputError
-from tb2rl.simulation import bullet_trouble, judging_simulation
+from tb2rl.simulation import default_simulator
+from tb2rl.simulation.bullet import unavailable
 from tb2rl.viz.film import film
 from tb2rl.viz.window import Window
 from tb2rl.zoo import __main__ as zoo
@@ -32,14 +33,14 @@ def reason(request, tmp_path, monkeypatch):
     """Why PyBullet cannot be imported in this process."""
     (tmp_path / "pybullet.py").write_text(request.param)
     monkeypatch.syspath_prepend(tmp_path)
-    for module in ("pybullet", "tb2rl.simulation.physics"):
+    for module in ("pybullet", "tb2rl.simulation.bullet.client"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     if request.param == MISSING:
         monkeypatch.setitem(sys.modules, "pybullet", None)
-    for cached in (bullet_trouble, judging_simulation):
+    for cached in (unavailable, default_simulator):
         cached.cache_clear()
     yield REASONS[request.param]
-    for cached in (bullet_trouble, judging_simulation):
+    for cached in (unavailable, default_simulator):
         cached.cache_clear()
 
 

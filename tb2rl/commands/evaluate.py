@@ -13,10 +13,10 @@ from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS
-from tb2rl.evaluation.rollout import LARGEST_SEED
+from tb2rl.evaluation.moments import LARGEST_SEED
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
-from tb2rl.simulation import ROS, default_simulator
+from tb2rl.simulation import default_simulator
 from tb2rl.viz.table import print_evaluation
 
 _MOST_EPISODES = 100_000  # as of train.eval_episodes
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> None:
         options.episodes = EPISODES if robot is None else 1
     if options.seed is None:
         options.seed = SEED
-    check(options)
+    check(options, is_robot=robot is not None)
     policy, config = chosen_policy(options)
     conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed")}
     conditions |= {} if robot else {"workers": options.workers}
@@ -41,14 +41,14 @@ def run(options: argparse.Namespace) -> None:
     _write(evaluation, config, name, options)
 
 
-def check(options: argparse.Namespace) -> None:
+def check(options: argparse.Namespace, is_robot: bool) -> None:
     """Raise an `InputError` if options contradict each other or are out of range."""
     check_shared(options)
     if options.on is not None:
         raise InputError("--on goes with --suite: the episodes are over before Ray has started")
-    if options.simulation == ROS and options.workers is not None:
+    if is_robot and options.workers is not None:
         raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
-    if options.goal is not None and options.simulation != ROS:
+    if options.goal is not None and not is_robot:
         raise InputError("--goal goes with --simulation ros; in a simulator use --set task.goal=[3,2]")
     if not 1 <= options.episodes <= _MOST_EPISODES or options.steps < 1 or not 0 <= options.seed <= LARGEST_SEED:
         counts = f"--episodes must be from 1 to {_MOST_EPISODES}, --steps at least 1"
@@ -69,7 +69,7 @@ def check_shared(options: argparse.Namespace) -> None:
 def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.Namespace) -> None:
     """Write the evaluation to `--json`, or the standard evaluation of a run into its folder."""
     standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not options.set
-    standard = standard and evaluation.simulation == default_simulator()
+    standard = standard and evaluation.simulation == default_simulator().name
     tree, arrays = evaluation.tree(config, name)
     if options.json:
         write_json(options.json, tree)

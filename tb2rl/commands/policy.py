@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from tb2rl.core.errors import InputError
-from tb2rl.evaluation.rollout import Policy, time_limit
+from tb2rl.evaluation.episodes import Policy
+from tb2rl.evaluation.moments import time_limit
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve

@@ -11,7 +11,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.deploy.portable.ending import ending_signals
 from tb2rl.deploy.ros.robot import RosRobot, parse_limits, parse_mounting
 from tb2rl.deploy.ros.topics import TURTLEBOT2, parse_topics
-from tb2rl.simulation import ROS
+from tb2rl.simulation import find_simulator
 
 
 def parse_goal(text: str) -> tuple[float, float]:
@@ -37,7 +37,7 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     Raises:
         InputError: If an argument does not fit.
     """
-    if options.simulation != ROS:
+    if options.simulation is None or not find_simulator(options.simulation).is_robot:
         if options.ros or options.topics or options.ros_args or options.mounting or options.top_speed is not None:
             raise InputError("--ros, --topics, --mounting, --top-speed and --ros-args go with --simulation ros")
         return None

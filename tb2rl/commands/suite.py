@@ -41,13 +41,13 @@ def run(options: argparse.Namespace) -> None:
     where = where_of(options) if options.on else None
     with suite_evaluator(scene, 1 if where else options.workers) as evaluator:
         file = _result_file(options, suite)
-        journal = _journal(file, suite, config, {**about, "simulation": evaluator.simulation})
+        journal = _journal(file, suite, config, {**about, "simulation": evaluator.simulator.name})
         drives = _finished_drives(journal, len(suite.worlds))
         rest = drives_of(evaluator, policy, len(drives), where)
         for drive in progress(rest, "evaluating", "world", total=len(suite.worlds) - len(drives)):
             journal.append(asdict(drive))
             drives.append(drive)
-        result = SuiteEvaluation(suite, scene, drives, evaluator.simulation).result(config, **about)
+        result = SuiteEvaluation(suite, scene, drives, evaluator.simulator.name).result(config, **about)
     if file is not None:
         write_json(file, asdict(result))
     journal.remove()

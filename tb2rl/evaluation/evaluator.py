@@ -42,6 +42,7 @@ from tb2rl.tasks import Task
 EPISODES, STEPS = 100, 1500
 SEED = 20_180_000  # of the standard evaluation; trainings with small seeds never draw its initial states
 TRAINING_SEED = 20_190_000  # of the evaluations while training
+PASSED = 0.95  # success rate from which a training counts as successful
 _SLOTS, _MANY_SLOTS = 25, 1024  # of a process: where a slot costs a world of its own, and where it is a row of arrays
 _BLOCK = 100  # initial states that are drawn together, see `random_initial_states`
 
