@@ -26,7 +26,7 @@ import argparse
 from pathlib import Path
 
 from tb2rl.core.errors import ArgumentParser, command
-from tb2rl.execution.where import add_where
+from tb2rl.execution.arguments import add_executor_arguments
 from tb2rl.policy_arguments import add_policy_arguments, add_robot_arguments
 
 
@@ -38,7 +38,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, help="maximum control steps of an episode (default: 1500)")
     parser.add_argument("--seed", type=int, help="seed of the start poses")
     parser.add_argument("--suite", nargs="+", metavar=("NAME", "PATH"), help="drive a suite: unseen, or barn PATH")
-    add_where(parser)
+    add_executor_arguments(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result here, not into the run folder")
     add_robot_arguments(parser)
     return parser.parse_args(arguments)

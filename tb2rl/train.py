@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tb2rl.core.errors import ArgumentParser, command
 from tb2rl.core.plugins import agent_names, task_names
-from tb2rl.execution.where import add_where
+from tb2rl.execution.arguments import add_executor_arguments
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -34,7 +34,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, help="stop after so many, if that comes before --total-timesteps")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--seeds", metavar="A..B", help="train once with each of these seeds, and print a summary")
-    add_where(parser)
+    add_executor_arguments(parser)
     parser.add_argument("--simulation", help="simulator to train in: bullet (default) or kinematic")
     parser.add_argument("--n-envs", type=int, help="environments, in parallel processes or in one batch")
     parser.add_argument("--device", help="of the networks: cpu, cuda, auto")

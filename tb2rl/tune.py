@@ -15,7 +15,7 @@ import argparse
 
 from tb2rl.core.errors import ArgumentParser, InputError, command, install_extra
 from tb2rl.core.plugins import agent_names, task_names
-from tb2rl.execution.where import add_where
+from tb2rl.execution.arguments import add_executor_arguments
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -38,7 +38,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--sampler", default="tpe", help="what proposes settings: tpe (default) or random")
     parser.add_argument("--pruner", default="median", help="what ends bad trials: median (default), hyperband or none")
     parser.add_argument("--seed", type=int, default=0, help="of the sampler (default: 0)")
-    add_where(parser)
+    add_executor_arguments(parser)
     parser.add_argument("--fresh", type=int, default=3, help="seeds to compare best and default by; 0: do not")
     parser.add_argument("--name", help="of the folder runs/tune/NAME (default: TASK-AGENT)")
     parser.add_argument("--storage", metavar="URL", help="of a database (default: SQLite, in the folder)")

@@ -10,9 +10,8 @@ from io import StringIO
 
 import pytest
 
-from tb2rl import evaluate, load, train
-from tb2rl.core.agent import find_agent
 from tb2rl import evaluate, load
+from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
 from tb2rl.core.plugins import agent_names
 from tb2rl.evaluation.evaluation import kept_evaluation

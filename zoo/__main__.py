@@ -23,7 +23,7 @@ import argparse
 from pathlib import Path
 
 from tb2rl.core.errors import ArgumentParser, command
-from tb2rl.execution.where import add_where
+from tb2rl.execution.arguments import add_executor_arguments
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -39,7 +39,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--again", action="store_true", help="build: train and drive anew what is there, too")
     parser.add_argument("--barn", type=Path, metavar="PATH", help="build: drive BARN's worlds from here, too")
     parser.add_argument("--episodes", type=int, help="check: of the standard evaluation, the first (default: all)")
-    add_where(parser)
+    add_executor_arguments(parser)
     parser.add_argument("--private", action="store_true", help="push: a new repository is for your eyes only")
     return parser.parse_args(arguments)
 

@@ -19,6 +19,9 @@ from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.execution.job import Job, files_in, write_files
 from tb2rl.execution.running import run_jobs
 from tb2rl.execution.where import Where
+from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.execution.executor import Executor
+from tb2rl.execution.job import Job, read_files, write_files
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.training.training import default_folder
 from tb2rl.viz.pictures import draw_paths
@@ -28,25 +31,25 @@ _DRAWN = 30  # episodes in a picture, and all that failed
 PICTURE = "paths.png"
 
 
-def build(chosen: Sequence[Entry], again: bool, where: Where) -> None:
+def build(chosen: Sequence[Entry], again: bool, executor: Executor) -> None:
     """Train and evaluate policies, as far as they are not there yet; each is in the zoo once it is done.
 
     Args:
         chosen: Which.
         again: Whether to train those that are there, too.
-        where: Where they are trained and driven.
+        executor: Runs the trainings and evaluations.
     """
     wanted = [entry for entry in chosen if again or not _is_trained(entry)]
     by_name = {entry.name: entry for entry in wanted}
-    for job, _ in run_jobs([_training(entry) for entry in wanted], where):
+    for job, _ in executor.as_completed(train_and_evaluate, [_training(entry) for entry in wanted], shared=[{}]):
         assert job.folder is not None
         draw(kept_evaluation(Run.open(job.folder)), job.folder / PICTURE)
         _take_over(job.folder, by_name[job.name].folder)
         print(f"{job.name}: trained in {job.folder}", flush=True)
     anew = [Entry(entry.name, entry.recipe, entry.folder) for entry in chosen]  # read again, for they may be others now
     places = {f"{entry.name} in {world}": (entry, world) for entry in anew for world in entry.not_driven}
-    jobs = [Job(name, _figures_in, (files_in(entry.folder), world)) for name, (entry, world) in places.items()]
-    for job, figures in run_jobs(jobs, where):
+    jobs = [Job(name, (read_files(entry.folder), world)) for name, (entry, world) in places.items()]
+    for job, figures in executor.as_completed(_figures_in, jobs):
         entry, world = places[job.name]
         _add(figures, world, entry.folder)
         print(job.name, flush=True)
@@ -59,7 +62,7 @@ def _is_trained(entry: Entry) -> bool:
 def _training(entry: Entry) -> Job:
     config = entry.requested
     folder = default_folder(config).with_name(f"{entry.name}-{datetime.now():%Y%m%d-%H%M%S}")
-    return Job(entry.name, train_and_evaluate, (config, str(folder), 0), folder)
+    return Job(entry.name, (config, str(folder), 0), folder)
 
 
 def draw(evaluation: Evaluation, file: Path) -> None:
@@ -85,7 +88,7 @@ def _take_over(folder: Path, place: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _figures_in(_shared: None, _folder: None, files: Mapping[str, bytes], world: str) -> dict[str, Any]:
+def _figures_in(files: Mapping[str, bytes], world: str) -> dict[str, Any]:
     """The figures of the standard evaluation of an entry in a world."""
     with TemporaryDirectory() as parent:
         folder = Path(parent, "entry")

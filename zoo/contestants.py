@@ -86,7 +86,7 @@ class Contestant:
         Args:
             suite: The suite.
             again: Whether to drive anew what is there.
-            where: Arguments of the command that say where it is driven, see `Where.words`.
+            where: Arguments of the command that say where it is driven, see `executor_arguments`.
         """
         kept = self.summary(suite.name)
         if kept is not None and kept.suite_digest == suite.digest and not again:

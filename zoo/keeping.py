@@ -9,7 +9,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.files import read_text, write_text
 from tb2rl.evaluation.evaluator import EPISODES
 from tb2rl.evaluation.progress import progress, say
-from tb2rl.execution.where import Where, where_of
+from tb2rl.execution.arguments import executor_arguments, make_executor
 from tb2rl.simulation import check_bullet
 from tb2rl.worlds.suites import Suite, find_suite
 from tb2rl.zoo.building import build
@@ -30,26 +30,28 @@ def run(options: argparse.Namespace) -> None:
 
 def _build(options: argparse.Namespace) -> None:
     """Build some entries and drive through suites, then write the cards and the table of all that is there."""
-    names, again, barn, where = options.names, options.again, options.barn, where_of(options)
+    names, again, barn = options.names, options.again, options.barn
+    executor = make_executor(options)
     chosen, _ = named(names)
     if not os.access(zoo_folder(), os.W_OK):
         raise InputError(f"the zoo's folder {zoo_folder()} is not writable")
     given = [] if barn is None else [find_suite("barn", barn)]  # it may say that it cannot be read: now, not at the end
-    build(chosen, again, where)
-    _drive(names, again, given, where)
+    with executor:
+        build(chosen, again, executor)
+    _drive(names, again, given, executor_arguments(options))
     there = [entry for entry in entries() if entry.is_built]
     for entry in there:
         write_text(entry.folder / "README.md", card(entry))
     write_text(zoo_folder() / "README.md", table(there))
 
 
-def _drive(names: list[str], again: bool, given: list[Suite], where: Where) -> None:
+def _drive(names: list[str], again: bool, given: list[Suite], arguments: list[str]) -> None:
     """Drive through `unseen` and the suites given: the entries that navigate, as they are now, and the others."""
     chosen, rest = named(names)
     contestants = [*contestants_of(chosen), *rest]
     for suite in [find_suite(UNSEEN), *given] if contestants else []:  # made once, for it takes seconds
         for contestant in contestants:
-            contestant.drive(suite, again, where.words)
+            contestant.drive(suite, again, arguments)
 
 
 def _check(names: list[str], episodes: int) -> bool:

@@ -1,4 +1,4 @@
-"""What `export` does, see `tb2rl.export`: policies as ONNX files and as folders for robots."""
+"""Runs `export`, see `tb2rl.export`: writes policies as ONNX files and as folders for robots."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import replacing
 from tb2rl.core.plugins import agent_names
-from tb2rl.deploy.description import describe, needs_of
+from tb2rl.deploy.description import describe, portable_needs
 from tb2rl.deploy.folder import write_folder
-from tb2rl.deploy.network import OBSERVATION, in_a_row, network_of, parts_of
+from tb2rl.deploy.network import OBSERVATION, network_of, parts_of
 from tb2rl.deploy.portable.network import Network
 from tb2rl.envs.encodings import has_images, stacked
 from tb2rl.runs.loading import config_of, load
 
-_STATES, _IMAGES = 100, 4  # that a policy is tried with; onnx's own evaluator is slow
-_NEAR, _APART = 1e-4, 0.05  # actions as near as that are alike; a share of them may be unlike, by rounding
+_OBSERVATIONS, _IMAGES = 100, 4  # for the check of an export; onnx's own evaluator is slow
+_TOLERANCE, _SHARE = 1e-4, 0.05  # a share of the actions may differ by more, because of rounding
 
 
 def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
@@ -40,20 +40,20 @@ def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
         from tb2rl.deploy.graph import graph_of
     except ImportError:
         raise InputError("an .onnx file needs onnx, which is not installed: pip install onnx") from None
-    policy = _loaded(reference, trust)
+    policy = _load(reference, trust)
     config, parts = config_of(policy), parts_of(policy.observation_space)
-    told = {"control_period": config.task.control_period, "beams": config.scene.laser.angles.tolist()}
-    about = {**describe(config, str(reference)), **told, "config": config.to_dict()}
+    training = {"control_period": config.task.control_period, "beams": config.scene.laser.angles.tolist()}
+    about = {**describe(config, str(reference)), **training, "config": config.to_dict()}
     model = graph_of(network_of(policy), parts, config.scene.actions, about)
     graph: Any = ReferenceEvaluator(model)
-    memory = {given.name: given.type.tensor_type.shape.dim[2].dim_value for given in model.graph.input[len(parts) :]}
+    memory = {each.name: each.type.tensor_type.shape.dim[2].dim_value for each in model.graph.input[len(parts) :]}
 
     def act(observations: Mapping[str, np.ndarray]) -> np.ndarray:
         num_envs = len(next(iter(observations.values())))
         empty = {name: np.zeros((1, num_envs, units), np.float32) for name, units in memory.items()}
         return graph.run(["action"], {**observations, **empty})[0]
 
-    _check_acts_the_same(act, policy)
+    _check_same_actions(act, policy)
     with replacing(file) as temporary:
         temporary.write_bytes(model.SerializeToString())
 
@@ -65,15 +65,15 @@ def export_folder(reference: str | Path, folder: Path, trust: bool = False) -> N
         InputError: If there is no such policy, or it cannot be exported.
         OSError: If the folder cannot be written.
     """
-    policy = _loaded(reference, trust)
+    policy = _load(reference, trust)
     config = config_of(policy)
-    needs, network = needs_of(policy, config), network_of(policy)
-    runner = Network([(layer.kind, layer.arrays) for layer in in_a_row(network)])
-    _check_acts_the_same(lambda observations: runner(observations[OBSERVATION]), policy)
+    needs, network = portable_needs(config), network_of(policy)
+    portable = Network([(layer.kind, layer.arrays) for layer in network.sequence()])
+    _check_same_actions(lambda observations: portable(observations[OBSERVATION]), policy)
     write_folder(folder, network, describe(config, str(reference)), needs)
 
 
-def _loaded(reference: str | Path, trust: bool) -> BaseAlgorithm:
+def _load(reference: str | Path, trust: bool) -> BaseAlgorithm:
     name = str(reference)
     if name in agent_names() and not Path(name).exists():
         hint = "export a run folder of it" if find_agent(name).algorithm else "it does not learn, so it has no policy"
@@ -81,18 +81,18 @@ def _loaded(reference: str | Path, trust: bool) -> BaseAlgorithm:
     return load(reference, trust)
 
 
-def _check_acts_the_same(act: Callable[[Mapping[str, np.ndarray]], np.ndarray], policy: BaseAlgorithm) -> None:
-    """Hold what is exported against the policy: its class may be a user's own, which does more than its layers say.
+def _check_same_actions(act: Callable[[Mapping[str, np.ndarray]], np.ndarray], policy: BaseAlgorithm) -> None:
+    """Compare the actions of the exported layers and the policy, whose class may compute more than its layers.
 
     Raises:
-        InputError: If it acts otherwise.
+        InputError: If the actions differ.
     """
     space = policy.observation_space
     space.seed(0)
-    observations = stacked([space.sample() for _ in range(_IMAGES if has_images(space) else _STATES)])
+    observations = stacked([space.sample() for _ in range(_IMAGES if has_images(space) else _OBSERVATIONS)])
     expected, _ = policy.predict(observations, deterministic=True)
-    got = act(observations if isinstance(observations, dict) else {OBSERVATION: observations})
-    if np.mean(np.abs(got - expected) > _NEAR) > _APART:
+    actions = act(observations if isinstance(observations, dict) else {OBSERVATION: observations})
+    if np.mean(np.abs(actions - expected) > _TOLERANCE) > _SHARE:
         kind = type(policy.policy).__name__
         raise InputError(f"the layers of {kind} do not act as it does: it computes what cannot be exported")
 
@@ -105,4 +105,4 @@ def run(options: argparse.Namespace) -> None:
         print(f"wrote {target}")
     else:
         export_folder(options.policy, target, options.trust)
-        print(f"wrote {target}; its README.md says how it drives a robot")
+        print(f"wrote {target}; its README.md says how to drive a robot with it")

@@ -8,7 +8,7 @@ import signal
 from dataclasses import asdict
 
 from tb2rl.core.errors import InputError
-from tb2rl.deploy.portable.ending import ending_signals
+from tb2rl.deploy.portable.termination import termination_signals
 from tb2rl.deploy.ros.robot import RosRobot, parse_limits, parse_mounting
 from tb2rl.deploy.ros.topics import TURTLEBOT2, parse_topics
 from tb2rl.simulation import find_simulator
@@ -45,6 +45,6 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     topics = asdict(parse_topics(options.topics, TURTLEBOT2[ros]))
     mounting, limits = parse_mounting(options.mounting or "0,0,0"), parse_limits(options.top_speed, "--top-speed")
     goal = None if options.goal is None else parse_goal(options.goal)
-    for sign in ending_signals():
+    for sign in termination_signals():
         signal.signal(sign, signal.default_int_handler)
     return RosRobot(ros, topics, mounting, limits, goal, tuple(options.ros_args))

@@ -17,9 +17,8 @@ from tb2rl.envs.worlds import carry, worlds_of_files
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluator import PASSED
 from tb2rl.evaluation.statistics import bootstrap_interval
+from tb2rl.execution.executor import Executor
 from tb2rl.execution.job import Job
-from tb2rl.execution.running import run_jobs
-from tb2rl.execution.where import Where
 from tb2rl.runs.algorithm import check_device, check_trainable
 from tb2rl.runs.config import Config
 from tb2rl.runs.loading import load
@@ -31,20 +30,20 @@ from tb2rl.viz.table import print_evaluation
 LOG = "log.txt"  # in the run folder: the output of its training
 
 
-def train_seeds(config: Config, seeds: Sequence[int], folder: Path, where: Where, verbose: int = 0) -> None:
+def train_seeds(config: Config, seeds: Sequence[int], folder: Path, executor: Executor, verbose: int = 0) -> None:
     """Train and evaluate with each seed, and print a summary.
 
     Args:
         config: Of the training; its seed is replaced.
         seeds: The seeds.
         folder: Gets a run folder for each, `seed-<seed>`, and `seeds.json`.
-        where: Processes or Ray.
+        executor: Runs the trainings.
         verbose: 1: a line for each episode, in `log.txt`.
     """
     settings = config.train
     check_trainable(config)
     check_device(settings.device)
-    check_trackers(settings.track, where.ray)
+    check_trackers(settings.track, executor.remote)
     jobs = [_job(replace(config, train=replace(settings, seed=seed)), folder, verbose) for seed in seeds]
     print(
         f"training {config.agent_name} at {config.task_name} in {config.scene.place}: {len(seeds)} seeds, "
@@ -56,7 +55,8 @@ def train_seeds(config: Config, seeds: Sequence[int], folder: Path, where: Where
     signals: list[int] = []
     try:
         with ending_signals(partial(_interrupt, signals)):
-            for job, summary in run_jobs(jobs, where, worlds_of_files(config.task.world)):
+            worlds = worlds_of_files(config.task.world)
+            for job, summary in executor.as_completed(train_and_evaluate, jobs, shared=[worlds]):
                 summaries[seeds[jobs.index(job)]] = summary
                 score = f"{100 * summary['success_rate']:.1f} % success, {summary['mean_distance']:.1f} m"
                 effort = f"trained {summary['timesteps']} steps in {summary['seconds']:.0f} s"
@@ -76,20 +76,20 @@ def _interrupt(signals: list[int], number: int) -> None:
 
 def _job(config: Config, folder: Path, verbose: int) -> Job:
     run_folder = folder / f"seed-{config.train.seed}"
-    return Job(f"seed {config.train.seed}", train_and_evaluate, (config, str(run_folder), verbose), run_folder)
+    return Job(f"seed {config.train.seed}", (config, str(run_folder), verbose), run_folder)
 
 
-def train_and_evaluate(worlds: Mapping[str, Any] | None, folder: Path, config: Config, name: str, verbose: int) -> Any:
+def train_and_evaluate(worlds: Mapping[str, Any], config: Config, name: str, verbose: int, folder: Path) -> Any:
     """A job: one training and its standard evaluation, whose summary it returns; the output goes to its log.
 
     Args:
-        worlds: See `carry`; None: it needs no files.
-        folder: The run folder.
+        worlds: See `carry`.
         config: Of the training.
         name: The final path of the run folder, which differs on another machine.
         verbose: As in `train_config`.
+        folder: The run folder.
     """
-    carry(worlds or {})
+    carry(worlds)
     output = StringIO()
     with redirect_stdout(output), redirect_stderr(output):
         training = train_config(config, folder, verbose=verbose, tracked_folder=Path(name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from tb2rl.evaluation.progress import progress
 from tb2rl.evaluation.spaces import check_observes
 from tb2rl.evaluation.suite_result import Drive
 from tb2rl.evaluation.suites import SuiteEvaluation, drives_of, suite_evaluator, suite_scene
-from tb2rl.execution.where import where_of
+from tb2rl.execution.arguments import make_executor
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
 from tb2rl.runs.journal import Journal
@@ -38,12 +39,12 @@ def run(options: argparse.Namespace) -> None:
     scene = suite_scene(config.scene, suite)
     check_observes(policy, scene)
     about = _about(options)
-    where = where_of(options) if options.on else None
-    with suite_evaluator(scene, 1 if where else options.workers) as evaluator:
+    executor = make_executor(options) if options.on else None
+    with executor or nullcontext(), suite_evaluator(scene, 1 if executor else options.workers) as evaluator:
         file = _result_file(options, suite)
         journal = _journal(file, suite, config, {**about, "simulation": evaluator.simulator.name})
         drives = _finished_drives(journal, len(suite.worlds))
-        rest = drives_of(evaluator, policy, len(drives), where)
+        rest = drives_of(evaluator, policy, len(drives), executor)
         for drive in progress(rest, "evaluating", "world", total=len(suite.worlds) - len(drives)):
             journal.append(asdict(drive))
             drives.append(drive)

@@ -13,7 +13,7 @@ from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluator import EPISODES
-from tb2rl.execution.where import where_of
+from tb2rl.execution.arguments import make_executor
 from tb2rl.runs.config import Config
 from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.runs.loading import load
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> None:
         return
     config = requested_config(options)
     folder = default_folder(config, options.name)
-    where = where_of(options)
+    executor = make_executor(options)
     if options.seeds is None:
         if (options.on, options.workers) != (None, None):
             raise InputError("--on and --workers go with --seeds: one training is one process")
@@ -57,7 +57,8 @@ def run(options: argparse.Namespace) -> None:
     seeds = parse_seeds(options.seeds)
     if folder.exists():
         raise InputError(f"{folder} exists already; choose another --name")
-    train_seeds(config, seeds, folder, where, options.verbose)
+    with executor:
+        train_seeds(config, seeds, folder, executor, options.verbose)
 
 
 def requested_config(options: argparse.Namespace) -> Config:

@@ -12,9 +12,9 @@ from optuna import Study
 from optuna.trial import FrozenTrial
 
 from tb2rl.core.errors import InputError
-from tb2rl.core.processes import processors
 from tb2rl.core.values import build
-from tb2rl.execution.where import Where, where_of
+from tb2rl.execution.arguments import make_executor
+from tb2rl.execution.executor import Executor
 from tb2rl.runs.algorithm import check_trainable
 from tb2rl.runs.layers import as_preset, parse_settings, resolve
 from tb2rl.training.trackers import check_trackers
@@ -34,13 +34,13 @@ _MOST = 100_000  # of trials, and of anything else that is counted
 def run(options: argparse.Namespace) -> None:
     """Run trials, judge the best, write a preset and a page."""
     check(options)
-    where = where_of(options)
+    executor = make_executor(options)
     search = requested(options)
     try:
-        with open_study(search) as study:
+        with executor, open_study(search) as study:
             _say_began(search, study, options)
             seconds = None if options.minutes is None else 60 * options.minutes
-            if not _run_trials(search, study, where, options.trials, seconds):
+            if not _run_trials(search, study, executor, options.trials, seconds):
                 print(f"the {options.minutes:g} minutes are over", flush=True)
             with search.lock():
                 drop_lost(search, study)
@@ -51,11 +51,11 @@ def run(options: argparse.Namespace) -> None:
         raise
 
 
-def _run_trials(search: Search, study: Study, where: Where, trials: int, seconds: float | None) -> bool:
+def _run_trials(search: Search, study: Study, executor: Executor, trials: int, seconds: float | None) -> bool:
     """Run trials until the study has so many; whether it was over in time."""
-    if where.ray:
-        return run_elsewhere(search, study, trials, where, seconds)
-    return run_workers(search, trials, min(where.workers or processors(), trials), seconds)
+    if executor.remote:
+        return run_elsewhere(search, study, trials, executor, seconds)
+    return run_workers(search, trials, min(executor.num_workers, trials), seconds)
 
 
 def check(options: argparse.Namespace) -> None:
@@ -83,7 +83,7 @@ def requested(options: argparse.Namespace) -> Search:
 
     config = resolved({})
     check_trainable(config)
-    check_trackers(config.train.track, where_of(options).ray)
+    check_trackers(config.train.track, options.on is not None)
     tree, file = find_space(options.space or _space_name(config.agent_name))
     space = without_fixed(tree, base) if isinstance(tree, Mapping) else tree
     check_space(space_from(space, file), file, resolved)

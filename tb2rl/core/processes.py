@@ -7,12 +7,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import connection, forkserver, resource_tracker, spawn
 from typing import Any
 
-PRELOADED = ["tb2rl.envs.turtlebot2_env", "tb2rl.simulation.bullet.batch", "cloudpickle"]  # imported once, by the fork server
+# Imported once, by the fork server.
+PRELOADED = ["tb2rl.envs.turtlebot2_env", "tb2rl.simulation.bullet.batch", "cloudpickle"]
+# A helping process and its children use one thread each, because others run beside it.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "TB2RL_PROCESSORS": "1"}
 
 
 def process_context() -> Any:
@@ -25,7 +28,7 @@ def process_context() -> Any:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
     resource_tracker.ensure_running()  # the server would start it, and that unblocks SIGINT
-    with _blocked(signal.SIGINT, signal.SIGHUP):
+    with _blocked(signal.SIGINT, signal.SIGHUP), _environment(ONE_THREAD):
         forkserver.ensure_running()
     return context
 
@@ -41,6 +44,18 @@ def _blocked(*numbers: int) -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables of processes that start during the block."""
+    before = dict(os.environ)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 @contextmanager

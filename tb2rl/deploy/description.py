@@ -1,55 +1,33 @@
-"""What an exported policy says of itself in plain values: what it observes, commands and needs, with units."""
+"""The description of an exported policy as plain values with units: observation, actions, requirements."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.base_class import BaseAlgorithm
 
 import tb2rl
 from tb2rl.core.errors import InputError
-from tb2rl.deploy.trained import TrainedPolicy
+from tb2rl.deploy.needs import needs_in
+from tb2rl.deploy.portable.encoding import SENSORS
 from tb2rl.runs.config import Config
 from tb2rl.sensors import Sensor
-from tb2rl.sensors.bumper import Bumper
-from tb2rl.sensors.goal import GoalBearing, GoalDirection, GoalDistance
-from tb2rl.sensors.laser import LaserRanges
-from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
-from tb2rl.sensors.paths import FreePaths
-from tb2rl.sensors.visited import Visited
-from tb2rl.sensors.waypoint import Waypoint, WaypointBearing
 from tb2rl.tasks.actions import Commands, Velocities
 
-_ARGUMENTS: Mapping[type[Sensor], tuple[str, ...]] = {  # what `portable/encoding.py` reads, too, and by which arguments
-    Bumper: (),
-    ForwardAcceleration: (),
-    ForwardSpeed: (),
-    FreePaths: ("directions", "radius"),
-    GoalBearing: (),
-    GoalDirection: (),
-    GoalDistance: (),
-    LaserRanges: (),
-    LastAction: ("max_speeds", "reads_commands"),
-    TurnRate: (),
-    Visited: ("around", "near"),
-    Waypoint: (),
-    WaypointBearing: (),
-    YawRate: (),
-}
+_FACTS = ("name", "unit", "shape", "low", "high", "bins")
+_ARGUMENTS = ("around", "directions", "max_speeds", "near", "radius", "reads_commands")  # that SENSORS use
 
 
 def describe(config: Config, name: str) -> dict[str, Any]:
-    """A policy, but for its layers, as JSON can hold it.
+    """Describe a policy without its layers, in values for JSON.
 
     Args:
-        config: What it was trained to do.
-        name: What the user calls it.
+        config: Its training.
+        name: The user's name for it.
 
     Raises:
-        InputError: If its actions are of a kind of a user's own.
+        InputError: If its actions are neither `Commands` nor `Velocities`.
     """
     sensors = [_sensor(sensor) for sensor in config.scene.sensors]
     return {
@@ -62,33 +40,32 @@ def describe(config: Config, name: str) -> dict[str, Any]:
     }
 
 
-def needs_of(policy: BaseAlgorithm, config: Config) -> dict[str, Any]:
-    """What a policy needs of a robot that has no tb2rl: the fields of `portable.policy_contract.Needs`.
+def portable_needs(config: Config) -> dict[str, Any]:
+    """The requirements of a policy on a robot without tb2rl: the fields of `portable.policy_contract.Needs`.
 
     Raises:
-        InputError: If it observes what cannot be read there.
+        InputError: If it has a sensor that is not available there.
     """
     for sensor in config.scene.sensors:
-        if type(sensor) not in _ARGUMENTS:
-            known = ", ".join(sorted(kind.name for kind in _ARGUMENTS))
+        if sensor.name not in SENSORS or not type(sensor).__module__.startswith("tb2rl.sensors."):
             raise InputError(
-                f"without tb2rl a robot cannot read sensor {sensor.name!r}, only {known}; export to a file "
-                "policy.onnx, which begins at the observation, and make that yourself"
+                f"without tb2rl a robot cannot read sensor {sensor.name!r}, only {', '.join(SENSORS)}; export to a "
+                "file policy.onnx, which takes the observation, and compute that yourself"
             )
-    needs = TrainedPolicy(policy, config).needs
-    if config.task.maps_online:  # it draws no map there
+    needs = needs_in(config.scene)
+    if config.task.maps_online:  # there is no mapper on the robot
         needs = replace(needs, goal="plan")
     return {**asdict(needs), "beams": needs.beams.tolist()}
 
 
 def _sensor(sensor: Sensor) -> dict[str, Any]:
-    facts = {name: getattr(sensor, name) for name in ("name", "unit", "shape", "low", "high", "bins")}
-    arguments = {name: np.asarray(getattr(sensor, name)).tolist() for name in _ARGUMENTS.get(type(sensor), ())}
-    return {**facts, **arguments}
+    arguments = {name: value for name, value in vars(sensor).items() if name in _ARGUMENTS}
+    facts = {name: getattr(sensor, name) for name in _FACTS}
+    return facts | {name: np.asarray(value).tolist() for name, value in arguments.items()}
 
 
 def _actions(config: Config) -> dict[str, Any]:
-    """What the actions command, v [m/s] and w [rad/s]: each named one, or -1 and 1, the ends of a range."""
+    """The commands v [m/s] and w [rad/s] of each named action, or of -1 and 1, the ends of a continuous one."""
     actions = config.scene.actions
     if isinstance(actions, Commands):
         return {"names": actions.names, "commands": actions.table.tolist()}

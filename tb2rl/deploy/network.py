@@ -1,4 +1,4 @@
-"""A policy as plain layers: what its greedy action is made of, in arrays, without torch.
+"""The greedy action of a policy as plain layers of arrays, without torch.
 
 `graph.py` makes an ONNX graph of them, `portable/network.py` runs them with numpy. Both know a layer by its kind.
 """
@@ -22,12 +22,12 @@ from tb2rl.envs.encodings import NUMBERS
 from tb2rl.envs.features import NEAREST, InverseRange
 from tb2rl.runs.normalisation import statistics_of
 
-OBSERVATION = "observation"  # the name of an observation that has no parts
+OBSERVATION = "observation"  # the name of an observation without parts
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One step of a network: its kind, and its arrays by name; a single number is an array of shape ()."""
+    """One layer: its kind, and its arrays by name; a single number is an array of shape ()."""
 
     kind: str
     arrays: Mapping[str, np.ndarray]
@@ -35,40 +35,43 @@ class Layer:
 
 @dataclass(frozen=True)
 class Network:
-    """From observations to actions.
+    """The layers from observations to actions.
 
     Attributes:
-        inputs: What is made of each part of an observation, by name; they are joined in this order. An observation
-            without parts is one, called "observation".
-        layers: What comes then, one after the other; the last one gives the action as `predict` does.
+        inputs: The layers of each part of the observation, by name; their outputs are joined in this order.
+        layers: The layers after that; the last one returns the action of `predict`.
     """
 
     inputs: Mapping[str, tuple[Layer, ...]]
     layers: tuple[Layer, ...]
+
+    def sequence(self) -> list[Layer]:
+        """All layers of a network whose observation has no parts."""
+        return [*self.inputs[OBSERVATION], *self.layers]
 
 
 def network_of(algorithm: BaseAlgorithm) -> Network:
     """The layers of a policy from `tb2rl.load`.
 
     Raises:
-        InputError: If something in it is not known here.
+        InputError: If it contains an unknown module.
     """
     policy: Any = algorithm.policy
     space = algorithm.observation_space
     if hasattr(policy, "best_actions"):
         return Network({OBSERVATION: ()}, (_table(policy.best_actions(), space),))
-    extractor, layers = _parts(policy)
-    normalised, named = _normalised(algorithm), parts_of(space)
-    combined = type(extractor) is CombinedExtractor  # which joins the parts in the order of the space
+    extractor, layers = _extractor_and_layers(policy)
+    normalised = _normalised(algorithm)
+    combined = type(extractor) is CombinedExtractor  # joins the parts in the order of the space
     inputs = {
         name: (
             *normalised.get(name, ()),
-            *_prepared(part, policy.normalize_images),
+            *_preprocessed(part, policy.normalize_images),
             *_layers_of(extractor.extractors[name] if combined else extractor),
         )
-        for name, part in named.items()
+        for name, part in parts_of(space).items()
     }
-    return Network(inputs, (*layers, _end(policy, algorithm.action_space)))
+    return Network(inputs, (*layers, _last_layer(policy, algorithm.action_space)))
 
 
 def parts_of(space: spaces.Space) -> Mapping[str, spaces.Space]:
@@ -76,24 +79,19 @@ def parts_of(space: spaces.Space) -> Mapping[str, spaces.Space]:
     return space.spaces if isinstance(space, spaces.Dict) else {OBSERVATION: space}
 
 
-def in_a_row(network: Network) -> list[Layer]:
-    """All layers of a network whose observation has no parts."""
-    return [*network.inputs[OBSERVATION], *network.layers]
-
-
-def _parts(policy: Any) -> tuple[Any, list[Layer]]:
-    """What reads the observation, and what turns that into values of actions, or into an action."""
+def _extractor_and_layers(policy: Any) -> tuple[Any, list[Layer]]:
+    """The features extractor, and the layers from features to the values of actions or to an action."""
     if hasattr(policy, "q_net"):  # DQN
         return policy.q_net.features_extractor, _layers_of(policy.q_net.q_net)
     if hasattr(policy, "quantile_net"):  # QR-DQN
         return policy.quantile_net.features_extractor, _mean_of_quantiles(policy.quantile_net)
-    if hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):  # SAC and its kin: a Gaussian, squashed
+    if hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):  # SAC, TQC: a squashed Gaussian
         actor = policy.actor
         return actor.features_extractor, [*_layers_of(actor.latent_pi), *_layers_of(actor.mu), _layer("tanh")]
     if hasattr(policy, "actor"):  # TD3, DDPG
         return policy.actor.features_extractor, _layers_of(policy.actor.mu)
-    if hasattr(policy, "mlp_extractor"):  # PPO and its kin
-        memory = _memories(policy.lstm_actor) if hasattr(policy, "lstm_actor") else []
+    if hasattr(policy, "mlp_extractor"):  # PPO, A2C, TRPO
+        memory = _lstm_layers(policy.lstm_actor) if hasattr(policy, "lstm_actor") else []
         squashed = [_layer("tanh")] if policy.squash_output else []
         body = [*_layers_of(policy.mlp_extractor.policy_net), *_layers_of(policy.action_net), *squashed]
         return policy.pi_features_extractor, [*memory, *body]
@@ -101,22 +99,20 @@ def _parts(policy: Any) -> tuple[Any, list[Layer]]:
 
 
 def _table(best: np.ndarray, space: Any) -> Layer:
-    """The best action of each state; its row is the sum of its classes, each times the stride of its column."""
+    """The best action of each state; its row is the sum of the classes, each times the stride of its column."""
     strides = np.cumprod([1, *space.nvec[:0:-1]])[::-1]
     return _layer("table", strides=strides, best=best.astype(np.min_scalar_type(best.max())))
 
 
 def _mean_of_quantiles(network: Any) -> list[Layer]:
-    """The mean of a linear layer's outputs is a linear layer: the value of an action is that of its quantiles."""
+    """The value of an action is the mean of its quantiles, and the mean of a linear layer's outputs is linear."""
     *before, last = _layers_of(network.quantile_net)
-    means = {
-        name: array.reshape(network.n_quantiles, -1, *array.shape[1:]).mean(axis=0)
-        for name, array in last.arrays.items()
-    }
+    shape = (network.n_quantiles, -1)
+    means = {name: array.reshape(*shape, *array.shape[1:]).mean(axis=0) for name, array in last.arrays.items()}
     return [*before, _layer("linear", **means)]
 
 
-def _memories(lstm: nn.LSTM) -> list[Layer]:
+def _lstm_layers(lstm: nn.LSTM) -> list[Layer]:
     if lstm.bidirectional or lstm.proj_size or not lstm.bias:
         raise InputError("only a plain LSTM can be exported: one direction, with biases, without a projection")
     names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
@@ -124,8 +120,8 @@ def _memories(lstm: nn.LSTM) -> list[Layer]:
     return [_layer("lstm", **arrays) for arrays in each]
 
 
-def _end(policy: Any, space: spaces.Space) -> Layer:
-    """What `predict` does last: choose, or bring into the range of the actions."""
+def _last_layer(policy: Any, space: spaces.Space) -> Layer:
+    """Choose an action, or bring it into its range."""
     if isinstance(space, spaces.Discrete):
         return _layer("argmax")
     assert isinstance(space, spaces.Box)
@@ -133,10 +129,8 @@ def _end(policy: Any, space: spaces.Space) -> Layer:
 
 
 def _normalised(algorithm: BaseAlgorithm) -> dict[str, list[Layer]]:
-    """What `train.norm_obs` does first with a part of the observation, by its name; see `driving_policy`."""
+    """The layer of `train.norm_obs` for each part of the observation, by its name."""
     statistics = statistics_of(algorithm).get("observations", {})
-    if not statistics:
-        return {}
     env: Any = algorithm.get_vec_normalize_env()
     several = isinstance(algorithm.observation_space, spaces.Dict)
     return {
@@ -147,8 +141,8 @@ def _normalised(algorithm: BaseAlgorithm) -> dict[str, list[Layer]]:
     }
 
 
-def _prepared(space: spaces.Space, normalize_images: bool) -> list[Layer]:
-    """What Stable-Baselines3 does before the features, `preprocess_obs`."""
+def _preprocessed(space: spaces.Space, normalize_images: bool) -> list[Layer]:
+    """See `preprocess_obs` of Stable-Baselines3."""
     if isinstance(space, spaces.MultiDiscrete):
         return [_layer("one_hot", counts=space.nvec)]
     if is_image_space(space):
@@ -158,51 +152,40 @@ def _prepared(space: spaces.Space, normalize_images: bool) -> list[Layer]:
 
 def _layers_of(module: nn.Module) -> list[Layer]:
     """The layers of a module of torch."""
-    if type(module) in _ACTIVATIONS:
-        return [_layer(_ACTIVATIONS[type(module)])]
     if type(module) not in _MODULES:
-        raise InputError(f"a network with {type(module).__name__} in it cannot be exported; known: {_known()}")
+        known = ", ".join(sorted(kind.__name__ for kind in _MODULES))
+        raise InputError(f"a network with {type(module).__name__} in it cannot be exported; known: {known}")
     return _MODULES[type(module)](module)
 
 
-def _known() -> str:
-    return ", ".join(sorted(kind.__name__ for kind in (*_ACTIVATIONS, *_MODULES)))
-
-
-def _linear(module: Any) -> list[Layer]:
-    return [_layer("linear", weight=module.weight, bias=module.bias)]
-
-
-def _convolution(module: Any) -> list[Layer]:
+def _conv(module: Any) -> list[Layer]:
     plain = (module.padding, module.dilation, module.groups) == ((0, 0), (1, 1), 1)
     if not plain or module.bias is None:
         raise InputError("only a plain Conv2d can be exported: with a bias, without padding, dilation and groups")
     return [_layer("conv", weight=module.weight, bias=module.bias, strides=np.array(module.stride))]
 
 
-def _nearness(module: Any) -> list[Layer]:
+def _inverse_range(module: Any) -> list[Layer]:
     numbers = {"middle": module.middle, "spread": module.spread, "offset": module.offset, "nearest": NEAREST}
     singles = {name: np.float32(number) for name, number in numbers.items()}
     buffers = {name: module.get_buffer(f"_{name}") for name in ("is_distance", "largest")}
-    return [_layer("nearness", **buffers, **singles)]
+    return [_layer("inverse_range", **buffers, **singles)]
 
 
-_ACTIVATIONS: dict[type, str] = {
-    nn.ReLU: "relu",
-    nn.Tanh: "tanh",
-    nn.Sigmoid: "sigmoid",
-    nn.ELU: "elu",  # Stable-Baselines3 makes them without arguments
-    nn.LeakyReLU: "leaky_relu",
-}
 _MODULES: dict[type, Callable[[Any], list[Layer]]] = {
     nn.Sequential: lambda module: [layer for part in module for layer in _layers_of(part)],
-    nn.Linear: _linear,
-    nn.Conv2d: _convolution,
+    nn.Linear: lambda module: [_layer("linear", weight=module.weight, bias=module.bias)],
+    nn.Conv2d: _conv,
     nn.Flatten: lambda module: [_layer("flatten")],
+    nn.ReLU: lambda module: [_layer("relu")],
+    nn.Tanh: lambda module: [_layer("tanh")],
+    nn.Sigmoid: lambda module: [_layer("sigmoid")],
+    nn.ELU: lambda module: [_layer("elu")],  # Stable-Baselines3 makes activations without arguments
+    nn.LeakyReLU: lambda module: [_layer("leaky_relu")],
     nn.Hardtanh: lambda module: [_layer("clip", low=np.float32(module.min_val), high=np.float32(module.max_val))],
     FlattenExtractor: lambda module: [_layer("flatten")],
     NatureCNN: lambda module: [*_layers_of(module.cnn), *_layers_of(module.linear)],
-    InverseRange: _nearness,
+    InverseRange: _inverse_range,
 }
 
 

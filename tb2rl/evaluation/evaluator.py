@@ -5,20 +5,13 @@ The standard evaluation has 100 episodes of at most 1500 control steps from froz
 
 from __future__ import annotations
 
-import pickle
-import signal
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-import cloudpickle
 import numpy as np
-import torch as th
 
-from tb2rl.core.processes import end_with_parent, main_hidden, process_context, processors
+from tb2rl.core.processes import processors
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import (
@@ -32,9 +25,8 @@ from tb2rl.evaluation.episodes import (
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.moments import Moment, moments_of
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.execution.job import Job
-from tb2rl.execution.running import in_order
-from tb2rl.execution.where import Where
+from tb2rl.execution.executor import Executor
+from tb2rl.execution.local import LocalExecutor
 from tb2rl.simulation import InitialState, SimulatorType, default_simulator, find_simulator
 from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks import Task
@@ -42,7 +34,7 @@ from tb2rl.tasks import Task
 EPISODES, STEPS = 100, 1500
 SEED = 20_180_000  # of the standard evaluation; trainings with small seeds never draw its initial states
 TRAINING_SEED = 20_190_000  # of the evaluations while training
-PASSED = 0.95  # success rate from which a training counts as successful
+PASSED = 0.95  # success rate from which a training counts as one that has learned
 _SLOTS, _MANY_SLOTS = 25, 1024  # of a process: where a slot costs a world of its own, and where it is a row of arrays
 _BLOCK = 100  # initial states that are drawn together, see `random_initial_states`
 
@@ -75,14 +67,12 @@ class Evaluator:
         self.scene, self.seed = self.simulator.prepare(scene.changed(episode_steps=steps)), seed
         self.initial_states = [InitialState(row[None]) for row in initial_states.table]
         self._loops = _Loops(self.scene, self.simulator)
-        ControlLoop.open(self.scene, self.simulator).close() if not self.simulator.is_robot else None
-        most = processors() if self.simulator.in_processes else 1
-        workers = min(workers or most, len(self.initial_states))
-        self._pool = None
+        workers = min(workers or (processors() if self.simulator.in_processes else 1), len(self.initial_states))
+        self._executor = None
         if workers > 1 and not self.simulator.is_robot:
-            shared = (cloudpickle.dumps(self._loops),)
-            self._pool = ProcessPoolExecutor(workers, process_context(), initializer=_make_ready, initargs=shared)
-        self._workers = workers
+            # An error of the simulator is raised here, and not in a process.
+            ControlLoop.open(self.scene, self.simulator, processes=1).close()
+            self._executor = LocalExecutor(workers)
 
     def run(self, policy: Policy, progress: bool = False) -> Evaluation:
         """Drive all episodes.
@@ -95,30 +85,21 @@ class Evaluator:
         shown = progress_bar(self.drive(policy), "evaluating", "episode", total=count, shown=progress)
         return Evaluation(list(shown), self.scene, self.seed, self.simulator.name)
 
-    def drive(self, policy: Policy, first: int = 0, where: Where | None = None) -> Iterator[Episode]:
+    def drive(self, policy: Policy, first: int = 0, executor: Executor | None = None) -> Iterator[Episode]:
         """Drive the episodes from number `first` on; each comes when it and all before it are over.
 
-        With `where`, they are driven there, and not by the processes of this evaluator.
+        An `executor` drives them in place of the processes of this evaluator.
         """
         numbers = range(first, len(self.initial_states))
-        if where is None and self._pool is None:
-            yield from _in_order(self._loops.drive(policy, self._starts(numbers)), first)
+        executor = executor or self._executor
+        if executor is None:
+            starts = self._starts(numbers)
+            yield from _in_order(self._loops.drive(policy, starts), starts)
             return
-        size = min(_SLOTS, -(-len(numbers) // (2 * max(self._workers, 2)))) or 1
-        parts = [numbers[i : i + size] for i in range(0, len(numbers), size)]
-        if where is not None:
-            jobs = [Job(f"episodes from {part[0]}", _drive_job, (self._starts(part),)) for part in parts]
-            for episodes in in_order(jobs, where, (self._loops, policy)):
-                yield from episodes
-            return
-        assert self._pool is not None
-        with TemporaryDirectory() as folder:  # a table can have millions of values: through no pipe, each time
-            file = Path(folder, "policy")
-            file.write_bytes(cloudpickle.dumps(policy))
-            with main_hidden():  # processes start as they are needed
-                results = [self._pool.submit(_drive_part, file, self._starts(part)) for part in parts]
-            for result in results:
-                yield from result.result()
+        size = min(_SLOTS, max(1, len(numbers) // (2 * executor.num_workers)))
+        parts = [self._starts(numbers[i : i + size]) for i in range(0, len(numbers), size)]
+        for episodes in executor.map(_drive, parts, shared=(self._loops, policy)):
+            yield from episodes
 
     def moments(self, policy: Policy, number: int) -> list[Moment]:
         """The control steps of one episode, driven in this process; it is the same one that `drive` drives."""
@@ -136,8 +117,8 @@ class Evaluator:
 
     def close(self) -> None:
         """End the processes, and close the loops."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        if self._executor is not None:
+            self._executor.close()
         self._loops.close()
 
     def __enter__(self) -> Evaluator:
@@ -197,31 +178,16 @@ class _Loops:
         self._open = {}
 
 
-def _in_order(numbered: Iterator[tuple[int, Episode]], first: int) -> Iterator[Episode]:
-    """Episodes by their numbers, which count on from `first`."""
-    waiting: dict[int, Episode] = {}
-    for number, episode in numbered:
-        waiting[number] = episode
-        while first in waiting:
-            yield waiting.pop(first)
-            first += 1
+def _drive(loops: _Loops, policy: Policy, starts: Sequence[EpisodeStart]) -> list[Episode]:
+    """A part of an evaluation in a worker process, whose loops stay open."""
+    return list(_in_order(loops.drive(policy, starts), starts))
 
 
-_loops: _Loops  # of a worker process
-
-
-def _make_ready(loops: bytes) -> None:
-    global _loops
-    end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the one that asked decides
-    th.set_num_threads(1)
-    _loops = pickle.loads(loops)
-
-
-def _drive_part(policy: Path, starts: Sequence[EpisodeStart]) -> list[Episode]:
-    return list(_in_order(_loops.drive(pickle.loads(policy.read_bytes()), starts), starts[0].number))
-
-
-def _drive_job(shared: tuple[_Loops, Policy], _: None, starts: Sequence[EpisodeStart]) -> list[Episode]:
-    loops, policy = shared  # the same for all jobs of a process: its loops stay open
-    return list(_in_order(loops.drive(policy, starts), starts[0].number))
+def _in_order(numbered: Iterator[tuple[int, Episode]], starts: Sequence[EpisodeStart]) -> Iterator[Episode]:
+    """Episodes in the order of their starts, each as soon as it and all before it are known."""
+    known: dict[int, Episode] = {}
+    for start in starts:
+        while start.number not in known:
+            number, episode = next(numbered)
+            known[number] = episode
+        yield known.pop(start.number)

@@ -18,7 +18,7 @@ from tb2rl.evaluation.evaluator import SEED, Evaluator
 from tb2rl.evaluation.spaces import check_observes
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.evaluation.suite_result import ALL, Drive, Figures, NamedDrive, SuiteResult
-from tb2rl.execution.where import Where
+from tb2rl.execution.executor import Executor
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.config import Config, config_from
@@ -147,9 +147,9 @@ def suite_evaluator(scene: Scene, workers: int | None = None, simulation: Any = 
     return Evaluator(scene, states, scene.task.episode_steps, SEED, workers, simulation)
 
 
-def drives_of(evaluator: Evaluator, policy: Any, first: int = 0, where: Where | None = None) -> Iterator[Drive]:
-    """Drive through the worlds from number `first` on, in their order; for `where` see `Evaluator.drive`."""
-    for episode in evaluator.drive(getattr(policy, "policy", policy), first, where):
+def drives_of(evaluator: Evaluator, policy: Any, first: int = 0, executor: Executor | None = None) -> Iterator[Drive]:
+    """Drive through the worlds from number `first` on, in their order; for `executor` see `Evaluator.drive`."""
+    for episode in evaluator.drive(getattr(policy, "policy", policy), first, executor):
         yield Drive.of(episode, evaluator.scene.task.control_period)
 
 

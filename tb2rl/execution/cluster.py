@@ -1,66 +1,84 @@
-"""Workers that Ray has, on this machine or on the nodes of a cluster. Only tasks of its core are used.
+"""An executor on Ray, on this machine or on the nodes of a cluster; it uses tasks of Ray's core alone.
 
-Nodes share no disk: what a job needs goes out with it, and its folder comes back as bytes. When a worker or its node
-dies, Ray does the job again elsewhere; an outcome comes once.
+Nodes share no disk: everything that a job needs travels with it, and its folder comes back as bytes. When a worker or
+its node dies, Ray runs the job again elsewhere; each result comes once.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
 import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, ClassVar
+
+import cloudpickle
 
 from tb2rl.core.errors import InputError, install_extra, one_line
-from tb2rl.core.processes import processors
-from tb2rl.execution.cargo import packed, unpacked
-from tb2rl.execution.job import AGAIN, ONE_THREAD, Job, Outcome, attempt, files_in, write_files
+from tb2rl.core.processes import ONE_THREAD, processors
+from tb2rl.execution.executor import Executor
+from tb2rl.execution.job import RETRIES, Job, Result, read_files, run_job, write_files
+from tb2rl.execution.modules import UserModules
+from tb2rl.execution.payload import Payload, deserialize, serialize
 
-_STORE = 2**28  # [bytes] of a Ray that is started here, for what goes out and comes back; more goes to the disk
-_PATIENCE = 10  # [s] until a cluster answers
+_OBJECT_STORE = 2**28  # [bytes] of a Ray that is started here; more spills to the disk
+_CONNECT_TIMEOUT = 10  # [s]
 _QUIET = {"RAY_USAGE_STATS_ENABLED": "0"}
-# It keeps to 127.0.0.1, as elsewhere than on Linux, and its workers are as important as processes of ours.
-_LOOPBACK = {
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
-    "RAY_worker_niceness": "0",
-}
+# Ray binds to 127.0.0.1 only, and its workers have the priority of other processes.
+_LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
 
-# Variables that a worker on any machine goes by; those with secrets are each machine's own.
-_CARRIED = ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME", "WANDB_MODE", "WANDB_PROJECT")
+# Environment variables that workers take over; those with secrets are set on each machine.
+_FORWARDED = ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME", "WANDB_MODE", "WANDB_PROJECT")
 
 
-class Cluster:
-    """Ray's workers.
+class RayExecutor(Executor):
+    """Runs jobs on Ray.
 
     Args:
-        address: Of a cluster; None: Ray is started on this machine, and ends with this process.
-        count: Jobs at once; None: one for each processor of the cluster, also of nodes that come later.
-        shared: What all jobs share.
+        address: HOST:PORT of a cluster; None: starts Ray on this machine, until this process ends.
+        max_workers: Parallel jobs; None: one for each processor of the cluster, nodes that join later included.
 
     Raises:
-        InputError: If Ray is not installed, or there is no cluster.
+        InputError: When it is first used, if Ray is not installed or there is no cluster at the address.
     """
 
-    def __init__(self, address: str | None, count: int | None, shared: Any) -> None:
-        self._ray = _connected(address, count)
-        self._count = count
-        self._task = self._ray.remote(num_cpus=1, max_retries=AGAIN)(_do)
-        self._cargo = self._ray.put(packed(shared))
+    remote: ClassVar[bool] = True
+
+    def __init__(self, address: str | None = None, max_workers: int | None = None) -> None:
+        self._address, self._max_workers = address, max_workers
         self._running: dict[Any, Job] = {}
+        self._references: dict[str, Any] = {}  # of payloads in Ray's object store, by digest
+
+    @cached_property
+    def _ray(self) -> Any:
+        return _connect(self._address, self._max_workers)
+
+    @cached_property
+    def _task(self) -> Any:
+        return self._ray.remote(num_cpus=1, max_retries=RETRIES)(_run_remote)
 
     @property
-    def places(self) -> int:
-        """How many jobs can run at once."""
-        processors_there = int(self._ray.cluster_resources().get("CPU", 1))
-        return max(1, min(processors_there, self._count or processors_there))
+    def num_workers(self) -> int:
+        """How many jobs can run at once, now."""
+        available = int(self._ray.cluster_resources().get("CPU", 1))
+        return max(1, min(available, self._max_workers or available))
 
-    def start(self, job: Job) -> None:
+    def start(self, job: Job, payloads: Sequence[Payload]) -> None:
         """Give a job to Ray."""
-        self._running[self._task.remote(self._cargo, job.call, job.folder is not None, _said())] = job
+        if {payload.digest for payload in payloads} - set(self._references):
+            self._modules = serialize(UserModules())
+            sent = (self._modules, *payloads)
+            self._references = {payload.digest: self._ray.put(payload.content) for payload in sent}
+        environment = {name: os.environ[name] for name in _FORWARDED if name in os.environ}
+        digests = [self._modules.digest, *(payload.digest for payload in payloads)]  # other objects import the modules
+        self._running[self._task.remote(cloudpickle.dumps(job), digests, self._references, environment)] = job
 
-    def wait(self, seconds: float) -> list[tuple[Job, Outcome]]:
-        """The jobs that ended meanwhile; returns when there are some, or after so many seconds.
+    def wait(self, seconds: float) -> list[tuple[Job, Result]]:
+        """The jobs that ended: returns when there are some, or after so many seconds.
 
         Raises:
             InputError: If the workers of a job died too often, or the cluster is gone.
@@ -70,25 +88,31 @@ class Cluster:
         for reference in ready:
             job = self._running.pop(reference)
             try:
-                outcome = self._ray.get(reference)
+                result, files = self._ray.get(reference)
             except self._ray.exceptions.RayError as error:
                 raise InputError(one_line(f"{job.name}: Ray gave it up: {error}")) from None
-            if outcome.files is not None and job.folder is not None:
-                write_files(outcome.files, job.folder)
-            ended.append((job, outcome))
+            if files is not None and job.folder is not None:
+                write_files(files, job.folder)
+            ended.append((job, result))
         return ended
 
-    def close(self) -> None:
-        """End the jobs that still run. The connection stays, for Ray takes long to start: it ends with this process."""
-        if self._ray.is_initialized():
+    def cancel(self) -> None:
+        """End the running jobs."""
+        if self._running and self._ray.is_initialized():
             for reference in self._running:
                 self._ray.cancel(reference, force=True)
+        self._running.clear()
+
+    def close(self) -> None:
+        """End the running jobs; Ray itself ends with this process, because it takes long to start."""
+        self.cancel()
+        self._references.clear()
 
 
-def _connected(address: str | None, count: int | None) -> Any:
+def _connect(address: str | None, max_workers: int | None) -> Any:
     """The module `ray`, connected."""
-    keeps_here = address is None or _is_loopback(address)
-    os.environ.update(_QUIET | (_LOOPBACK if keeps_here else {}))  # read as it is imported
+    is_local = address is None or _split(address)[0] in ("localhost", "127.0.0.1")
+    os.environ.update(_QUIET | (_LOOPBACK if is_local else {}))  # read when Ray is imported
     try:
         import ray
     except ModuleNotFoundError:
@@ -97,45 +121,39 @@ def _connected(address: str | None, count: int | None) -> Any:
         return ray
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address is None:
-        started: dict[str, Any] = {
-            "num_cpus": count or processors(),
-            "object_store_memory": _STORE,
-            "include_dashboard": False,
-        }
-        ray.init("local", **started, **quiet)
+        cpus = max_workers or processors()
+        ray.init("local", num_cpus=cpus, object_store_memory=_OBJECT_STORE, include_dashboard=False, **quiet)
         return ray
     try:
-        socket.create_connection(_split(address), _PATIENCE).close()  # Ray itself would ask for minutes
+        socket.create_connection(_split(address), _CONNECT_TIMEOUT).close()  # Ray itself would try for minutes
         ray.init(address, **quiet)
-    except (OSError, RuntimeError, ValueError) as error:  # nobody answers, or another version of Ray or Python does
-        raise InputError(one_line(f"there is no Ray cluster for us at {address}: {error}")) from None
+    except (OSError, RuntimeError, ValueError) as error:  # nothing listens, or its version of Ray or Python differs
+        raise InputError(one_line(f"no usable Ray cluster at {address}: {error}")) from None
     return ray
 
 
 def _split(address: str) -> tuple[str, int]:
     host, _, port = address.rpartition(":")
     if not host or not port.isdigit():
-        raise InputError(f"the address of a Ray cluster is HOST:PORT, as `ray start` says it, got {address!r}")
+        raise InputError(f"the address of a Ray cluster is HOST:PORT, as `ray start` prints it, got {address!r}")
     return host, int(port)
 
 
-def _is_loopback(address: str) -> bool:
-    return _split(address)[0] in ("localhost", "127.0.0.1")
+def _run_remote(
+    call: bytes, digests: Sequence[str], references: Mapping[str, Any], environment: Mapping[str, str]
+) -> tuple[Result, Mapping[str, bytes] | None]:
+    """Run a job in a worker of Ray: its result and the files of its folder."""
+    os.environ.update({**ONE_THREAD, **environment})  # before anything large is imported
+    import ray
 
+    def load() -> Sequence[Any]:
+        return deserialize(digests, lambda digest: ray.get(references[digest]))[1:]
 
-def _said() -> dict[str, str]:
-    """What the environment here says of where figures go."""
-    return {name: os.environ[name] for name in _CARRIED if name in os.environ}
-
-
-def _do(cargo: bytes, call: bytes, fills_folder: bool, said: dict[str, str]) -> Outcome:
-    """Do a job in a worker of Ray."""
-    os.environ.update(ONE_THREAD | said)  # before anything large is imported
-    shared = unpacked(cargo)
-    if not fills_folder:
-        return attempt(call, shared, None)
+    load()  # before the job is unpickled, which may need the user's modules
+    job: Job = pickle.loads(call)
+    if job.folder is None:
+        return run_job(load, job), None
     with TemporaryDirectory(prefix="tb2rl-job-") as parent:
         folder = Path(parent, "folder")
-        outcome = attempt(call, shared, folder)
-        files = files_in(folder) if folder.is_dir() else None
-    return Outcome(outcome.value, outcome.refused, outcome.collided, files, outcome.machine)
+        result = run_job(load, replace(job, folder=folder))
+        return result, read_files(folder) if folder.is_dir() else None

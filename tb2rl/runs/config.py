@@ -21,7 +21,6 @@ from tb2rl.core.values import Count, CountOrZero, Fraction, Names, build
 from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
 from tb2rl.envs.worlds import absolute_worlds, files_named
 from tb2rl.runs.arguments import agent_for, check_arguments
-from tb2rl.runs.plain import check_plain, check_sections
 from tb2rl.runs.plain_values import check_plain, check_sections, to_plain
 from tb2rl.simulation import batch_simulator, default_physics, find_simulator
 from tb2rl.tasks import Task

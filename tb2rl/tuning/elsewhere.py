@@ -20,9 +20,8 @@ from optuna.trial import FrozenTrial, TrialState
 
 from tb2rl.core.files import read_yaml
 from tb2rl.envs.worlds import carry, worlds_of_files
+from tb2rl.execution.executor import Executor
 from tb2rl.execution.job import Job
-from tb2rl.execution.running import run_jobs
-from tb2rl.execution.where import Where
 from tb2rl.tuning.storage import pruner
 from tb2rl.tuning.study import DEFAULT, Plan, Search
 from tb2rl.tuning.trials import FINISHED, Claim, Outcome, next_trial, said_of, same_settings, tell, train_trial
@@ -40,14 +39,14 @@ class _Trained:
     pruned: str | None  # why it ended early
 
 
-def run_elsewhere(search: Search, study: Study, wanted: int, where: Where, seconds: float | None = None) -> bool:
+def run_elsewhere(search: Search, study: Study, wanted: int, executor: Executor, seconds: float | None = None) -> bool:
     """Let workers run trials until the study has so many.
 
     Args:
         search: The study's folder.
         study: The study.
         wanted: Trials that it is to have in the end.
-        where: What runs them.
+        executor: Runs them.
         seconds: Time for it; None: as much as it takes.
 
     Returns:
@@ -62,13 +61,13 @@ def run_elsewhere(search: Search, study: Study, wanted: int, where: Where, secon
     try:
         while _finished(study) < wanted:
             left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
-                return False
-            for job, trained in run_jobs(_jobs(search, study, wanted, claims), where, shared, left):
+            for job, trained in executor.as_completed(_run, _jobs(search, study, wanted, claims), shared, left):
                 claim = claims.pop(job.name)
                 print(_note(search, study, claim.trial, trained, job.folder), flush=True)
                 claim.lock.release()
             time.sleep(_AGAIN)  # what is missing, others run
+    except TimeoutError:
+        return False
     finally:
         for claim in claims.values():
             claim.lock.release()
@@ -90,18 +89,19 @@ def _jobs(search: Search, study: Study, wanted: int, claims: dict[str, Claim]) -
         known = study.get_trials(deepcopy=False, states=FINISHED)[-_KNOWN:]
         name, folder = f"trial {trial.number}", search.folder / "trials" / f".{trial.number:04d}"
         claims[name] = claim
-        yield Job(name, _run, (known, trial.params, trial.distributions), folder)
+        yield Job(name, (known, trial.params, trial.distributions), folder)
 
 
 def _run(
-    shared: tuple[Mapping[str, Any], Plan, Mapping[str, Any]],
-    folder: Path,
+    worlds: Mapping[str, Any],
+    plan: Plan,
+    default: Mapping[str, Any],
     known: Sequence[FrozenTrial],
     parameters: Mapping[str, Any],
     distributions: Mapping[str, BaseDistribution],
+    folder: Path,
 ) -> _Trained:
     """A job: the trainings of a trial, in a study of its own that knows what the other one knew."""
-    worlds, plan, default = shared
     carry(worlds)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     search = Search.begin(folder, plan, default)

@@ -1,4 +1,4 @@
-"""A policy that does as it is told, scans of random sensors in worlds, and the driver of an environment."""
+"""A scripted policy, scans of random scanners in worlds, and a function that asks a driver in an environment."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from tb2rl.envs.single import TurtleBot2Env
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many
 
-HALF_CIRCLE = np.linspace(-math.pi / 2, math.pi / 2, 37)
+NEEDS = Needs(np.linspace(-math.pi / 2, math.pi / 2, 37), 0.1, 30.0, 0.2, max_speed=0.5, max_turn_rate=1.0, robot="any")
 
 
-class Told:
-    """Acts as it was told, and keeps what it sensed since each beginning."""
+class ScriptedPolicy:
+    """Returns `speeds` and keeps the sensor data of each episode."""
 
     def __init__(self, **needs) -> None:
-        usual = Needs(HALF_CIRCLE, 0.1, 30.0, period=0.2, max_speed=0.5, max_turn_rate=1.0, robot="turtlebot2")
-        self.needs = replace(usual, **needs)
+        self.needs = replace(NEEDS, **needs)
         self.speeds = 0.4, 0.2
         self.episodes: list[list] = []
 
-    def begin(self):
+    def reset(self):
         self.episodes.append([])
 
     def act(self, sensed):
@@ -35,53 +34,50 @@ class Told:
 
 
 @pytest.fixture
-def told() -> type[Told]:
-    """The class `Told`."""
-    return Told
+def scripted_policy() -> type[ScriptedPolicy]:
+    """The class `ScriptedPolicy`."""
+    return ScriptedPolicy
 
 
-def cast(world: World, pose: tuple[float, ...] | np.ndarray, angles: np.ndarray, longest: float) -> np.ndarray:
-    """Exact ranges from a pose [m]; inf beyond the longest."""
+def cast(world: World, pose: tuple[float, ...] | np.ndarray, angles: np.ndarray, max_range: float) -> np.ndarray:
+    """Exact ranges from a pose [m]; inf beyond the maximum."""
     ranges = np.empty((1, len(angles)))
     cast_many(np.array([pose]), np.zeros(1), np.cos(angles), np.sin(angles), *world.index, ranges)
-    return np.where(ranges[0] > longest, np.inf, ranges[0])
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """A scanner on a robot."""
-
-    mounting: Mounting
-    angle_min: float
-    angle_increment: float
-    readings: int
-    range_max: float = 30.0
-
-    def scan(self, world: World, robot: np.ndarray) -> Scan:
-        """What it measures in a world from the pose of the robot; float32, as ROS carries it."""
-        m, (x, y, yaw) = self.mounting, robot.tolist()
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        place = x + cos * m.x - sin * m.y, y + sin * m.x + cos * m.y, yaw + m.yaw
-        angles = self.angle_min + self.angle_increment * np.arange(self.readings)
-        ranges = cast(world, place, -angles if m.upside_down else angles, self.range_max)
-        return Scan(ranges.astype(np.float32), self.angle_min, self.angle_increment, 0.1, self.range_max)
-
-
-@pytest.fixture
-def make_sensor() -> Callable[..., Sensor]:
-    """A function that makes a scanner: its field of view [rad], its readings, its mounting."""
-
-    def make(field: float, readings: int, mounting: Mounting | None = None, clockwise: bool = False, turned=0.0):
-        step = field / (readings - 1) * (-1.0 if clockwise else 1.0)
-        return Sensor(mounting or Mounting(), turned + (field if clockwise else -field) / 2, step, readings)
-
-    return make
+    return np.where(ranges[0] > max_range, np.inf, ranges[0])
 
 
 @pytest.fixture
 def cast_from() -> Callable[..., np.ndarray]:
     """The function `cast`."""
     return cast
+
+
+@dataclass(frozen=True)
+class Scanner:
+    """A scanner with a field of view [rad], whose middle is turned from its angle 0 [rad]."""
+
+    field: float
+    readings: int
+    mounting: Mounting = Mounting()
+    clockwise: bool = False
+    turned: float = 0.0
+
+    def scan(self, world: World, robot: np.ndarray) -> Scan:
+        """Its scan in a world from the pose of the robot; float32, as in ROS."""
+        m, (x, y, yaw) = self.mounting, robot.tolist()
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        pose = x + cos * m.x - sin * m.y, y + sin * m.x + cos * m.y, yaw + m.yaw
+        sign = -1.0 if self.clockwise else 1.0
+        first, step = self.turned - sign * self.field / 2, sign * self.field / (self.readings - 1)
+        angles = first + step * np.arange(self.readings)
+        ranges = cast(world, pose, -angles if m.upside_down else angles, 30.0)
+        return Scan(ranges.astype(np.float32), first, step, 0.1, 30.0)
+
+
+@pytest.fixture
+def scanner() -> type[Scanner]:
+    """The class `Scanner`."""
+    return Scanner
 
 
 @pytest.fixture
@@ -97,7 +93,7 @@ def scan_of() -> Callable[..., Scan]:
 
 @pytest.fixture
 def ask() -> Callable[[Driver, TurtleBot2Env, float], Command]:
-    """A function that shows a driver what the robot of an environment senses now, and asks it for a command."""
+    """A function that passes the sensor data of an environment to a driver, and asks it for a command."""
 
     def asked(driver: Driver, env: TurtleBot2Env, now: float) -> Command:
         robot_state, laser = env.robot_state, env.scene.laser

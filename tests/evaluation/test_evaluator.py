@@ -19,6 +19,7 @@ from tb2rl.core.plugins import agent_names
 from tb2rl.envs.scene import make_scene
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
 from tb2rl.execution.where import Where
+from tb2rl.execution.local import LocalExecutor
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
@@ -47,7 +48,7 @@ def test_jobs_elsewhere_drive_the_same_episodes_in_their_order():
     config = resolve("random", settings={"task.laser_noise": 0.01})
     policy = make_baseline(config)
     with Evaluator(config.scene, 5, 40, workers=1) as evaluator:
-        here, there = list(evaluator.drive(policy)), list(evaluator.drive(policy, 1, Where(workers=2)))
+        here, there = list(evaluator.drive(policy)), list(evaluator.drive(policy, 1, LocalExecutor(2)))
     assert [episode.episode_return for episode in there] == [episode.episode_return for episode in here[1:]]
 
 

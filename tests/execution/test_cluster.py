@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
-import signal
 import socket
 import subprocess
 import sys
@@ -15,13 +13,12 @@ from pathlib import Path
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.execution.cargo import packed
-from tb2rl.execution.running import run_jobs
-from tb2rl.execution.where import Where
+from tb2rl.execution.cluster import RayExecutor
+from tb2rl.execution.modules import UserModules
+from tb2rl.execution.payload import serialize
 
 CHECKOUT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
-needs_ray = pytest.mark.usefixtures("ray")
 SAME = ("final/policy.safetensors", "best/policy.safetensors", "episodes.safetensors", "config.yaml")
 TASK = """
 from dataclasses import dataclass
@@ -68,13 +65,13 @@ def test_a_cluster_that_does_not_answer_is_named_at_once(ray):
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{unused.getsockname()[1]}"
-    with pytest.raises(InputError, match=f"there is no Ray cluster for us at {address}: .*refused"):
-        Where(True, address).open(None)
-    with pytest.raises(InputError, match="HOST:PORT, as `ray start` says it, got 'head'"):
-        Where(True, "head").open(None)
+    with pytest.raises(InputError, match=f"no usable Ray cluster at {address}: .*refused"):
+        list(RayExecutor(address).map(abs, [1]))
+    with pytest.raises(InputError, match="HOST:PORT, as `ray start` prints it, got 'head'"):
+        list(RayExecutor("head").map(abs, [1]))
 
 
-def test_what_a_user_wrote_travels_along(tmp_path, monkeypatch):
+def test_modules_of_a_user_travel_along(tmp_path, monkeypatch):
     (tmp_path / "my_helper.py").write_text("from package_of_mine.inner import NUMBER\nSQUARE = NUMBER**2\n")
     (tmp_path / "package_of_mine").mkdir()
     (tmp_path / "package_of_mine" / "__init__.py").touch()
@@ -86,52 +83,23 @@ def test_what_a_user_wrote_travels_along(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     import_module("library")
     import_module("my_helper")
-    cargo = packed({"offset": 3})
-    files = pickle.loads(cargo)[0]
+    modules = UserModules()
+    files = modules.files
     assert {"my_helper.py", "package_of_mine/inner.py", "robot.urdf"} <= set(files)
     assert not any(name.startswith(("tb2rl", "numpy", "pytest", "library")) for name in files)
-    (tmp_path / "cargo").write_bytes(cargo)
+    (tmp_path / "modules").write_bytes(serialize(modules).content)
     code = (
-        "import sys; from pathlib import Path; from tb2rl.execution.cargo import unpacked;"
-        f"shared = unpacked(Path({str(tmp_path / 'cargo')!r}).read_bytes());"
-        "import my_helper; print(my_helper.SQUARE, shared, Path(my_helper.__file__).with_name('robot.urdf').is_file())"
+        "import pickle, sys; from pathlib import Path; pickle.loads(Path(sys.argv[1]).read_bytes());"
+        "import my_helper; print(my_helper.SQUARE, Path(my_helper.__file__).with_name('robot.urdf').is_file())"
     )
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=elsewhere, env=environment(), capture_output=True, text=True, check=True)
-    assert done.stdout == "49 {'offset': 3} True\n"
+    other = tmp_path / "other"
+    other.mkdir()
+    command = [sys.executable, "-c", code, str(tmp_path / "modules")]
+    done = subprocess.run(command, cwd=other, env=environment(), capture_output=True, text=True, check=True)
+    assert done.stdout == "49 True\n"
 
 
 @pytest.mark.slow
-@needs_ray
-def test_ray_on_this_machine_does_what_processes_do(make_job, tmp_path):
-    on_ray = Where(ray=True, workers=2)
-    jobs = [make_job(f"job {i}", "square", i, folder=tmp_path / str(i)) for i in range(5)]
-    done = {job.name: value for job, value in run_jobs(jobs, on_ray, {"offset": 100})}
-    assert done == {f"job {i}": 100 + i**2 for i in range(5)}
-    assert [(tmp_path / str(i) / "inner" / "square.txt").read_text() for i in range(5)] == ["0", "1", "4", "9", "16"]
-    with pytest.raises(InputError, match=r"^seed 3: it does not fit$"):
-        list(run_jobs([make_job("seed 3", "refuse")], on_ray))
-    dying = make_job("it", "die_once", tmp_path / "note", folder=tmp_path / "folder")
-    assert [value for _, value in run_jobs([dying], on_ray)] == ["done"]
-    assert len(list((tmp_path / "folder").iterdir())) == 1
-    assert [value for _, value in run_jobs([make_job("it", "threads")], on_ray)] == [(1, 1, 1)]
-    with pytest.raises(InputError, match="it: Ray gave it up: "):
-        list(run_jobs([make_job("it", "die")], on_ray))
-
-
-@pytest.mark.slow
-@needs_ray
-def test_ctrl_c_ends_ray_and_what_it_ran(tmp_path):
-    running = import_module("tests.jobs.test_running")
-    process, workers = running.interrupted("ray", tmp_path, signal.SIGINT)
-    assert process.returncode != 0
-    assert running.ended(workers)
-
-
-@pytest.mark.slow
-@needs_ray
 def test_when_a_node_dies_every_seed_is_there_once_and_the_same_to_the_bit(nodes, tmp_path, monkeypatch):
     cluster, address = nodes
     monkeypatch.chdir(tmp_path)

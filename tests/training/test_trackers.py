@@ -11,7 +11,8 @@ import pytest
 
 from tb2rl.commands.seeds import train_seeds
 from tb2rl.core.errors import InputError, install_extra
-from tb2rl.execution.where import Where
+from tb2rl.execution.cluster import RayExecutor
+from tb2rl.execution.local import LocalExecutor
 from tb2rl.runs.folder import Run
 from tb2rl.runs.loading import load
 from tb2rl.train import main
@@ -165,7 +166,7 @@ def test_a_tracker_is_told_how_the_training_ended(name, error, ended, small, tmp
     ],
 )
 def test_what_is_no_tracker_is_refused_before_anything_is_made(name, said, small, tmp_path):
-    for train_it in (train_config, lambda config, folder: train_seeds(config, [0], folder, Where())):
+    for train_it in (train_config, lambda config, folder: train_seeds(config, [0], folder, LocalExecutor())):
         with pytest.raises(InputError) as error:
             train_it(small(track=[name]), tmp_path / "run")
         assert said in str(error.value)
@@ -211,7 +212,7 @@ def test_a_cluster_needs_a_server_for_mlflow(store, small, tmp_path, monkeypatch
     pytest.importorskip("mlflow", reason="mlflow is not installed")
     monkeypatch.setenv("MLFLOW_TRACKING_URI", store)
     with pytest.raises(InputError, match="--on ray, mlflow needs a server for all machines: set MLFLOW_TRACKING_URI"):
-        train_seeds(small(track=["mlflow"]), [0], tmp_path / "run", Where(ray=True))
+        train_seeds(small(track=["mlflow"]), [0], tmp_path / "run", RayExecutor())
 
 
 @pytest.mark.parametrize("seeds", [[], pytest.param(["--seeds", "0,1"], marks=pytest.mark.slow)], ids=["one", "seeds"])

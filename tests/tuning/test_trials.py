@@ -9,7 +9,7 @@ import pytest
 from optuna.pruners import ThresholdPruner
 
 from tb2rl.core.errors import InputError
-from tb2rl.execution.where import Where
+from tb2rl.execution.local import LocalExecutor
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.tuning import trials
@@ -161,7 +161,7 @@ def test_a_study_goes_on_with_the_same_settings_only(search):
 def test_trials_elsewhere_come_into_the_study_with_their_run_folders(search):
     mine = search(seeds=2)
     with open_study(mine) as study:
-        assert run_elsewhere(mine, study, 3, Where(workers=2))
+        assert run_elsewhere(mine, study, 3, LocalExecutor(2))
         trials = study.get_trials()
     assert [trial.state.name for trial in trials] == ["COMPLETE"] * 3
     for trial in trials:

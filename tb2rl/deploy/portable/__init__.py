@@ -1,5 +1,5 @@
-"""What a robot runs that has nothing but Python 3.8 and numpy: from scan, odometry and bumper to two speeds.
+"""The driver on a robot: Python 3.8 and numpy turn scan, odometry and bumper into velocity commands.
 
-These modules import the standard library, numpy and each other, by relative imports, and no name at the top of one
-stands at the top of another: so they can be packed into one file.
+`tb2rl.export` packs these modules into one file. So they import the standard library, numpy, `tb2rl.envs.filters` and,
+relatively, each other; and each name at the top of a module is unique among them.
 """

@@ -1,155 +1,132 @@
-"""From what a robot senses to what its policy was trained to observe; the same numbers as in tb2rl's simulations."""
+"""Encodes sensor data as the observation of the policy; the same numbers as in tb2rl's simulations."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, Mapping, Tuple
+from typing import Any, Callable, Dict, Mapping
 
 import numpy as np
 
-from .policy_contract import Needs, Point, Sensed
+from .policy_contract import Needs, Point, SensorData
 
-Settings = Mapping[str, Any]  # of a sensor, in `policy.json`
-_KEPT = 64.0  # [s] of the trail
+_KEPT = 64.0  # [s] of the pose history
 
 
 class Encoding:
-    """What a policy observes, the last few control steps side by side, the oldest first.
+    """Turns sensor data into observations, the last few control steps side by side, the oldest first.
 
     Args:
-        observation: What `policy.json` says of it.
-        needs: What the policy needs.
+        observation: The entry "observation" of `policy.json`.
+        needs: The requirements of the policy.
 
     Attributes:
-        needs: The same.
-        acceleration: Ahead since the last control step, by the odometry [m/s^2].
-        pose_history: Where it was in the last minute, x and y [m], about once a second.
-        trail_period: From one of these places to the next [s].
-        told: The last commands, v [m/s] and w [rad/s], the newest first.
+        sensed: The latest sensor data.
+        acceleration: Forward since the last control step, by the odometry [m/s^2].
+        pose_history: x and y [m] in the last minute, about once a second.
+        history_period: From one of these places to the next [s].
+        commands: The last commands, v [m/s] and w [rad/s], the newest first.
 
     Raises:
-        ValueError: If there is a sensor that is not known here.
+        ValueError: If there is an unknown sensor.
     """
 
     def __init__(self, observation: Mapping[str, Any], needs: Needs) -> None:
-        self._sensors: List[Tuple[Settings, Callable[..., np.ndarray]]] = []
-        for settings in observation["sensors"]:
-            if settings["name"] not in _SENSORS:
-                raise ValueError("this runner does not know the sensor {}".format(settings["name"]))
-            self._sensors.append((settings, _SENSORS[settings["name"]]))
-        self._told = max(settings.get("reads_commands", 0) for settings, _ in self._sensors)
-        self._as_classes, self._frame_stack = observation["mode"] == "discrete", observation["frame_stack"]
+        self._sensors = observation["sensors"]
+        for settings in self._sensors:
+            if settings["name"] not in SENSORS:
+                raise ValueError(f"this program does not know the sensor {settings['name']}")
+        self._command_count = max(settings.get("reads_commands", 0) for settings in self._sensors)
+        self._discrete, self._frame_stack = observation["mode"] == "discrete", observation["frame_stack"]
         self.needs = needs
-        self._every = max(1, round(1.0 / needs.period))
-        self.trail_period = self._every * needs.period
-        self.begin()
+        self._history_steps = max(1, round(1.0 / needs.period))
+        self.history_period = self._history_steps * needs.period
+        self.reset()
 
-    def begin(self) -> None:
-        """Forget what was observed: an episode begins."""
-        self._past: List[np.ndarray] = []
+    def reset(self) -> None:
+        """Start a new episode."""
+        self._frames: list[np.ndarray] = []
         self._speed = self.acceleration = 0.0
-        self.pose_history: Deque[Point] = deque(maxlen=max(1, round(_KEPT / self.trail_period)))
+        self.pose_history: deque[Point] = deque(maxlen=max(1, round(_KEPT / self.history_period)))
         self._steps = 0
-        self.told: Deque[Point] = deque(maxlen=self._told)
+        self.commands: deque[Point] = deque(maxlen=self._command_count)
 
-    def __call__(self, sensed: Sensed) -> np.ndarray:
-        """What the policy observes now, shape (1, n): float32 numbers, or the numbers of classes."""
+    def __call__(self, sensed: SensorData) -> np.ndarray:
+        """The observation of this control step, shape (1, n): float32 numbers, or integer classes."""
+        self.sensed = sensed
         self.acceleration, self._speed = (sensed.twist[0] - self._speed) / self.needs.period, sensed.twist[0]
-        self.told.extendleft([sensed.command] * (1 if self._steps else self._told))
-        if self._steps % self._every == 0:
+        self.commands.extendleft([sensed.command] * (1 if self._steps else self._command_count))
+        if self._steps % self._history_steps == 0:
             self.pose_history.append(sensed.pose[:2])
         self._steps += 1
-        parts = [self._encoded(read(sensed, settings, self), settings) for settings, read in self._sensors]
-        latest = np.concatenate(parts)
-        self._past = self._past[1:] + [latest] if self._past else [latest] * self._frame_stack
-        return np.concatenate(self._past)[None]
+        frame = np.concatenate([self._read(settings) for settings in self._sensors])
+        self._frames = self._frames[1:] + [frame] if self._frames else [frame] * self._frame_stack
+        return np.concatenate(self._frames)[None]
 
-    def _encoded(self, values: np.ndarray, settings: Settings) -> np.ndarray:
-        if self._as_classes:
+    def _read(self, settings: Mapping[str, Any]) -> np.ndarray:
+        values = np.asarray(SENSORS[settings["name"]](self, settings), dtype=float)
+        if self._discrete:
             return (values[:, None] >= np.array(settings["bins"])).sum(axis=1)
         return np.clip(values, np.float32(settings["low"]), np.float32(settings["high"])).astype(np.float32)
 
+    def offset(self, point: Point | None) -> Point:
+        """A point of the odometry frame relative to the robot, along the axes of that frame [m]."""
+        if point is None:
+            raise ValueError("this policy needs a goal or a point of a plan, and there is none")
+        return point[0] - self.sensed.pose[0], point[1] - self.sensed.pose[1]
 
-def _to(point: Point, sensed: Sensed) -> Tuple[float, float]:
-    """How far a point of the odometry frame is from the robot, along that frame's axes [m]."""
-    return point[0] - sensed.pose[0], point[1] - sensed.pose[1]
+    @property
+    def goal_angle(self) -> float:
+        """The direction of the goal, counted from straight ahead [rad], plus any number of turns."""
+        east, north = self.offset(self.sensed.goal)
+        return np.arctan2(north, east) - self.sensed.pose[2]
 
-
-def _goal(sensed: Sensed) -> Tuple[float, float]:
-    if sensed.goal is None:
-        raise ValueError("this policy drives to a goal, and it was told none")
-    return _to(sensed.goal, sensed)
-
-
-def _goal_distance(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    return np.array([np.hypot(*_goal(sensed))])
-
-
-def _goal_angle(sensed: Sensed) -> float:
-    east, north = _goal(sensed)
-    return np.arctan2(north, east) - sensed.pose[2]
-
-
-def _goal_bearing(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    return np.array([np.remainder(_goal_angle(sensed) + math.pi, math.tau) - math.pi])
+    @property
+    def waypoint(self) -> Point:
+        """The point on the planned path in the robot's frame [m]."""
+        east, north = self.offset(self.sensed.waypoint)
+        cos, sin = np.cos(self.sensed.pose[2]), np.sin(self.sensed.pose[2])
+        return cos * east + sin * north, cos * north - sin * east
 
 
-def _goal_direction(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    angle = _goal_angle(sensed)
-    return np.array([np.cos(angle), np.sin(angle)])
-
-
-def _waypoint(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    if sensed.waypoint is None:
-        raise ValueError("this policy follows a planned way, and it was told no point of one")
-    east, north = _to(sensed.waypoint, sensed)
-    cos, sin = np.cos(sensed.pose[2]), np.sin(sensed.pose[2])
-    return np.array([cos * east + sin * north, cos * north - sin * east])
-
-
-def _waypoint_bearing(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    ahead, left = _waypoint(sensed, settings, encoding)
-    return np.array([np.arctan2(left, ahead)])
-
-
-def _free_paths(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    """How far a circle as wide as the robot gets in each direction until it touches what a beam has hit."""
-    radius, between = settings["radius"], encoding.needs.beams - np.array(settings["directions"])[:, None]
+def _free_paths(encoding: Encoding, settings: Mapping[str, Any]) -> np.ndarray:
+    """How far a circle of the robot's size can move in each direction before it touches a point hit by a beam [m]."""
+    ranges, radius = encoding.sensed.ranges, settings["radius"]
+    between = encoding.needs.beams - np.array(settings["directions"])[:, None]
     with np.errstate(invalid="ignore"):  # of beams that hit nothing
-        beside, ahead = sensed.ranges * np.sin(between), np.cos(between)
+        beside, ahead = ranges * np.sin(between), np.cos(between)
         touches = (np.abs(beside) < radius) & (ahead > 0.0)
-        before = sensed.ranges * ahead - np.sqrt(radius**2 - beside**2)
+        before = ranges * ahead - np.sqrt(radius**2 - beside**2)
     return np.where(touches, np.maximum(before, 0.0), settings["high"]).min(axis=1, initial=settings["high"])
 
 
-def _visited(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    """How long it has been at some places around it [s]."""
-    (x, y, yaw), (ahead, left) = sensed.pose, np.array(settings["around"]).T
+def _visited(encoding: Encoding, settings: Mapping[str, Any]) -> np.ndarray:
+    """How long the robot has been at some places around it [s]."""
+    (x, y, yaw), (ahead, left) = encoding.sensed.pose, np.array(settings["around"]).T
     cos, sin = np.cos(yaw), np.sin(yaw)
     places = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left])
     away = np.array(encoding.pose_history) - places[:, None]
-    return encoding.trail_period * (np.hypot(away[..., 0], away[..., 1]) < settings["near"]).sum(axis=1)
+    return encoding.history_period * (np.hypot(away[..., 0], away[..., 1]) < settings["near"]).sum(axis=1)
 
 
-def _last_action(sensed: Sensed, settings: Settings, encoding: Encoding) -> np.ndarray:
-    told = [encoding.told[k] for k in range(settings["reads_commands"])]
-    return (np.array(told) / np.array(settings["max_speeds"])).ravel()
+def _last_action(encoding: Encoding, settings: Mapping[str, Any]) -> np.ndarray:
+    commands = [encoding.commands[k] for k in range(settings["reads_commands"])]
+    return (np.array(commands) / np.array(settings["max_speeds"])).ravel()
 
 
-_SENSORS: Dict[str, Callable[[Sensed, Settings, Encoding], np.ndarray]] = {
-    "bumper": lambda sensed, settings, encoding: np.array([float(sensed.bumped)]),
-    "forward acceleration": lambda sensed, settings, encoding: np.array([encoding.acceleration]),
-    "forward speed": lambda sensed, settings, encoding: np.array(sensed.twist[:1]),
+SENSORS: Dict[str, Callable[[Encoding, Mapping[str, Any]], Any]] = {
+    "bumper": lambda encoding, settings: [encoding.sensed.bumped],
+    "forward acceleration": lambda encoding, settings: [encoding.acceleration],
+    "forward speed": lambda encoding, settings: encoding.sensed.twist[:1],
     "free paths": _free_paths,
-    "goal bearing": _goal_bearing,
-    "goal direction": _goal_direction,
-    "goal distance": _goal_distance,
-    "laser": lambda sensed, settings, encoding: np.asarray(sensed.ranges, dtype=float),
+    "goal bearing": lambda encoding, settings: [np.remainder(encoding.goal_angle + math.pi, math.tau) - math.pi],
+    "goal direction": lambda encoding, settings: [np.cos(encoding.goal_angle), np.sin(encoding.goal_angle)],
+    "goal distance": lambda encoding, settings: [np.hypot(*encoding.offset(encoding.sensed.goal))],
+    "laser": lambda encoding, settings: encoding.sensed.ranges,
     "last action": _last_action,
-    "turn rate": lambda sensed, settings, encoding: np.array(sensed.twist[1:]),
+    "turn rate": lambda encoding, settings: encoding.sensed.twist[1:],
     "visited": _visited,
-    "waypoint": _waypoint,
-    "waypoint bearing": _waypoint_bearing,
-    "yaw rate": lambda sensed, settings, encoding: np.array(sensed.twist[1:]),  # by the wheels: they hardly slip
+    "waypoint": lambda encoding, settings: encoding.waypoint,
+    "waypoint bearing": lambda encoding, settings: [np.arctan2(*encoding.waypoint[::-1])],
+    "yaw rate": lambda encoding, settings: encoding.sensed.twist[1:],  # by the wheels: they hardly slip
 }

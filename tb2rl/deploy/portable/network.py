@@ -1,79 +1,68 @@
-"""The layers of an exported policy, run with numpy: each turns numbers (num_envs, n) into numbers (num_envs, m)."""
+"""Runs the layers of an exported policy with numpy; each turns numbers (num_envs, n) into numbers (num_envs, m)."""
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, Sequence, Tuple
+from typing import Any, Dict, Mapping, Sequence, Tuple
 
 import numpy as np
 
 Arrays = Mapping[str, np.ndarray]
+LayerArrays = Tuple[str, Arrays]  # the kind of a layer, and its arrays by name
 
 
 class Network:
-    """From observations to greedy actions, one layer after the other; it remembers what its LSTM layers keep.
+    """Maps observations to greedy actions, one layer after the other; keeps the state of its LSTM layers.
 
     Args:
-        layers: The kind of each layer, and its arrays by name.
+        layers: The layers in order.
 
     Raises:
-        ValueError: If there is a kind that is not known here.
+        ValueError: If there is an unknown kind of layer.
     """
 
-    def __init__(self, layers: Sequence[Tuple[str, Arrays]]) -> None:
+    def __init__(self, layers: Sequence[LayerArrays]) -> None:
         unknown = sorted({kind for kind, _ in layers} - {*_LAYERS, "lstm"})
         if unknown:
-            raise ValueError("this runner does not know the layer {}".format(", ".join(unknown)))
+            raise ValueError(f"this program does not know the layer {', '.join(unknown)}")
         self._layers = list(layers)
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
-        """Forget everything: an episode begins."""
-        self._memory: Dict[int, List[np.ndarray]] = {}
+    def reset(self) -> None:
+        """Start a new episode."""
+        self._lstm_states: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """The actions: numbers of named actions, shape (num_envs,), or shares from -1 to 1, shape (num_envs, 2).
 
         Args:
-            observations: Of the robots, shape (num_envs, n): float32, or integers for classes.
+            observations: Shape (num_envs, n): float32, or integer classes.
         """
         values = observations
-        for number, (kind, arrays) in enumerate(self._layers):
-            values = self._remember(number, values, arrays) if kind == "lstm" else _LAYERS[kind](values, **arrays)
+        for index, (kind, arrays) in enumerate(self._layers):
+            if kind == "lstm":
+                self._lstm_states[index] = _lstm(values, self._lstm_states.get(index), arrays)
+                values, _ = self._lstm_states[index]
+            else:
+                values = _LAYERS[kind](values, **arrays)
         return values
 
-    def _remember(self, number: int, values: np.ndarray, arrays: Arrays) -> np.ndarray:
-        """What the LSTM says that is the layer of this number, and keeps."""
-        empty = np.zeros((len(values), arrays["weight_hh"].shape[1]), np.float32)
-        self._memory[number] = lstm(values, self._memory.get(number, [empty, empty]), **arrays)
-        return self._memory[number][0]
 
+def _lstm(
+    values: np.ndarray, state: tuple[np.ndarray, np.ndarray] | None, arrays: Arrays
+) -> tuple[np.ndarray, np.ndarray]:
+    """The next output and cells of a long short-term memory (Hochreiter & Schmidhuber 1997), each (num_envs, m).
 
-def lstm(
-    values: np.ndarray,
-    past: Sequence[np.ndarray],
-    weight_ih: np.ndarray,
-    weight_hh: np.ndarray,
-    bias_ih: np.ndarray,
-    bias_hh: np.ndarray,
-) -> List[np.ndarray]:
-    """A step of a long short-term memory (Hochreiter & Schmidhuber 1997): what it says, and its cells, (num_envs, m).
-
-    The weights are torch's: rows for the input gate, the forget gate, the new value and the output gate.
+    The weights are torch's: rows for the input gate, the forget gate, the cell gate and the output gate.
     """
-    said, cells = past
-    gates = (values @ weight_ih.T + bias_ih) + (said @ weight_hh.T + bias_hh)
-    enter, keep, new, say = np.split(gates, 4, axis=1)
+    zeros = np.zeros((len(values), arrays["weight_hh"].shape[1]), np.float32)
+    hidden, cells = state or (zeros, zeros)
+    gates = values @ arrays["weight_ih"].T + arrays["bias_ih"] + (hidden @ arrays["weight_hh"].T + arrays["bias_hh"])
+    enter, keep, new, output = np.split(gates, 4, axis=1)
     cells = _sigmoid(keep) * cells + _sigmoid(enter) * np.tanh(new)
-    return [_sigmoid(say) * np.tanh(cells), cells]
-
-
-def _table(values: np.ndarray, strides: np.ndarray, best: np.ndarray) -> np.ndarray:
-    """The best action of the state that the classes name."""
-    return best[values @ strides].astype(np.int64)
+    return _sigmoid(output) * np.tanh(cells), cells
 
 
 def _one_hot(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """A one for the class of each number and zeros for all others, side by side."""
     return np.concatenate([np.eye(n, dtype=np.float32)[column] for n, column in zip(counts, values.T)], axis=1)
 
 
@@ -81,31 +70,14 @@ def _normalise(values: np.ndarray, mean: np.ndarray, deviation: np.ndarray, limi
     return np.clip((values - mean) / deviation, -limit, limit).astype(np.float32)
 
 
-def _nearness(
-    values: np.ndarray,
-    is_distance: np.ndarray,
-    largest: np.ndarray,
-    middle: np.ndarray,
-    spread: np.ndarray,
-    offset: np.ndarray,
-    nearest: np.ndarray,
-) -> np.ndarray:
-    """Distances as nearness 1 / (offset + d), all else scaled to [-1, 1]."""
-    near = spread * (1.0 / (offset + np.maximum(values, nearest)) - middle)
-    return np.where(is_distance, near, values / largest)
-
-
-def _linear(values: np.ndarray, weight: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    return values @ weight.T + bias
+def _inverse_range(values: np.ndarray, **arrays: np.ndarray) -> np.ndarray:
+    """Distances as 1 / (offset + d), all else scaled to [-1, 1]; see `tb2rl.envs.features.InverseRange`."""
+    inverse = 1.0 / (arrays["offset"] + np.maximum(values, arrays["nearest"]))
+    return np.where(arrays["is_distance"], arrays["spread"] * (inverse - arrays["middle"]), values / arrays["largest"])
 
 
 def _sigmoid(values: np.ndarray) -> np.ndarray:
     return np.float32(1.0) / (np.float32(1.0) + np.exp(-np.clip(values, -80.0, 80.0)))  # beyond, exp overflows
-
-
-def _unscale(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Shares from -1 to 1 of the range of each number."""
-    return low + np.float32(0.5) * (values + np.float32(1.0)) * (high - low)
 
 
 _LAYERS: Dict[str, Any] = {
@@ -113,14 +85,14 @@ _LAYERS: Dict[str, Any] = {
     "clip": lambda values, low, high: np.minimum(np.maximum(values, low), high),
     "elu": lambda values: np.where(values > 0, values, np.expm1(np.minimum(values, 0))),
     "flatten": lambda values: values.reshape(len(values), -1),
+    "inverse_range": _inverse_range,
     "leaky_relu": lambda values: np.maximum(values, np.float32(0.01) * values),
-    "linear": _linear,
-    "nearness": _nearness,
+    "linear": lambda values, weight, bias: values @ weight.T + bias,
     "normalise": _normalise,
     "one_hot": _one_hot,
     "relu": lambda values: np.maximum(values, np.float32(0.0)),
     "sigmoid": _sigmoid,
-    "table": _table,
+    "table": lambda values, strides, best: best[values @ strides].astype(np.int64),
     "tanh": np.tanh,
-    "unscale": _unscale,
+    "unscale": lambda values, low, high: low + np.float32(0.5) * (values + np.float32(1.0)) * (high - low),
 }

@@ -19,9 +19,9 @@ import torch as th
 from tb2rl.core.errors import InputError
 from tb2rl.deploy import Command, Driver, Finding, Needs, TrainedPolicy
 from tb2rl.deploy.portable.driver import DRIVING, DRY_RUN, REACHED
-from tb2rl.deploy.portable.ending import ending_signals
 from tb2rl.deploy.portable.policy_contract import are_usable
 from tb2rl.deploy.portable.preflight import STALE
+from tb2rl.deploy.portable.termination import termination_signals
 from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Diagnostics, Goal, LaserScan, Odometry, Plan, Twist
 from tb2rl.deploy.ros.node import TRIGGER, Node, NullPublisher, create_node
 from tb2rl.deploy.ros.robot import parse_limits, parse_mounting
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> None:
     driver = Driver(policy, limits, mounting, dry_run=options.dry_run)
     with closing(create_node(options.ros, NAME, options.ros_args)) as node:
         ending = threading.Event()
-        for sign in ending_signals():
+        for sign in termination_signals():
             signal.signal(sign, lambda *_: ending.set())
         output = "nothing: a dry run" if options.dry_run else f"commands to {topics.velocity}"
         _print(f"{options.policy} on ROS {options.ros}: scans from {topics.scan}, {output}")

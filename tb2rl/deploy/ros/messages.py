@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 
 from tb2rl.deploy.portable.policy_contract import are_usable
-from tb2rl.deploy.portable.readings import Scan
+from tb2rl.deploy.portable.scan import Scan
 
 BILLION = 1_000_000_000  # [ns] in a second
 _TOLERANCE = 0.1  # of the length of a quaternion: more than rounding, less than the length of an empty one

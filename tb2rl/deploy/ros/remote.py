@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.deploy import Limits, Mounting, Needs, ScanReader
+from tb2rl.deploy import Mounting, Needs, ScanReader, SpeedLimits
 from tb2rl.deploy.portable.driver import stale
 from tb2rl.deploy.portable.preflight import STALE
 from tb2rl.deploy.ros.messages import BILLION, BumperEvent, LaserScan, Odometry, Twist
@@ -81,7 +81,7 @@ class RemoteRobot:
         node: Node,
         topics: DriverTopics,
         mounting: Mounting,
-        limits: Limits,
+        limits: SpeedLimits,
         wall: WallClock | None = None,
     ) -> None:
         self.spec, self._node, self._topics, self._limits = spec, node, topics, limits
@@ -134,7 +134,7 @@ class RemoteRobot:
             self._due += duration
             latest, self._hold_until = self._due + _LATE * duration, self._due - _EARLY * duration
             self._abandoned_at = math.inf
-            self._send(self._limits.slowed(*commands[0].tolist()))
+            self._send(self._limits(commands)[0].tolist())
 
             def finished() -> bool:
                 scanned = self._ranges.count > scans and not now - duration < self._ranges.time < self._hold_until
@@ -198,7 +198,7 @@ class RemoteRobot:
             # In simulated time the clock of the same instant may arrive after the scan.
             time = message.stamp / BILLION if self._sim_time else self._node.now()
             view = self._reader.read(message.to_scan())
-            self._scan_problem = view.lacks or _age_problem(time - message.stamp / BILLION)
+            self._scan_problem = view.problem or _age_problem(time - message.stamp / BILLION)
             if not self._scan_problem:
                 self._ranges.update(view.ranges, time, self._wall.now())
             if time < self._hold_until:

@@ -12,11 +12,12 @@ from dataclasses import asdict, dataclass, field, replace
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import Positive, build, checked
-from tb2rl.deploy import Limits, Mounting, Needs
+from tb2rl.deploy import Mounting, Needs, SpeedLimits
+from tb2rl.deploy.needs import needs_in
 from tb2rl.deploy.ros.node import create_node
 from tb2rl.deploy.ros.remote import RemoteRobot
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics
-from tb2rl.deploy.trained import floor, needs_in
+from tb2rl.deploy.trained import floor
 from tb2rl.envs.scene import Scene
 from tb2rl.simulation import SimulationSpec, SimulatorType
 
@@ -41,7 +42,7 @@ class RosRobot:
     ros: int = 1
     topics: Mapping[str, str] = field(default_factory=dict)
     mounting: Mounting = field(default_factory=Mounting)
-    limits: Limits = field(default_factory=Limits)
+    limits: SpeedLimits = field(default_factory=SpeedLimits)
     goal: tuple[float, float] | None = None
     arguments: tuple[str, ...] = ()
 
@@ -124,6 +125,6 @@ def parse_mounting(text: str) -> Mounting:
     return Mounting(x, y, yaw, upside_down)
 
 
-def parse_limits(speed: float | None, option: str = "--speed") -> Limits:
+def parse_limits(speed: float | None, option: str = "--speed") -> SpeedLimits:
     """Return the limits for a speed [m/s]; None: those of the policy."""
-    return Limits() if speed is None else Limits(speed=checked(Positive, speed, option))
+    return SpeedLimits() if speed is None else SpeedLimits(speed=checked(Positive, speed, option))

@@ -12,7 +12,7 @@ from typing import Annotated
 from annotated_types import Ge, Le, Lt
 
 from tb2rl.core.values import CountOrZero, NonNegative, Positive, checked
-from tb2rl.deploy.portable.ending import ending_signals
+from tb2rl.deploy.portable.termination import termination_signals
 from tb2rl.deploy.ros.messages import BumperEvent, Clock, Image, LaserScan, Odometry, Transforms, Twist
 from tb2rl.deploy.ros.node import EMPTY, SET_PHYSICS, Node, NullPublisher, create_node
 from tb2rl.deploy.ros.simulated_robot import SimulatedRobot
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
     simulator = find_simulator(options.simulation or default_simulator())
     config = resolve("random", options.task, settings={"task.start": "fixed"} | parse_settings(options.set))
     with closing(create_node(options.ros, "tb2rl_simulation")) as node:
-        for ending in ending_signals():
+        for ending in termination_signals():
             signal.signal(ending, signal.default_int_handler)
         coarse = options.lockstep is not None
         with closing(SimulatedRobot(config.scene, simulator, options.seed, options.scan_rate, coarse)) as robot:

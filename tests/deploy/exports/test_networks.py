@@ -1,54 +1,57 @@
-"""Whatever an agent learns with, its export acts as it does: memories, frames, images, quantiles, other units."""
+"""Each algorithm, network and observation acts the same as an ONNX graph and as a numpy network."""
 
 from __future__ import annotations
+
+import sys
 
 import numpy as np
 import pytest
 import torch as th
 
+from tb2rl.commands.export import export_onnx
 from tb2rl.core.errors import InputError
+from tb2rl.core.files import top_folder
 from tb2rl.deploy.graph import graph_of
 from tb2rl.deploy.network import OBSERVATION, network_of, parts_of
 from tb2rl.envs.encodings import stacked
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.layers import resolve
+from tb2rl.runs.loading import config_of
 from tb2rl.runs.normalisation import driving_policy
 
 RAW = {"task.observation": "raw"}
-NEAR = {**RAW, "agent.policy_kwargs.features_extractor_class": "tb2rl.envs.features:InverseRange"}
+INVERSE_RANGE = {**RAW, "agent.policy_kwargs.features_extractor_class": "tb2rl.envs.features:InverseRange"}
 BUFFER = {"agent.buffer_size": 10}
 AGENTS = {
-    "frame_stack": ("ppo", "maze", {"task.frame_stack": 3}),
-    "normalised": ("stable_baselines3:PPO", "wall", {**RAW, "train.norm_obs": True}),
-    "classes": ("stable_baselines3:DQN", "wall", {**BUFFER, "task.observation": "discrete"}),
-    "ELU": ("ppo", "maze", {"agent.policy_kwargs.activation_fn": "torch.nn:ELU"}),
-    "LeakyReLU": ("ppo", "maze", {"agent.policy_kwargs.activation_fn": "torch.nn:LeakyReLU"}),
-    "Sigmoid": ("ppo", "maze", {"agent.policy_kwargs.activation_fn": "torch.nn:Sigmoid"}),
-    "A2C": ("stable_baselines3:A2C", "drive", NEAR),
-    "DDPG": ("stable_baselines3:DDPG", "drive", {**BUFFER, **NEAR}),
-    "SAC, noise by state": ("sac", "drive", {**BUFFER, "agent.use_sde": True}),
-    "PPO, squashed": (
-        "ppo",
-        "drive",
-        {"agent.use_sde": True, "agent.policy_kwargs.squash_output": True},
+    "frame stack, ELU": ("ppo", "maze", {"task.frame_stack": 3, "agent.policy_kwargs.activation_fn": "torch.nn:ELU"}),
+    "normalised, LeakyReLU": (
+        "stable_baselines3:PPO",
+        "wall",
+        {**RAW, "train.norm_obs": True, "agent.policy_kwargs.activation_fn": "torch.nn:LeakyReLU"},
     ),
-    "QR-DQN": ("sb3_contrib:QRDQN", "maze", {**BUFFER, **NEAR}),
-    "TQC": ("sb3_contrib:TQC", "drive", {**BUFFER, **NEAR}),
-    "TRPO": ("sb3_contrib:TRPO", "maze", NEAR),
+    "classes": ("stable_baselines3:DQN", "wall", {**BUFFER, "task.observation": "discrete"}),
+    "A2C, Sigmoid": (
+        "stable_baselines3:A2C",
+        "drive",
+        {**INVERSE_RANGE, "agent.policy_kwargs.activation_fn": "torch.nn:Sigmoid"},
+    ),
+    "DDPG": ("stable_baselines3:DDPG", "drive", {**BUFFER, **INVERSE_RANGE}),
+    "SAC, gSDE": ("sac", "drive", {**BUFFER, "agent.use_sde": True}),
+    "PPO, squashed": ("ppo", "drive", {"agent.use_sde": True, "agent.policy_kwargs.squash_output": True}),
+    "QR-DQN": ("sb3_contrib:QRDQN", "maze", {**BUFFER, **INVERSE_RANGE}),
+    "TQC": ("sb3_contrib:TQC", "drive", {**BUFFER, **INVERSE_RANGE}),
+    "TRPO": ("sb3_contrib:TRPO", "maze", INVERSE_RANGE),
 }
+CAMERA = {"camera": {"width": 36, "height": 36}}
 IMAGES = {
-    "an image": {"task.observe": [{"camera": {"depth": True, "width": 36, "height": 36}}]},
-    "two frames of an image": {"task.observe": [{"camera": {"width": 36, "height": 36}}], "task.frame_stack": 2},
-    "an image beside numbers": {"task.observe": ["laser", {"camera": {"width": 36, "height": 36}}]},
-    "normalised beside an image": {
-        "task.observe": ["laser", {"camera": {"width": 36, "height": 36}}],
-        "train.norm_obs": True,
-    },
-}
+    "two frames of a depth image": {"task.observe": [{"camera": {**CAMERA["camera"], "depth": True}}], "task.frame_stack": 2},
+    "normalised beside an image": {"task.observe": ["laser", CAMERA], "train.norm_obs": True},
+}  # fmt: skip
+NAMES = sorted(entry.parent.name for entry in top_folder("zoo").glob("*/config.yaml"))
 
 
 def random_policy(agent, task, settings):
-    """An algorithm that nobody trained: large random weights tell layers apart, and act in many ways."""
+    """An untrained algorithm; large random weights tell layers apart and lead to many actions."""
     pytest.importorskip("sb3_contrib")
     config = resolve(agent, task, settings={"train.n_envs": 2, **settings})
     algorithm = make_algorithm(config, Spaces.vectorised(config))
@@ -64,11 +67,15 @@ def random_policy(agent, task, settings):
     return algorithm, config.scene.actions
 
 
-def session(algorithm, actions):
-    """The graph of an algorithm in onnxruntime."""
+def session(model):
+    """A graph, or the file of one, in onnxruntime."""
     onnxruntime = pytest.importorskip("onnxruntime")
-    model = graph_of(network_of(algorithm), parts_of(algorithm.observation_space), actions, {})
-    return onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+
+
+def graph_session(algorithm, actions):
+    graph = graph_of(network_of(algorithm), parts_of(algorithm.observation_space), actions, {})
+    return session(graph.SerializeToString())
 
 
 def samples(algorithm, count):
@@ -77,66 +84,94 @@ def samples(algorithm, count):
 
 
 def assert_same(got, expected):
+    """Named actions are equal; shares from -1 to 1 are within 1e-5."""
     assert (got.dtype, got.shape) == (expected.dtype, expected.shape)
     np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-5 if expected.dtype.kind == "f" else 0.0)
 
 
 @pytest.mark.parametrize("kind", AGENTS)
-def test_an_exported_network_acts_the_same(kind, runner):
+def test_an_exported_network_acts_the_same(kind, numpy_network):
     algorithm, actions = random_policy(*AGENTS[kind])
-    observations = samples(algorithm, 1_000)
+    observations = samples(algorithm, 300)
     expected, _ = algorithm.predict(observations, deterministic=True)
     assert len(np.unique(expected, axis=0)) > 1
-    assert_same(session(algorithm, actions).run(["action"], {OBSERVATION: observations})[0], expected)
-    assert_same(runner(algorithm)(observations), expected)
+    assert_same(graph_session(algorithm, actions).run(["action"], {OBSERVATION: observations})[0], expected)
+    assert_same(numpy_network(algorithm)(observations), expected)
 
 
-@pytest.mark.parametrize("layers", [1, 2])
-def test_an_exported_memory_remembers_the_same(layers, runner):
-    sizes = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": layers}
+def test_an_exported_lstm_keeps_the_same_state(numpy_network):
+    sizes = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
     algorithm, actions = random_policy("recurrent_ppo", "maze", sizes)
     steps = samples(algorithm, 1_000).reshape(20, 50, -1)  # of 50 robots
-    onnx, numpy, memory = session(algorithm, actions), runner(algorithm), None
+    onnx, network, memory = graph_session(algorithm, actions), numpy_network(algorithm), None
     given = {each.name: np.zeros((1, 50, 8), np.float32) for each in onnx.get_inputs()[1:]}
-    assert len(given) == 2 * layers
-    acted = []
+    assert len(given) == 4
+    actions_of_steps = []
     for observations in steps:
         expected, memory = algorithm.predict(observations, memory, deterministic=True)
-        action, _, *after = onnx.run(None, {OBSERVATION: observations, **given})
-        given = dict(zip(given, after, strict=True))
+        action, _, *state = onnx.run(None, {OBSERVATION: observations, **given})
+        given = dict(zip(given, state, strict=True))
         assert_same(action, expected)
-        assert_same(numpy(observations), expected)
-        acted.append(expected)
-    numpy.begin()
-    assert_same(numpy(steps[0]), acted[0])
+        assert_same(network(observations), expected)
+        actions_of_steps.append(expected)
+    network.reset()
+    assert_same(network(steps[0]), actions_of_steps[0])
     fresh, _ = algorithm.predict(steps[-1], deterministic=True)
-    assert (fresh != acted[-1]).any(), "the memory matters"
+    assert (fresh != actions_of_steps[-1]).any(), "the state matters"
 
 
 @pytest.mark.parametrize("kind", IMAGES)
 def test_a_graph_reads_images(kind):
     algorithm, actions = random_policy("stable_baselines3:PPO", "maze", {**RAW, **IMAGES[kind]})
-    observations = samples(algorithm, 50)
+    observations = samples(algorithm, 20)
     expected, _ = algorithm.predict(observations, deterministic=True)
     given = observations if isinstance(observations, dict) else {OBSERVATION: observations}
-    assert_same(session(algorithm, actions).run(["action"], given)[0], expected)
+    assert_same(graph_session(algorithm, actions).run(["action"], given)[0], expected)
+
+
+DOUBLED = """
+from stable_baselines3.common.torch_layers import FlattenExtractor
+
+class Doubled(FlattenExtractor):
+    def forward(self, observations):
+        return 2.0 * super().forward(observations)
+"""
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
+    ("agent", "settings", "words"),
     [
-        ({"agent.policy_kwargs.activation_fn": "torch.nn:GELU"}, ["GELU", "ReLU, "]),
-        ({"agent.policy_kwargs.features_extractor_class": "my_features:Doubled", **RAW}, ["Doubled", "InverseRange"]),
+        ("stable_baselines3:PPO", {"agent.policy_kwargs.activation_fn": "torch.nn:GELU"}, ["GELU", "ReLU, "]),
+        ("stable_baselines3:PPO", {"agent.policy_kwargs.features_extractor_class": "doubled:Doubled"}, ["Doubled"]),
+        ("sb3_contrib:CrossQ", {}, ["BatchRenorm1d"]),
     ],
 )
-def test_what_is_not_known_is_refused(settings, words):
-    algorithm, _ = random_policy("stable_baselines3:PPO", "maze", settings)
+def test_an_unknown_module_is_refused(agent, settings, words, tmp_path, monkeypatch):
+    (tmp_path / "doubled.py").write_text(DOUBLED)
+    monkeypatch.syspath_prepend(tmp_path)
+    algorithm, _ = random_policy(agent, "drive", {**RAW, **settings})
     with pytest.raises(InputError) as refused:
         network_of(algorithm)
     assert [word for word in words if word not in str(refused.value)] == []
+    sys.modules.pop("doubled", None)
 
 
-def test_batch_renormalisation_is_refused():
-    algorithm, _ = random_policy("sb3_contrib:CrossQ", "drive", RAW)
-    with pytest.raises(InputError, match="BatchRenorm1d"):
-        network_of(algorithm)
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        *[(name, 500) for name in ("drive-loop-ppo", "wall-wall-qlearn")],
+        *[pytest.param(name, 10_000, marks=pytest.mark.slow) for name in NAMES],
+    ],
+)
+def test_an_exported_policy_of_the_zoo_acts_the_same(name, count, observations_of, numpy_network, loaded, tmp_path):
+    policy = loaded(f"zoo:{name}")
+    observations = observations_of(policy, count)
+    expected, _ = policy.predict(observations, deterministic=True)
+    export_onnx(f"zoo:{name}", tmp_path / "policy.onnx")
+    action, command = session(tmp_path / "policy.onnx").run(["action", "command"], {OBSERVATION: observations})
+    assert_same(action, expected)
+    np.testing.assert_allclose(command, config_of(policy).scene.actions.commands(expected), rtol=0.0, atol=1e-5)
+    network = numpy_network(policy)
+    assert_same(network(observations), expected)
+    each = np.concatenate([network(observations[index : index + 1]) for index in range(0, count, 10)])
+    assert_same(each, expected[::10])  # one by one, as on a robot: other sums, rounded otherwise
