@@ -23,7 +23,8 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulation",
         metavar="NAME",
-        help=f"simulator: {', '.join(simulator_names())} (default: bullet); for ros see tb2rl/deploy/ros/README.md",
+        help=f"{', '.join(simulator_names())} (a robot, see tb2rl/deploy/ros/README.md) or module:Class; default: the "
+        "first physics that is installed",
     )
     parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: speed limit")
     parser.add_argument("--goal", metavar="X,Y", help="goal of task navigate, from the start pose [m]")

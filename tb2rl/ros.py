@@ -48,9 +48,7 @@ def _add_simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ros", type=int, choices=(1, 2), required=True, help="version of ROS")
     parser.add_argument("--task", default="maze", help="task, for its world and its initial state (maze)")
     parser.add_argument("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="change the task")
-    parser.add_argument(
-        "--simulation", choices=("bullet", "kinematic"), help="PyBullet (default) or the kinematic simulator"
-    )
+    parser.add_argument("--simulation", metavar="NAME", help="simulator (default: the first physics that is installed)")
     parser.add_argument("--seed", type=int, default=0, help="of noise, and of starts with task.start=random (0)")
     parser.add_argument("--rate", type=float, default=1.0, help="times real time (1); 0: as fast as possible")
     parser.add_argument("--scan-rate", type=float, default=10.0, metavar="HZ", help="scans of the laser (10)")

@@ -22,6 +22,7 @@ def main(arguments: list[str] | None = None) -> None:
     from tb2rl.runs.algorithm import make_baseline
     from tb2rl.runs.layers import resolve
     from tb2rl.training.training import train
+    from tb2rl.viz.episodes import FilmOptions
     from tb2rl.viz.film import film
     from tb2rl.worlds import World
 
@@ -30,7 +31,8 @@ def main(arguments: list[str] | None = None) -> None:
     with TemporaryDirectory() as folder:
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), settings=worlds | short)
         for dynamic_obstacles in (None, {"people": 1, "boxes": 1}):
-            film(policy, Path(folder, "film.gif"), settings={"dynamic_obstacles": dynamic_obstacles}, steps=2)
+            settings = {"dynamic_obstacles": dynamic_obstacles}
+            film(policy, Path(folder, "film.gif"), settings=settings, options=FilmOptions(steps=2))
     sensors = ["laser", "camera", "free_paths", "visited"]
     env = make_env("maze", "raw", simulation="kinematic", observe=sensors, dynamic_obstacles={"people": 1})
     env.reset()

@@ -17,7 +17,7 @@ from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.training.training import resume, train_config
-from tb2rl.viz.film import film
+from tb2rl.viz.film import FilmOptions, film
 
 FILES = {
     "blocks.py": """
@@ -195,8 +195,8 @@ def test_what_is_trained_is_resumed_evaluated_filmed_and_reported(what, simulati
     run.write_evaluation(*evaluation.tree(run.config, "mine"))
     assert tb2rl.make_env(tb2rl.load(run.folder)).task == Run.open(run.folder).config.task
     if simulation == "kinematic" or what == "a camera with colours":  # films and reports drive in PyBullet either way
-        assert film(run.folder, mine / "film.gif", steps=5).stat().st_size > 1000
-        assert film(run.folder, mine / "chase.gif", steps=3, camera="chase").stat().st_size > 1000
+        assert film(run.folder, mine / "film.gif", options=FilmOptions(steps=5)).stat().st_size > 1000
+        assert film(run.folder, mine / "chase.gif", options=FilmOptions(steps=3, camera="chase")).stat().st_size > 1000
         report([str(run.folder)])
         assert (run.folder / "report.html").stat().st_size > 10_000
 
@@ -207,7 +207,7 @@ def test_a_baseline_is_evaluated_and_filmed(mine):
     evaluation = evaluate(policy, config, episodes=2, steps=60, workers=1)
     assert {episode.ended for episode in evaluation.episodes} == {"collision"}
     assert all((episode.actions == 0).all() for episode in evaluation.episodes)
-    assert film(policy, mine / "film.gif", config, steps=5).stat().st_size > 1000
+    assert film(policy, mine / "film.gif", config, options=FilmOptions(steps=5)).stat().st_size > 1000
 
 
 def test_a_robot_of_ones_own_drives_as_it_is_told_in_both_simulations(mine):

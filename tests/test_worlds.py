@@ -60,7 +60,7 @@ def test_it_draws_one_world_or_a_sheet_of_many(worlds, tiles, folder, capsys):
 
 
 def test_the_sheet_of_a_generator_has_every_family(folder, monkeypatch):
-    monkeypatch.setattr(worlds, "sheet", lambda pictures, titles, columns: drawn.extend(titles) or pictures[0])
+    monkeypatch.setattr(worlds, "make_grid", lambda pictures, titles, columns: drawn.extend(titles) or pictures[0])
     monkeypatch.setattr(worlds, "draw_plan", lambda *_: np.zeros((2, 2, 3), np.uint8))
     drawn: list[str] = []
     main(["draw", "mixed", "-o", "mixed.png"])

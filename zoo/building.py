@@ -14,12 +14,8 @@ from PIL import Image
 
 from tb2rl.commands.seeds import train_and_evaluate
 from tb2rl.core.files import read_text, write_text
-from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
 from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.execution.job import Job, files_in, write_files
-from tb2rl.execution.running import run_jobs
-from tb2rl.execution.where import Where
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
 from tb2rl.execution.executor import Executor
 from tb2rl.execution.job import Job, read_files, write_files
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run

@@ -10,7 +10,7 @@ from tb2rl.core.files import read_text, write_text
 from tb2rl.evaluation.evaluator import EPISODES
 from tb2rl.evaluation.progress import progress, say
 from tb2rl.execution.arguments import executor_arguments, make_executor
-from tb2rl.simulation import check_bullet
+from tb2rl.simulation import default_physics
 from tb2rl.worlds.suites import Suite, find_suite
 from tb2rl.zoo.building import build
 from tb2rl.zoo.cards import card, table
@@ -21,7 +21,7 @@ from tb2rl.zoo.entry import UNSEEN, contestants_of, entries, named, suites_folde
 
 def run(options: argparse.Namespace) -> None:
     """Build the zoo or check it; status 1 if a card does not hold."""
-    check_bullet("the zoo, whose cards are of PyBullet,")
+    default_physics().check("the zoo, whose cards are of PyBullet,")
     if options.what == "build":
         _build(options)
     elif not _check(options.names, EPISODES if options.episodes is None else options.episodes):

@@ -20,27 +20,27 @@ from tb2rl.commands.output import check_output, write_json
 from tb2rl.commands.rates import Figure, measure_kinematic, measure_physics
 from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError, unknown
-from tb2rl.core.plugins import agent_names, simulator_names
+from tb2rl.core.plugins import agent_names
 from tb2rl.core.processes import processors
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluator import PASSED
 from tb2rl.runs.folder import EVALUATIONS
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
-from tb2rl.simulation import find_simulator
+from tb2rl.simulation import batch_simulator, default_physics, find_simulator
 from tb2rl.training.training import Training, train_config
 
-_STEPS = 50_000  # at most, of a training in a physics simulator whose rate is measured
+_STEPS = 50_000  # at most, of a training in PyBullet whose rate is measured
 
 
 def measure_training(options: argparse.Namespace) -> list[Figure]:
     """Training rate of each agent in each simulator."""
     figures = []
-    for simulation in trainable_simulators():
+    for simulator in (default_physics(), batch_simulator()):
+        simulation = simulator.name
         for agent in learners():
-            steps = resolve(agent, settings={"train.simulation": simulation}).train.total_timesteps
-            if find_simulator(simulation).is_physics:
-                steps = min(steps, _STEPS)
+            preset = resolve(agent, settings={"train.simulation": simulation}).train.total_timesteps
+            steps = min(preset, _STEPS) if simulator.is_physics else preset
             training = _train(agent, simulation, 0, total_timesteps=steps, eval_freq=0, save_freq=0)
             rate = training.timesteps / training.seconds
             figures.append(Figure(f"training, {agent} in {simulation}", rate, "steps/s"))
@@ -72,11 +72,6 @@ def _measure_one_trained(agent: str, simulation: str, seed: int) -> tuple[Figure
         Figure(f"{name}: trained after", min(passed, default=float("inf")), "s"),
         Figure(f"{name}: failure-free, standard evaluation", 100 * rate, "%"),
     )
-
-
-def trainable_simulators() -> list[str]:
-    """The simulators that are not robots."""
-    return [name for name in simulator_names() if not find_simulator(name).is_robot]
 
 
 def learners() -> list[str]:
@@ -123,10 +118,9 @@ def run(options: argparse.Namespace) -> None:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
         if part != "kinematic":
-            find_simulator("bullet").check(f"part {part}")
+            default_physics().check(f"part {part}")
     for simulation in options.simulations:
-        if simulation not in trainable_simulators():
-            raise unknown("simulator", simulation, trainable_simulators())
+        find_simulator(simulation).check()
     if not options.seconds > 0 or options.seeds < 1:
         raise InputError(f"--seconds must be above 0 and --seeds at least 1, got {options.seconds}, {options.seeds}")
     check_output(options.json)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tb2rl.commands.output import check_output, write_json
 from tb2rl.commands.policy import chosen_policy, chosen_time_limit
-from tb2rl.commands.robot import chosen_robot
+from tb2rl.commands.robot import chosen_robot, robot_chosen
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluate import evaluate
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> None:
         options.episodes = EPISODES if robot is None else 1
     if options.seed is None:
         options.seed = SEED
-    check(options, is_robot=robot is not None)
+    check(options)
     policy, config = chosen_policy(options)
     conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed")}
     conditions |= {} if robot else {"workers": options.workers}
@@ -41,14 +41,14 @@ def run(options: argparse.Namespace) -> None:
     _write(evaluation, config, name, options)
 
 
-def check(options: argparse.Namespace, is_robot: bool) -> None:
+def check(options: argparse.Namespace) -> None:
     """Raise an `InputError` if options contradict each other or are out of range."""
     check_shared(options)
     if options.on is not None:
         raise InputError("--on goes with --suite: the episodes are over before Ray has started")
-    if is_robot and options.workers is not None:
+    if robot_chosen(options) and options.workers is not None:
         raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
-    if options.goal is not None and not is_robot:
+    if options.goal is not None and not robot_chosen(options):
         raise InputError("--goal goes with --simulation ros; in a simulator use --set task.goal=[3,2]")
     if not 1 <= options.episodes <= _MOST_EPISODES or options.steps < 1 or not 0 <= options.seed <= LARGEST_SEED:
         counts = f"--episodes must be from 1 to {_MOST_EPISODES}, --steps at least 1"

@@ -1,4 +1,4 @@
-"""What `report` does, see `tb2rl.report`: reads runs, results of suites and bags, writes the page."""
+"""The work of the command `tb2rl.report`: a page of runs, suite results and bags."""
 
 from __future__ import annotations
 
@@ -15,54 +15,52 @@ from tb2rl.envs.worlds import find_worlds
 from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.evaluation.reliable import Estimate
 from tb2rl.evaluation.suite_result import kept_result
-from tb2rl.viz.comparing import compare, comparison_page, read_side
+from tb2rl.viz.comparison import compare, comparison_page, read_compared_runs
 from tb2rl.viz.drives import DriveSection, drive_section
-from tb2rl.viz.groups import grouped
 from tb2rl.viz.page import page
-from tb2rl.viz.subjects import names_of, read_subject, run_folders
+from tb2rl.viz.run_views import display_names, group_runs, read_run_view, run_folders
 from tb2rl.viz.suites import result_files, suite_section
 
 
-def run(options: argparse.Namespace) -> None:
-    """Read the runs, the results of suites and the bags, write the page, say where it is."""
-    if options.compare:
-        _compare(options)
+def run(arguments: argparse.Namespace) -> None:
+    """Write the page and print its path."""
+    if arguments.compare:
+        _compare(arguments)
         return
-    bags = [reference for reference in options.runs if is_bag(Path(reference))]
-    files = [reference for reference in options.runs if reference not in bags and Path(reference).is_file()]
-    folders = run_folders([reference for reference in options.runs if reference not in [*bags, *files]])
-    out = _page_file(options)
-    drives = _drives(options, [Path(bag) for bag in dict.fromkeys(bags)])
+    bags = [reference for reference in arguments.runs if is_bag(Path(reference))]
+    files = [reference for reference in arguments.runs if reference not in bags and Path(reference).is_file()]
+    folders = run_folders([reference for reference in arguments.runs if reference not in [*bags, *files]])
+    out = _page_file(arguments)
+    drives = _drive_sections(arguments, [Path(bag) for bag in dict.fromkeys(bags)])
     results = [(file, kept_result(file)) for file in result_files(map(Path, files), folders)]
-    named = list(zip(folders, names_of(folders), strict=True))
+    named = list(zip(folders, display_names(folders), strict=True))
     bar = progress_bar(named, "reading", "run")
-    subjects = [read_subject(folder, name, progress=True, trust=options.trust) for folder, name in bar]
-    groups = grouped(subjects)
+    groups = group_runs([read_run_view(folder, name, progress=True, trust=arguments.trust) for folder, name in bar])
     suites = [suite_section(file, result, progress=True) for file, result in results]
     text = page(groups, suites, drives, progress=True)
     _write(out, text)
-    print(
-        f"{out}: {_counted(run=len(folders), suite=len(results), drive=len(drives))}, {len(text.encode()) / 1e6:.1f} MB"
-    )
+    counts = {"run": len(folders), "suite": len(results), "drive": len(drives)}
+    content = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in counts.items() if count)
+    print(f"{out}: {content}, {len(text.encode()) / 1e6:.1f} MB")
 
 
-def _compare(options: argparse.Namespace) -> None:
-    """Hold two folders of runs against each other, say which is better, write the page."""
-    if len(options.runs) != 2 or options.topics or options.world:
-        raise InputError("--compare takes two folders of runs, and nothing of bags")
-    ones, others = ({folder.resolve() for folder in run_folders([reference])} for reference in options.runs)
+def _compare(arguments: argparse.Namespace) -> None:
+    """Compare two folders of runs, print the verdicts and write the page."""
+    if len(arguments.runs) != 2 or arguments.topics or arguments.world:
+        raise InputError("--compare takes two folders of runs, without --topics and --world")
+    ones, others = ({folder.resolve() for folder in run_folders([reference])} for reference in arguments.runs)
     if ones & others:
         raise InputError(f"--compare takes different runs, and {min(ones & others)} is on both sides")
-    out = _page_file(options)
-    one, other = (read_side(reference, options.trust) for reference in options.runs)
-    measures = compare(one, other)
-    for measure in measures:
-        print(f"{measure.title}: {_said(measure.middles[0])} and {_said(measure.middles[1])}. {measure.verdict}")
-    _write(out, comparison_page(one, other, measures))
+    out = _page_file(arguments)
+    one, other = (read_compared_runs(reference, arguments.trust) for reference in arguments.runs)
+    comparisons = compare(one, other)
+    for each in comparisons:
+        print(f"{each.title}: {_percent(each.middles[0])} and {_percent(each.middles[1])}. {each.verdict}")
+    _write(out, comparison_page(one, other, comparisons))
     print(out)
 
 
-def _said(estimate: Estimate) -> str:
+def _percent(estimate: Estimate) -> str:
     return f"{100 * estimate.value:.1f} % ({100 * estimate.low:.1f} to {100 * estimate.high:.1f} %)"
 
 
@@ -73,27 +71,27 @@ def _write(out: Path, text: str) -> None:
         raise InputError(f"cannot write {out}: {error.strerror}") from None
 
 
-def _drives(options: argparse.Namespace, bags: list[Path]) -> list[DriveSection]:
-    """What the page says of bags."""
-    topics = parse_topics(options.topics)
-    if (topics or options.world) and not bags:
-        raise InputError("--topics and --world are for bags, and none is named")
-    worlds = find_worlds(checked(Worlds, parse_yaml(options.world, "--world"), "--world")) if options.world else ()
-    if len(worlds) > 1:
-        raise InputError(f"--world takes one world, got {len(worlds)}")
-    world = worlds[0] if worlds else None
+def _drive_sections(arguments: argparse.Namespace, bags: list[Path]) -> list[DriveSection]:
+    topics = parse_topics(arguments.topics)
+    if (topics or arguments.world) and not bags:
+        raise InputError("--topics and --world are for bags, but no bag is named")
+    world = None
+    if arguments.world:
+        worlds = find_worlds(checked(Worlds, parse_yaml(arguments.world, "--world"), "--world"))
+        if len(worlds) > 1:
+            raise InputError(f"--world takes one world, got {len(worlds)}")
+        world = worlds[0]
     return [drive_section(read_drive(bag, topics), world) for bag in progress_bar(bags, "reading", "bag")]
 
 
-def _counted(**things: int) -> str:
-    """How many of each there are, where there are any: "2 runs, 1 suite"."""
-    return ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in things.items() if count)
+def _page_file(arguments: argparse.Namespace) -> Path:
+    """The file of the page.
 
-
-def _page_file(options: argparse.Namespace) -> Path:
-    """Where the page goes; an `InputError` if it cannot, before any work is done."""
-    alone = Path(options.runs[0]) if len(options.runs) == 1 else Path()
-    out = options.out or (alone if alone.is_dir() else Path()) / "report.html"
+    Raises:
+        InputError: If it cannot be written, before any work is done.
+    """
+    single = Path(arguments.runs[0]) if len(arguments.runs) == 1 else Path()
+    out = arguments.out or (single if single.is_dir() else Path()) / "report.html"
     if out.is_dir() or not out.absolute().parent.is_dir() or not os.access(out.absolute().parent, os.W_OK):
-        raise InputError(f"cannot write {out}: name a file in a folder that exists and takes files")
+        raise InputError(f"cannot write {out}: name a file in a writable folder")
     return out

@@ -29,6 +29,11 @@ def parse_goal(text: str) -> tuple[float, float]:
     return x, y
 
 
+def robot_chosen(options: argparse.Namespace) -> bool:
+    """Whether `--simulation` names a robot."""
+    return options.simulation is not None and find_simulator(options.simulation).is_robot
+
+
 def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     """Return the robot of the arguments; None: they ask for a simulation.
 
@@ -37,7 +42,7 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     Raises:
         InputError: If an argument does not fit.
     """
-    if options.simulation is None or not find_simulator(options.simulation).is_robot:
+    if not robot_chosen(options):
         if options.ros or options.topics or options.ros_args or options.mounting or options.top_speed is not None:
             raise InputError("--ros, --topics, --mounting, --top-speed and --ros-args go with --simulation ros")
         return None

@@ -14,7 +14,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import parse_yaml, replacing
 from tb2rl.core.values import Worlds, checked
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
-from tb2rl.rendering.plan import draw_plan, sheet
+from tb2rl.rendering.plan import draw_plan, make_grid
 from tb2rl.robots import Robot
 from tb2rl.robots.registry import find_robot
 from tb2rl.worlds import World
@@ -54,7 +54,7 @@ def _draw(options: argparse.Namespace) -> None:
     if len(worlds) > _DRAWN:
         print(f"{len(worlds)} worlds; the first {_DRAWN} are drawn")
     titles = [world.name for world in worlds[:_DRAWN]]
-    picture = Image.fromarray(sheet([draw_plan(world, robot) for world in worlds[:_DRAWN]], titles, columns))
+    picture = Image.fromarray(make_grid([draw_plan(world, robot) for world in worlds[:_DRAWN]], titles, columns))
     with replacing(options.out) as temporary, temporary.open("wb") as file:
         picture.save(file, format=Image.registered_extensions()[ending])
     print(f"wrote {options.out}")

@@ -101,7 +101,12 @@ def _spec(scene: Scene, render_mode: str | None, simulation: Any) -> EnvSpec:
         vector_entry_point=VECTOR_ENTRY_POINT,
         order_enforce=False,  # the environment does and checks that itself
         disable_env_checker=True,
-        kwargs={**known, "simulation": simulation or default_physics().name, **({"render_mode": render_mode} if render_mode else {}), **settings},
+        kwargs={
+            **known,
+            "simulation": simulation or default_physics().name,
+            **({"render_mode": render_mode} if render_mode else {}),
+            **settings,
+        },
     )
 
 

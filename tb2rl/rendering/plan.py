@@ -1,4 +1,4 @@
-"""Plans of worlds: walls, where a robot can get to, its start and the goal; and many of them on one sheet."""
+"""Plans of worlds: walls, reachable space, start, goal and routes of dynamic obstacles."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from tb2rl.rendering.colours import FREE, LABEL, STRIP
 from tb2rl.robots import Robot
 from tb2rl.worlds import World
 
-_TILE = 320  # [px] side of a plan on a sheet of many
-_TITLE = 18  # [px] height of a plan's name
+_TILE = 320  # [px] side of a picture in a grid
+_TITLE = 18  # [px] height of its title
 
 
 def draw_plan(world: World, robot: Robot) -> np.ndarray:
-    """A world from above, with the robot at the start, all that its middle can get to, and the paths of movers.
+    """Draw a world from above, with the robot at the start and all that its centre can reach.
 
     Returns:
         Shape (height, width, 3), uint8.
 
     Raises:
-        InputError: If there is no room for the robot at the start.
+        InputError: If the robot does not fit at the start.
     """
     canvas = Canvas(world)
-    # Triangles, because what can be reached has holes.
+    # Triangles, because the reachable space has holes.
     for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(world.free_space(robot.radius))):
         canvas.polygon(triangle.exterior.coords, FREE)
     draw_routes(canvas, world.dynamic_obstacles)
@@ -38,27 +38,18 @@ def draw_plan(world: World, robot: Robot) -> np.ndarray:
     return canvas.array()
 
 
-def sheet(plans: Sequence[np.ndarray], titles: Sequence[str], columns: int | None = None) -> np.ndarray:
-    """Pictures side by side, each with its title; one alone keeps its size, and has none.
-
-    Args:
-        plans: Each of shape (height, width, 3), uint8.
-        titles: What stands below each.
-        columns: How many in a row; None: about as many as rows.
-
-    Returns:
-        Shape (height, width, 3), uint8.
-    """
-    if len(plans) == 1:
-        return plans[0]
-    columns = columns or math.ceil(math.sqrt(len(plans)))
-    size = columns * _TILE, math.ceil(len(plans) / columns) * (_TILE + _TITLE)
-    picture = Image.new("RGB", size, STRIP)
-    pen = ImageDraw.Draw(picture)
-    for number, (plan, title) in enumerate(zip(plans, titles, strict=True)):
-        left, top = number % columns * _TILE, number // columns * (_TILE + _TITLE)
-        tile = Image.fromarray(plan)
+def make_grid(pictures: Sequence[np.ndarray], titles: Sequence[str], columns: int | None = None) -> np.ndarray:
+    """Arrange pictures (height, width, 3) in a grid, each above its title; a single picture is returned unchanged."""
+    if len(pictures) == 1:
+        return pictures[0]
+    columns = columns or math.ceil(math.sqrt(len(pictures)))
+    size = columns * _TILE, math.ceil(len(pictures) / columns) * (_TILE + _TITLE)
+    grid = Image.new("RGB", size, STRIP)
+    draw = ImageDraw.Draw(grid)
+    for i, (picture, title) in enumerate(zip(pictures, titles, strict=True)):
+        left, top = i % columns * _TILE, i // columns * (_TILE + _TITLE)
+        tile = Image.fromarray(picture)
         tile.thumbnail((_TILE - 8, _TILE - 8))
-        picture.paste(tile, (left + (_TILE - tile.width) // 2, top + (_TILE - tile.height) // 2))
-        pen.text((left + _TILE // 2, top + _TILE), title, LABEL, anchor="mt")
-    return np.array(picture)
+        grid.paste(tile, (left + (_TILE - tile.width) // 2, top + (_TILE - tile.height) // 2))
+        draw.text((left + _TILE // 2, top + _TILE), title, LABEL, anchor="mt")
+    return np.array(grid)

@@ -53,7 +53,9 @@ class TrainSettings:
     norm_obs: bool = False  # normalise observations by their running mean and deviation (SB3's VecNormalize)
     norm_reward: bool = False  # normalise rewards by the deviation of discounted returns, whatever the reward_scale
     eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: none
-    eval_simulation: Simulation = field(default_factory=lambda: batch_simulator().name)  # simulator of these evaluations
+    eval_simulation: Simulation = field(
+        default_factory=lambda: batch_simulator().name
+    )  # simulator of these evaluations
     eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000; 20 in PyBullet and for images
     eval_steps: Count = 1000  # time limit of their episodes, in control steps
     best_by: Literal["success", "return"] = "success"  # the best policy has most successful episodes or the best return

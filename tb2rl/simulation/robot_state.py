@@ -48,9 +48,7 @@ class CameraSource(Protocol):
     def spec(self) -> SimulationSpec:
         """The robot, its laser and the worlds."""
 
-    def render_camera(
-        self, robot_state: RobotState, width: int, height: int
-    ) -> tuple[np.ndarray | None, np.ndarray]:
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
         """See `RobotState.render_camera`."""
 
 

@@ -75,9 +75,7 @@ class Simulator(Protocol):
     def restore(self, state: Mapping[str, Any]) -> RobotState:
         """Continue from a `state`."""
 
-    def render_camera(
-        self, robot_state: RobotState, width: int, height: int
-    ) -> tuple[np.ndarray | None, np.ndarray]:
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
         """Camera images, see `RobotState.render_camera`."""
 
     def close(self) -> None:

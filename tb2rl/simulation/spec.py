@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tb2rl.robots import Laser, Robot
+from tb2rl.robots import Laser, Robot, robot
 from tb2rl.simulation.random_streams import Draws
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
@@ -21,7 +21,10 @@ _UNDIVIDED = 0.7  # [m/s] a faster robot has its physics steps divided, see `Sim
 
 # The columns of a table of initial states: one row for each environment.
 POSE, WORLD, GOAL, BOUNDS = slice(0, 3), 3, slice(4, 6), slice(6, 10)
-PARAMETERS = slice(10, 16)  # of the robot, see `tb2rl.robots.robot`
+PARAMETERS = slice(10, 16)  # of the robot, see `tb2rl.robots.robot`:
+RADIUS, WHEEL_SEPARATION = 10 + robot.RADIUS, 10 + robot.WHEEL_SEPARATION
+MAX_SPEED, MAX_TURN_RATE = 10 + robot.MAX_SPEED, 10 + robot.MAX_TURN_RATE
+ACCELERATION, COUPLING = 10 + robot.WHEEL_ACCELERATION, 10 + robot.WHEEL_COUPLING
 VARIATION = slice(16, 31)  # drawn by `tb2rl.simulation.variation`:
 WHEEL = 16  # true wheel radius / nominal wheel radius
 ASSUMED_SEPARATION = 17  # wheel separation that the odometry assumes / the true one

@@ -117,7 +117,9 @@ class Navigate(Task):
             return initial_state
         world, choices = initial_state.world.astype(int), 1 + (draws.uniform(2) * GOALS).astype(int)
         ways = [spec.goal_paths.path_length(world, choice, initial_state.pose) for choice in choices.T]
-        initial_state.goal_path[:] = np.where(ways[0] >= ways[1], *choices.T)  # the farther of two: few begin at their goal
+        initial_state.goal_path[:] = np.where(
+            ways[0] >= ways[1], *choices.T
+        )  # the farther of two: few begin at their goal
         initial_state.goal[:] = spec.goal_paths.goals(world, initial_state.goal_path.astype(int))
         return initial_state
 

@@ -18,7 +18,7 @@ from optuna.trial import FrozenTrial
 from tb2rl.core.files import read_text, write_text
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import kept_evaluation
-from tb2rl.evaluation.evaluator import Evaluator
+from tb2rl.evaluation.evaluator import Evaluator, random_initial_states
 from tb2rl.evaluation.statistics import bootstrap_interval, wilson_interval
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
@@ -61,11 +61,15 @@ def judge(search: Search, trial: FrozenTrial) -> Judgement:
     scene, each = config.scene.worlds_for("search"), -(-_EPISODES // len(search.seeds))
     good, total = 0, 0.0
     for number, seed in enumerate(search.seeds):
-        with Evaluator(scene, each, config.train.eval_steps, _SEED + number * each) as evaluator:
+        first = _SEED + number * each
+        states = random_initial_states(scene, each, first)
+        with Evaluator(scene, states, config.train.eval_steps, first) as evaluator:
             evaluation = evaluator.run(load(search.run_folder(trial.number, seed)).policy, progress=True)
         good += round(each * evaluation.good_rate)
         total += evaluation.score[1]
-    judgement = Judgement(trial.number, good, each * len(search.seeds), total / len(search.seeds), evaluator.simulation)
+    judgement = Judgement(
+        trial.number, good, each * len(search.seeds), total / len(search.seeds), evaluator.simulator.name
+    )
     write_text(file, json.dumps(asdict(judgement)) + "\n")
     return judgement
 

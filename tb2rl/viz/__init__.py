@@ -1,4 +1,3 @@
-"""What people look at: pictures from above, films, the window, keyboard driving, charts, tables and the report's page.
-
-Nothing here knows a particular robot, task or world: who draws asks the scene. Imported from here: judging and below.
+"""Pictures, films, PyBullet's window, keyboard driving, charts, tables and the report's page. No code here is specific
+to a robot, task or world.
 """

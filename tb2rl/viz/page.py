@@ -1,129 +1,96 @@
-"""The report: one HTML page that stands alone, made from runs, results of suites, drives and the templates here."""
+"""The report: one self-contained HTML page of runs, suite results and drives."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jinja2
-from markupsafe import Markup
 
 from tb2rl.evaluation.evaluator import EPISODES
 from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.rendering.colours import FAILED, FLOOR, GOAL, START, WALL
-from tb2rl.viz.action_map import HEADINGS, ActionMap, action_map
-from tb2rl.viz.charts import draw_curves, draw_time, draw_ways, shown_worlds, with_own_ids
-from tb2rl.viz.curves import Family
-from tb2rl.viz.drives import LINES, DriveSection
-from tb2rl.viz.groups import Group, differences
-from tb2rl.viz.palettes import ACTIONS, colours
-from tb2rl.viz.subjects import Subject
+from tb2rl.viz import charts
+from tb2rl.viz.action_map import HEADINGS, action_map
+from tb2rl.viz.curves import SeedCurves
+from tb2rl.viz.drives import LINE_COLOURS, DriveSection
+from tb2rl.viz.run_views import RunGroup, RunView, differences
 from tb2rl.viz.suites import SuiteSection
 
-_CURVES = (  # tag, title, label of the axis, whether it is a rate
-    ("rollout/ep_rew_mean", "Return while training", "return of an episode", False),
-    ("rollout/ep_len_mean", "Length while training", "steps of an episode", False),
-    ("rollout/failure_rate", "Failures while training", "episodes that fail", True),
-    ("failure_free_rate", "Evaluations on the way: failure-free", "failure-free episodes", True),
-    ("success_rate", "Evaluations on the way: goal reached", "episodes that reach the goal", True),
+_COLOURS = {"start": START, "failed": FAILED, "goal": GOAL, "wall": WALL, "floor": FLOOR, **LINE_COLOURS}
+_CURVES = (  # key, title, label of the axis, whether it is a rate
+    ("rollout/ep_rew_mean", "Return in training", "return of an episode", False),
+    ("rollout/ep_len_mean", "Length in training", "steps of an episode", False),
+    ("rollout/failure_rate", "Failures in training", "failed episodes", True),
+    ("failure_free_rate", "Evaluations during training: failure-free", "failure-free episodes", True),
+    ("success_rate", "Evaluations during training: goal reached", "episodes that reach the goal", True),
 )
 
 
-@dataclass(frozen=True)
-class Chart:
-    """Learning curves of all groups that have them."""
-
-    title: str
-    families: Sequence[Family]
-    picture: Markup
-    rate: bool
-
-
-@dataclass(frozen=True)
-class Row:
-    """A run with the pictures of it."""
-
-    group: Group
-    subject: Subject
-    ways: Markup  # the paths of the evaluation
-    time: Markup | None  # where its time was spent; None: in several worlds
-    map: ActionMap | None  # what the policy does at each place; None: see `action_map`
-
-    @classmethod
-    def drawn(cls, group: Group, subject: Subject) -> Row:
-        """Draw the pictures."""
-        evaluation = subject.evaluation
-        time = draw_time(evaluation) if len(subject.scene.spec.worlds) == 1 else None
-        return cls(group, subject, draw_ways(evaluation), time, action_map(subject.policy, subject.config.scene))
-
-    @property
-    def worlds(self) -> tuple[int, int]:
-        """How many worlds the paths are shown in, and how many there were episodes in."""
-        evaluation = self.subject.evaluation
-        return len(shown_worlds(evaluation)), len({episode.world for episode in evaluation.episodes})
-
-
 def page(
-    groups: Sequence[Group],
+    groups: Sequence[RunGroup],
     suites: Sequence[SuiteSection] = (),
     drives: Sequence[DriveSection] = (),
     progress: bool = False,
 ) -> str:
-    """The report as HTML.
-
-    Args:
-        groups: The runs that it shows.
-        suites: The results of suites that it shows.
-        drives: The drives of bags that it shows.
-        progress: Whether to draw a bar, where there is a terminal.
-    """
-    pairs = [(group, subject) for group in groups for subject in group.subjects]
-    rows = [Row.drawn(*pair) for pair in progress_bar(pairs, "drawing", "run", shown=progress)]
-    subjects = [subject for _, subject in pairs]
-    others = [*(suite.result.title for suite in suites), *(shown.drive.name for shown in drives)]
+    """The report as HTML; `progress` shows a progress bar if there is a terminal."""
+    pairs = [(group, view) for group in groups for view in group.views]
+    rows = [_row(*pair) for pair in progress_bar(pairs, "drawing", "run", shown=progress)]
+    views = [view for _, view in pairs]
+    others = [*(suite.result.title for suite in suites), *(section.drive.name for section in drives)]
+    action_kinds = max((len(view.action_names) for view in views), default=0)
     return template("page.html").render(
-        title=title(groups) if groups else "; ".join(others),
+        title=_title(views) if groups else "; ".join(others),
         groups=groups,
         suites=suites,
         drives=drives,
         rows=rows,
-        subjects=subjects,
-        charts=charts(groups),
+        views=views,
+        charts=learning_curves(groups),
         differences=differences(groups),
-        action_colours=colours(max((len(subject.action_names) for subject in subjects), default=0), ACTIONS),
-        colours={"start": START, "failed": FAILED, "goal": GOAL, "wall": WALL, "floor": FLOOR, **LINES},
+        action_colours=charts.distinct_colours(action_kinds, charts.ACTION_COLOURS),
+        colours=_COLOURS,
         headings=HEADINGS,
         standard_episodes=EPISODES,
     )
 
 
-def charts(groups: Sequence[Group]) -> list[Chart]:
-    """The learning curves that at least one group has."""
-    made = []
-    for tag, title, label, rate in _CURVES:
-        families = [family for group in groups if (family := _family(group, tag)).curves]
-        if families:
-            made.append(Chart(title, families, draw_curves(families, label, rate), rate))
-    return made
+def _row(group: RunGroup, view: RunView) -> dict[str, Any]:
+    """A run with its pictures."""
+    evaluation = view.evaluation
+    worlds = len({episode.world for episode in evaluation.episodes})
+    return {
+        "group": group,
+        "view": view,
+        "paths": charts.draw_episodes(evaluation),
+        "map": action_map(view.policy, view.config.scene),
+        "worlds": worlds,
+        "drawn_worlds": min(worlds, charts.MAX_WORLDS),
+    }
 
 
-def _family(group: Group, tag: str) -> Family:
-    curves = [subject.curves[tag] for subject in group.subjects if tag in subject.curves]
-    return Family(group.name, group.colour, curves)
+def learning_curves(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
+    """The charts of all curves that at least one group has."""
+    drawn = []
+    for key, title, label, is_rate in _CURVES:
+        curves = [(group, [view.curves[key] for view in group.views if key in view.curves]) for group in groups]
+        found = [SeedCurves(group.name, group.colour, each) for group, each in curves if each]
+        if found:
+            picture = charts.draw_curves(found, label, is_rate)
+            drawn.append({"title": title, "groups": found, "picture": picture, "is_rate": is_rate})
+    return drawn
 
 
-def title(groups: Sequence[Group]) -> str:
-    """What was trained."""
-    subjects = [subject for group in groups for subject in group.subjects]
-    trained = dict.fromkeys(f"{s.config.agent_name} at {s.config.task_name} in {s.scene.place}" for s in subjects)
-    text = ", ".join(trained)
-    return text if len(subjects) == 1 else f"{text}: {len(subjects)} runs"
+def _title(views: Sequence[RunView]) -> str:
+    names = (f"{v.config.agent_name} at {v.config.task_name} in {v.evaluation.scene.place}" for v in views)
+    title = ", ".join(dict.fromkeys(names))
+    return title if len(views) == 1 else f"{title}: {len(views)} runs"
 
 
 def template(name: str, *folders: Path) -> jinja2.Template:
-    """A template of this folder or of others, in which all values are escaped."""
+    """A template of this folder or of other folders; all values are escaped."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader([Path(__file__).parent, *folders]),
         autoescape=True,
@@ -133,7 +100,10 @@ def template(name: str, *folders: Path) -> jinja2.Template:
     )
     numbers = itertools.count()
     environment.filters.update(
-        spaced=_spaced, percent=_percent, plain=_plain, own=lambda picture: with_own_ids(picture, next(numbers))
+        spaced=_spaced,
+        percent=lambda share: f"{100 * share:.1f}\u202f%",
+        plain=lambda number: _spaced(number) if abs(number) >= 1000 else f"{number:.1f}",
+        unique_ids=lambda picture: charts.with_unique_ids(picture, next(numbers)),
     )
     return environment.get_template(name)
 
@@ -141,12 +111,3 @@ def template(name: str, *folders: Path) -> jinja2.Template:
 def _spaced(number: float) -> str:
     """600000 as 600 000, with spaces that do not break."""
     return f"{number:,.0f}".replace(",", "\u202f")
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}\u202f%"
-
-
-def _plain(number: float) -> str:
-    """A number with as many decimals as its size asks for."""
-    return _spaced(number) if abs(number) >= 1000 else f"{number:.1f}"

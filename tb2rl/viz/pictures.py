@@ -1,4 +1,4 @@
-"""The paths of many episodes, seen from above, and the goal that an episode shows."""
+"""Pictures of the paths of many episodes from above."""
 
 from __future__ import annotations
 
@@ -12,33 +12,41 @@ from tb2rl.evaluation.evaluation import Episode
 from tb2rl.rendering.above import draw_goal, draw_routes
 from tb2rl.rendering.canvas import Canvas
 from tb2rl.rendering.colours import FAILED, PATH, START
-from tb2rl.simulation import InitialState
-from tb2rl.tasks import Task
 
-_ABREAST = 6  # worlds in a row
+_COLUMNS = 6  # worlds in a row
 
 
 def draw_paths(scene: Scene, episodes: Sequence[Episode]) -> np.ndarray:
-    """The paths of episodes, a dot at each start, a red one at the end of each that failed; movers' paths are faint.
+    """Draw paths, a dot at each start, a red dot at the end of each failed episode, and routes of dynamic obstacles.
 
     Args:
-        scene: Where they drove; each of the worlds is a picture beside the others, in rows.
+        scene: The scene of the episodes; each of its worlds has a picture, side by side and in rows.
         episodes: At least one.
 
     Returns:
         Shape (height, width, 3), uint8.
     """
-    together: dict[int, list[Episode]] = {}
-    for episode in episodes:
-        together.setdefault(episode.world, []).append(episode)
-    return _in_rows([_draw_in(scene, world, driven) for world, driven in together.items()])
+    by_world = group_by_world(episodes).items()
+    pictures = [Image.fromarray(_draw_world(scene, world, driven)) for world, driven in by_world]
+    if len(pictures) > _COLUMNS:
+        pictures = [picture.reduce(2) for picture in pictures]
+    rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
+    width = max(sum(picture.width for picture in row) for row in rows)
+    heights = [max(picture.height for picture in row) for row in rows]
+    grid, top = Image.new("RGB", (width, sum(heights)), "white"), 0
+    for row, height in zip(rows, heights, strict=True):
+        left = 0
+        for picture in row:
+            grid.paste(picture, (left, top))
+            left += picture.width
+        top += height
+    return np.array(grid)
 
 
-def _draw_in(scene: Scene, world: int, episodes: Sequence[Episode]) -> np.ndarray:
-    """The paths in one world."""
+def _draw_world(scene: Scene, world: int, episodes: Sequence[Episode]) -> np.ndarray:
     canvas = Canvas(scene.spec.worlds[world])
     draw_routes(canvas, scene.spec.dynamic_obstacles_in(world))
-    for goal in goals_of(scene, world, episodes):
+    for goal in goals_in(scene, world, episodes):
         draw_goal(canvas, goal)
     for episode in episodes:
         if len(episode.path) > 1:
@@ -51,27 +59,15 @@ def _draw_in(scene: Scene, world: int, episodes: Sequence[Episode]) -> np.ndarra
     return canvas.array()
 
 
-def goals_of(scene: Scene, world: int, episodes: Sequence[Episode]) -> list[tuple[float, float]]:
-    """Where the episodes in a world were to get, x, y [m], each place once; empty for a task without a goal."""
+def group_by_world(episodes: Sequence[Episode]) -> dict[int, list[Episode]]:
+    """Episodes by the index of their world, in the order of the worlds' first episodes."""
+    by_world: dict[int, list[Episode]] = {}
+    for episode in episodes:
+        by_world.setdefault(episode.world, []).append(episode)
+    return by_world
+
+
+def goals_in(scene: Scene, world: int, episodes: Sequence[Episode]) -> list[tuple[float, float]]:
+    """Goals of the episodes in a world, x, y [m], without duplicates; empty for a task without a goal."""
     goals = {episode.goal or scene.goal_in(world) for episode in episodes}
     return sorted(goal for goal in goals if goal is not None)
-
-
-def _in_rows(pictures: Sequence[np.ndarray]) -> np.ndarray:
-    """Pictures side by side, those of many worlds half as large and in rows; white beside and below smaller ones."""
-    if len(pictures) > _ABREAST:
-        pictures = [np.array(Image.fromarray(picture).reduce(2)) for picture in pictures]
-    rows = [np.hstack(_as_large(pictures[i : i + _ABREAST], 0)) for i in range(0, len(pictures), _ABREAST)]
-    return np.vstack(_as_large(rows, 1))
-
-
-def _as_large(pictures: Sequence[np.ndarray], axis: int) -> list[np.ndarray]:
-    """Pictures with white after their end along an axis, up to where the largest ends."""
-    largest = max(picture.shape[axis] for picture in pictures)
-    after = [[(0, largest - picture.shape[i] if i == axis else 0) for i in range(3)] for picture in pictures]
-    return [np.pad(*each, constant_values=255) for each in zip(pictures, after, strict=True)]
-
-
-def goal_of(task: Task, initial_state: InitialState) -> np.ndarray:
-    """The goal of the first robot that began so, x, y [m], shape (2,); NaN for a task without a goal."""
-    return initial_state.goal[0] if task.goal_task else np.full(2, np.nan)

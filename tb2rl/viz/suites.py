@@ -1,4 +1,4 @@
-"""The results of suites that a report shows: found by what the user names, and films of some of their drives."""
+"""Suite results on a report's page, with films of some episodes."""
 
 from __future__ import annotations
 
@@ -10,94 +10,81 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tb2rl.core.errors import InputError
+from tb2rl.evaluation.episodes import Policy
 from tb2rl.evaluation.evaluator import Evaluator
-from tb2rl.evaluation.moments import Policy
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.evaluation.suite_result import JUDGES, NamedDrive, SuiteResult
+from tb2rl.evaluation.suite_result import NamedDrive, SuiteResult
 from tb2rl.evaluation.suites import evaluator_of
 from tb2rl.runs.folder import suite_files
 from tb2rl.viz.film import write_film
 
 FILMS = 6  # of a result, at most
-_SPEED = 4.0  # times as fast as it happened, at least
-_LONGEST = 6.0  # [s] of a film, but for its end that stays to be seen: that is a megabyte at most
+_MIN_SPEED = 4.0  # playback speed of a film
+_MAX_SECONDS = 6.0  # [s] of a film, without its last frame: about a megabyte
 
 
 @dataclass(frozen=True)
-class Film:
-    """A drive that was driven again.
-
-    Attributes:
-        ended: How it ended this time.
-        speed: How many times as fast as it happened the film is.
-        address: Where a page finds the film: in these characters themselves.
-    """
+class SuiteFilm:
+    """The film of a repeated episode."""
 
     ended: str
-    speed: float
-    address: str
+    speed: float  # playback speed
+    url: str  # a data URL
 
 
 @dataclass(frozen=True)
 class SuiteSection:
-    """What a page says of a result.
+    """A result and films of some of its episodes.
 
     Attributes:
-        result: It.
-        shown: Some of its drives, see `shown_drives`, each with its film, if there is one.
-        judge: Where they were driven again.
-        trouble: Why they could not be; "": they were.
+        result: The result.
+        shown: Some of its drives, see `shown_drives`, each with its film if there is one.
+        simulator: The simulator of the films.
+        trouble: The reason why there are no films; "": there are.
     """
 
     result: SuiteResult
-    shown: Sequence[tuple[NamedDrive, Film | None]]
-    judge: str = ""
+    shown: Sequence[tuple[NamedDrive, SuiteFilm | None]]
+    simulator: str = ""
     trouble: str = ""
 
 
-def result_files(named: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
-    """The results of suites that a user names, and those that run folders keep, each once."""
+def result_files(files: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
+    """Suite results: files, and those in run folders, without duplicates."""
     inside = [file for folder in folders for file in suite_files(folder)]
-    return list(dict.fromkeys(file.resolve() for file in [*named, *inside]))
+    return list(dict.fromkeys(file.resolve() for file in [*files, *inside]))
 
 
 def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> SuiteSection:
-    """Drive again what the page shows of a result, if that can be done here.
+    """Repeat and film the episodes that the page shows.
 
     Args:
-        file: That the result was read from.
-        result: It.
-        progress: Whether to draw a bar, where there is a terminal.
+        file: The file of the result.
+        result: Its content.
+        progress: Whether to show a progress bar if there is a terminal.
     """
     shown = shown_drives(result)
     try:
         evaluator, policy = evaluator_of(result, file.parent)
         with evaluator:
-            films = [
-                _film(evaluator, policy, drive) for drive in progress_bar(shown, "filming", "world", shown=progress)
-            ]
+            bar = progress_bar(shown, "filming", "world", shown=progress)
+            films = [(drive, _film(evaluator, policy, drive)) for drive in bar]
     except InputError as error:
         return SuiteSection(result, [(drive, None) for drive in shown], trouble=str(error))
-    return SuiteSection(result, list(zip(shown, films, strict=True)), JUDGES[evaluator.simulation])
+    return SuiteSection(result, films, evaluator.simulator.title)
 
 
 def shown_drives(result: SuiteResult) -> Sequence[NamedDrive]:
-    """The first drives that did not reach their goal; if all did, the one that came nearest to an obstacle.
-
-    Where there are no obstacles, it is the longest one.
-    """
-    return result.missed[:FILMS] or [min(result.each, key=_room)]
+    """The first drives that missed the goal; else the one nearest to an obstacle, or without obstacles the longest."""
+    nearest = min(result.each, key=lambda d: (math.inf if d.closest is None else d.closest, -d.distance))
+    return result.missed[:FILMS] or [nearest]
 
 
-def _room(drive: NamedDrive) -> tuple[float, float]:
-    return math.inf if drive.closest is None else drive.closest, -drive.distance
-
-
-def _film(evaluator: Evaluator, policy: Policy, drive: NamedDrive) -> Film:
+def _film(evaluator: Evaluator, policy: Policy, drive: NamedDrive) -> SuiteFilm:
     moments = evaluator.moments(policy, drive.world)
-    speed = max(_SPEED, len(moments) * evaluator.scene.task.control_period / _LONGEST)
+    speed = max(_MIN_SPEED, len(moments) * evaluator.scene.task.control_period / _MAX_SECONDS)
     with TemporaryDirectory() as folder:
         file = Path(folder, "drive.gif")
         write_film(file, [moments], evaluator.scene, speed=speed)
         content = b64encode(file.read_bytes()).decode()
-    return Film(moments[-1].info["ended"], speed, f"data:image/gif;base64,{content}")
+    return SuiteFilm(moments[-1].info["ended"], speed, f"data:image/gif;base64,{content}")

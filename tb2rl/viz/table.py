@@ -1,8 +1,7 @@
-"""The figures of an evaluation, or of a suite, as a table in the terminal."""
+"""Tables of evaluations and suite results in the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
@@ -11,12 +10,11 @@ from rich.table import Table
 
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.suite_result import ALL, Figures, SuiteResult
-from tb2rl.simulation import ROS, bullet_trouble
+from tb2rl.simulation import default_physics, find_simulator
 
-_SUITE_COLUMNS = ("", "success", "95 %", "SPL", "time", "m/s", "gap", "failed")
-_SUITE_CAPTION = (
-    "time: to the goal, over what the shortest way takes at top speed; gap: the least from hull to obstacle [m]; "
-    "both: means of the successes"
+_CAPTION = (
+    "time: to the goal, divided by the time of the shortest path at top speed; gap: the smallest distance between hull "
+    "and obstacle [m]; both: means over the successes"
 )
 
 
@@ -26,62 +24,51 @@ def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:
     table = Table(title=title, title_justify="left")
     table.add_column(f"{len(evaluation.episodes)} episodes of at most {evaluation.steps} steps")
     table.add_column("value", justify="right")
-    table.add_column("", justify="left")
-    for *cells, more in evaluation.rows():
-        table.add_row(*cells, more if console.encoding.startswith("utf") else more.replace("±", "+/-"))
+    table.add_column("")
+    for *cells, spread in evaluation.rows():
+        table.add_row(*cells, spread if console.encoding.startswith("utf") else spread.replace("±", "+/-"))
     console.print(table)
-    _say_if_twin(evaluation.simulation)
+    _print_simulator(evaluation.simulation)
     return evaluation.summary()
 
 
 def print_suite(result: SuiteResult) -> None:
-    """Print the figures of a suite, a row for each family and one for all."""
-    every = result.figures[ALL]
-    title, caption = escape(result.title), escape(_SUITE_CAPTION)
-    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
+    """Print a table with a row for each family of worlds and one for all of them."""
+    total = result.figures[ALL]
+    table = Table(title=escape(result.title), title_justify="left", caption=escape(_CAPTION), caption_justify="left")
     table.add_column("worlds")
-    for column in _SUITE_COLUMNS:
+    for column in _suite_row(total):
         table.add_column(column, justify="right")
     for name, figures in result.rows.items():
-        table.add_row(name, *_suite_row(figures))
+        table.add_row(name, *_suite_row(figures).values())
     Console().print(table)
-    print(f"in the tenth of the worlds with the longest ways: {_percent(every.longest_tenth_success_rate)} success")
-    print(f"endings: {_endings(every.endings)}")
-    if every.barn_score is not None:
-        print(f"score {every.barn_score:.3f} ({every.barn_formula})")
-    _say_if_twin(result.simulation)
+    print(f"success in the tenth of the worlds with the longest paths: {100 * total.longest_tenth_success_rate:.1f} %")
+    print(f"endings: {', '.join(f'{ended} {count}' for ended, count in total.endings.items())}")
+    if total.barn_score is not None:
+        print(f"score {total.barn_score:.3f} ({total.barn_formula})")
+    _print_simulator(result.simulation)
 
 
-def _suite_row(figures: Figures) -> list[str]:
+def _suite_row(figures: Figures) -> dict[str, str]:
+    """The cells of a row by their columns."""
     low, high = figures.success_interval
-    return [
-        str(figures.worlds),
-        _percent(figures.success_rate),
-        f"{100 * low:.1f}-{100 * high:.1f}",
-        f"{figures.spl:.3f}",
-        _number(figures.time_ratio),
-        f"{figures.mean_speed:.2f}",
-        _number(figures.mean_closest),
-        _percent(figures.failed_rate),
-    ]
+    return {
+        "": str(figures.worlds),
+        "success": f"{100 * figures.success_rate:.1f} %",
+        "95 %": f"{100 * low:.1f}-{100 * high:.1f}",
+        "SPL": f"{figures.spl:.3f}",
+        "time": "-" if figures.time_ratio is None else f"{figures.time_ratio:.2f}",
+        "m/s": f"{figures.mean_speed:.2f}",
+        "gap": "-" if figures.mean_closest is None else f"{figures.mean_closest:.2f}",
+        "failed": f"{100 * figures.failed_rate:.1f} %",
+    }
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _percent(rate: float) -> str:
-    return f"{100 * rate:.1f} %"
-
-
-def _endings(endings: Mapping[str, int]) -> str:
-    return ", ".join(f"{ended} {count}" for ended, count in endings.items())
-
-
-def _say_if_twin(simulation: str) -> None:
-    if simulation == ROS:
-        print("driven by a robot with ROS: its way is that of its odometry")
-    elif simulation != "bullet":
-        trouble = bullet_trouble()
-        reason = f", since PyBullet {trouble}" if trouble else ""
-        print(f"driven in the fast twin{reason}: these are not PyBullet's figures")
+def _print_simulator(simulation: str) -> None:
+    simulator, physics = find_simulator(simulation), default_physics()
+    if simulator.is_robot:
+        print(f"driven by {simulator.title}: its path is that of its odometry")
+    elif not simulator.is_physics:
+        trouble = physics.unavailable()
+        reason = f", because {physics.title} {trouble}" if trouble else ""
+        print(f"driven in the {simulator.title}{reason}: these are not {physics.title}'s results")

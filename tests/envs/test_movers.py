@@ -176,7 +176,7 @@ def test_render_shows_what_moves_where_it_is(simulation):
         for _ in range(3):
             env.step(1)
             picture, (x, y) = env.render().astype(int), env.robot_state.dynamic_obstacles[0, 0, :2]
-            colour = [int(MOVER[i : i + 2], 16) for i in (1, 3, 5)]
+            colour = [int(DYNAMIC_OBSTACLE[i : i + 2], 16) for i in (1, 3, 5)]
             rows, columns = np.nonzero(np.abs(picture - colour).max(axis=2) < 12)
             x0, _, x1, y1 = env.scene.world.bounds
             scale = picture.shape[1] / (x1 - x0 + 0.6)

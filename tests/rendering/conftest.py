@@ -15,7 +15,7 @@ MARGIN = 0.3  # [m] around the world
 
 
 class _Look:
-    """A picture to look at, by the places of a world."""
+    """A picture, indexed by the coordinates of its world."""
 
     def __init__(self, world: World, picture: np.ndarray) -> None:
         self.picture = picture.astype(int)
@@ -23,14 +23,14 @@ class _Look:
         self.scale = picture.shape[1] / (world.bounds[2] + MARGIN - self.left)  # [px/m]
 
     def at(self, x: float, y: float) -> np.ndarray:
-        """The colour at a place [m], shape (3,)."""
+        """The colour at a point [m], shape (3,)."""
         return self.picture[int((self.top - y) * self.scale), int((x - self.left) * self.scale)]
 
     def is_at(self, colour: str, x: float, y: float) -> bool:
-        """Whether a place has the colour, give or take the smoothing of edges."""
+        """Whether a point has the colour, up to the smoothing of edges."""
         return bool(np.abs(self.at(x, y) - ImageColor.getrgb(colour)).max() < 12)
 
-    def places(self, colour: str) -> np.ndarray:
+    def points(self, colour: str) -> np.ndarray:
         """x, y of all pixels that have the colour [m], shape (pixels, 2)."""
         rows, columns = np.nonzero(np.abs(self.picture - ImageColor.getrgb(colour)).max(axis=2) < 12)
         return np.column_stack([(columns + 0.5) / self.scale + self.left, self.top - (rows + 0.5) / self.scale])
@@ -44,5 +44,5 @@ def square() -> World:
 
 @pytest.fixture
 def look_at():
-    """A function from a world and a picture of it to something that tells colours by places."""
+    """A function that makes a `_Look` of a world and a picture."""
     return _Look

@@ -1,4 +1,4 @@
-"""Drawings are in metres: x to the right, y up, walls where they are."""
+"""Drawings are in metres: x to the right, y up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tb2rl.rendering.colours import FLOOR, GOAL, PATH, WALL
 from tb2rl.worlds import World
 
 
-def test_walls_are_where_they_stand(square, look_at):
+def test_walls_are_at_their_positions(square, look_at):
     picture = Canvas(square).array()
     assert (picture.shape, picture.dtype) == ((SIDE, SIDE, 3), np.uint8)
     look = look_at(square, picture)
@@ -18,32 +18,32 @@ def test_walls_are_where_they_stand(square, look_at):
         assert look.is_at(WALL, x, y), (x, y)
     for x, y in [(0.45, 0.5), (1.0, 0.8), (1.0, -0.5), (-1.0, 1.0), (-1.25, -0.75), (0.0, 0.0), (-2.2, 2.2)]:
         assert look.is_at(FLOOR, x, y), (x, y)
-    x0, y0 = look.places(WALL).min(axis=0)
+    x0, y0 = look.points(WALL).min(axis=0)
     assert (x0, y0) == pytest.approx((-1.3, -1.3), abs=0.02)
 
 
-def test_what_is_drawn_is_as_large_as_it_is_said_to_be(square, look_at):
+def test_lines_and_discs_have_their_size(square, look_at):
     canvas = Canvas(square)
     canvas.line([(-1.5, 1.0), (-0.5, 1.0)], PATH, 0.2)
     canvas.disc(0.0, -1.0, 0.4, GOAL)
     look = look_at(square, canvas.array())
-    (left, low), (right, high) = look.places(PATH).min(axis=0), look.places(PATH).max(axis=0)
+    (left, low), (right, high) = look.points(PATH).min(axis=0), look.points(PATH).max(axis=0)
     assert (left, low, right, high) == pytest.approx((-1.5, 0.9, -0.5, 1.1), abs=0.02)
-    (left, low), (right, high) = look.places(GOAL).min(axis=0), look.places(GOAL).max(axis=0)
+    (left, low), (right, high) = look.points(GOAL).min(axis=0), look.points(GOAL).max(axis=0)
     assert (left, low, right, high) == pytest.approx((-0.4, -1.4, 0.4, -0.6), abs=0.02)
 
 
-def test_a_copy_is_drawn_on_alone(square, look_at):
+def test_a_copy_does_not_change_the_original(square, look_at):
     original = Canvas(square)
     before = original.array()
-    twin = original.copy()
-    twin.polygon([(-1, 1), (-0.5, 1), (-0.5, 1.5)], PATH)
+    duplicate = original.copy()
+    duplicate.polygon([(-1, 1), (-0.5, 1), (-0.5, 1.5)], PATH)
     assert (original.array() == before).all()
-    assert len(look_at(square, twin.array()).places(PATH))
+    assert len(look_at(square, duplicate.array()).points(PATH))
 
 
 @pytest.mark.parametrize(("width", "height"), [(4.0, 1.0), (1.0, 4.0), (3.3, 2.7), (0.9, 100.0)])
-def test_sides_are_even_and_the_longer_one_is_always_the_same(width, height):
+def test_sides_are_even_and_the_longer_side_is_fixed(width, height):
     world = World.from_shapes("any", start=(0, 0, 0), bounds=(0.0, 0.0, width, height))
     rows, columns, _ = Canvas(world).array().shape
     assert (rows % 2, columns % 2) == (0, 0)

@@ -13,7 +13,7 @@ import pytest
 
 from tb2rl import load
 from tb2rl.core.errors import InputError
-from tb2rl.simulation.bullet_batch import BulletBatch
+from tb2rl.simulation.bullet.batch import BulletBatch
 from tb2rl.tasks.wander import Wander
 from tb2rl.training.training import resume, train_config
 

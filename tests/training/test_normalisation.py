@@ -27,7 +27,7 @@ from tb2rl.runs.normalisation import driving_policy
 from tb2rl.training.environments import make_vec_env
 from tb2rl.training.training import resume, train_config
 from tb2rl.viz.action_map import action_map
-from tb2rl.viz.film import film
+from tb2rl.viz.film import FilmOptions, film
 
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw"}
 ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2, **SMALL}
@@ -102,7 +102,7 @@ def test_evaluations_while_training_are_those_of_the_loaded_policy(run):
 def test_a_map_of_actions_and_a_film_take_a_normalised_policy(run, tmp_path):
     policy = load(run.folder)
     assert action_map(policy, run.config.scene).actions.max() >= 0
-    assert film(policy, tmp_path / "it.gif", steps=3, episodes=1).is_file()
+    assert film(policy, tmp_path / "it.gif", options=FilmOptions(steps=3)).is_file()
 
 
 def test_returns_are_discounted_as_the_agent_does_and_logged_as_they_are(small):

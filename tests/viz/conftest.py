@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import shutil
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,7 @@ import yaml
 from PIL import Image
 
 from tb2rl import report, train
-from tb2rl.envs.scene import make_scene
+from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.evaluation.evaluation import Episode, Evaluation
 from tb2rl.evaluation.evaluator import SEED
 from tb2rl.runs.config import Config
@@ -24,14 +25,16 @@ from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.tasks import Outcome, Task, Velocities
 from tb2rl.tasks.wander import Wander
-from tb2rl.viz import subjects
+from tb2rl.viz import run_views
+from tb2rl.viz.episodes import FilmOptions, load_policy, open_env, roll_out_episodes
+from tb2rl.viz.film_frames import FilmFrame, film_frames
+from tb2rl.viz.run_views import RunView, read_run_view
 
-QUICK = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 20, "save_freq": 0}
 LINKS = {"src", "href", "xlink:href", "data", "action", "poster", "srcset"}
 
 
-class _Ahead:
-    """Takes the same action all the time; of named ones the first: forward."""
+class _Constant:
+    """A policy that always takes the same action; of named ones by default the first: forward."""
 
     def __init__(self, action: object = 0) -> None:
         self.action = np.array(action)
@@ -42,7 +45,7 @@ class _Ahead:
 
 @dataclass(frozen=True)
 class Cruise(Task):
-    """Any speeds within a range; whoever gets into the upper half of the world has failed."""
+    """Velocities; an episode in the upper half of the world fails."""
 
     actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
 
@@ -50,28 +53,21 @@ class Cruise(Task):
         return Outcome(2 * after.twist[:, 0], failed={"bump": after.bumped, "strayed": after.pose[:, 1] > 0.0})
 
 
-@dataclass(frozen=True)
-class Errands(Wander):
-    """Every episode has a goal of its own."""
-
-    goal_task = True
-
-    def initial_state(self, spec, draws):
-        start = super().initial_state(spec, draws)
-        start.goal[:] = draws.uniform(2)
-        return start
-
-    def outcome(self, before, action, after):
-        outcome = super().outcome(before, action, after)
-        return replace(outcome, succeeded={"goal": np.zeros(len(outcome.reward), dtype=bool)})
-
-
 def _config(task: str | type[Task] = "maze", **settings) -> Config:
-    """What the agent `random` would do; settings are those of the task."""
+    """The config of the agent `random`; settings are those of the task."""
     return resolve("random", task, settings={f"task.{key}": value for key, value in settings.items()})
 
 
-def _frames(path: Path) -> list[np.ndarray]:
+def _frames_of(policy, config: Config, steps: int = 1, rate: float = 10) -> tuple[list[FilmFrame], Scene]:
+    """The frames of one episode, and its scene."""
+    options = FilmOptions(steps=steps)
+    policy, scene = load_policy(policy, config, None, options)
+    with closing(open_env(scene, options)) as env:
+        (moments,) = map(list, roll_out_episodes(env, policy, options))
+    return list(film_frames(moments, scene.task.control_period, rate)), scene
+
+
+def _pictures(path: Path) -> list[np.ndarray]:
     if path.suffix == ".mp4":
         with av.open(str(path)) as container:
             return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
@@ -88,7 +84,7 @@ def _seconds(path: Path) -> float:
 
 
 def _episode(path, actions, ended="time limit", failed=None) -> Episode:
-    """An episode along a path (steps + 1, 2); a crash counts as failed, other endings as `failed` says."""
+    """An episode along a path (steps + 1, 2); a collision fails, other endings as `failed` says."""
     path, actions = np.asarray(path, dtype=np.float32), np.asarray(actions)
     actions = actions.astype(np.uint8 if actions.ndim == 1 else np.float32)
     failed = ended == "collision" if failed is None else failed
@@ -96,25 +92,23 @@ def _episode(path, actions, ended="time limit", failed=None) -> Episode:
 
 
 def _evaluation(episodes: list[Episode], task: Task | None = None, **settings) -> Evaluation:
-    """An evaluation of episodes that were not driven, at `maze` unless a task is given."""
+    """An evaluation of made-up episodes, at `maze` unless a task is given."""
     return Evaluation(episodes, make_scene(task or Wander(**settings), "discrete"), SEED)
 
 
-def _evaluated(folder: Path, episodes: int, steps: int, ended: str = "time limit") -> None:
-    """Keep an evaluation in a run folder whose episodes walk at random through the world."""
+def _store_evaluation(folder: Path, episodes: int, steps: int, ended: str = "time limit") -> None:
+    """Store an evaluation of random walks in a run folder."""
     config, rng = Run.open(folder).config, np.random.default_rng(0)
     x0, y0, x1, y1 = config.scene.world.bounds
     walks = rng.uniform((x0, y0), (x1, y1), (episodes, 1, 2)) + rng.normal(0, 0.1, (episodes, steps + 1, 2)).cumsum(1)
-    paths = np.clip(walks, (x0, y0), (x1, y1))
-    each = [
-        _episode(path, taken, ended) for path, taken in zip(paths, rng.integers(3, size=(episodes, steps)), strict=True)
-    ]
+    paths, actions = np.clip(walks, (x0, y0), (x1, y1)), rng.integers(3, size=(episodes, steps))
+    each = [_episode(path, taken, ended) for path, taken in zip(paths, actions, strict=True)]
     evaluation = Evaluation(each, config.scene.changed(episode_steps=steps), SEED)
     Run.open(folder).write_evaluation(*evaluation.tree(config, str(folder)))
 
 
 def _copied(run: Path, folder: Path, part: str = "train", **settings) -> Path:
-    """A copy of a run folder that says to have been trained with other settings of a part of its config."""
+    """A copy of a run folder with other settings in a part of its config."""
     shutil.copytree(run, folder)
     tree = yaml.safe_load((folder / "config.yaml").read_text())
     tree[part].update(settings)
@@ -123,17 +117,19 @@ def _copied(run: Path, folder: Path, part: str = "train", **settings) -> Path:
 
 
 class _Page(HTMLParser):
-    """What a test asks a page: its text, its elements, and what it would load."""
+    """The text, the elements and the links of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.source, self.words = text, []
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.feed(text)
+        self.text = " ".join("".join(self.words).split())
+        self.ids = [attributes["id"] for _, attributes in self.elements if attributes.get("id")]
 
     @classmethod
     def of(cls, *arguments: object) -> _Page:
-        """The page that the command `report` makes of its arguments; its output belongs to the test."""
+        """The page that the command `report` writes."""
         report.main([*map(str, arguments)])
         out = arguments[arguments.index("--out") + 1] if "--out" in arguments else Path(arguments[0]) / "report.html"
         return cls(Path(out).read_text(encoding="utf-8"))
@@ -145,81 +141,77 @@ class _Page(HTMLParser):
         self.words.append(data)
 
     @property
-    def text(self) -> str:
-        """All that stands between tags, with plain single spaces."""
-        return " ".join("".join(self.words).split())
-
-    @property
-    def ids(self) -> list[str]:
-        return [attributes["id"] for _, attributes in self.elements if attributes.get("id")]
-
-    @property
     def links(self) -> list[str]:
-        """All that it refers to: within itself ("#..."), along with it ("data:..."), or elsewhere."""
+        """Its references: within itself ("#..."), embedded ("data:..."), or elsewhere."""
         links = [value or "" for _, attributes in self.elements for key, value in attributes.items() if key in LINKS]
         return links + [
             link for found in re.findall(r"url\(([^)]*)\)|@import\s*([^;]*)", self.source) for link in found
         ]
 
+    def count(self, tag: str) -> int:
+        return sum(element == tag for element, _ in self.elements)
 
-@pytest.fixture
+
+@pytest.fixture(scope="session")
 def make() -> SimpleNamespace:
     """The functions above that make something."""
     return SimpleNamespace(
-        config=_config, policy=_Ahead, episode=_episode, evaluation=_evaluation, evaluated=_evaluated, copied=_copied
-    )
+        config=_config, policy=_Constant, frames=_frames_of, episode=_episode, evaluation=_evaluation,
+        store_evaluation=_store_evaluation, copied=_copied,
+    )  # fmt: skip
 
 
-@pytest.fixture
-def frames():
-    """The pictures of a film, each (height, width, 3)."""
-    return _frames
+@pytest.fixture(scope="session")
+def pictures():
+    """A function that reads the pictures of a film, each (height, width, 3)."""
+    return _pictures
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def seconds():
-    """How long a film lasts."""
+    """A function that reads the duration of a film."""
     return _seconds
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def pages() -> type[_Page]:
-    """The class `_Page`."""
     return _Page
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def cruise() -> type[Task]:
     """A task with continuous actions."""
     return Cruise
 
 
 @pytest.fixture
-def errands() -> type[Task]:
-    """A task with a goal of its own in each episode."""
-    return Errands
-
-
-@pytest.fixture
-def brief(monkeypatch) -> None:
+def short_evaluations(monkeypatch) -> None:
     """Evaluations that are made for a page: one episode."""
-    monkeypatch.setattr(subjects, "_EPISODES", 1)
+    monkeypatch.setattr(run_views, "_EPISODES", 1)
 
 
 @pytest.fixture(scope="session")
 def seeds(tmp_path_factory) -> Path:
-    """A folder of runs of two seeds, as `train --seeds` leaves it; for reading only."""
+    """A folder of runs of two seeds, as `train --seeds` writes it; read-only."""
     folder = tmp_path_factory.mktemp("runs") / "seeds"
+    quick = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 20, "save_freq": 0}
     for seed in (0, 1):
         run = folder / f"seed-{seed}"
-        train("qlearn", total_timesteps=24_000, eval_freq=12_000, seed=seed, folder=run, **QUICK)
-        _evaluated(run, episodes=3, steps=50, ended="collision")
+        train("qlearn", total_timesteps=24_000, eval_freq=12_000, seed=seed, folder=run, **quick)
+        _store_evaluation(run, episodes=3, steps=50, ended="collision")
     return folder
 
 
 @pytest.fixture(scope="session")
+def views(seeds) -> list[RunView]:
+    """Both runs as a page shows them; read-only."""
+    return [read_run_view(seeds / name, name) for name in ("seed-0", "seed-1")]
+
+
+@pytest.fixture(scope="session")
 def goal_run(tmp_path_factory) -> Path:
-    """A run of a network at a task with a goal, without evaluations of any kind; for reading only."""
+    """A run of a network at a task with a goal, without evaluations; read-only."""
     folder = tmp_path_factory.mktemp("runs") / "goal"
-    train("dqn", task="wall", total_timesteps=8, eval_freq=0, folder=folder, **QUICK)
+    quick = {"simulation": "kinematic", "n_envs": 8, "save_freq": 0}
+    train("dqn", task="wall", total_timesteps=8, eval_freq=0, folder=folder, **quick)
     return folder

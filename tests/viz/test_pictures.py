@@ -1,4 +1,4 @@
-"""Pictures of paths mark where episodes began, where the failed ones ended, and the goal of a task that has one."""
+"""Pictures of paths mark the starts, the ends of failed episodes, and the goal of a task that has one."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 
 from tb2rl.rendering.colours import FAILED, GOAL, PATH, START
-from tb2rl.simulation import InitialState
-from tb2rl.tasks.reach_goal import ReachGoal
-from tb2rl.tasks.wander import Wander
-from tb2rl.viz.pictures import draw_paths, goal_of
+from tb2rl.viz.pictures import draw_paths
 
 PATHS = [np.array([(0.0, 1.0), (1.0, 2.0), (1.5, 2.0)]), np.array([(0.0, -2.0), (2.0, -2.0)])]
 
 
 def centres(scene, picture: np.ndarray, colour: str) -> tuple[float, float] | None:
-    """Middle of what has the colour, x, y [m]; None for a colour that is not there."""
+    """Centre of the pixels with the colour, x, y [m]; None if there are none."""
     wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     rows, columns = np.nonzero((np.abs(picture.astype(int) - wanted) < 12).all(axis=2))
     if not len(rows):
@@ -30,7 +27,7 @@ def centres(scene, picture: np.ndarray, colour: str) -> tuple[float, float] | No
 
 @pytest.fixture
 def driven(make):
-    """A function that gives episodes along `PATHS`, or others, in worlds: those that failed as `failed` says."""
+    """A function that makes episodes along `PATHS`, or other paths, in worlds."""
 
     def of(failed=(False, False), worlds=(0, 0), paths=PATHS, goal=None):
         episodes = [
@@ -51,24 +48,13 @@ def test_the_ends_of_failed_episodes_are_marked(failed, make, driven):
     assert centres(scene, picture, PATH) is not None
 
 
-def test_without_failures_nothing_is_marked_as_such(make, driven):
-    scene = make.config("wall").scene
-    assert centres(scene, draw_paths(scene, driven()), FAILED) is None
-
-
-def test_a_goal_of_its_own_is_that_of_the_episode(make, driven):
+def test_the_goal_is_that_of_the_episode_and_only_tasks_with_a_goal_show_one(make, driven):
     scene = make.config("navigate", world="wall").scene
-    assert centres(scene, draw_paths(scene, driven()), GOAL) is None, "an evaluation that does not say where"
     picture = draw_paths(scene, driven(goal=(2.0, 1.0)))
     assert centres(scene, picture, GOAL) == pytest.approx((2.0, 1.0), abs=0.02)
-
-
-def test_a_task_without_a_goal_shows_none_though_its_world_has_one(make, driven):
-    scene = make.config("maze", world="wall").scene
-    assert centres(scene, draw_paths(scene, driven()), GOAL) is None
-    start = InitialState.default(scene.spec, 2)
-    assert np.isnan(goal_of(Wander(), start)).all()
-    assert goal_of(ReachGoal(), start).tolist() == [5.0, 0.0]
+    assert centres(scene, picture, FAILED) is None
+    without = make.config("maze", world="wall").scene
+    assert centres(without, draw_paths(without, driven()), GOAL) is None
 
 
 def test_paths_in_several_worlds_are_drawn_in_theirs(make, driven):

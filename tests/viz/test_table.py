@@ -1,4 +1,4 @@
-"""The table of an evaluation in the terminal: its figures, and the goal only where there is one."""
+"""The table of an evaluation in the terminal: its metrics, and the success rate only of tasks with a goal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def cells(text: str) -> list[str]:
     return [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
 
 
-def test_the_table_has_the_figures_of_the_evaluation(make, capsys):
+def test_the_table_has_the_metrics_of_the_evaluation(make, capsys):
     path = [(0.0, 2.0)] * 3
     episodes = [make.episode(path, [0, 0], "out of bounds", True), make.episode(path, [0, 0], "goal", False)]
     evaluation = make.evaluation(episodes, ReachGoal(episode_steps=7))
@@ -32,12 +32,12 @@ def test_the_table_has_the_figures_of_the_evaluation(make, capsys):
         assert line in lines
 
 
-def test_without_a_goal_no_line_tells_how_often_it_was_reached(make, capsys):
+def test_without_a_goal_there_is_no_success_rate(make, capsys):
     print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")
     assert "goal" not in capsys.readouterr().out
 
 
-def test_a_terminal_without_the_sign_of_plus_and_minus_gets_it_in_ascii(make, monkeypatch):
+def test_a_terminal_without_unicode_gets_plus_and_minus_in_ascii(make, monkeypatch):
     stream = TextIOWrapper(BytesIO(), encoding="ascii")
     monkeypatch.setattr("sys.stdout", stream)
     print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")

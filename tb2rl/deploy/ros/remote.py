@@ -21,6 +21,7 @@ from tb2rl.deploy.ros.node import EMPTY, Node
 from tb2rl.deploy.ros.topics import DriverTopics
 from tb2rl.deploy.ros.wall_clock import WallClock
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
+from tb2rl.simulation.simulator import Generators
 
 RESETS = ("/gazebo/reset_world", "/reset_world")  # services of Gazebo in ROS 1 and in ROS 2
 PROMPT = "put the robot where the episode is to begin, then press Enter: "
@@ -73,6 +74,7 @@ class RemoteRobot:
     """
 
     num_envs = 1
+    travelled: np.ndarray
 
     def __init__(
         self,
@@ -102,7 +104,7 @@ class RemoteRobot:
         self._end_watchdog = self._wall.repeat(_REPEAT, self._watch)
         atexit.register(self.close)
 
-    def reset(self, initial_state: InitialState, rng: np.random.Generator) -> RobotState:
+    def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
         """See `tb2rl.simulation.Simulator`.
 
         Raises:

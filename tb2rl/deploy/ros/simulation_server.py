@@ -42,7 +42,10 @@ def run(options: argparse.Namespace) -> None:
         coarse = options.lockstep is not None
         with closing(SimulatedRobot(config.scene, simulator, options.seed, options.scan_rate, coarse)) as robot:
             server = SimulationServer(robot, node, topics, options.rate, options.lockstep)
-            print(f"simulating {config.task_name} in {config.scene.place} ({simulator.name}) on ROS {options.ros}", flush=True)
+            print(
+                f"simulating {config.task_name} in {config.scene.place} ({simulator.name}) on ROS {options.ros}",
+                flush=True,
+            )
             with closing(server), suppress(KeyboardInterrupt):
                 server.run()
 

@@ -15,12 +15,10 @@ import numpy as np
 from tb2rl.simulation.bullet.bodies import MOVING_GROUP, TOUCH, WALL_GROUP, RobotBody
 from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.kinematic.motion import MAX_SPEED
-from tb2rl.simulation.kinematic.stepping import out_of_reach, step_obstacles_alone
 from tb2rl.simulation.obstacles.dynamic_obstacles import DynamicObstacles, dynamic_obstacles_of
-from tb2rl.simulation.obstacles.motion import THINK, think, walk
+from tb2rl.simulation.obstacles.motion import THINK, out_of_reach, step_obstacles_alone, think, walk
 from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y, nearest_mover
-from tb2rl.simulation.spec import WHEEL, SimulationSpec
+from tb2rl.simulation.spec import MAX_SPEED, WHEEL, SimulationSpec
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 _COLOUR = (0.49, 0.31, 0.63, 1.0)  # as in pictures from above

@@ -13,25 +13,25 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.robots import robot
 from tb2rl.simulation.obstacles.outlines import cast_at_movers
 from tb2rl.simulation.random_streams import normal, uniform
 from tb2rl.simulation.spec import (
+    ACCELERATION,
     ASSUMED_SEPARATION,
     BIAS,
+    COUPLING,
     DROPPED,
+    MAX_SPEED,
+    MAX_TURN_RATE,
     MOUNT,
     NOISE,
-    PARAMETERS,
+    RADIUS,
     WHEEL,
+    WHEEL_SEPARATION,
 )
 from tb2rl.worlds.geometry import cast_one, clearance_one, limit_ranges
 
 CONTACT = 1.0e-4  # [m] a gap below this is contact
-# The columns of a robot's parameters in a table of starts.
-RADIUS, WHEEL_SEPARATION = PARAMETERS.start + robot.RADIUS, PARAMETERS.start + robot.WHEEL_SEPARATION
-MAX_SPEED, MAX_TURN_RATE = PARAMETERS.start + robot.MAX_SPEED, PARAMETERS.start + robot.MAX_TURN_RATE
-ACCELERATION, COUPLING = PARAMETERS.start + robot.WHEEL_ACCELERATION, PARAMETERS.start + robot.WHEEL_COUPLING
 MOUNT_X, MOUNT_Y, MOUNT_YAW = MOUNT.start, MOUNT.start + 1, MOUNT.start + 2
 _EMPTY = np.uint64(0x5851F42D4C957F2D)  # makes a stream for dropped beams of that for the laser's noise
 _NUDGE = 1.0e-3  # [m] how far to look whether the way leads off a wall that is touched

@@ -1,4 +1,4 @@
-"""Two folders of runs against each other: what is read, what is refused, and the page."""
+"""`report --compare`: the verdicts, the page, and one line for runs that cannot be compared."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from tb2rl.core.errors import InputError
 from tb2rl.report import main as report
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
-from tb2rl.viz import comparing
+from tb2rl.viz import comparison
 
 
 @pytest.fixture
 def runs(tmp_path, monkeypatch):
-    """A function that makes a folder of runs whose standard evaluations have these shares of good episodes."""
+    """A function that makes a folder of runs with given shares of good episodes."""
 
-    def kept(run):
-        figures = json.loads((run.folder / "figures.json").read_text())
-        return SimpleNamespace(good_rate=figures["good"], summary=lambda: {"mean_speed": figures["speed"]})
+    def stored(run):
+        metrics = json.loads((run.folder / "metrics.json").read_text())
+        return SimpleNamespace(good_rate=metrics["good"], summary=lambda: {"mean_speed": metrics["speed"]})
 
     def make(name, rates, **settings):
         config = resolve("qlearn", "maze", settings=settings)
         for seed, rate in enumerate(rates):
             seeded = replace(config, train=replace(config.train, seed=seed))
             run = Run.create(tmp_path / name / f"seed-{seed}", seeded)
-            (run.folder / "figures.json").write_text(json.dumps({"good": rate, "speed": 0.25 + seed / 1000}))
+            (run.folder / "metrics.json").write_text(json.dumps({"good": rate, "speed": 0.25 + seed / 1000}))
         return str(tmp_path / name)
 
-    monkeypatch.setattr(comparing, "kept_evaluation", kept)
+    monkeypatch.setattr(comparison, "kept_evaluation", stored)
     monkeypatch.chdir(tmp_path)
     return make
 
 
-def test_the_page_says_which_is_better_and_draws_both(runs, tmp_path, capsys):
+def test_the_page_says_which_runs_are_better_and_draws_both(runs, tmp_path, capsys):
     good, bad = runs("<good>", np.linspace(0.9, 1.0, 10)), runs("bad", np.linspace(0.2, 0.4, 10))
     report(["--compare", good, bad])
-    said = capsys.readouterr().out
-    assert f"{good} is better than {bad}" in said
-    assert "Good episodes: 95.0 % (" in said
-    assert "Speed, as a share of the fastest command's: 50.9 % (" in said
-    assert f"do not tell {good} and {bad} apart" in said, "they are equally fast"
+    out = capsys.readouterr().out
+    assert f"{good} is better than {bad}" in out
+    assert "Good episodes: 95.0 % (" in out
+    assert "Speed, as a share of the fastest action's: 50.9 % (" in out
+    assert f"do not tell {good} and {bad} apart" in out, "their speeds are equal"
     page = (tmp_path / "report.html").read_text()
     assert "&lt;good&gt;" in page
     assert "<good>" not in page
@@ -53,19 +53,19 @@ def test_the_page_says_which_is_better_and_draws_both(runs, tmp_path, capsys):
     assert "100.0\u202f% <small>100.0\u202f% to 100.0\u202f%</small>" in page, "the probability of improvement"
 
 
-def test_too_few_seeds_are_said_in_words(runs, capsys):
+def test_too_few_seeds_give_no_verdict(runs, capsys):
     report(["--compare", runs("a", [0.9, 1.0]), runs("b", [0.1] * 10)])
     assert "Too few seeds to tell: 2 seeds where at least 5 are needed" in capsys.readouterr().out
 
 
-def test_what_cannot_be_compared_is_refused(runs, tmp_path, capsys):
+def test_runs_that_cannot_be_compared_are_refused(runs, tmp_path, capsys):
     one, other = runs("one", [0.5] * 5), runs("other", [0.5] * 5, **{"task.world": "circuit"})
     with pytest.raises(InputError, match="the same tasks and worlds, not maze in loop with maze in circuit"):
-        comparing.compare(comparing.read_side(one), comparing.read_side(other))
+        comparison.compare(comparison.read_compared_runs(one), comparison.read_compared_runs(other))
     Run.create(tmp_path / "one" / "again", resolve("qlearn", "maze"))
-    (tmp_path / "one" / "again" / "figures.json").write_text('{"good": 1, "speed": 1}')
+    (tmp_path / "one" / "again" / "metrics.json").write_text('{"good": 1, "speed": 1}')
     with pytest.raises(InputError, match="has two runs of seed 0"):
-        comparing.read_side(one)
+        comparison.read_compared_runs(one)
     for words in ([one], [one, other, other], [one, other, "--world", "loop"]):
         with pytest.raises(SystemExit, match="2"):
             report(["--compare", *words])
