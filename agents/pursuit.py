@@ -13,7 +13,6 @@ from annotated_types import Ge, Le
 from gymnasium import spaces
 
 from tb2rl import Agent
-from tb2rl.agents._guided import TURTLEBOT2, Guided, Seen, free_way, way_out
 from tb2rl.agents._local_planner import TURTLEBOT2, LocalPlanner, LocalView, free_distance, rotation_side
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.core.values import NonNegative, Positive

@@ -13,7 +13,6 @@ from annotated_types import Ge, Le
 from gymnasium import spaces
 
 from tb2rl import Agent
-from tb2rl.agents._guided import STANDING, TURNING, TURTLEBOT2, Guided, Seen
 from tb2rl.agents._local_planner import STANDING, TURNING, TURTLEBOT2, LocalPlanner, LocalView
 from tb2rl.core.compiled import UNCOUNTED, njit
 from tb2rl.core.values import NonNegative, Positive

@@ -99,11 +99,11 @@ def test_a_policy_of_the_zoo_is_evaluated_by_its_name(short, tmp_path, capsys):
     [
         ("--ros 2", ["--ros", "go with --simulation ros"]),
         ("--goal 1,2", ["--goal", "--simulation ros", "task.goal"]),
-        ("--simulation gazebo", ["--simulation", "ros"]),
+        ("--simulation gazebo", ["unknown simulator", "bullet, kinematic, ros"]),
         ("--simulation kinematic --suite unseen", ["--simulation", "--suite"]),
         ("--simulation ros --workers 2", ["--workers", "one robot"]),
         ("--simulation ros --topics laser=/scan", ["--topics", "laser", "scan"]),
-        ("--simulation ros --top-speed 0", ["--top-speed", "above 0"]),
+        ("--simulation ros --top-speed 0", ["--top-speed", "greater than 0"]),
         ("--simulation ros --goal 1,nan", ["--goal", "nan"]),
         ("--simulation ros --goal 1,2", ["goal", "navigate"]),
         ("--simulation ros --ros-args -p use_sim_time:=true", ["--ros-args", "--ros 2"]),
