@@ -15,7 +15,7 @@ from tb2rl import benchmark
 from tb2rl.core.errors import InputError
 from tb2rl.simulation import default_simulator
 from tb2rl.simulation.bullet import unavailable
-from tb2rl.viz.film import film
+from tb2rl.viz.film import FilmOptions, film
 from tb2rl.viz.window import Window
 from tb2rl.zoo import __main__ as zoo
 
@@ -52,7 +52,7 @@ def test_anything_that_needs_pybullet_says_so_in_one_line(reason, tmp_path, monk
     calls = {
         'simulation="kinematic"': tb2rl.make_env,
         "a training": lambda: tb2rl.train(total_timesteps=8, n_envs=2, folder="run"),
-        "chase": lambda: film("zoo:maze-loop-dqn", "film.gif", camera="chase", steps=2),
+        "chase": lambda: film("zoo:maze-loop-dqn", "film.gif", options=FilmOptions(camera="chase", steps=2)),
         "window": lambda: Window(scene),
     }
     for word, call in calls.items():
