@@ -160,7 +160,4 @@ class QTable(BasePolicy):
         return (actions if observation.ndim == len(self.observation_space.shape) + 1 else actions[0]), state
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        return th.as_tensor(self.q.detach().numpy()[self.states(observation.cpu().numpy())].argmax(axis=1))
-
-    def forward(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        return self._predict(observation, deterministic)
+        return th.as_tensor(self.predict(observation.cpu().numpy())[0])

@@ -19,7 +19,6 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
 from tb2rl import Agent
-from tb2rl.agents._qtable import QTable, update_table
 from tb2rl.agents._qtable import QTable, Rule, Table, Transitions, update_table
 from tb2rl.core.values import Fraction
 

@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Drive, simulate, or write messages."""
     options = parse(arguments)
     if options.command == "messages":
-        from tb2rl.deploy.ros.definitions import write_packages
+        from tb2rl.deploy.ros.generated_messages import write_packages
 
         write_packages(options.folder)
     elif options.command == "drive":  # imported here, because it takes seconds

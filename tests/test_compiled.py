@@ -1,4 +1,4 @@
-"""What is compiled is cached wherever it can be, and works where nothing can be written."""
+"""Compiled code is cached wherever possible, and works where nothing can be written."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def call(x):
 """
 USE = """
 import numba, tiny
-assert numba.config.CACHE_DIR == os.environ.get("NUMBA_CACHE_DIR", ""), "numba's own settings are left alone"
+assert numba.config.CACHE_DIR == os.environ.get("NUMBA_CACHE_DIR", ""), "numba's own settings are unchanged"
 print(tiny.twice(4), sum(tiny.twice.stats.cache_hits.values()), tiny.twice.stats.cache_path)
 """
 
@@ -44,46 +44,39 @@ def site(tmp_path):
 
 @pytest.fixture
 def use(site, guest):
-    """A function that calls the compiled function as a guest: its result, hits in the cache, its folder; warnings."""
+    """A function that calls the compiled function as a guest: its result, cache hits, cache folder; warnings."""
 
     def call(before: str = "", **variables: str) -> tuple[list[str], str]:
         path = os.pathsep.join([str(site), str(CHECKOUT)])
         done = guest.run([sys.executable, "-c", f"import os\n{before}{USE}"], PYTHONPATH=path, **variables)
         assert done.returncode == 0, done.stderr
-        assert list(guest.scratch.iterdir()) == [], "the private folder is gone"
+        assert list(guest.scratch.iterdir()) == [], "the private folder is removed"
         return done.stdout.split(), done.stderr
 
     return call
 
 
-def warm(site, **variables):
+def python(site: Path, code: str, **variables: str) -> str:
     env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(CHECKOUT)]), **variables}
-    subprocess.run([sys.executable, "-c", "import tiny; tiny.twice(4)"], env=env, check=True)
+    return subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True).stdout
 
 
-def test_without_any_cache_it_works_and_one_warning_says_what_to_set(site, use, guest):
+def test_without_a_writable_folder_a_private_one_is_shared_with_child_processes(site, use, guest):
     guest.lock(site)
-    (result, hits, folder), warnings = use()
-    assert (result, hits) == ("8", "0")
-    assert Path(folder).is_relative_to(guest.scratch)
+    child = f"subprocess.run([sys.executable, '-c', {'import os' + USE!r}])"
+    words, warnings = use(before=f"import subprocess, sys\nimport tiny; tiny.twice(4)\n{child}")
+    assert words[:2] == ["8", "1"], "the child has the code of its parent"
+    assert words[2] == words[5]
+    assert Path(words[2]).is_relative_to(guest.scratch)
     assert warnings.count("RuntimeWarning: tb2rl:") == 1
     assert "NUMBA_CACHE_DIR" in warnings
 
 
-def test_processes_that_it_starts_share_the_private_folder_in_silence(site, use, guest):
-    guest.lock(site)
-    another = f"subprocess.run([sys.executable, '-c', {'import os' + USE!r}])"
-    start = f"import subprocess, sys\nimport tiny; tiny.twice(4)\n{another}"
-    words, warnings = use(before=start)
-    assert words[:2] == ["8", "1"], "the second process has what the first one compiled"
-    assert words[2] == words[5]
-    assert warnings.count("RuntimeWarning: tb2rl:") == 1
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(("beside", "home"), [(True, True), (False, False)], ids=["beside it", "in NUMBA_CACHE_DIR"])
-def test_what_was_compiled_earlier_is_used_though_it_cannot_be_written(beside, home, site, use, guest, tmp_path):
+def test_an_earlier_cache_is_used_without_write_permission(beside, home, site, use, guest, tmp_path):
     named = {} if beside else {"NUMBA_CACHE_DIR": str(tmp_path / "named")}
-    warm(site, **named)
+    python(site, "import tiny; tiny.twice(4)", **named)
     for folder in (site, tmp_path / "named"):
         if folder.exists():
             guest.lock(folder)
@@ -93,47 +86,37 @@ def test_what_was_compiled_earlier_is_used_though_it_cannot_be_written(beside, h
     assert Path(folder).is_relative_to(tmp_path / "home" if home else guest.scratch)
 
 
-def test_where_not_even_a_temporary_folder_can_be_it_compiles_without_a_cache(site, use, guest):
+@pytest.mark.slow
+def test_without_even_a_temporary_folder_it_compiles_without_a_cache(site, use, guest):
     guest.lock(site)
     (result, hits, folder), warnings = use(before="import tempfile; tempfile.tempdir = '/nonexistent'\n")
     assert (result, hits, folder) == ("8", "0", "None")
     assert warnings.count("RuntimeWarning: tb2rl:") == 1
 
 
-def test_a_folder_that_others_may_write_to_is_not_trusted(site, use, guest, tmp_path):
-    guest.lock(site)
-    open_to_all = guest.own(tmp_path / "open")
-    open_to_all.chmod(0o777)
-    (_, _, folder), _ = use(TB2RL_PRIVATE_CACHE=str(open_to_all))
-    assert Path(folder).is_relative_to(guest.scratch)
-
-
-def test_what_calls_a_function_of_a_changed_file_is_compiled_again(site):
+@pytest.mark.slow
+def test_a_caller_of_a_function_in_a_changed_file_is_compiled_again(site):
     (site / "caller.py").write_text(CALLER)
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(CHECKOUT)])}
-    use = "import caller; print(caller.call(4), sum(caller.call.stats.cache_hits.values()))"
-
-    def run():
-        return subprocess.run([sys.executable, "-c", use], env=env, check=True, capture_output=True, text=True).stdout
-
-    assert [run(), run()] == ["8 0\n", "8 1\n"]
+    code = "import caller; print(caller.call(4), sum(caller.call.stats.cache_hits.values()))"
+    assert [python(site, code), python(site, code)] == ["8 0\n", "8 1\n"]
     (site / "tiny.py").write_text(MODULE.replace("2 * x", "3 * x"))
-    assert run() == "12 0\n"
+    assert python(site, code) == "12 0\n"
 
 
-def test_what_is_compiled_is_said_once_on_a_terminal(site, tmp_path):
+@pytest.mark.slow
+def test_compiling_is_announced_once_on_a_terminal(site, tmp_path):
     (site / "tinier.py").write_text(MODULE)
     program = "from tb2rl.core import compiled; compiled.announce_compiling(); import tiny, tinier; tiny.twice(4)"
     path = os.pathsep.join([str(site), str(CHECKOUT)])
     env = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
-    def said(rest: str) -> str:
+    def printed(rest: str) -> str:
         terminal, theirs = os.openpty()
         subprocess.run([sys.executable, "-c", program + rest], env=env, stderr=theirs, check=True)
         os.close(theirs)
-        with suppress(OSError):  # Linux: nothing was written, and nobody will
+        with suppress(OSError):  # Linux: nothing was written
             return os.read(terminal, 1000).decode()
         return ""
 
-    assert said("; tinier.twice(4)").count("compiling") == 1
-    assert said("") == "", "it is in the cache"
+    assert printed("; tinier.twice(4)").count("compiling") == 1
+    assert printed("") == "", "it is cached"

@@ -1,4 +1,4 @@
-"""The command `export`: a file or a folder, what they say of themselves, and what it refuses in one line."""
+"""The command `export`: a file or a folder, their descriptions, and refusals in one line."""
 
 from __future__ import annotations
 
@@ -13,38 +13,37 @@ from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 
-MINE = """
+MODULE = """
 from stable_baselines3.common.policies import ActorCriticPolicy
 from tb2rl.sensors import Sensor
 
-class Otherwise(ActorCriticPolicy):
-    "It does more than its layers say."
-
+class ReversedActions(ActorCriticPolicy):
     def _predict(self, observation, deterministic=False):
         return 2 - super()._predict(observation, deterministic)
 
 class Compass(Sensor):
     name, unit, low, high = "compass", "rad", -4.0, 4.0
 
-    def read(self, reading):
-        return reading.odometry[:, 2:]
+    def read(self, robot_state):
+        return robot_state.odometry[:, 2:]
 """
 
 
 @pytest.fixture
 def untrained(tmp_path, monkeypatch):
-    """A function that keeps a policy that nobody trained as a run folder, beside classes of a user's own."""
-    (tmp_path / "mine.py").write_text(MINE)
+    """A function that saves an untrained policy as a run folder, with the module `mine` of a user."""
+    (tmp_path / "mine.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)
-    yield lambda **settings: _keep(tmp_path / "run", {f"task.{key}": value for key, value in settings.items()})
+
+    def save(**settings):
+        task = {f"task.{key}": value for key, value in settings.items()}
+        config = resolve("stable_baselines3:PPO", settings={"train.n_envs": 2, "task.observation": "raw", **task})
+        run = Run.create(tmp_path / f"run_{len([*tmp_path.iterdir()])}", config)
+        run.save(make_algorithm(config, Spaces.vectorised(config)), "final/policy")
+        return str(run.folder)
+
+    yield save
     sys.modules.pop("mine", None)
-
-
-def _keep(folder, settings):
-    config = resolve("stable_baselines3:PPO", settings={"train.n_envs": 2, "task.observation": "raw", **settings})
-    run = Run.create(folder, config)
-    run.save(make_algorithm(config, Spaces.vectorised(config)), "final/policy")
-    return run.folder
 
 
 def refusal(line: list[str], capsys) -> str:
@@ -55,7 +54,7 @@ def refusal(line: list[str], capsys) -> str:
     return message
 
 
-def test_a_file_says_what_goes_in_and_what_comes_out(tmp_path, capsys):
+def test_a_file_describes_its_inputs_and_outputs(tmp_path, capsys):
     onnx = pytest.importorskip("onnx")
     export.main(["zoo:wall-wall-dqn", str(tmp_path / "policy.onnx")])
     assert str(tmp_path / "policy.onnx") in capsys.readouterr().out
@@ -70,13 +69,12 @@ def test_a_file_says_what_goes_in_and_what_comes_out(tmp_path, capsys):
     assert about["actions"]["names"] == ["forward", "left", "right"]
 
 
-def test_a_folder_is_written_again_and_keeps_what_else_is_in_it(tmp_path):
+def test_a_folder_is_overwritten_and_keeps_its_other_files(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     for name in ("zoo:maze-loop-dqn", "zoo:maze-loop-qlearn"):
         export.main([name, str(tmp_path)])
-    assert sorted(file.name for file in tmp_path.iterdir()) == [
-        "README.md", "drive.py", "notes.txt", "policy.json", "weights.npz",
-    ]  # fmt: skip
+    files = ["README.md", "drive.py", "notes.txt", "policy.json", "weights.npz"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == files
     assert json.loads((tmp_path / "policy.json").read_text())["agent"] == "qlearn"
     assert [*np.load(tmp_path / "weights.npz", allow_pickle=False)] == ["0.strides", "0.best"]
     assert "zoo:maze-loop-qlearn" in (tmp_path / "README.md").read_text()
@@ -94,7 +92,7 @@ def test_a_folder_is_written_again_and_keeps_what_else_is_in_it(tmp_path):
         ("zoo:maze-loop-dqn taken", ["taken"]),
     ],
 )
-def test_bad_input_is_one_line(line, words, tmp_path, monkeypatch, capsys):
+def test_wrong_input_is_refused_in_one_line(line, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").touch()
     message = refusal(line.split(), capsys)
@@ -102,37 +100,31 @@ def test_bad_input_is_one_line(line, words, tmp_path, monkeypatch, capsys):
     assert [file.name for file in tmp_path.iterdir()] == ["taken"]
 
 
-def test_without_onnx_it_says_what_to_install(tmp_path, monkeypatch, capsys):
+def test_without_onnx_the_message_names_the_package(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "onnx", None)
     monkeypatch.delitem(sys.modules, "tb2rl.deploy.graph", raising=False)
     assert "pip install onnx" in refusal(["zoo:maze-loop-dqn", str(tmp_path / "policy.onnx")], capsys)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_sensor_of_ones_own_goes_into_a_file_and_not_into_a_folder(untrained, tmp_path, capsys):
+def test_images_and_sensors_of_ones_own_go_into_a_file_but_not_into_a_folder(untrained, tmp_path, capsys):
     pytest.importorskip("onnx")
-    run = untrained(observe=["laser", "mine:Compass"])
-    message = refusal([str(run), str(tmp_path / "robot")], capsys)
-    assert "'compass'" in message
-    assert "policy.onnx" in message
-    export.main([str(run), str(tmp_path / "policy.onnx")])
-    assert not (tmp_path / "robot").exists()
+    for sensor, name in (({"camera": {"width": 36, "height": 36}}, "'camera'"), ("mine:Compass", "'compass'")):
+        run = untrained(observe=["laser", sensor])
+        message = refusal([run, str(tmp_path / "robot")], capsys)
+        assert name in message
+        assert "policy.onnx" in message
+        assert not (tmp_path / "robot").exists()
+    export.main([run, str(tmp_path / "policy.onnx")])
 
 
-def test_images_go_into_a_file_and_not_into_a_folder(untrained, tmp_path, capsys):
-    pytest.importorskip("onnx")
-    run = untrained(observe=["laser", {"camera": {"width": 36, "height": 36}}])
-    assert "'camera'" in refusal([str(run), str(tmp_path / "robot")], capsys)
-    export.main([str(run), str(tmp_path / "policy.onnx")])
-
-
-def test_a_policy_that_does_more_than_its_layers_say_is_refused(untrained, tmp_path, monkeypatch, capsys):
+def test_a_policy_that_computes_more_than_its_layers_is_refused(untrained, tmp_path, monkeypatch, capsys):
     pytest.importorskip("onnx")
     run = untrained()
-    from mine import Otherwise
+    from mine import ReversedActions
     from stable_baselines3 import PPO
 
-    monkeypatch.setitem(PPO.policy_aliases, "MlpPolicy", Otherwise)
+    monkeypatch.setitem(PPO.policy_aliases, "MlpPolicy", ReversedActions)
     for target in ("policy.onnx", "robot"):
-        assert "Otherwise" in refusal([str(run), str(tmp_path / target)], capsys)
+        assert "ReversedActions" in refusal([run, str(tmp_path / target)], capsys)
         assert not (tmp_path / target).exists()

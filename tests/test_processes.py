@@ -1,4 +1,4 @@
-"""How processes start: from a clean server, and without the user's script."""
+"""Worker processes start from a clean server, without the user's script, and end with their parent."""
 
 from __future__ import annotations
 
@@ -24,35 +24,6 @@ with main_hidden():
     print(pool.submit(os.getpid).result(), flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
-
-
-def test_only_on_linux_processes_come_from_a_fork(monkeypatch):
-    assert process_context().get_start_method() == ("forkserver" if sys.platform == "linux" else "spawn")
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert process_context().get_start_method() == "spawn"
-
-
-def test_the_users_script_is_hidden_from_new_processes_and_from_nobody_else(monkeypatch):
-    main = sys.modules["__main__"]
-    monkeypatch.setattr(main, "__file__", "/home/ada/script.py", raising=False)
-    monkeypatch.setattr(main, "__spec__", None)
-
-    def scripts():
-        return [key for key in multiprocessing.spawn.get_preparation_data("one") if key.startswith("init_main")]
-
-    with ThreadPoolExecutor(1) as other, main_hidden():
-        assert scripts() == []
-        assert (main.__file__, other.submit(scripts).result()) == ("/home/ada/script.py", ["init_main_from_path"])
-    assert scripts() == ["init_main_from_path"]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_processes_of_a_pool_end_when_what_started_them_is_killed():
-    done = subprocess.run([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True, check=False, timeout=60)
-    assert done.returncode == -signal.SIGKILL
-    assert int(done.stdout) > 0, "all of the output is there: no process holds it open any longer"
-
-
 EARLY = """
 import os, signal, threading, time
 from tb2rl.core.processes import main_hidden, process_context
@@ -71,9 +42,36 @@ process.join()
 """
 
 
+def test_only_linux_uses_a_fork_server(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert process_context().get_start_method() == "spawn"
+
+
+def test_the_users_script_is_hidden_from_new_processes_only(monkeypatch):
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "__file__", "/home/ada/script.py", raising=False)
+    monkeypatch.setattr(main, "__spec__", None)
+
+    def scripts():
+        return [key for key in multiprocessing.spawn.get_preparation_data("one") if key.startswith("init_main")]
+
+    with ThreadPoolExecutor(1) as other, main_hidden():
+        assert scripts() == []
+        assert (main.__file__, other.submit(scripts).result()) == ("/home/ada/script.py", ["init_main_from_path"])
+    assert scripts() == ["init_main_from_path"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_processes_of_a_pool_end_when_their_parent_is_killed():
+    done = subprocess.run([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True, check=False, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    assert int(done.stdout) > 0, "the output is complete, so no process holds it open"
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is no server")
-def test_an_early_ctrl_c_ends_the_server_of_processes_neither_with_a_traceback_nor_at_all(tmp_path):
+def test_an_early_ctrl_c_does_not_end_the_fork_server(tmp_path):
     (tmp_path / "early.py").write_text(EARLY)
     env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
     words = [sys.executable, str(tmp_path / "early.py")]

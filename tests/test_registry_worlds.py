@@ -1,4 +1,4 @@
-"""Worlds by name, by file, by a reader of one's own, and made by code."""
+"""Worlds by name, by file, by a user's reader, and made by code."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import pytest
 
 from tb2rl import load, make_env
 from tb2rl.core.errors import InputError
-from tb2rl.core.files import is_path
 from tb2rl.envs.worlds import absolute_worlds
 from tb2rl.runs.loading import config_of
 from tb2rl.worlds.registry import find_world, world_names
 
 DRAWING = "#####\n#S.G#\n#...#\n#####\n"
-YAML = "start: [1.5, 2.5, 0.0]\nwalls: [{path: [[0, 0], [4, 0], [4, 4], [0, 4]], closed: true}]\n"
 MODULE = """
 from tb2rl.worlds import World
 
@@ -39,44 +37,25 @@ NUMBER = 7
 
 @pytest.fixture
 def my_worlds(tmp_path, monkeypatch):
-    """A module of one's own, and the folder it is in."""
+    """A user's module, and the folder it is in."""
     (tmp_path / "my_worlds.py").write_text(MODULE)
     (tmp_path / "post.radius").write_text("0.5")
+    (tmp_path / "mine.txt").write_text(DRAWING)
     monkeypatch.syspath_prepend(tmp_path)
     return tmp_path
 
 
 @pytest.mark.parametrize("name", world_names())
-def test_every_world_that_has_a_name_can_be_had(name):
+def test_every_built_in_world_is_found_by_its_name_and_read_once(name):
     assert find_world(name).name == name
-    assert find_world(name) is find_world(name)  # read once
+    assert find_world(name) is find_world(name)
 
 
-def test_the_built_in_worlds_have_names():
-    assert {"circuit", "loop", "maze", "round", "wall"} <= set(world_names())
-
-
-def test_a_file_of_ones_own_is_found_by_its_path(tmp_path):
-    text, yaml = tmp_path / "mine.txt", tmp_path / "mine.yaml"
-    text.write_text(DRAWING)
-    yaml.write_text(YAML)
-    assert find_world(str(text)).start == (3.0, 5.0, 0)
-    assert find_world(str(yaml)).clearance(1.5, 3.0) == pytest.approx(0.9)
-
-
-def test_a_reader_of_ones_own_opens_a_file_of_any_format(my_worlds):
+def test_worlds_are_read_by_a_users_reader_and_made_by_code(my_worlds):
     world = find_world(f"my_worlds:read:{my_worlds / 'post.radius'}")
     assert (world.name, world.posts.tolist()) == ("post", [[5.0, 0.0, 0.5]])
-
-
-def test_a_world_can_be_made_by_code(my_worlds):
     assert find_world("my_worlds:POST").posts.tolist() == [[5.0, 0.0, 1.0]]
     assert find_world("my_worlds:make") is find_world("my_worlds:POST")
-
-
-def test_a_function_that_reads_nothing_wants_no_path(my_worlds):
-    with pytest.raises(InputError, match="my_worlds:make reads no file; write my_worlds:make"):
-        find_world(f"my_worlds:make:{my_worlds / 'post.radius'}")
 
 
 def test_a_robot_drives_in_a_world_that_code_made(my_worlds):
@@ -91,76 +70,42 @@ def test_a_format_of_another_package_is_read_by_the_ending_of_its_files(write_pa
     write_package("[tb2rl.worlds]\nradius = my_other_worlds:read\n", my_other_worlds=MODULE)
     (tmp_path / "mine.radius").write_text("1.5")
     assert find_world(str(tmp_path / "mine.radius")).posts.tolist() == [[5.0, 0.0, 1.5]]
-    (tmp_path / "mine.txt").write_text(DRAWING)
-    assert find_world(str(tmp_path / "mine.txt")).start == (3.0, 5.0, 0)
 
 
 @pytest.mark.parametrize("make", [Path.touch, Path.mkdir], ids=["file", "folder"])
-def test_a_file_or_folder_of_the_same_name_does_not_take_the_place_of_a_built_in_world(make, tmp_path, monkeypatch):
+def test_a_file_or_folder_of_the_same_name_does_not_replace_a_built_in_world(make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     make(Path("loop"))
     assert absolute_worlds("loop") == "loop"
     assert config_of(load("zoo:maze-loop-qlearn")).task.world == "loop"
 
 
-@pytest.mark.parametrize(("name", "is_one"), [
-    ("loop", False), ("loop.yaml", True), ("loop.csv", True), ("maps/loop", True), ("/loop", True), ("../loop", True),
-])  # fmt: skip
-def test_a_name_with_an_ending_or_a_folder_is_a_path(name, is_one):
-    assert is_path(name) == is_one
-
-
 @pytest.mark.parametrize("name", ["mine.txt", "mine.yaml"])
 def test_a_byte_order_mark_is_no_part_of_a_world(name, tmp_path):
-    text = {"mine.txt": DRAWING, "mine.yaml": YAML}[name]
-    for folder, encoding in (("without", "utf-8"), ("with", "utf-8-sig")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / name).write_text(text, encoding=encoding)
-    plain, marked = (find_world(str(tmp_path / folder / name)) for folder in ("without", "with"))
-    assert (marked.start, marked.bounds) == (plain.start, plain.bounds)
-    assert marked.boxes.tolist() == plain.boxes.tolist()
-
-
-# ---- what is not a world
-
-
-def test_an_unknown_name_is_refused_with_the_nearest_and_all_known_ones():
-    with pytest.raises(InputError, match="unknown world 'lop'; did you mean 'loop'") as error:
-        find_world("lop")
-    for name in world_names():
-        assert name in str(error.value)
-
-
-@pytest.mark.parametrize("name", ["missing.yaml", "missing.txt", "nowhere/loop"])
-def test_a_missing_file_is_named(name):
-    with pytest.raises(InputError, match=f"no world file {name}"):
-        find_world(name)
-
-
-def test_an_ending_that_nothing_reads_is_refused_with_the_known_ones(my_worlds):
-    with pytest.raises(
-        InputError, match=r"unknown ending of the world file .*post\.radius: '\.radius'.*\.txt, \.world, \.yaml"
-    ):
-        find_world(str(my_worlds / "post.radius"))
+    text = {"mine.txt": DRAWING, "mine.yaml": f"drawing: {DRAWING!a}"}[name].replace("'", '"')
+    (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    assert find_world(str(tmp_path / name)).start == (3.0, 5.0, 0)
 
 
 @pytest.mark.parametrize(
     ("reference", "words"),
     [
+        ("lop", "unknown world 'lop'; did you mean 'loop'.* known: circuit, loop, maze, round, wall"),
+        ("missing.yaml", "no world file missing.yaml"),
+        ("nowhere/loop", "no world file nowhere/loop"),
+        ("{folder}/post.radius", r"unknown ending of the world file .*: '\.radius'.*\.txt, \.world, \.yaml"),
         ("my_worlds:NUMBER", r"world 'my_worlds:NUMBER': .* def NUMBER\(\.\.\.\) -> World"),
-        (
-            "my_worlds:remove:{folder}/post.radius",
-            r"a function that makes worlds says so: def remove\(\.\.\.\) -> World",
-        ),
-        ("os:remove:{folder}/post.radius", "a function that makes worlds says so"),
+        ("my_worlds:remove:{folder}/post.radius", r"a function that makes worlds .*: def remove\(\.\.\.\) -> World"),
+        ("os:remove:{folder}/post.radius", "a function that makes worlds"),
         ("my_worlds:read_nothing:{folder}/post.radius", "is not a tb2rl.worlds.World but str"),
         ("my_worlds:read", "world 'my_worlds:read' reads files; write my_worlds:read:PATH"),
+        ("my_worlds:make:{folder}/post.radius", "my_worlds:make reads no file; write my_worlds:make"),
         ("my_worlds:read:{folder}/missing.radius", "there is no world file .*missing.radius"),
         ("my_worlds:NOWHERE", "module 'my_worlds' has no 'NOWHERE'"),
         ("my_other_module:POST", "there is no module 'my_other_module'"),
     ],
 )
-def test_code_that_does_not_make_a_world_is_refused_with_one_line(reference, words, my_worlds):
+def test_a_reference_that_is_no_world_is_refused_in_one_line_and_runs_no_other_code(reference, words, my_worlds):
     with pytest.raises(InputError, match=words) as error:
         find_world(reference.format(folder=my_worlds))
     assert "\n" not in str(error.value)
@@ -179,11 +124,9 @@ def test_a_generator_with_other_arguments_is_refused_with_one_line(reference, my
 
 def test_a_reference_to_a_file_becomes_absolute_and_any_other_stays(my_worlds, monkeypatch):
     monkeypatch.chdir(my_worlds)
-    Path("mine.txt").write_text(DRAWING)
     assert absolute_worlds("mine.txt") == str(my_worlds / "mine.txt")
     assert absolute_worlds("my_worlds:read:post.radius") == f"my_worlds:read:{my_worlds / 'post.radius'}"
     assert absolute_worlds("my_worlds:POST") == "my_worlds:POST"
-    assert absolute_worlds("loop") == "loop"
     found = [absolute_worlds(reference) for reference in ("mine.txt", "my_worlds:read:post.radius")]
     monkeypatch.chdir("/")
     assert [find_world(reference).name for reference in found] == ["mine", "post"]

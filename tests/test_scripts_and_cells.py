@@ -1,4 +1,4 @@
-"""What is defined in a script or in a notebook's cell is trained with, and comes back where it is still defined."""
+"""Classes of a script or a notebook's cell are trained with, and loaded where they are still defined."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ MINE = """
     class Speed(Sensor):
         name, unit, low, high = "speed", "m/s", -1.0, 1.0
 
-        def read(self, reading):
-            return reading.twist[:, :1]
+        def read(self, robot_state):
+            return robot_state.twist[:, :1]
 
     @dataclass(frozen=True)
     class Hurry(Wander):
         hurry: float = 2.0
 
-        def sensors(self, setup):
-            return (*super().sensors(setup), Speed())
+        def sensors(self, spec):
+            return (*super().sensors(spec), Speed())
 
         def outcome(self, before, action, after):
             outcome = super().outcome(before, action, after)
@@ -61,7 +61,7 @@ SAYS = "names __main__:Mine __main__:Hurry"
 
 
 def elsewhere(run: Path) -> str:
-    """What loading a run says in a program that has no such class."""
+    """The message of loading a run in a program without its classes."""
     with pytest.raises(InputError) as refused:
         load(run)
     assert "\n" not in str(refused.value)
@@ -106,16 +106,16 @@ def test_a_notebook_trains_with_the_classes_of_its_cells(tmp_path):
     assert "in a file" in elsewhere(tmp_path / "run")
 
 
-@pytest.mark.parametrize("what", ["Nothing", "run", "__getattr__", ""])
-def test_only_classes_that_are_there_are_looked_up_and_nothing_is_run(what, monkeypatch):
+@pytest.mark.parametrize("name", ["Nothing", "run", "__getattr__", ""])
+def test_only_existing_classes_of_main_are_found_and_nothing_is_run(name, monkeypatch):
     main = sys.modules["__main__"]
-    for name in ("run", "__getattr__"):
-        monkeypatch.setattr(main, name, lambda *_: pytest.fail("it was run"), raising=False)
+    for function in ("run", "__getattr__"):
+        monkeypatch.setattr(main, function, lambda *_: pytest.fail("it was run"), raising=False)
     with pytest.raises(InputError, match="cannot import '__main__:"):
-        import_object(f"__main__:{what}")
+        import_object(f"__main__:{name}")
 
 
-def test_a_class_that_its_name_does_not_lead_to_is_refused():
+def test_a_class_whose_reference_means_another_one_is_refused():
     class Wander:
         pass
 

@@ -66,7 +66,7 @@ def _convert(options: argparse.Namespace) -> None:
     sources = _sources(options.worlds[0])
     for target in (out, settings):
         if target.resolve() in sources:
-            raise InputError(one_line(f"{target} is what the world is read from; write it to another file"))
+            raise InputError(one_line(f"{target} is the source of the world; write it to another file"))
     if settings.is_file() and out.resolve() not in _files(settings):
         raise InputError(one_line(f"{settings} is there, and is no map with the picture {out}; name another one"))
     if out.suffix == ".pgm":

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import onnx
 from gymnasium import spaces
-from onnx import helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 
 from tb2rl.deploy.network import Layer, Network
 from tb2rl.tasks.actions import Actions, Commands, Velocities
 
 OPSET, IR_VERSION = 17, 8  # of 2022: onnxruntime 1.12 and later read them
 ROBOTS = "robots"  # the name of the first axis, of any length
-_FLOAT, _DOUBLE, _INTEGER = np.dtype(np.float32), np.dtype(np.float64), np.dtype(np.int64)
+_FLOAT, _DOUBLE, _INTEGER = TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.INT64
 
 
 def graph_of(
@@ -40,10 +40,11 @@ def graph_of(
         about: Metadata of the file, as JSON under "tb2rl".
     """
     graph = _Graph()
-    parts = [
-        graph.apply(graph.input(name, np.dtype(space.dtype), (ROBOTS, *(space.shape or ()))), network.inputs[name])
-        for name, space in observations.items()
-    ]
+    parts = []
+    for name, space in observations.items():
+        dtype = helper.np_dtype_to_tensor_dtype(np.dtype(space.dtype))
+        graph.input(name, dtype, (ROBOTS, *(space.shape or ())))
+        parts.append(graph.apply(name, network.inputs[name]))
     joined = parts[0] if len(parts) == 1 else graph.add("Concat", *parts, axis=1)
     action = graph.apply(joined, network.layers)
     if isinstance(actions, Commands):
@@ -74,19 +75,19 @@ class _Graph:
         self._nodes.append(helper.make_node(operator, names, made, **attributes))
         return made[0] if outputs == 1 else made
 
-    def cast(self, value: str, dtype: np.dtype) -> str:
+    def cast(self, value: str, dtype: int) -> str:
         """Add a conversion of a value."""
-        return self.add("Cast", value, to=helper.np_dtype_to_tensor_dtype(dtype))
+        return self.add("Cast", value, to=dtype)
 
-    def input(self, name: str, dtype: np.dtype, shape: tuple[int | str, ...]) -> str:
+    def input(self, name: str, dtype: int, shape: tuple[int | str, ...]) -> str:
         """Declare an input; returns its name."""
-        self._inputs.append(helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(dtype), shape))
+        self._inputs.append(helper.make_tensor_value_info(name, dtype, shape))
         return name
 
-    def output(self, value: str, name: str, dtype: np.dtype, shape: tuple[int | str, ...]) -> None:
+    def output(self, value: str, name: str, dtype: int, shape: tuple[int | str, ...]) -> None:
         """Declare a value an output, under a name of its own."""
         self._nodes.append(helper.make_node("Identity", [value], [name]))
-        self._outputs.append(helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(dtype), shape))
+        self._outputs.append(helper.make_tensor_value_info(name, dtype, shape))
 
     def apply(self, value: str, layers: tuple[Layer, ...]) -> str:
         """Add layers, one after the other; returns the name of the last one's output."""
@@ -153,7 +154,7 @@ def _lstm(graph: _Graph, values: str, **arrays: np.ndarray) -> str:
 
 def _unscale(graph: _Graph, values: str, low: np.ndarray, high: np.ndarray) -> str:
     share = graph.add("Mul", graph.add("Add", values, np.float32(1.0)), np.float32(0.5))
-    return graph.add("Add", graph.add("Mul", share, (high - low).astype(_FLOAT)), low.astype(_FLOAT))
+    return graph.add("Add", graph.add("Mul", share, (high - low).astype(np.float32)), low.astype(np.float32))
 
 
 def _conv(graph: _Graph, values: str, weight: np.ndarray, bias: np.ndarray, strides: np.ndarray) -> str:

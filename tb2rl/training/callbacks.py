@@ -151,7 +151,7 @@ class StopOnSignal(BaseCallback):
     """Ends the training at Ctrl-C, SIGTERM or SIGHUP, where the next rollout starts; a second signal ends it at once.
 
     Args:
-        save: Saves a checkpoint where a rollout starts, so that a resumed training equals the undisturbed one.
+        save: Saves a checkpoint there, so that a resumed training equals the undisturbed one.
 
     Attributes:
         received: The number of the signal; 0: none.
@@ -185,13 +185,7 @@ class StopOnSignal(BaseCallback):
 
 
 class TrainingCallbacks(CallbackList):
-    """All callbacks of a training.
-
-    Args:
-        run: Its run.
-        evaluator: See `make_evaluator`; None: no evaluations.
-        on_evaluation: See `EvaluationCallback`.
-        verbose: 1: a line for each episode.
+    """All callbacks of a training; without an `evaluator` there are no evaluations.
 
     Attributes:
         stateful: Those whose state belongs to a checkpoint, in its order.

@@ -72,7 +72,7 @@ class TrainingDiagnostics(StatefulCallback):
             problems["spinning"] = failures < 0.5 and sum(distances) / (sum(lengths) * self.period) < self._slow
             problems["flat"] = failures > 0.5 and self._return_is_flat()
         for problem, present in problems.items():
-            self.logger.record(f"watch/{problem}", float(present))
+            self.logger.record(f"diagnostics/{problem}", float(present))
             if present and not self.warned[problem]:
                 self.warned[problem] = True
                 print(f"warning: after {self.num_timesteps} steps {ADVICE[problem]}", file=sys.stderr, flush=True)
@@ -96,7 +96,10 @@ class TrainingDiagnostics(StatefulCallback):
         return self._largest_value() > _DIVERGED * self._largest_reward / (1.0 - gamma)
 
     def _largest_value(self) -> float:
-        """The largest value that the policy predicts now; 0 if it has no value function."""
+        """The largest value that the policy predicts now; 0 if it has no value function.
+
+        Stable-Baselines3 keeps the last observations and LSTM states in private attributes only.
+        """
         model: Any = self.model
         policy = model.policy
         if hasattr(policy, "q"):

@@ -18,17 +18,13 @@ from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.folder import Run
 
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
-_WRITER = "_AsyncWriterThread"  # of tensorboard.summary.writer.event_file_writer
+_WRITER = "_AsyncWriterThread"  # of tensorboard.summary.writer.event_file_writer; nothing public tells it from others
 _LIBRARIES = {"stable_baselines3", "sb3_contrib", "torch", "numpy"}
 
 
 @contextmanager
 def translate_machine_errors(folder: Path) -> Iterator[None]:
-    """Translate the errors of a full disk, a read-only folder and too little memory.
-
-    Raises:
-        InputError: Instead of such an error.
-    """
+    """Translate the errors of a full disk, a read-only folder and too little memory into an `InputError`."""
     try:
         with _quiet_writer_thread():
             yield
@@ -62,12 +58,9 @@ def _quiet_writer_thread() -> Iterator[None]:
 
 @contextmanager
 def translate_learning_errors(algorithm: BaseAlgorithm, run: Run) -> Iterator[None]:
-    """Translate the errors of weights that diverged, and of settings that the algorithm cannot learn with.
+    """Translate the errors of diverged weights, and of settings that the algorithm refuses, into an `InputError`.
 
     An error in a task, an environment or a user's own algorithm is a bug, and keeps its traceback.
-
-    Raises:
-        InputError: Instead of such an error.
     """
     try:
         yield

@@ -28,11 +28,7 @@ def generators_state(algorithm: BaseAlgorithm) -> dict[str, Any]:
 
 
 def restore_generators(algorithm: BaseAlgorithm, states: Mapping[str, Any]) -> None:
-    """Restore the states of all random generators.
-
-    Raises:
-        ValueError, TypeError, KeyError: If they do not fit.
-    """
+    """Restore the states of all random generators; raises `LIBRARY_ERRORS` if they do not fit."""
     version, words, gauss = states["python"]
     if not 0 <= states["numpy"]["state"]["pos"] <= _WORDS:  # numpy would read outside its state
         raise ValueError("the position of numpy's generator is outside its state")
@@ -69,9 +65,6 @@ class RestoreRandomState(BaseCallback):
         generators: See `generators_state`.
         matrices: See `exploration_matrices`, as arrays; None: the checkpoint was taken after the last rollout, and
             nothing is restored.
-
-    Raises:
-        ValueError, TypeError, KeyError: If the matrices do not fit the algorithm.
     """
 
     def __init__(self, algorithm: BaseAlgorithm, generators: Mapping[str, Any], matrices: Any) -> None:

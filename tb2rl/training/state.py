@@ -1,6 +1,7 @@
 """Capture and restore the state of a training, so that a resumed one continues bit by bit.
 
 A state is captured where a rollout starts: there an on-policy buffer is empty, and all collected data is learned.
+Stable-Baselines3 has no public access to the state of a learner, so this module uses its private attributes.
 """
 
 from __future__ import annotations
@@ -137,18 +138,16 @@ def _restored(owner: Any, saved: Mapping[str, Any], present: Mapping[str, Any]) 
     """Saved attributes in the form of the present ones, see `restore_into`.
 
     Raises:
-        ValueError: If they do not fit, or one of them contradicts the config.
+        ValueError: If they do not fit, or a number contradicts the config.
     """
     if saved.keys() != present.keys():
         raise ValueError(f"other attributes: {', '.join(sorted(saved.keys() ^ present.keys()))}")
     classes: tuple[Any, ...] = type(owner).__mro__
     arguments = {name for each in classes for name in getattr(each.__init__, "__annotations__", ())}
-    configured = {name: present[name] for name in arguments & present.keys() if isinstance(present[name], int | float)}
-    restored = {name: restore_into(value, saved[name], name) for name, value in present.items()}
-    for name, value in configured.items():
-        if restored[name] != value:
-            raise ValueError(f"{name} is {restored[name]!r}, and the config says {value!r}")
-    return restored
+    for name in arguments & present.keys():
+        if isinstance(present[name], int | float) and saved[name] != present[name]:
+            raise ValueError(f"{name} is {saved[name]!r}, and the config says {present[name]!r}")
+    return {name: restore_into(value, saved[name], name) for name, value in present.items()}
 
 
 # ---- the replay buffer: only its filled rows
@@ -163,10 +162,7 @@ def _first_rows(value: Any, buffer: BaseBuffer, count: int) -> Any:
 
 
 def _refill(buffer: BaseBuffer, saved: Mapping[str, Any]) -> None:
-    position, full = saved["pos"], saved["full"]
-    if type(position) is not int or type(full) is not bool or not 0 <= position < buffer.buffer_size:
-        raise ValueError("the replay buffer's position is outside it")
-    present = _first_rows(_attributes(buffer), buffer, buffer.buffer_size if full else position)
+    present = _first_rows(_attributes(buffer), buffer, buffer.buffer_size if saved["full"] else saved["pos"])
     for name, value in _restored(buffer, saved, present).items():
         if not isinstance(value, np.ndarray | Mapping):  # arrays are written in place
             setattr(buffer, name, value)

@@ -67,7 +67,7 @@ class EpisodeLines(BaseCallback):
 
     def _line(self, episode: Mapping[str, float]) -> str:
         schedule = getattr(self.model, "lr_schedule", None)
-        alpha = schedule(self.model._current_progress_remaining) if schedule else float("nan")
+        alpha = schedule(self.model._current_progress_remaining) if schedule else float("nan")  # there is no public one
         numbers = [("alpha", alpha), ("gamma", getattr(self.model, "gamma", None))]
         numbers.append(("epsilon", getattr(self.model, "exploration_rate", None)))
         shown = " - ".join(f"{name}: {value:.4g}" for name, value in numbers if value is not None)
@@ -101,7 +101,7 @@ class TensorBoard(TensorBoardOutputFormat):
         # The first summary, a list of columns, is left out: TensorBoard would use one run's list for all runs, without
         # the columns of other agents. If there is no list, it collects the columns of all runs.
         _columns, *values = hparams(dict(hyperparameters), {})
-        for summary in values:
+        for summary in values:  # `SummaryWriter` has no public method for a single summary
             self.writer._get_file_writer().add_summary(summary)
 
 

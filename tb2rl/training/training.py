@@ -102,12 +102,10 @@ def train_config(
     on_evaluation: Callable[[Evaluation], object] | None = None,
     tracked_folder: Path | None = None,
 ) -> Training:
-    """Train a resolved config.
+    """Train a resolved config in a run folder.
 
     Args:
-        config: What to train.
-        folder: The run folder.
-        progress_bar: Whether to show the rate and the remaining time.
+        config, folder, progress_bar: See `train`.
         verbose: 1: a line for each episode.
         on_start: Called with the run folder once nothing was refused.
         on_evaluation: Called with each evaluation during training; an exception from it ends the training.

@@ -1,6 +1,6 @@
 """Worlds: obstacles, start and goal; the files that they are read from, and their geometry.
 
-A new file format is a function from a path to a `World` (see README.md).
+A new file format is a function from a path to a `World` (see README.md). Imports `robots` and `core`.
 """
 
 from importlib import import_module

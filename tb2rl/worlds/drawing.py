@@ -13,8 +13,6 @@ from tb2rl.core.values import Pose
 from tb2rl.worlds.rectangles import stack_runs
 from tb2rl.worlds.world import BoxShape
 
-MOST_SQUARES = 2**18  # 512 x 512: a second to read if every other one is a wall
-
 
 @dataclass(frozen=True)
 class Drawing:
@@ -29,10 +27,8 @@ def read_drawing(text: str, cell: float) -> Drawing:
     """Read a drawing whose characters are squares with sides of `cell` [m]; adjacent walls become larger boxes.
 
     Raises:
-        InputError: For any other character, a second start or goal, or more than `MOST_SQUARES`.
+        InputError: For any other character, or a second start or goal.
     """
-    if len(text) > MOST_SQUARES:
-        raise InputError(f"the drawing has more than {MOST_SQUARES} squares, the limit")
     lines = text.rstrip(" \n").split("\n")
     marks = {
         mark: ((column - 0.5) * cell, (len(lines) - line + 0.5) * cell, 0.0)

@@ -70,8 +70,6 @@ def find_dynamic_obstacles(setting: Any, where: str) -> tuple[DynamicObstacles, 
     if setting is None:
         return ()
     entries = setting if isinstance(setting, list | tuple) else [setting]
-    if len(entries) > MOST:
-        raise InputError(f"{where}: must be at most {MOST} entries, got {len(entries)}")
     groups = [_group(entry, where) for entry in entries]
     check_number(groups, where)
     return tuple(groups)
@@ -79,7 +77,7 @@ def find_dynamic_obstacles(setting: Any, where: str) -> tuple[DynamicObstacles, 
 
 def _group(entry: Any, where: str) -> DynamicObstacles:
     if not isinstance(entry, Mapping | DynamicObstacles):
-        text = f"{where}: must say how many of what, such as {{people: 4}}, or be a list; got {entry!r}"
+        text = f"{where}: must be a group such as {{people: 4}}, or a list of groups; got {entry!r}"
         raise InputError(one_line(text))
     group = entry if isinstance(entry, DynamicObstacles) else build(DynamicObstacles, entry, where)
     problems = {
@@ -107,9 +105,9 @@ def among(groups: Sequence[DynamicObstacles]) -> str:
     kinds, counts = {"people": "person", "posts": "post", "boxes": "box"}, Counter[tuple[str, float]]()
     for group in groups:
         counts.update({(kind, group.presence): getattr(group, kind) for kind in kinds})
-    said = [
+    parts = [
         f"{count} {kind if count > 1 else kinds[kind]}{f' in {presence:.0%} of the episodes' if presence < 1 else ''}"
         for (kind, presence), count in counts.items()
         if count
     ]
-    return f"among {' and '.join(said)}" if said else ""
+    return f"among {' and '.join(parts)}" if parts else ""

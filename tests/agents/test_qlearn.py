@@ -177,13 +177,6 @@ def test_it_learns_the_shortest_path_over_the_frozen_lake(frozen_lake):
     assert model.policy.q[0].max().item() == pytest.approx(0.9**5), "the goal is six steps away"
 
 
-@pytest.mark.parametrize(("initial_value", "tried"), [(10.0, 3), (0.0, 1)])
-def test_a_greedy_learner_tries_everything_only_if_its_table_is_optimistic(initial_value, tried, bandit):
-    greedy = {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0, "learning_rate": 0.5}
-    model = QLearning("QTable", bandit(3), policy_kwargs={"initial_value": initial_value}, **greedy).learn(50)
-    assert (model.policy.visits > 0).sum() == tried
-
-
 def test_raw_observations_are_refused():
     with pytest.raises(InputError, match="observation=discrete"):
         QLearning("QTable", make_env(observation="raw"))

@@ -30,6 +30,7 @@ def test_sb3s_callbacks_evaluate_checkpoint_and_stop(tmp_path, drive):
     assert QLearning.load(tmp_path / "rl_model_5_steps.zip").num_timesteps == 5
 
 
+@pytest.mark.slow
 def test_it_trains_in_subprocesses_of_sb3():
     process_context()  # SB3 forks from the same server
     environments = make_vec_env("tb2rl:TurtleBot2Maze-v0", 2, vec_env_cls=SubprocVecEnv)

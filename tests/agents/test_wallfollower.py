@@ -10,7 +10,7 @@ import pytest
 from tb2rl import evaluate, make_env
 from tb2rl.agents.wallfollower import WallFollower
 from tb2rl.core.plugins import robot_names
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.layers import resolve
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from tb2rl.deploy import Command, Driver, Mounting, Needs, Scan
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many
 
@@ -54,11 +54,11 @@ def cast_from() -> Callable[..., np.ndarray]:
 
 @dataclass(frozen=True)
 class Scanner:
-    """A scanner with a field of view [rad], whose middle is turned from its angle 0 [rad]."""
+    """A scanner; the middle of its field of view [rad] is turned from its angle 0 [rad]."""
 
-    field: float
+    field_of_view: float
     readings: int
-    mounting: Mounting = Mounting()
+    mounting: Mounting = field(default_factory=Mounting)
     clockwise: bool = False
     turned: float = 0.0
 
@@ -68,7 +68,7 @@ class Scanner:
         cos, sin = math.cos(yaw), math.sin(yaw)
         pose = x + cos * m.x - sin * m.y, y + sin * m.x + cos * m.y, yaw + m.yaw
         sign = -1.0 if self.clockwise else 1.0
-        first, step = self.turned - sign * self.field / 2, sign * self.field / (self.readings - 1)
+        first, step = self.turned - sign * self.field_of_view / 2, sign * self.field_of_view / (self.readings - 1)
         angles = first + step * np.arange(self.readings)
         ranges = cast(world, pose, -angles if m.upside_down else angles, 30.0)
         return Scan(ranges.astype(np.float32), first, step, 0.1, 30.0)

@@ -43,10 +43,7 @@ def compare_commands(policy, ask) -> int:
     return STEPS
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["maze-loop-qlearn", "wall-wall-dqn", *(pytest.param(n, marks=pytest.mark.slow) for n in ("maze-loop-ppo", "drive-loop-td3"))],
-)  # fmt: skip
+@pytest.mark.parametrize("name", ["maze-loop-qlearn", "wall-wall-dqn"])
 def test_a_policy_of_the_zoo_drives_as_in_its_environment(name, ask):
     assert compare_commands(load(f"zoo:{name}"), ask) == STEPS
 

@@ -11,18 +11,18 @@ import tb2rl
 from tb2rl.envs.encodings import rows
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.vec_env import BatchVecEnv
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.robots.robot import MAX_SPEED
 from tb2rl.runs.loading import config_of
-from tb2rl.simulation import SIMULATIONS, InitialState
+from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
 
 def batch(task, observation, num_envs, seed=0, **arguments):
-    env = BatchVecEnv(make_scene(task, observation), num_envs, **arguments)
+    env = TurtleBot2VecEnv(make_scene(task, observation), num_envs, **arguments)
     env.seed(seed)
     return env, env.reset()
 
@@ -38,7 +38,7 @@ def rollout(num_envs, steps=300):
 
 
 def test_results_do_not_depend_on_threads(monkeypatch):
-    monkeypatch.setattr("tb2rl.simulation.kinematic.WORTH_THREADS", 0.0)
+    monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.WORTH_THREADS", 0.0)
     monkeypatch.setattr("tb2rl.simulation.threads.THREADS", 1)
     alone = rollout(1000)
     monkeypatch.setattr("tb2rl.simulation.threads.THREADS", 3)
@@ -47,7 +47,7 @@ def test_results_do_not_depend_on_threads(monkeypatch):
 
 
 def test_equal_seeds_give_equal_episodes_and_others_do_not():
-    poses = [batch(Wander(), "raw", 20, seed)[0].batch.simulation.state()["poses"] for seed in (1, 1, 2)]
+    poses = [batch(Wander(), "raw", 20, seed)[0].loop.simulator.state()["poses"] for seed in (1, 1, 2)]
     np.testing.assert_array_equal(poses[0], poses[1])
     assert (poses[0] != poses[2]).all()
 
@@ -57,7 +57,7 @@ def test_the_way_to_go_is_each_robots_own_where_episodes_end():
     (env, _), ended = batch(task, "raw", 20), []
     for _ in range(59):
         *_, dones, _ = env.step(np.tile((1.0, 0.0), (20, 1)))
-        robot_state = env.batch.robot_state
+        robot_state = env.loop.robot_state
         if dones.any():
             ended.append(dones.sum())
             np.testing.assert_array_equal(vars(robot_state)["path_length"], replace(robot_state).path_length)
@@ -94,7 +94,7 @@ def test_an_episode_lasts_as_many_steps_as_it_says():
 CAMERA = ["laser", {"camera": {"width": 12, "height": 9}}]
 
 
-@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
 @pytest.mark.parametrize(
     ("observation", "settings"),
     [("raw", {}), ("discrete", {"frame_stack": 3}), ("raw", {"observe": CAMERA, "frame_stack": 2})],
@@ -163,7 +163,7 @@ def test_images_are_observed_by_all_robots_and_kept_where_episodes_end(image_tas
     for _ in range(45):
         observations, _, dones, infos = env.step(rng.choice(3, size=50))
         for robot in range(50):
-            seen, pose = of(observations, robot), env.batch.simulation.state()["poses"][robot]
+            seen, pose = of(observations, robot), env.loop.simulator.state()["poses"][robot]
             assert space.contains(seen)
             row, column = (pose[:2] % 9.0 * 4.0).astype(int)
             assert image(seen)[0, row, column] == image(seen).sum() > 0  # it is the picture of where the robot is
@@ -193,24 +193,24 @@ class Varied(Wander):
 def test_each_episode_begins_with_a_world_and_a_robot_of_its_own(make_setup):
     worlds = make_setup("loop", "maze", "wall", beams=36)
     scene = replace(make_scene(Varied(episode_steps=5), "raw"), spec=worlds)
-    env = BatchVecEnv(scene, 40)
+    env = TurtleBot2VecEnv(scene, 40)
     env.seed(0)
     env.reset()
     starts = []
     for _ in range(11):
         env.step(np.zeros(40, int))
-        starts.append(InitialState(env.state()["simulation"]["initial_state"]))
+        starts.append(InitialState(env.state()["simulator"]["initial_state"]))
     first, last, anew = starts[0], starts[3], starts[4]  # the fifth step ends all episodes
     assert set(first.world) == {0, 1, 2}
     np.testing.assert_array_equal(first.table, last.table)
     assert (last.parameters[:, MAX_SPEED] != anew.parameters[:, MAX_SPEED]).all()
     assert (last.world != anew.world).any()
-    few = BatchVecEnv(scene, 10)
+    few = TurtleBot2VecEnv(scene, 10)
     few.seed(0)
     few.reset()
     for _ in range(11):
         few.step(np.zeros(10, int))
-    np.testing.assert_array_equal(few.state()["simulation"]["initial_state"], starts[-1].table[:10])
+    np.testing.assert_array_equal(few.state()["simulator"]["initial_state"], starts[-1].table[:10])
 
 
 # ---- states
@@ -224,7 +224,7 @@ def test_it_goes_on_from_a_restored_state_to_the_bit():
         env.step(chosen)
     state = env.state()
     expected = [env.step(chosen) for chosen in actions[20:]]
-    for other in (env, BatchVecEnv(env.batch.scene, 25)):
+    for other in (env, TurtleBot2VecEnv(env.loop.scene, 25)):
         other.restore(state)
         for chosen, answer in zip(actions[20:], expected, strict=True):
             np.testing.assert_equal(other.step(chosen), answer)

@@ -14,16 +14,15 @@ import pytest
 import tb2rl
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.vec_env import BatchVecEnv
-from tb2rl.envs.vector_env import BatchVectorEnv
-from tb2rl.simulation import SIMULATIONS
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.envs.vector_env import TurtleBot2VectorEnv
 from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.tasks.wander import Wander
 
 STEPS = 200
 
 
-@pytest.fixture(params=SIMULATIONS)
+@pytest.fixture(params=("bullet", "kinematic"))
 def env(request):
     """A wandering robot with a noisy laser, in the middle of its episode."""
     env = _made(request.param)
@@ -85,7 +84,7 @@ def test_the_end_of_one_is_not_the_end_of_the_other(env):
     twin.close()
 
 
-@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
 def test_before_a_reset_and_after_the_end_there_are_copies_too(simulation, make):
     env = make("maze", simulation=simulation)
     twin = copy.deepcopy(env)
@@ -107,7 +106,7 @@ def test_a_restored_environment_is_copied_from_there(make):
 
 def test_one_with_a_window_is_not_copied(make):
     env = make("maze")
-    env.simulation._window = True
+    env.simulator._window = True
     with pytest.raises(InputError, match="window cannot be copied"):
         copy.deepcopy(env)
 
@@ -133,7 +132,7 @@ def test_one_that_is_dropped_frees_its_client(made, without_gc):
 
 def test_a_forked_process_does_not_disconnect_the_client_of_its_parent(monkeypatch, without_gc):
     env = tb2rl.make_env()
-    client = env.simulation._client
+    client = env.simulator._client
     with monkeypatch.context() as forked:
         forked.setattr("os.getpid", lambda: -1)
         del env
@@ -141,7 +140,7 @@ def test_a_forked_process_does_not_disconnect_the_client_of_its_parent(monkeypat
     pybullet.disconnect(client)
 
 
-@pytest.mark.parametrize("kind", [BatchVecEnv, BatchVectorEnv])
+@pytest.mark.parametrize("kind", [TurtleBot2VecEnv, TurtleBot2VectorEnv])
 def test_a_batch_is_copied(kind):
     batch = kind(make_scene(Wander(laser_noise=0.01, episode_steps=40), "raw"), 30)
     batch.reset()
@@ -156,6 +155,6 @@ def test_a_batch_is_copied(kind):
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
 def test_worlds_of_pybullet_in_processes_are_not_copied(copied):
-    envs = BatchVecEnv(make_scene(Wander(), "raw"), 2, simulation="bullet")
+    envs = TurtleBot2VecEnv(make_scene(Wander(), "raw"), 2, simulation="bullet")
     with closing(envs), pytest.raises(InputError, match="worlds in processes cannot be copied"):
         copied(envs)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
+from tb2rl.envs.seeded_loop import SeededLoop
 from tb2rl.sensors.waypoint import Waypoint
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.navigate import Navigate
@@ -67,29 +67,29 @@ def test_its_map_ends_at_the_bounds_of_its_own_world_however_large_the_others_ar
 
 def test_it_forgets_where_an_episode_begins_and_each_robot_has_a_map_of_its_own():
     scene = scene_of(map="online", episode_steps=9)
-    batch = ControlLoop(scene, 2)
+    batch = SeededLoop.open(scene, "kinematic", 2)
     batch.seed(0)
-    first = batch.reset().copy()
+    first = batch.reset_all().copy()
     actions = np.array([[0.0, 0.0], [-1.0, 1.0]])  # one drives on, one turns
     for _ in range(8):
-        later = batch.step(actions).observations
+        later = batch.step_and_reset(actions).observations
     point = [name == "waypoint" for name in scene.observation_space.names]
     assert not np.allclose(later[0, point], later[1, point])
-    again = batch.step(actions).observations
+    again = batch.step_and_reset(actions).observations
     np.testing.assert_array_equal(again, first)
 
 
 def test_a_batch_that_explores_goes_on_from_its_state_to_the_bit():
     scene = scene_of(map="online")
-    one, other = ControlLoop(scene, 3), ControlLoop(scene, 3)
+    one, other = SeededLoop.open(scene, "kinematic", 3), SeededLoop.open(scene, "kinematic", 3)
     one.seed(3), other.seed(4)
-    one.reset(), other.reset()
+    one.reset_all(), other.reset_all()
     actions = np.random.default_rng(0).uniform(-1, 1, (20, 3, 2))
     for chosen in actions[:10]:
-        one.step(chosen)
+        one.step_and_reset(chosen)
     other.restore(one.state())
     for chosen in actions[10:]:
-        np.testing.assert_array_equal(one.step(chosen).observations, other.step(chosen).observations)
+        np.testing.assert_array_equal(one.step_and_reset(chosen).observations, other.step_and_reset(chosen).observations)
 
 
 def test_a_map_holds_against_beams_that_miss():

@@ -8,7 +8,7 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.simulation import InitialState
 from tb2rl.tasks.wander import Wander
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.pose_history import PoseHistory
 from tb2rl.envs.scene import make_scene
+from tb2rl.envs.seeded_loop import SeededLoop
 from tb2rl.sensors.visited import Visited
 from tb2rl.tasks.drive import Drive
 
@@ -68,16 +68,16 @@ def test_before_anything_is_remembered_it_has_been_nowhere(make_reading):
 
 def test_each_robot_forgets_where_its_own_episode_begins_and_a_batch_goes_on_to_the_bit():
     scene = make_scene(Drive(observe=("visited",), episode_steps=23), "raw")
-    one, other = ControlLoop(scene, 3), ControlLoop(scene, 3)
+    one, other = SeededLoop.open(scene, "kinematic", 3), SeededLoop.open(scene, "kinematic", 3)
     one.seed(3), other.seed(4)
-    first, _ = one.reset(), other.reset()
+    first, _ = one.reset_all(), other.reset_all()
     actions = np.random.default_rng(0).uniform(-1, 1, (60, 3, 2))
     for chosen in actions[:30]:
-        step = one.step(chosen)
+        step = one.step_and_reset(chosen)
         if step.finished is not None:
             ended = step.finished.indices
             np.testing.assert_array_equal(step.observations[ended], first[ended])
     other.restore(one.state())
     for chosen in actions[30:]:
-        np.testing.assert_array_equal(one.step(chosen).observations, other.step(chosen).observations)
+        np.testing.assert_array_equal(one.step_and_reset(chosen).observations, other.step_and_reset(chosen).observations)
     assert step.observations.max() > 1.0

@@ -14,8 +14,8 @@ import pytest
 
 import tb2rl
 from tb2rl.core.errors import InputError
-from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.scene import make_scene
+from tb2rl.envs.seeded_loop import SeededLoop
 from tb2rl.envs.worlds import absolute_worlds, find_worlds
 from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.runs.config import config_from
@@ -240,10 +240,10 @@ def test_a_setting_of_a_generator_can_be_changed_alone(tmp_path):
 def test_gymnasium_takes_them_too():
     env = gym.make("tb2rl:TurtleBot2Maze-v0", world=EASY, simulation="kinematic")
     many = gym.make_vec("tb2rl:TurtleBot2Maze-v0", 50, world=EASY, simulation="kinematic")
-    for scene in (env.unwrapped.scene, many.unwrapped.batch.scene):
+    for scene in (env.unwrapped.scene, many.unwrapped.loop.scene):
         assert len(scene.spec.worlds) == 10
     many.reset(seed=0)
-    assert len(set(many.unwrapped.batch.robot_state.initial_state.world)) == 10
+    assert len(set(many.unwrapped.loop.robot_state.initial_state.world)) == 10
 
 
 # ---- where episodes begin
@@ -272,18 +272,18 @@ def test_each_robot_begins_in_a_world_that_is_drawn_for_it(begins):
 
 def test_robots_of_a_batch_are_in_worlds_of_their_own():
     scene = make_scene(Wander(world=EASY, episode_steps=4), "raw")
-    batch = ControlLoop(scene, 300)
+    batch = SeededLoop.open(scene, "kinematic", 300)
     batch.seed(0)
-    batch.reset()
+    batch.reset_all()
     first = batch.robot_state.initial_state.world.copy()
     assert set(first) == set(range(10))
     for _ in range(4):
-        batch.step(np.ones(300, dtype=int))
+        batch.step_and_reset(np.ones(300, dtype=int))
     second = batch.robot_state.initial_state.world.copy()
     assert (first != second).mean() > 0.8
-    few = ControlLoop(scene, 30)
+    few = SeededLoop.open(scene, "kinematic", 30)
     few.seed(0)
-    few.reset()
+    few.reset_all()
     assert (few.robot_state.initial_state.world == first[:30]).all()
 
 

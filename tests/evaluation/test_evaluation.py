@@ -14,9 +14,9 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation, episode_of, kept_evaluation
-from tb2rl.evaluation.evaluator import evaluate
 from tb2rl.evaluation.rollout import roll_out
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.runs.algorithm import make_baseline
@@ -166,7 +166,7 @@ def test_what_is_kept_is_read_back(keep, outcomes):
 
 def test_an_evaluation_says_in_which_simulation_it_drove(keep, monkeypatch):
     monkeypatch.setattr(
-        "tb2rl.evaluation.evaluator.judging_simulation", lambda: "kinematic"
+        "tb2rl.evaluation.evaluator.default_simulator", lambda: "kinematic"
     )  # as where PyBullet is missing
     folder = keep()
     assert json.loads((folder / EVALUATION).read_text())["simulation"] == "kinematic"

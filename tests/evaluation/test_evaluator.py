@@ -18,12 +18,10 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.plugins import agent_names
 from tb2rl.envs.scene import make_scene
 from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
-from tb2rl.execution.where import Where
 from tb2rl.execution.local import LocalExecutor
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
 from tb2rl.runs.layers import resolve
-from tb2rl.simulation import SIMULATIONS
 from tb2rl.tasks.wander import Wander
 from tb2rl.worlds.registry import find_world
 
@@ -240,7 +238,7 @@ def test_settings_change_the_task(run):
         evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)
 
 
-@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
 def test_the_simulation_can_be_chosen(simulation, run):
     assert evaluate(run, simulation=simulation, episodes=1, steps=2, workers=1).simulation == simulation
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.progress import progress, say
 from tb2rl.runs.layers import resolve
 

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.spaces import check_observes
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.layers import resolve

@@ -9,7 +9,7 @@ import pytest
 import torch as th
 
 from tb2rl import load
-from tb2rl.envs.single import TurtleBot2Env
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.evaluation.evaluation import Evaluation, episode_of
 from tb2rl.evaluation.evaluator import TOGETHER, Evaluator
 from tb2rl.evaluation.rollout import roll_out

@@ -7,12 +7,12 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from tb2rl.simulation import SIMULATIONS, InitialState, simulate
+from tb2rl.simulation import InitialState, find_simulator
 
 PERIOD = 0.2  # [s] of a command
 
 
-@pytest.fixture(params=SIMULATIONS)
+@pytest.fixture(params=("bullet", "kinematic"))
 def drive(request, make_setup):
     """A function from a world, a pose and commands to the first reading and those after each command."""
 
@@ -20,7 +20,7 @@ def drive(request, make_setup):
         spec = make_setup(world, beams=3)
         start = InitialState.default(spec, 1)
         start.pose[:] = pose
-        with closing(simulate(request.param, spec)) as simulation:
+        with closing(find_simulator(request.param).open(spec)) as simulation:
             first = simulation.reset(start, np.random.default_rng(0))
             return [first, *(simulation.step(np.array([command]), PERIOD) for command in commands)]
 

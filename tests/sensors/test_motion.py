@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.command_delay import CommandDelay
+from tb2rl.envs.command_history import CommandHistory
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
 from tb2rl.sensors.names import SENSORS
@@ -59,17 +59,14 @@ def test_against_a_wall_the_wheels_turn_on(drive):
 
 def test_the_last_actions_are_what_was_told_as_shares_of_the_fastest(make_reading):
     one, other, sensor = [(0.65, 0.0), (0.13, math.pi)], [(0.0, -math.pi), (-0.65, 0.0)], LastAction(ROBOT, count=3)
-    command_delay, robot_state = (
-        CommandDelay(latency=0, kept=sensor.reads_commands),
-        make_reading(twist=np.zeros((2, 2))),
-    )
-    command_delay.begin(robot_state)
+    history, robot_state = CommandHistory(sensor.reads_commands, delayed=False), make_reading(twist=np.zeros((2, 2)))
+    history.reset(robot_state)
     for commands in np.transpose([one, other], (1, 0, 2)):
-        command_delay.push(commands, np.zeros(2))
-    shares = sensor.read(replace(robot_state, command_history=command_delay))
+        history.push(commands)
+    shares = sensor.read(replace(robot_state, command_history=history))
     np.testing.assert_allclose(shares, [[0.2, 1.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, -1.0, 0.0, 0.0]])
     np.testing.assert_array_equal(
-        LastAction(ROBOT).read(replace(robot_state, command_history=command_delay)), shares[:, :2]
+        LastAction(ROBOT).read(replace(robot_state, command_history=history)), shares[:, :2]
     )
     np.testing.assert_array_equal(sensor.read(robot_state), np.zeros((2, 6)), "nothing was told yet")
 

@@ -12,8 +12,8 @@ from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.bullet.bodies import connect
-from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.bullet.client import pybullet
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast
 from tb2rl.worlds.registry import world_names

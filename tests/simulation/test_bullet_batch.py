@@ -59,7 +59,7 @@ def drive(batch, steps=10) -> list[dict]:
     seen = [begun(batch).state()]
     for step, told in enumerate(commands(steps, batch.num_envs)):
         robot_state = batch.step(told, PERIOD)
-        seen.append({**robot_state.state(), "moved": batch.moved})
+        seen.append({**robot_state.state(), "moved": batch.travelled})
         if step % 4 == 3:
             again = np.array([0, 3])
             fresh = InitialState.default(SETUP, 2, np.array([step // 4 % 2, 1]))
@@ -81,7 +81,7 @@ class Singles:
     def step(self, commands, duration):
         before = [robot_state.pose[0] for robot_state in self.latest]
         robot_state = self._joined([w.step(c[None], duration) for w, c in zip(self.worlds, commands, strict=True)])
-        self.moved = np.hypot(*(robot_state.pose - before)[:, :2].T)
+        self.travelled = np.hypot(*(robot_state.pose - before)[:, :2].T)
         return robot_state
 
     def restart(self, num_envs, start, robot_state):
@@ -146,7 +146,7 @@ def test_a_state_brings_back_all_that_follows(processes, make):
     for go_on in (batch, batch, make(SETUP, 8, 3)):
         if ways:
             go_on.restore(state)
-        ways.append([{**go_on.step(told, PERIOD).state(), "moved": go_on.moved} for told in commands(5, 8)])
+        ways.append([{**go_on.step(told, PERIOD).state(), "moved": go_on.travelled} for told in commands(5, 8)])
         ways[-1].append(go_on.restart(np.array([2]), starts(1), None)[1].state())
     np.testing.assert_equal(ways[1:], [ways[0], ways[0]])
 
@@ -156,7 +156,7 @@ def test_the_next_way_is_counted_from_the_last_reading_though_physics_rounds_wha
     last = begun(batch).pose + [1e-9, 0.0, 0.0]
     batch.restore({**batch.state(), "poses": last})
     change = batch.step(commands(1, 3)[0], PERIOD).pose - last
-    np.testing.assert_array_equal(batch.moved, np.hypot(change[:, 0], change[:, 1]))
+    np.testing.assert_array_equal(batch.travelled, np.hypot(change[:, 0], change[:, 1]))
 
 
 def test_a_state_in_a_world_that_is_not_there_is_refused(make):
@@ -235,7 +235,7 @@ def test_a_robot_that_cannot_be_loaded_leaves_no_process(tmp_path):
 
 def test_an_error_in_another_process_where_it_opens_its_worlds_arrives(monkeypatch):
     before = set(multiprocessing.active_children())
-    monkeypatch.setattr("tb2rl.simulation.bullet_batch.cloudpickle.dumps", lambda _: b"no setup")
+    monkeypatch.setattr("tb2rl.simulation.bullet.batch.cloudpickle.dumps", lambda _: b"no setup")
     with pytest.raises(pickle.UnpicklingError):
         BulletBatch(SETUP, 2, 2)
     assert set(multiprocessing.active_children()) <= before
@@ -252,5 +252,5 @@ def test_threads_drive_batches_of_their_own(make):
 def test_processes_that_start_anew_serve_as_well(make, monkeypatch):
     here = drive(make(SETUP, 4, 2))
     spawn = multiprocessing.get_context("spawn")
-    monkeypatch.setattr("tb2rl.simulation.bullet_batch.process_context", lambda: spawn)
+    monkeypatch.setattr("tb2rl.simulation.bullet.batch.process_context", lambda: spawn)
     np.testing.assert_equal(drive(make(SETUP, 4, 2)), here)

@@ -216,5 +216,5 @@ def test_it_says_how_far_each_robot_moved(make_setup):
     before = simulation.reset(start, rng).pose
     for _ in range(5):
         after = simulation.step(rng.uniform(-1, 1, (100, 2)), 0.2).pose
-        assert (simulation.moved == np.hypot(*(after - before)[:, :2].T)).all()
+        assert (simulation.travelled == np.hypot(*(after - before)[:, :2].T)).all()
         before = after

@@ -13,9 +13,9 @@ import pytest
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, simulate
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.obstacles.motion import NEXT, SPEED, STRIDE
 from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y
 from tb2rl.simulation.spec import OBSTACLE_SEED
-from tb2rl.simulation.obstacles.motion import NEXT, SPEED, STRIDE
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 from tb2rl.worlds.world import World
 
@@ -388,7 +388,7 @@ def test_threads_and_the_number_of_robots_change_nothing(make_setup, monkeypatch
     start, told = begin(spec, rng, 64), rng.uniform((-0.1, -1), (0.6, 1), (10, 64, 2))
     ends = []
     for worth, robots in ((0.0, 64), (1e9, 64), (1e9, 7)):
-        monkeypatch.setattr("tb2rl.simulation.kinematic.WORTH_THREADS", worth)
+        monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.WORTH_THREADS", worth)
         monkeypatch.setattr("tb2rl.simulation.kinematic.WAKING", 0.0)
         twin = KinematicSimulator(spec, robots)
         twin.reset(InitialState(start.table[:robots].copy()), np.random.default_rng(0))

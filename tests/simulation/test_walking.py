@@ -12,10 +12,10 @@ import pytest
 
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.obstacles.motion import HURRY, SPEED
 from tb2rl.simulation.obstacles.outlines import COS, SIN, X, Y
 from tb2rl.simulation.obstacles.social_force import social_force
 from tb2rl.simulation.spec import OBSTACLE_SEED
-from tb2rl.simulation.obstacles.motion import HURRY, SPEED
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 

@@ -13,7 +13,7 @@ from tb2rl.core.values import build
 from tb2rl.robots.registry import find_robot
 from tb2rl.robots.robot import WHEEL_ACCELERATION
 from tb2rl.simulation.random_streams import GeneratorDraws, StreamDraws
-from tb2rl.simulation.spec import BOUNDS, OBSTACLE_SEED, GOAL, POSE, WORLD
+from tb2rl.simulation.spec import BOUNDS, GOAL, OBSTACLE_SEED, POSE, WORLD
 from tb2rl.tasks import Commands
 from tb2rl.tasks.registry import find_task
 from tb2rl.tasks.wander import Wander

@@ -29,7 +29,7 @@ def test_a_problem_is_named_once_with_advice(problem, small, scalars, tmp_path, 
     warnings = capsys.readouterr().err.splitlines()
     assert len([line for line in warnings if ADVICE[problem] in line]) == 1
     assert all(line.startswith("warning: after ") for line in warnings)
-    assert max(value for _, value in scalars(run, f"watch/{problem}")) == 1.0
+    assert max(value for _, value in scalars(run, f"diagnostics/{problem}")) == 1.0
     if problem == "values":
         with pytest.raises(InputError, match="weights that learning does not lead to"):
             resume(run.folder, 41_000)

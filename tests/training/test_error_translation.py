@@ -41,7 +41,7 @@ def test_a_killed_simulator_process_is_named_and_none_is_left(small, tmp_path, m
             process.join()
         return step(batch, *arguments)
 
-    monkeypatch.setattr("tb2rl.simulation.bullet_batch.processors", lambda: 3)
+    monkeypatch.setattr("tb2rl.simulation.bullet.batch.processors", lambda: 3)
     monkeypatch.setattr(BulletBatch, "step", killed)
     with pytest.raises(InputError, match="a process with worlds of PyBullet has ended"):
         train_config(small(simulation="bullet", n_envs=3), tmp_path / "run")
@@ -67,7 +67,7 @@ def test_too_little_memory_is_named(small, tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("tb2rl.envs.vec_env.BatchVecEnv.step_wait", full)
+    monkeypatch.setattr("tb2rl.envs.vec_env.TurtleBot2VecEnv.step_wait", full)
     with pytest.raises(InputError, match=r"not enough memory: .*train\.n_envs"):
         train_config(small(), tmp_path / "run")
 

@@ -98,13 +98,6 @@ def test_evaluations_while_training_are_those_of_the_loaded_policy(run):
     assert policy.num_timesteps == noted["timesteps"]
 
 
-@pytest.mark.parametrize("run", ["PPO, frames", "RecurrentPPO"], indirect=True)
-def test_a_map_of_actions_and_a_film_take_a_normalised_policy(run, tmp_path):
-    policy = load(run.folder)
-    assert action_map(policy, run.config.scene).actions.max() >= 0
-    assert film(policy, tmp_path / "it.gif", options=FilmOptions(steps=3)).is_file()
-
-
 def test_returns_are_discounted_as_the_agent_does_and_logged_as_they_are(small):
     settings = {**ON_POLICY, "agent.gamma": 0.5}
     config = small("stable_baselines3:PPO", "maze", settings, episode_steps=4, reward_scale=0.5, **BOTH)
@@ -119,17 +112,6 @@ def test_returns_are_discounted_as_the_agent_does_and_logged_as_they_are(small):
             assert not np.allclose(rewards, env.get_original_reward())
             total += env.get_original_reward() / 0.5
         assert [info["episode"]["r"] for info in infos] == total.tolist()
-
-
-def test_the_scale_of_the_reward_makes_no_difference_where_rewards_are_normalised(small, tmp_path):
-    weights = []
-    for scale in (1.0, 0.25):
-        config = small("stable_baselines3:PPO", settings=ON_POLICY, reward_scale=scale, norm_reward=True)
-        policy = load(train_config(config, tmp_path / str(scale)).run.folder).policy
-        weights.append(th.cat([parameter.flatten() for parameter in policy.parameters()]))
-    th.testing.assert_close(*weights, rtol=1e-3, atol=1e-4)
-    plain = load(train_config(small("stable_baselines3:PPO", settings=ON_POLICY), tmp_path / "plain").run.folder).policy
-    assert not th.allclose(weights[0], th.cat([parameter.flatten() for parameter in plain.parameters()]), atol=1e-3)
 
 
 def test_without_normalization_a_policy_is_loaded_as_it_is(small, tmp_path):

@@ -25,7 +25,7 @@ def table(folder) -> np.ndarray:
 
 def test_equal_seeds_give_equal_tables_whatever_the_number_of_processes(small, tmp_path, monkeypatch):
     for name, seed, processors in (("one", 5, 1), ("two", 5, 3), ("other", 6, 1)):
-        monkeypatch.setattr("tb2rl.simulation.bullet_batch.processors", lambda n=processors: n)
+        monkeypatch.setattr("tb2rl.simulation.bullet.batch.processors", lambda n=processors: n)
         train_config(small(seed=seed, **BULLET), tmp_path / name)
     np.testing.assert_array_equal(table(tmp_path / "one"), table(tmp_path / "two"))
     assert not np.array_equal(table(tmp_path / "one"), table(tmp_path / "other"))
@@ -33,7 +33,7 @@ def test_equal_seeds_give_equal_tables_whatever_the_number_of_processes(small, t
 
 def test_the_number_of_threads_changes_no_result(small, assert_same_runs, tmp_path, monkeypatch):
     config = small("ppo", settings={"agent.n_steps": 5, "agent.batch_size": 500}, n_envs=600, total_timesteps=3000)
-    monkeypatch.setattr("tb2rl.simulation.kinematic.WORTH_THREADS", 0.0)
+    monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.WORTH_THREADS", 0.0)
     runs = []
     for threads in (1, 3):
         monkeypatch.setattr("tb2rl.simulation.threads.THREADS", threads)

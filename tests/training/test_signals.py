@@ -16,7 +16,7 @@ import pytest
 
 from tb2rl import load
 from tb2rl.core.signals import ending_signals
-from tb2rl.envs.vec_env import BatchVecEnv
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.folder import Run
 from tb2rl.train import main
@@ -40,14 +40,14 @@ def raise_at(monkeypatch):
     """Raises a signal in the given step of the environments, counted from 1."""
 
     def arrange(number: int, at: int) -> None:
-        step, steps = BatchVecEnv.step_wait, iter(range(1, 1_000_000))
+        step, steps = TurtleBot2VecEnv.step_wait, iter(range(1, 1_000_000))
 
         def interrupted(env):
             if next(steps) == at:
                 signal.raise_signal(number)
             return step(env)
 
-        monkeypatch.setattr(BatchVecEnv, "step_wait", interrupted)
+        monkeypatch.setattr(TurtleBot2VecEnv, "step_wait", interrupted)
 
     return arrange
 

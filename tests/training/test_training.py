@@ -16,7 +16,6 @@ from tb2rl.evaluation.evaluator import TRAINING_SEED
 from tb2rl.evaluation.twin import TwinEvaluator
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
-from tb2rl.simulation import SIMULATIONS
 from tb2rl.training import training
 
 LEARNERS = [name for name in agent_names() if find_agent(name).algorithm is not None]
@@ -131,7 +130,7 @@ def test_the_environment_of_a_policy_is_that_of_its_training(trained):
 
 
 @pytest.mark.parametrize("trained", ["qlearn", "ppo"], indirect=True)
-def test_tensorboard_shows_scalars_paths_and_hyperparameters(trained, scalars, evaluations):
+def test_tensorboard_shows_scalars_and_paths(trained, scalars, evaluations):
     run = Run.open(trained.folder)
     events = EventAccumulator(str(run.folder / "tensorboard")).Reload()
     wanted = {"rollout/failure_rate", "rollout/distance_mean"}
@@ -140,9 +139,6 @@ def test_tensorboard_shows_scalars_paths_and_hyperparameters(trained, scalars, e
     shown = dict(scalars(run, "eval/mean_return"))
     assert shown == {line["timesteps"]: pytest.approx(line["mean_return"]) for line in evaluations(run)}
     assert events.Tags()["images"] == ["eval/paths"]
-    hyperparameters = events.PluginTagToContent("hparams")["_hparams_/session_start_info"]
-    assert b"agent.name" in hyperparameters
-    assert run.config.agent_name.encode() in hyperparameters
 
 
 def test_a_task_may_be_given_as_its_class(tmp_path):
@@ -178,18 +174,6 @@ def test_an_existing_folder_is_left_alone(small, tmp_path):
     with pytest.raises(InputError, match="exists already"):
         training.train_config(small(seed=1), run.folder)
     assert {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()} == before
-
-
-@pytest.mark.parametrize(("agent", "simulation"), list(zip(["qlearn", "ppo"], SIMULATIONS, strict=True)))
-def test_a_turtlebot3_is_trained_and_evaluated(agent, simulation, tmp_path):
-    own = {"agent.n_steps": 64, "agent.batch_size": 64} if agent == "ppo" else {}
-    settings = {"task.robot": "turtlebot3", "task.start": "fixed", **own}
-    policy = train(agent, settings=settings, folder=tmp_path / "run", **{**BARE, "simulation": simulation})
-    env = make_env(load(tmp_path / "run"))
-    assert (env.scene.robot.name, env.scene.task.control_period) == ("turtlebot3", 0.4)
-    env.close()
-    evaluation = evaluate(policy, episodes=1, steps=5, workers=1)
-    assert 0.0 < evaluation.summary()["mean_speed"] <= evaluation.scene.actions.max_speed == 0.22
 
 
 @pytest.mark.slow

@@ -1,15 +1,19 @@
-"""Worlds as YAML: walls, boxes and posts in metres, and what a file can get wrong."""
+"""Worlds as YAML files and drawings, and mistakes in them."""
 
 import math
+import re
 
-import numpy as np
 import pytest
 import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tb2rl.core.errors import InputError
 from tb2rl.worlds.description import world_from
+from tb2rl.worlds.drawing import read_drawing
 
 EMPTY = {"start": [0, 0, 0], "bounds": [-5, -5, 5, 5]}
+DRAWING = "\n#####\n#S.G#\n#.  #\n#####\n"
 
 
 def test_walls_follow_their_path_with_their_thickness_and_filled_corners():
@@ -18,63 +22,83 @@ def test_walls_follow_their_path_with_their_thickness_and_filled_corners():
     ring = shapely.box(-2.2, -2.2, 2.2, 2.2).difference(shapely.box(-1.8, -1.8, 1.8, 1.8))
     assert world.obstacles.symmetric_difference(ring).area == pytest.approx(0, abs=1e-9)
     opened = world_from({**EMPTY, "walls": [{"path": path, "thickness": 0.4}]}, "open")
-    assert world.clearance(-2, 0) == 0
-    assert opened.clearance(-2, 0) == pytest.approx(1.8)
+    assert (world.clearance(-2, 0), opened.clearance(-2, 0)) == (0, pytest.approx(1.8))
 
 
-@pytest.mark.parametrize("degrees", [0, 30, 45, 80, 90, 135, 180, -60, 400])
-def test_a_box_is_turned_by_its_yaw(degrees):
-    yaw = math.radians(degrees)
-    world = world_from({**EMPTY, "boxes": [{"centre": [2, 1], "size": [2, 0.4], "yaw": yaw}]}, "box")
-    along, across = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
-    assert world.clearance(*((2, 1) + 0.99 * along)) == 0
-    assert world.clearance(*((2, 1) + 1.5 * along)) == pytest.approx(0.5)
-    assert world.clearance(*((2, 1) - 0.5 * across)) == pytest.approx(0.3)
-
-
-def test_a_post_is_round_and_everything_else_is_as_it_was_said():
-    said = {"posts": [{"centre": [2, 1], "radius": 0.5}], "goal": [4, 4, 1.5], "description": "one post"}
-    world = world_from({**EMPTY, **said}, "mine")
-    assert world.clearance(2, 3) == pytest.approx(1.5)
-    assert (world.name, world.description) == ("mine", "one post")
+def test_boxes_posts_and_all_other_keys_are_read():
+    boxes, posts = [{"centre": [2, 1], "size": [2, 0.4], "yaw": math.radians(30)}], [{"centre": [-2, 1], "radius": 0.5}]
+    more = {"goal": [4, 4, 1.5], "description": "a box and a post"}
+    world = world_from({**EMPTY, "boxes": boxes, "posts": posts, **more}, "mine")
+    box = shapely.affinity.rotate(shapely.box(1, 0.8, 3, 1.2), 30)
+    post = shapely.Point(-2, 1).buffer(0.5, quad_segs=32)
+    assert world.obstacles.symmetric_difference(box.union(post)).area == pytest.approx(0, abs=1e-9)
+    assert (world.name, world.description) == ("mine", "a box and a post")
     assert (world.start, world.goal, world.bounds) == ((0, 0, 0), (4, 4, 1.5), (-5, -5, 5, 5))
-
-
-def test_the_world_of_a_drawing_takes_what_the_file_says_over_its_marks():
-    drawn = {"drawing": "#####\n#S.G#\n#####", "cell": 1.0}
-    world = world_from({**drawn, "start": [2.5, 1.5, 3.0], "posts": [{"centre": [9, 9], "radius": 1}]}, "mine")
-    assert (world.start, world.goal) == ((2.5, 1.5, 3.0), (3.5, 1.5, 0.0))
-    assert world.bounds == pytest.approx((0, 0, 10, 10))
 
 
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"boxes": [{"centre": [1, 1], "size": [1, 1]}]}, ["no start", "start:"]),
-        ({"drawing": "#..#"}, ["no start", "an S"]),
+        ({"drawing": "#..#"}, ["no start", "start:", "an S"]),
         ({"start": [0, 0, 0], "bounds": [5, 5, -5, -5]}, ["bounds"]),
         ({"start": [0, 0, 0]}, ["without obstacles", "bounds"]),
         ({**EMPTY, "boxs": []}, ["unknown key", "'boxs'", "did you mean 'boxes'", "walls"]),
-        ({**EMPTY, "boxes": [{"centre": [3, 3], "size": [1, 1], "sise": 2}]}, ["boxes.0", "sise"]),
-        ({**EMPTY, "walls": [{"path": [[3, 3], [4, 4]], "thicknes": 2}]}, ["walls.0", "thicknes"]),
-        ({**EMPTY, "boxes": [{"centre": [3, 3]}]}, ["boxes.0.size", "required"]),
-        ({**EMPTY, "boxes": [{"centre": [3, 3], "size": [1, -1]}]}, ["boxes.0.size.1", "greater than 0", "-1"]),
-        ({**EMPTY, "posts": [{"centre": [3, 3], "radius": "wide"}]}, ["posts.0.radius", "number", "'wide'"]),
-        ({**EMPTY, "walls": [{"path": [[1, 1]]}]}, ["walls.0.path", "at least 2"]),
-        ({**EMPTY, "cell": 0}, ["cell", "greater than 0"]),
-        ({**EMPTY, "start": [0, 0]}, ["start: must be [x, y, yaw]", "got [0, 0]"]),
-        ({**EMPTY, "goal": [3, 2]}, ["goal: must be [x, y, yaw]", "got [3, 2]"]),
         ({**EMPTY, "boxes": [{"center": [3, 3], "size": [1, 1]}]}, ["boxes.0.center", "(and centre is missing)"]),
+        ({**EMPTY, "boxes": [{"centre": [3, 3], "size": [1, -1]}]}, ["boxes.0.size.1", "greater than 0", "-1"]),
+        ({**EMPTY, "walls": [{"path": [[1, 1]]}]}, ["walls.0.path", "at least 2"]),
+        ({**EMPTY, "start": [0, 0]}, ["start: must be [x, y, yaw]", "got [0, 0]"]),
         ({**EMPTY, "start": [0, math.nan, 0]}, ["start.1", "finite", "nan"]),
-        ({**EMPTY, "bounds": [-5, -5, math.inf, 5]}, ["bounds.2", "finite", "inf"]),
-        ({**EMPTY, "boxes": [{"centre": [math.nan, 3], "size": [1, 1]}]}, ["boxes.0.centre.0", "finite", "nan"]),
-        (["walls"], ["mapping", "['walls']"]),
         ("walls", ["mapping", "'walls'"]),
     ],
 )
-def test_a_wrong_description_is_refused_with_one_clear_line(content, words):
+def test_a_mistake_in_a_description_is_one_line(content, words):
     with pytest.raises(InputError, match="world mine") as error:
         world_from(content, "mine")
     assert "\n" not in str(error.value)
     for word in words:
         assert word in str(error.value)
+
+
+# ---- drawings
+
+
+def test_a_drawing_has_its_origin_at_the_lower_left_and_its_marks_in_the_middle_of_their_cells():
+    world = world_from({"drawing": DRAWING, "cell": 0.5}, "drawing")
+    assert (world.start, world.goal) == ((0.75, 1.25, 0), (1.75, 1.25, 0))
+    assert world.bounds == (0, 0, 2.5, 2)
+    assert world.free_space(0.0).bounds == pytest.approx((0.5, 0.5, 2, 1.5))
+    assert len(world.boxes) == 4, "a row each below and above, a column each side"
+    drawn = read_drawing("#..#", 1.0)
+    assert (drawn.start, drawn.goal, len(drawn.boxes)) == (None, None, 2)
+
+
+def test_other_keys_of_a_file_take_precedence_over_its_drawing():
+    posts = [{"centre": [9, 9], "radius": 1}]
+    world = world_from({"drawing": DRAWING, "cell": 1.0, "start": [2.5, 1.5, 3.0], "posts": posts}, "mine")
+    assert (world.start, world.goal) == ((2.5, 1.5, 3.0), (3.5, 2.5, 0.0))
+    assert world.bounds == pytest.approx((0, 0, 10, 10))
+
+
+@settings(derandomize=True, deadline=None, max_examples=15)
+@given(st.lists(st.text("#.", min_size=1, max_size=8), min_size=1, max_size=6), st.sampled_from([0.5, 1.0]))
+def test_every_hash_of_a_drawing_is_a_wall_and_nothing_else_is(lines, cell):
+    world = world_from({"drawing": "\n".join(["S", *lines]), "cell": cell, "bounds": [0, 0, 9, 9]}, "random")
+    for row, line in enumerate(reversed(lines)):
+        for column, mark in enumerate(line):
+            clearance = world.clearance((column + 0.5) * cell, (row + 0.5) * cell)
+            assert clearance == 0 if mark == "#" else clearance >= cell / 2 - 1e-9
+    assert world.obstacles.area == pytest.approx("".join(lines).count("#") * cell**2)
+
+
+@pytest.mark.parametrize(
+    ("drawing", "words"),
+    [
+        ("##\n#x", "has 'x' in line 2, column 2; it takes # (wall), S (start), G (goal), and . or a blank"),
+        ("\n####\n#\tS#\n####", r"has '\t' in line 3, column 2;"),
+        ("#####\n#S..#\n#..S#\n#####", "has a second S in line 3, column 4; the first is in line 2, column 2"),
+    ],
+)
+def test_a_mistake_in_a_drawing_is_named_with_its_place(drawing, words):
+    with pytest.raises(InputError, match=re.escape(f"world mine: the drawing {words}")) as error:
+        world_from({"drawing": drawing}, "mine")
+    assert "\n" not in str(error.value)

@@ -16,7 +16,7 @@ OPEN = World.from_shapes("open", start=(1.0, 4.0, 0.0), goal=(7.0, 4.0, 0.0), bo
 WALL = World.from_shapes(
     "wall", [(4.0, 3.0, 0.2, 6.0, 0.0)], start=(2.0, 2.0, 0.0), goal=(6.0, 2.0, 0.0), bounds=BOUNDS
 )
-# A room of its own on the right, where nothing leads to.
+# A room of its own on the right, which cannot be reached.
 CLOSED = World.from_shapes(
     "closed", [(4.0, 4.0, 0.2, 8.0, 0.0)], start=(2.0, 4.0, 0.0), goal=(6.0, 4.0, 0.0), bounds=BOUNDS
 )
@@ -28,52 +28,52 @@ def to_own_goal(world, *places):
     return GoalPaths([world], ROBOT.radius), worlds, np.full(len(places), OWN), np.array(places, dtype=float)
 
 
-def test_on_an_open_floor_a_way_is_as_long_as_the_straight_line():
+def test_on_an_open_floor_a_path_is_as_long_as_the_straight_line():
     places = [(1.0, 4.0), (4.0, 1.0), (7.0, 7.2), (6.95, 4.0), (2.0, 6.5)]
-    ways, worlds, goals, there = to_own_goal(OPEN, *places)
+    paths, worlds, goals, there = to_own_goal(OPEN, *places)
     straight = [math.dist(place, (7.0, 4.0)) for place in places]
-    assert ways.path_length(worlds, goals, there) == pytest.approx(straight, abs=0.2)
+    assert paths.path_length(worlds, goals, there) == pytest.approx(straight, abs=0.2)
 
 
-def test_a_way_goes_round_a_wall_and_keeps_off_it():
-    ways, worlds, goals, there = to_own_goal(WALL, (2.0, 2.0))
+def test_a_path_goes_round_a_wall_and_keeps_off_it():
+    paths, worlds, goals, there = to_own_goal(WALL, (2.0, 2.0))
     corner = math.dist((2.0, 2.0), (3.9, 6.0 + ROBOT.radius)) + 0.2 + math.dist((4.1, 6.0 + ROBOT.radius), (6.0, 2.0))
     assert 1.0 < shortest_path_length(WALL, ROBOT.radius) / corner < 1.05
-    assert corner < ways.path_length(worlds, goals, there)[0] < corner + 1.5, "near a wall it counts as longer"
-    above = ways.lookahead_point(worlds, goals, there, 4.9)[0]
+    assert corner < paths.path_length(worlds, goals, there)[0] < corner + 1.5, "near a wall it counts as longer"
+    above = paths.lookahead_point(worlds, goals, there, 4.9)[0]
     assert above[1] - 6.0 > ROBOT.radius + 0.05, "it passes the corner with room to spare"
 
 
 @pytest.mark.parametrize("world", [OPEN, WALL])
 def test_the_point_ahead_leads_to_the_goal_and_no_farther(world):
-    ways, worlds, goals, there = to_own_goal(world, world.start[:2])
-    length, way = ways.path_length(worlds, goals, there)[0], 0.0
+    paths, worlds, goals, there = to_own_goal(world, world.start[:2])
+    length, driven = paths.path_length(worlds, goals, there)[0], 0.0
     for _ in range(400):
-        after = ways.lookahead_point(worlds, goals, there, 0.1)
+        after = paths.lookahead_point(worlds, goals, there, 0.1)
         assert np.hypot(*(after - there).T)[0] <= 0.1 + 1e-9
         assert world.clearance(*after[0]) >= ROBOT.radius
-        way, there = way + np.hypot(*(after - there).T)[0], after
+        driven, there = driven + np.hypot(*(after - there).T)[0], after
     np.testing.assert_allclose(there[0], world.goal[:2], atol=1e-9)
-    assert way < length + 0.1
+    assert driven < length + 0.1
 
 
-def test_a_way_from_beside_a_thin_wall_does_not_lead_through_it():
+def test_a_path_from_beside_a_thin_wall_does_not_lead_through_it():
     """The goal is behind the wall, so that what is behind it is nearer by far."""
     places = [(3.9 - ROBOT.radius - gap, y) for gap in (0.0, 0.01, 0.03, 0.06) for y in np.arange(1.0, 4.5, 0.1)]
-    ways, worlds, goals, there = to_own_goal(WALL, *places)
+    paths, worlds, goals, there = to_own_goal(WALL, *places)
     for _ in range(60):
-        there = ways.lookahead_point(worlds, goals, there, 0.05)
+        there = paths.lookahead_point(worlds, goals, there, 0.05)
         assert min(WALL.clearance(x, y) for x, y in there) > 0.1
 
 
 def test_every_robot_has_its_own_world_goal_and_place():
-    ways, worlds = GoalPaths(MIXED, ROBOT.radius), np.repeat(np.arange(10), GOALS)
+    paths, worlds = GoalPaths(MIXED, ROBOT.radius), np.repeat(np.arange(10), GOALS)
     numbers, places = np.tile(np.arange(1, GOALS + 1), 10), np.array([MIXED[i].start[:2] for i in worlds])
-    together = ways.path_length(worlds, numbers, places)
+    together = paths.path_length(worlds, numbers, places)
     for i in range(0, len(worlds), 7):
         alone = GoalPaths(MIXED, ROBOT.radius)
         assert alone.path_length(worlds[i : i + 1], numbers[i : i + 1], places[i : i + 1]) == together[i]
-    assert len({tuple(goal) for goal in ways.goals(worlds, numbers).tolist()}) > 30, "random goals differ"
+    assert len({tuple(goal) for goal in paths.goals(worlds, numbers).tolist()}) > 30, "random goals differ"
 
 
 def test_random_goals_have_room_and_can_be_reached_and_are_the_same_in_every_process():
@@ -86,27 +86,27 @@ def test_random_goals_have_room_and_can_be_reached_and_are_the_same_in_every_pro
     np.testing.assert_array_equal(backwards[::-1], goals)
 
 
-def test_where_no_way_leads_nothing_is_short():
+def test_without_a_path_lengths_stay_finite():
     assert shortest_path_length(CLOSED, ROBOT.radius) == math.inf
-    ways, worlds, goals, there = to_own_goal(CLOSED, (2.0, 4.0))
-    assert np.isfinite(ways.path_length(worlds, goals, there)).all()
-    assert np.isfinite(ways.lookahead_point(worlds, goals, there, 1.0)).all()
+    paths, worlds, goals, there = to_own_goal(CLOSED, (2.0, 4.0))
+    assert np.isfinite(paths.path_length(worlds, goals, there)).all()
+    assert np.isfinite(paths.lookahead_point(worlds, goals, there, 1.0)).all()
 
 
 def test_a_world_without_a_goal_has_none():
     lacking = World.from_shapes("lacking", start=(1.0, 1.0, 0.0), bounds=BOUNDS)
-    ways, worlds, goals, _ = to_own_goal(lacking, (1.0, 1.0))
-    assert np.isnan(ways.goals(worlds, goals)).all()
-    assert np.isfinite(ways.goals(worlds, goals + 1)).all()
+    paths, worlds, goals, _ = to_own_goal(lacking, (1.0, 1.0))
+    assert np.isnan(paths.goals(worlds, goals)).all()
+    assert np.isfinite(paths.goals(worlds, goals + 1)).all()
 
 
-def test_a_way_never_ends_before_its_goal():
-    """Between squares that are dear, the slope may lead to and fro across the way."""
-    worlds = generate(GeneratorSettings("rooms", worlds=200), GENERATORS["rooms"], "training")
-    ways, random, each = GoalPaths(worlds, ROBOT.radius), np.random.default_rng(0), np.repeat(np.arange(200), 100)
+def test_a_path_never_ends_before_its_goal():
+    """Between costly squares, the slope may oscillate across the path."""
+    worlds = generate(GeneratorSettings("rooms", worlds=20), GENERATORS["rooms"], "training")
+    paths, random, each = GoalPaths(worlds, ROBOT.radius), np.random.default_rng(0), np.repeat(np.arange(20), 100)
     places = random.uniform(0.3, 7.7, (len(each), 2))
     free = np.array([worlds[i].clearance(*place) > 0.2 for i, place in zip(each, places, strict=True)])
     each, places, numbers = each[free], places[free], np.full(free.sum(), OWN)
-    before = ways.path_length(each, numbers, places)
-    after = ways.path_length(each, numbers, ways.lookahead_point(each, numbers, places, 1.0))
-    assert (before - after > 0.9)[before > 1.5].all(), "a metre of way is a metre less, at least"
+    before = paths.path_length(each, numbers, places)
+    after = paths.path_length(each, numbers, paths.lookahead_point(each, numbers, places, 1.0))
+    assert (before - after > 0.9)[before > 1.5].all(), "a metre along the path is a metre less, at least"

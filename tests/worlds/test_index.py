@@ -1,16 +1,14 @@
-"""What is found through an index is what holding every obstacle against every beam finds."""
+"""A grid gives the same ranges and clearances as testing every obstacle."""
 
 import math
-import time
 
 import numpy as np
 import pytest
 
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many, clearance_one
-from tb2rl.worlds.index import COLUMNS, FEW, ROWS, index_of, join
-from tb2rl.worlds.registry import find_world, world_names
 from tb2rl.worlds.index import COLUMNS, GRID_ABOVE, ROWS, index_of, join
+from tb2rl.worlds.registry import find_world, world_names
 
 BEAMS = np.cos(np.linspace(-3, 3, 60)), np.sin(np.linspace(-3, 3, 60))
 
@@ -82,10 +80,9 @@ def both(world):
     return indices
 
 
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("make", WORLDS)
-def test_a_grid_finds_what_the_plain_loops_find(make, seed):
-    rng = np.random.default_rng(seed)
+def test_a_grid_finds_what_the_plain_loops_find(make):
+    rng = np.random.default_rng(0)
     world = make(rng)
     grid, plain = both(world)
     poses = poses_in(world, rng, 500)
@@ -111,15 +108,11 @@ def test_beams_along_the_lines_of_a_grid_find_what_the_plain_loops_find(make):
     assert_close(clearances(poses, grid), clearances(poses, plain))
 
 
-@pytest.mark.parametrize("name", world_names())
-def test_the_built_in_worlds_are_small_enough_to_need_no_grid(name):
-    assert find_world(name).index.parts[0, COLUMNS] == 0
-
-
 def test_a_world_of_many_obstacles_has_a_grid_of_about_as_many_cells():
     index = scattered(np.random.default_rng(0)).index
     assert 150 <= index.parts[0, COLUMNS] * index.parts[0, ROWS] <= 600
     assert scattered(np.random.default_rng(0), GRID_ABOVE, 0).index.parts[0, COLUMNS] == 0
+    assert not any(find_world(name).index.parts[0, COLUMNS] for name in world_names())
 
 
 def test_obstacles_that_cover_each_other_do_not_fill_the_memory():
@@ -139,11 +132,3 @@ def test_in_several_worlds_each_robot_sees_its_own():
         own = poses[world_of == number]
         assert (ranges[world_of == number] == ranges_from(own, world.index)).all()
         assert (clearances(own, index, number) == clearances(own, world.index)).all()
-
-
-def test_an_index_of_5000_obstacles_is_made_in_less_than_a_fifth_of_a_second():
-    many, small = scattered(np.random.default_rng(0), 2500, 2500, 60.0), scattered(np.random.default_rng(1))
-    assert len(small.index.lists)  # compiles
-    start = time.perf_counter()
-    assert len(many.index.lists)
-    assert time.perf_counter() - start < 0.2

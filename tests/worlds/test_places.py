@@ -1,4 +1,4 @@
-"""Places to begin in many worlds: where a robot gets to, with room around, and each robot for itself."""
+"""Start poses in many worlds: reachable, with room around, and independent of other robots."""
 
 import numpy as np
 import pytest
@@ -11,22 +11,24 @@ from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate
 from tb2rl.worlds.places import Places
 from tb2rl.worlds.registry import find_world
 
-WORLDS = generate(GeneratorSettings("mixed", worlds=15, difficulty=(1.0, 1.0)), GENERATORS["mixed"], "training")
+WORLDS = generate(GeneratorSettings("mixed", worlds=5, difficulty=(1.0, 1.0)), GENERATORS["mixed"], "training")
 
 
-def poses_in(worlds, chosen, clearance=0.25, seed=0):
-    draws = np.random.default_rng(seed).random((len(chosen), 4))
+def poses_in(worlds, chosen, clearance=0.25):
+    draws = np.random.default_rng(0).random((len(chosen), 4))
+    draws[0], draws[1:2] = 0.0, np.nextafter(1.0, 0.0)  # the ends of the random numbers
     return Places(worlds, ROBOT.radius).poses_from(np.array(chosen), draws, clearance)
 
 
-@pytest.mark.parametrize("clearance", [ROBOT.radius, 0.25, 0.5])
+@pytest.mark.parametrize("clearance", [ROBOT.radius, 0.5])
 def test_places_have_room_and_can_be_reached(clearance):
-    chosen = np.arange(1500) % 15
+    chosen = np.arange(500) % 5
     poses = poses_in(WORLDS, chosen, clearance)
     for number, world in enumerate(WORLDS):
         here = poses[chosen == number]
         assert min(world.clearance(x, y) for x, y, _ in here) >= clearance - 1e-6
         assert world.free_space(0.17).covers(shapely.MultiPoint(here[:, :2]))
+    assert (np.abs(poses[:, 2]) <= np.pi).all()
 
 
 def test_narrow_doors_lead_to_places():
@@ -44,27 +46,17 @@ def test_places_are_spread_evenly_over_the_free_space():
     free, quarter = loop.free_space(0.6), shapely.box(0.0, 0.0, 5.0, 5.0)
     inside = (poses[:, :2] > 0).all(axis=1).mean()
     assert inside == pytest.approx(free.intersection(quarter).area / free.area, abs=0.015)
-    shares, _ = np.histogram(poses[:, 2], bins=8, range=(-np.pi, np.pi))
-    assert shares / 20_000 == pytest.approx(1 / 8, abs=0.01)
 
 
 def test_a_pose_follows_from_its_world_and_numbers_alone():
-    draws, chosen = np.random.default_rng(1).random((60, 4)), np.arange(60)[::-1] % 15
+    draws, chosen = np.random.default_rng(1).random((20, 4)), np.arange(20)[::-1] % 5
     together = Places(WORLDS, ROBOT.radius).poses_from(chosen, draws, 0.25)
     others = Places(WORLDS, ROBOT.radius)  # which meets the worlds one by one, and in another order
-    alone = [others.poses_from(chosen[i : i + 1], draws[i : i + 1], 0.25)[0] for i in range(59, -1, -1)]
+    alone = [others.poses_from(chosen[i : i + 1], draws[i : i + 1], 0.25)[0] for i in range(19, -1, -1)]
     assert (together == np.array(alone)[::-1]).all()
 
 
-@pytest.mark.parametrize("metres", [3e3, 1e6])
-def test_a_world_that_is_too_large_for_squares_is_refused(metres):
-    far = World.from_shapes("far", [(0, 0, 1, 1, 0), (metres, metres, 1, 1, 0)], start=(5, 5, 0))
+def test_a_world_that_is_too_large_for_squares_is_refused():
+    far = World.from_shapes("far", [(0, 0, 1, 1, 0), (3e3, 3e3, 1, 1, 0)], start=(5, 5, 0))
     with pytest.raises(InputError, match=r"world far: .* have more than 4000000 squares of 0.1 m; set bounds"):
         poses_in((far, find_world("loop")), [0])
-
-
-@pytest.mark.parametrize("number", [0.0, np.nextafter(1.0, 0.0)])
-def test_the_ends_of_the_random_numbers_are_places_too(number):
-    pose = Places(WORLDS, ROBOT.radius).poses_from(np.array([3]), np.full((1, 4), number), 0.25)[0]
-    assert WORLDS[3].clearance(*pose[:2]) >= 0.25 - 1e-6
-    assert -np.pi <= pose[2] <= np.pi

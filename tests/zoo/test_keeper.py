@@ -11,7 +11,7 @@ from io import StringIO
 import pytest
 
 from tb2rl.commands import seeds
-from tb2rl.evaluation.evaluator import evaluate
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.zoo import building, entry, keeping
 from tb2rl.zoo.entry import entries
 

@@ -18,7 +18,7 @@ _DEFINITIONS = {  # of messages that the library lacks
 
 
 class BagMessages:
-    """Makes messages of ROS 1 or ROS 2, see `tb2rl.deploy.ros.messages.MessageFactory`, and serializes them.
+    """Makes messages of ROS 1 or ROS 2, see `tb2rl.deploy.ros.protocols.MessageFactory`, and serializes them.
 
     Attributes:
         store: The library's message types.

@@ -30,19 +30,8 @@ import numpy as np
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import replacing
 from tb2rl.deploy.bags.messages import BagMessages, rosbags_library
-from tb2rl.deploy.ros.messages import (
-    BILLION,
-    Clock,
-    Goal,
-    LaserScan,
-    Odometry,
-    OutgoingMessage,
-    Transform,
-    Transforms,
-    Twist,
-    bumper_events,
-    quaternion,
-)
+from tb2rl.deploy.ros import messages as msg
+from tb2rl.deploy.ros.protocols import OutgoingMessage
 from tb2rl.deploy.ros.topics import TURTLEBOT2, Topics
 from tb2rl.envs.scene import Scene
 from tb2rl.sensors.bumper import bumper_at
@@ -73,12 +62,12 @@ class Recorder:
         """Write the initial robot state of the episode."""
         if self._scene.task.goal_task:
             x, y = robot_state.goal[0].tolist()
-            self._write(self._input_topics.goal, Goal(MAP, (x, y), self._now))
+            self._write(self._input_topics.goal, msg.Goal(MAP, (x, y), self._now))
         self._write_sensors(robot_state)
 
     def step(self, command: np.ndarray, reward: float, robot_state: RobotState) -> None:
         """Write a control step: command v [m/s] and w [rad/s], shape (2,), reward, and the robot state after it."""
-        self._write(self._topics.velocity, Twist(*command.tolist()))
+        self._write(self._topics.velocity, msg.Twist(*command.tolist()))
         self._step += 1
         self._messages.seq = self._step
         self._write_sensors(robot_state)
@@ -88,32 +77,32 @@ class Recorder:
         x, y, yaw = robot_state.pose[0].tolist()
         odometry = robot_state.odometry[0].tolist()
         (v, w), (wheel_v, wheel_w) = robot_state.twist[0].tolist(), robot_state.odometry_twist[0].tolist()
-        self._write("/clock", Clock(self._now))
+        self._write("/clock", msg.Clock(self._now))
         origin = _odometry_origin((x, y, yaw), odometry)
         transforms = (_transform(MAP, ODOM, *origin), _transform(ODOM, BASE, *odometry))
-        self._write("/tf", Transforms(self._now, transforms))
-        self._write("/ground_truth", Odometry(self._now, MAP, BASE, (x, y, yaw), (v, w)))
-        self._write(self._topics.odometry, Odometry(self._now, ODOM, BASE, odometry, (wheel_v, wheel_w)))
+        self._write("/tf", msg.Transforms(self._now, transforms))
+        self._write("/ground_truth", msg.Odometry(self._now, MAP, BASE, (x, y, yaw), (v, w)))
+        self._write(self._topics.odometry, msg.Odometry(self._now, ODOM, BASE, odometry, (wheel_v, wheel_w)))
         self._write(self._topics.scan, self._scan(robot_state.ranges[0]))
         bumped = bool(robot_state.bumped[0])
         self._write_number("/bumper", "std_msgs/Bool", bumped)
         nearest = self._scene.laser.angles[np.argmin(robot_state.ranges[0])]
         released, self._pressed = self._pressed, bumper_at(nearest) if bumped else None
-        for event in bumper_events(released, self._pressed):
+        for event in msg.bumper_events(released, self._pressed):
             self._write(self._input_topics.bumper, event)
 
-    def _scan(self, used: np.ndarray) -> LaserScan:
+    def _scan(self, used: np.ndarray) -> msg.LaserScan:
         laser, angles = self._scene.laser, self._all_angles
         ranges = np.full(len(angles), math.nan)
         ranges[slice(None) if laser.indices is None else list(laser.indices)] = used
         increment = float(angles[1] - angles[0]) if len(angles) > 1 else 0.0
         period, limits = self._scene.task.control_period, (laser.min_range, laser.max_range)
-        return LaserScan(self._now, BASE, float(angles[0]), increment, period, *limits, ranges)
+        return msg.LaserScan(self._now, BASE, float(angles[0]), increment, period, *limits, ranges)
 
     @property
     def _now(self) -> int:
         """Simulated time [ns]."""
-        return round((BEGIN + self._step * self._scene.task.control_period) * BILLION)
+        return round((BEGIN + self._step * self._scene.task.control_period) * msg.BILLION)
 
     def _write(self, topic: str, message: OutgoingMessage) -> None:
         self._write_ros(topic, message.to_ros(self._messages))
@@ -130,8 +119,8 @@ class Recorder:
         self._bag.write(self._connections[topic], self._now, self._messages.serialize(message))
 
 
-def _transform(frame: str, child: str, x: float, y: float, yaw: float) -> Transform:
-    return Transform(frame, child, (x, y, 0.0), quaternion(yaw))
+def _transform(frame: str, child: str, x: float, y: float, yaw: float) -> msg.Transform:
+    return msg.Transform(frame, child, (x, y, 0.0), msg.quaternion(yaw))
 
 
 def _odometry_origin(pose: tuple[float, float, float], odometry: list[float]) -> tuple[float, float, float]:

@@ -25,6 +25,7 @@ import difflib
 import json
 import math
 import os
+import signal
 import sys
 import time
 from contextlib import suppress
@@ -71,17 +72,24 @@ def _answer_all(options: argparse.Namespace, guard: SignalGuard) -> tuple[int, s
     """Answer lines; returns the exit status and the error."""
     why, line = "an error ended the program", b""
     try:
-        driver = _driver(options)
+        x, y, yaw = options.scanner
+        mounting = Mounting(x, y, yaw, options.upside_down)
+        limits = SpeedLimits(options.speed, options.turn_rate)
+        driver = Driver(ExportedPolicy(options.folder), limits, mounting, options.dry_run)
         while True:
-            line = guard.wait_for(_next_line)
+            line = guard.wait_for(lambda: sys.stdin.buffer.readline(_LONGEST + 1))
             if not line:
                 why = "the input ended"
                 return 0, ""
-            command = answer(driver, _decode(line))
+            if len(line) > _LONGEST:
+                raise ValueError(f"more than {_LONGEST} bytes")
+            news = json.loads(line.decode("utf-8"), parse_int=float)  # an int may be too large for a float
+            command = answer(driver, news)
             _write(command.v, command.w, command.why)
     except SignalledError as error:
-        why = f"{error} ended the program"
-        return error.status, ""
+        (number,) = error.args
+        why = f"{signal.Signals(number).name} ended the program"
+        return 128 + number, ""
     except _WRONG as error:
         if not line:  # the folder is wrong
             return 2, str(error)
@@ -90,17 +98,6 @@ def _answer_all(options: argparse.Namespace, guard: SignalGuard) -> tuple[int, s
         return 2, f"{type(error).__name__}: {str(error)[:200]} in the line {text}"
     finally:
         _write(0.0, 0.0, why)
-
-
-def _next_line() -> bytes:
-    """The next input line, or the beginning of one that is too long; b"": the input ended."""
-    return sys.stdin.buffer.readline(_LONGEST + 1)
-
-
-def _decode(line: bytes) -> Any:
-    if len(line) > _LONGEST:
-        raise ValueError(f"more than {_LONGEST} bytes")
-    return json.loads(line.decode("utf-8"), parse_int=float)  # an int may be too large for a float
 
 
 def answer(driver: Driver, news: dict[str, Any]) -> Command:
@@ -113,8 +110,9 @@ def answer(driver: Driver, news: dict[str, Any]) -> Command:
         raise TypeError(f"a line holds an object {{...}}, got {news!r}")
     for name in news:
         if name not in _KEYS:
-            near = "".join(f", did you mean {each!r}?" for each in difflib.get_close_matches(name, _KEYS, n=1))
-            raise ValueError(f"unknown key {name!r}{near or ': known are ' + ', '.join(_KEYS)}")
+            near = difflib.get_close_matches(name, _KEYS, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(_KEYS)}"
+            raise ValueError(f"unknown key {name!r}; {hint}")
     start, bumper, stop = (_flag(news, name) for name in ("start", "bumper", "stop"))
     now = _number(news["time"], sys.float_info.max) if "time" in news else time.monotonic()
     if "scan" in news:
@@ -182,13 +180,6 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--upside-down", action="store_true", help="the scanner is mounted head first")
     parser.add_argument("--dry-run", action="store_true", help='stand, and answer "dry run" where it would drive')
     return parser.parse_args(arguments)
-
-
-def _driver(options: argparse.Namespace) -> Driver:
-    x, y, yaw = options.scanner
-    mounting = Mounting(x, y, yaw, options.upside_down)
-    limits = SpeedLimits(options.speed, options.turn_rate)
-    return Driver(ExportedPolicy(options.folder), limits, mounting, dry_run=options.dry_run)
 
 
 def _write(v: float, w: float, why: str) -> None:

@@ -70,7 +70,7 @@ def check_inputs(needs: Needs, inputs: Inputs, scan_problem: str, limits: SpeedL
         limits: The limits of the robot.
     """
     period = inputs.scan_period
-    serious = [f"the policy needs {name}, and none has come yet" for name in missing(needs, inputs)]
+    serious = [f"no {name.split()[-1]} has come yet" for name in missing(needs, inputs)]
     if scan_problem:
         serious.append(scan_problem)
     if period >= STALE:

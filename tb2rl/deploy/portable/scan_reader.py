@@ -54,24 +54,6 @@ class BeamRanges:
 
 
 @dataclass(frozen=True)
-class _Geometry:
-    """Where the readings of scans of one kind look, right to left; shape (readings,).
-
-    Attributes:
-        order: Sorts readings from right to left.
-        angles: Directions in the robot's frame, ascending [rad].
-        along, across: Position of the scanner along the direction of each reading, and to the left of it [m].
-        problem: See `BeamRanges`; by the directions alone.
-    """
-
-    order: slice
-    angles: np.ndarray
-    along: np.ndarray
-    across: np.ndarray
-    problem: str
-
-
-@dataclass(frozen=True)
 class _Sections:
     """Sections of the seen surfaces, as seen from the axle; shape (sections,).
 
@@ -99,37 +81,45 @@ class ScanReader:
     def __init__(self, needs: Needs, mounting: Mounting | None = None) -> None:
         self._needs, self._mounting = needs, mounting or Mounting()
         self._two_turns = np.concatenate([needs.beams, needs.beams + math.tau])
-        self._kind: tuple[float, float, int] | None = None
 
     def read(self, scan: Scan) -> BeamRanges:
         """Convert a scan."""
-        kind = (scan.angle_min, scan.angle_increment, len(scan.ranges))
-        if kind != self._kind:
-            self._geometry, self._kind = _geometry(kind, self._mounting, self._needs), kind
-        if self._geometry.problem:
-            return self._unusable(self._geometry.problem)
-        ranges = np.asarray(scan.ranges, dtype=float)[self._geometry.order]
-        distances = measured_distances(ranges, self._geometry.angles, scan)
+        step, mounting = scan.angle_increment, self._mounting
+        clockwise = -1.0 if mounting.upside_down else 1.0
+        right_to_left = slice(None, None, -1 if clockwise * step < 0.0 else 1)
+        ranges = np.asarray(scan.ranges, dtype=float)[right_to_left]
+        with np.errstate(invalid="ignore"):  # of scans that are refused below
+            angles = (mounting.yaw + clockwise * (scan.angle_min + step * np.arange(len(ranges))))[right_to_left]
+        problem = _coverage_problem(angles, abs(step), self._needs)
+        if problem:
+            return self._unusable(problem)
+        distances = measured_distances(ranges, angles, scan)
         if np.isnan(distances).all():
             return self._unusable("the scan has no valid reading at all; is the scanner turning?")
-        sections = self._sections(distances, scan.range_max)
-        return self._cast(sections, _SNAP * abs(scan.angle_increment))
+        return self._cast(self._sections(distances, angles, scan.range_max), _SNAP * abs(step))
 
     def _unusable(self, problem: str) -> BeamRanges:
         return BeamRanges(np.full(len(self._needs.beams), self._needs.min_range), problem)
 
-    def _sections(self, distances: np.ndarray, range_max: float) -> _Sections:
-        """The sections between the readings, from one end of the scan to the other; from `measured_distances`."""
-        geometry = self._geometry
+    def _sections(self, distances: np.ndarray, all_angles: np.ndarray, range_max: float) -> _Sections:
+        """The sections between the readings, from one end of the scan to the other.
+
+        Args:
+            distances: From `measured_distances` [m].
+            all_angles: Directions of the readings in the robot's frame, ascending [rad].
+            range_max: Of the scan [m].
+        """
         valid = np.flatnonzero(~np.isnan(distances))
-        angles, full_circle = geometry.angles[valid], is_full_circle(geometry.angles[valid])
+        angles, full_circle = all_angles[valid], is_full_circle(all_angles[valid])
         if full_circle:
             valid, angles = np.append(valid, valid[0]), np.append(angles, angles[0] + math.tau)
-        distances = distances[valid]
+        distances, mounting = distances[valid], self._mounting
+        cos, sin = np.cos(all_angles[valid]), np.sin(all_angles[valid])
+        along, across = mounting.x * cos + mounting.y * sin, mounting.y * cos - mounting.x * sin  # of the scanner
         nothing, horizon = np.isinf(distances), range_max if 0.0 < range_max < math.inf else self._needs.max_range
-        x, y = np.where(nothing, horizon, distances) + geometry.along[valid], geometry.across[valid]
-        radius, theta = np.where(nothing, np.inf, np.hypot(x, y)), angles + np.arctan2(y, x)
-        first, last = (theta[0], theta[-1]) if full_circle else _covered(geometry.angles, angles)
+        along += np.where(nothing, horizon, distances)
+        radius, theta = np.where(nothing, np.inf, np.hypot(along, across)), angles + np.arctan2(across, along)
+        first, last = (theta[0], theta[-1]) if full_circle else _covered(all_angles, angles)
         right, left = np.concatenate([[first], theta]), np.concatenate([theta, [last]])
         right_range, left_range = np.concatenate([radius[:1], radius]), np.concatenate([radius, radius[-1:]])
         apart = np.concatenate([[False], np.diff(angles) > NEIGHBOURS, [False]])  # points without a surface between
@@ -155,18 +145,6 @@ class ScanReader:
         met[beam] = True
         ranges = np.where(ranges > needs.max_range, np.inf, np.maximum(ranges, needs.min_range))
         return BeamRanges(ranges, "" if met.all() else _gap(needs.beams[~met], beams))
-
-
-def _geometry(kind: tuple[float, float, int], mounting: Mounting, needs: Needs) -> _Geometry:
-    """The geometry of a kind of scan: its `angle_min`, `angle_increment` and number of readings."""
-    first, step, readings = kind
-    clockwise = -1.0 if mounting.upside_down else 1.0
-    order = slice(None, None, -1 if clockwise * step < 0.0 else 1)
-    with np.errstate(invalid="ignore"):  # of scans that are refused below
-        angles = (mounting.yaw + clockwise * (first + step * np.arange(readings)))[order]
-        cos, sin = np.cos(angles), np.sin(angles)
-    along, across = mounting.x * cos + mounting.y * sin, mounting.y * cos - mounting.x * sin
-    return _Geometry(order, angles, along, across, _coverage_problem(angles, abs(step), needs))
 
 
 def _coverage_problem(angles: np.ndarray, step: float, needs: Needs) -> str:

@@ -15,15 +15,7 @@ def termination_signals() -> list[signal.Signals]:
 
 
 class SignalledError(Exception):
-    """A termination signal came.
-
-    Attributes:
-        status: The exit status that a shell counts for it.
-    """
-
-    def __init__(self, number: int) -> None:
-        super().__init__(signal.Signals(number).name)
-        self.status = 128 + number
+    """A termination signal came; its argument is the number of the signal."""
 
 
 class SignalGuard:

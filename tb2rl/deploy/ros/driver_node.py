@@ -22,8 +22,9 @@ from tb2rl.deploy.portable.driver import DRIVING, DRY_RUN, REACHED
 from tb2rl.deploy.portable.policy_contract import are_usable
 from tb2rl.deploy.portable.preflight import STALE
 from tb2rl.deploy.portable.termination import termination_signals
+from tb2rl.deploy.ros.connection import create_node
 from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Diagnostics, Goal, LaserScan, Odometry, Plan, Twist
-from tb2rl.deploy.ros.node import TRIGGER, Node, NullPublisher, create_node
+from tb2rl.deploy.ros.node import TRIGGER, Node, NullPublisher
 from tb2rl.deploy.ros.robot import parse_limits, parse_mounting
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics, parse_topics
 from tb2rl.deploy.ros.wall_clock import WallClock
@@ -66,13 +67,9 @@ class DriverNode:
     """Runs a driver on a robot of ROS; prints its state and the reason for which it stands.
 
     Args:
-        driver: The driver.
-        needs: Requirements of its policy.
-        node: Our node.
-        topics: Topic names.
+        needs: Requirements of the driver's policy.
         waits: Whether it waits for the service `~/start`; else it starts as soon as the preflight finds no error.
         dry_run: Whether it publishes no commands.
-        wall: Wall-clock time.
     """
 
     def __init__(

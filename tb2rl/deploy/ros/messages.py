@@ -8,50 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
 from tb2rl.deploy.portable.policy_contract import are_usable
 from tb2rl.deploy.portable.scan import Scan
+from tb2rl.deploy.portable.readings import Scan
+from tb2rl.deploy.ros.protocols import MessageFactory
 
 BILLION = 1_000_000_000  # [ns] in a second
 _TOLERANCE = 0.1  # of the length of a quaternion: more than rounding, less than the length of an empty one
-
-
-class MessageFactory(Protocol):
-    """Makes messages of one version of ROS."""
-
-    def new(self, kind: str) -> Any:
-        """Make an empty message of a kind, such as "sensor_msgs/LaserScan"."""
-
-    def time(self, nanoseconds: int) -> Any:
-        """Make a stamp."""
-
-    def uint8_array(self, data: bytes) -> Any:
-        """Make a value for a field of type uint8[]."""
-
-    def float32_array(self, values: np.ndarray) -> Any:
-        """Make a value for a field of type float32[]."""
-
-
-class OutgoingMessage(Protocol):
-    """A value that can be published."""
-
-    kind: ClassVar[str]  # package and name of the message
-
-    def to_ros(self, ros: MessageFactory) -> Any:
-        """Convert it to a message of ROS."""
-
-
-class IncomingMessage(Protocol):
-    """A value that can be received."""
-
-    kind: ClassVar[str]  # package and name of the message
-
-    @classmethod
-    def from_ros(cls, message: Any) -> Self:
-        """Convert a message of ROS."""
 
 
 @dataclass(frozen=True)
@@ -174,15 +141,14 @@ class Transforms:
 
     def to_ros(self, ros: MessageFactory) -> Any:
         message = ros.new(self.kind)
-        message.transforms = [self._to_ros(ros, each) for each in self.transforms]
-        return message
-
-    def _to_ros(self, ros: MessageFactory, transform: Transform) -> Any:
-        message = _stamped(ros, "geometry_msgs/TransformStamped", self.stamp, transform.frame)
-        message.child_frame_id = transform.child
-        translation = message.transform.translation
-        translation.x, translation.y, translation.z = transform.translation
-        _set_rotation(message.transform.rotation, transform.rotation)
+        message.transforms = []
+        for each in self.transforms:
+            stamped = _stamped(ros, "geometry_msgs/TransformStamped", self.stamp, each.frame)
+            stamped.child_frame_id = each.child
+            translation = stamped.transform.translation
+            translation.x, translation.y, translation.z = each.translation
+            _set_rotation(stamped.transform.rotation, each.rotation)
+            message.transforms.append(stamped)
         return message
 
 

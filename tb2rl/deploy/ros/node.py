@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar, TypeVar
@@ -12,7 +12,8 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.deploy.ros.messages import OPTIONAL, IncomingMessage, MessageFactory, OutgoingMessage
+from tb2rl.deploy.ros.messages import OPTIONAL
+from tb2rl.deploy.ros.protocols import IncomingMessage, MessageFactory, OutgoingMessage
 
 EMPTY, TRIGGER, SET_PHYSICS = "std_srvs/Empty", "std_srvs/Trigger", "gazebo_msgs/SetPhysicsProperties"  # services
 QUEUE = 10  # messages that wait for a slow subscriber
@@ -145,20 +146,3 @@ class Node(ABC):
     @abstractmethod
     def close(self) -> None:
         """Leave ROS."""
-
-
-def create_node(version: int, name: str, arguments: Sequence[str] = ()) -> Node:
-    """Join ROS 1 or ROS 2 as the environment configures it; only this ROS is imported.
-
-    `arguments` are those behind `--ros-args` of a command line, for ROS 2.
-
-    Raises:
-        InputError: If this ROS is not installed, its master does not answer, or it rejects the arguments.
-    """
-    if version == 1:
-        from tb2rl.deploy.ros.ros1 import Ros1Node
-
-        return Ros1Node(name)
-    from tb2rl.deploy.ros.ros2 import Ros2Node
-
-    return Ros2Node(name, arguments)

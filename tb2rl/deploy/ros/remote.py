@@ -66,11 +66,9 @@ class RemoteRobot:
     Args:
         spec: The robot, its laser, and the world of its episodes.
         needs: Requirements of the policy.
-        node: Our node; `close` closes it.
-        topics: Topic names.
+        node: Our node; `close` closes it, too.
         mounting: Pose of the scanner on the robot.
         limits: Limits of commands; faster ones are slowed down on the same arc.
-        wall: Wall-clock time.
     """
 
     num_envs = 1

@@ -14,7 +14,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.values import Positive, build, checked
 from tb2rl.deploy import Mounting, Needs, SpeedLimits
 from tb2rl.deploy.needs import needs_in
-from tb2rl.deploy.ros.node import create_node
+from tb2rl.deploy.ros.connection import create_node
 from tb2rl.deploy.ros.remote import RemoteRobot
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics
 from tb2rl.deploy.trained import floor

@@ -11,9 +11,10 @@ from typing import Any
 
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.deploy.ros.debian import INSTALL, find_rospy
-from tb2rl.deploy.ros.definitions import write_packages
-from tb2rl.deploy.ros.messages import BILLION, LATEST_ONLY, OutgoingMessage
+from tb2rl.deploy.ros.generated_messages import write_packages
+from tb2rl.deploy.ros.messages import BILLION, LATEST_ONLY
 from tb2rl.deploy.ros.node import QUEUE, SET_PHYSICS, Endpoint, M, Node, Publisher
+from tb2rl.deploy.ros.protocols import OutgoingMessage
 
 find_rospy()
 

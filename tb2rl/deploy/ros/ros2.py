@@ -10,8 +10,9 @@ from threading import Event, Thread
 from typing import Any
 
 from tb2rl.core.errors import InputError, install_extra, one_line
-from tb2rl.deploy.ros.messages import BILLION, LATEST_ONLY, Image, LaserScan, OutgoingMessage
+from tb2rl.deploy.ros.messages import BILLION, LATEST_ONLY, Image, LaserScan
 from tb2rl.deploy.ros.node import QUEUE, SET_PHYSICS, Endpoint, M, Node, Publisher
+from tb2rl.deploy.ros.protocols import OutgoingMessage
 
 _INSTALL = f"source your installation of ROS 2, or: {install_extra('ros2')}"
 

@@ -7,19 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tb2rl.deploy.ros.messages import (
-    BILLION,
-    BumperEvent,
-    Clock,
-    Image,
-    LaserScan,
-    Odometry,
-    Transform,
-    Transforms,
-    Twist,
-    bumper_events,
-    quaternion,
-)
+from tb2rl.deploy.ros import messages as msg
 from tb2rl.envs.scene import Scene
 from tb2rl.sensors.bumper import bumper_at
 from tb2rl.simulation import RobotState, SimulatorType
@@ -79,7 +67,7 @@ class SimulatedRobot:
         self._spec, self._task = replace(scene.spec, laser=laser), scene.task
         self.has_colours = simulation.has_colours
         self.ticks_per_scan = 1 if coarse else math.ceil(1.0 / (scan_rate * FINEST) - 1e-9)
-        self._tick = round(BILLION / (scan_rate * self.ticks_per_scan))  # [ns]
+        self._tick = round(msg.BILLION / (scan_rate * self.ticks_per_scan))  # [ns]
         self._rng, self._ticks, self._time = np.random.default_rng(seed), 0, 0
         self._simulator = simulation.open(self._spec)
         self.reset()
@@ -87,22 +75,22 @@ class SimulatedRobot:
     @property
     def tick(self) -> float:
         """Duration of a tick [s]."""
-        return self._tick / BILLION
+        return self._tick / msg.BILLION
 
     def reset(self, clock: bool = False) -> None:
         """Put the robot to an initial state of the task, at rest; `clock`: set the time back to 0, too."""
         initial_state = self._task.randomized_initial_state(self._spec, GeneratorDraws(self._rng))
         self._robot_state = self._simulator.reset(initial_state, self._rng)
         self._time = 0 if clock else self._time
-        self.command(Twist(0.0, 0.0))
+        self.command(msg.Twist(0.0, 0.0))
         x, y, yaw = initial_state.pose[0].tolist()
         self.record = DriveRecord((x, y, yaw))
 
-    def command(self, velocity: Twist) -> None:
+    def command(self, velocity: msg.Twist) -> None:
         """Execute a command until the next one or the timeout."""
         self._command, self._command_time = np.array([[velocity.linear, velocity.angular]]), self._time
 
-    def step(self) -> list[BumperEvent]:
+    def step(self) -> list[msg.BumperEvent]:
         """Simulate one tick; return its bumper events."""
         command = self._command if self._time - self._command_time < COMMAND_TIMEOUT else np.zeros((1, 2))
         before, self._robot_state = self._robot_state, self._simulator.step(command, self.tick)
@@ -111,7 +99,7 @@ class SimulatedRobot:
         if self._ticks % _TRIMMED == 0:
             self._simulator.state()  # because PyBullet's simulator stores all commands since the last read
         self.record.add(before, self._robot_state, self.tick)
-        return bumper_events(self._pressed_bumper(before), self._pressed_bumper(self._robot_state))
+        return msg.bumper_events(self._pressed_bumper(before), self._pressed_bumper(self._robot_state))
 
     def close(self) -> None:
         """Free the simulator."""
@@ -119,35 +107,35 @@ class SimulatedRobot:
 
     # ---- sensor messages of this instant
 
-    def clock(self) -> Clock:
-        return Clock(self._time)
+    def clock(self) -> msg.Clock:
+        return msg.Clock(self._time)
 
-    def scan(self) -> LaserScan:
-        laser, period = self._spec.laser, self._tick * self.ticks_per_scan / BILLION
+    def scan(self) -> msg.LaserScan:
+        laser, period = self._spec.laser, self._tick * self.ticks_per_scan / msg.BILLION
         angle_min, angle_max = float(laser.angles[0]), float(laser.angles[-1])
         increment = (angle_max - angle_min) / max(1, len(laser.angles) - 1)
         ranges = self._robot_state.ranges[0]
-        return LaserScan(self._time, LASER, angle_min, increment, period, laser.min_range, laser.max_range, ranges)
+        return msg.LaserScan(self._time, LASER, angle_min, increment, period, laser.min_range, laser.max_range, ranges)
 
-    def odometry(self) -> Odometry:
+    def odometry(self) -> msg.Odometry:
         """Wheel odometry in the world's frame: it begins at the start pose."""
         x, y, yaw = self._robot_state.odometry[0].tolist()
         v, w = self._robot_state.odometry_twist[0].tolist()
-        return Odometry(self._time, ODOM, BASE, (x, y, yaw), (v, w))
+        return msg.Odometry(self._time, ODOM, BASE, (x, y, yaw), (v, w))
 
-    def transforms(self) -> Transforms:
+    def transforms(self) -> msg.Transforms:
         """Pose of the robot by its odometry, and poses of laser and camera on it."""
         x, y, yaw = self._robot_state.odometry[0].tolist()
-        base = Transform(ODOM, BASE, (x, y, 0.0), quaternion(yaw))
-        laser = Transform(BASE, LASER, (0.0, 0.0, LASER_HEIGHT), quaternion(0.0))
-        camera = Transform(BASE, CAMERA, self._spec.robot.camera.position, _OPTICAL)
-        return Transforms(self._time, (base, laser, camera))
+        base = msg.Transform(ODOM, BASE, (x, y, 0.0), msg.quaternion(yaw))
+        laser = msg.Transform(BASE, LASER, (0.0, 0.0, LASER_HEIGHT), msg.quaternion(0.0))
+        camera = msg.Transform(BASE, CAMERA, self._spec.robot.camera.position, _OPTICAL)
+        return msg.Transforms(self._time, (base, laser, camera))
 
-    def images(self) -> tuple[Image | None, Image]:
+    def images(self) -> tuple[msg.Image | None, msg.Image]:
         """Camera images: colours, None if the simulator has none, and depths."""
         colours, depth = self._robot_state.look(WIDTH, HEIGHT)
-        coloured = None if colours is None else Image(self._time, CAMERA, colours[0])
-        return coloured, Image(self._time, CAMERA, depth[0])
+        coloured = None if colours is None else msg.Image(self._time, CAMERA, colours[0])
+        return coloured, msg.Image(self._time, CAMERA, depth[0])
 
     def _pressed_bumper(self, robot_state: RobotState) -> int | None:
         beam = int(np.argmin(robot_state.ranges[0]))

@@ -13,8 +13,9 @@ from annotated_types import Ge, Le, Lt
 
 from tb2rl.core.values import CountOrZero, NonNegative, Positive, checked
 from tb2rl.deploy.portable.termination import termination_signals
+from tb2rl.deploy.ros.connection import create_node
 from tb2rl.deploy.ros.messages import BumperEvent, Clock, Image, LaserScan, Odometry, Transforms, Twist
-from tb2rl.deploy.ros.node import EMPTY, SET_PHYSICS, Node, NullPublisher, create_node
+from tb2rl.deploy.ros.node import EMPTY, SET_PHYSICS, Node, NullPublisher
 from tb2rl.deploy.ros.simulated_robot import SimulatedRobot
 from tb2rl.deploy.ros.topics import Topics, parse_topics
 from tb2rl.deploy.ros.wall_clock import WallClock
@@ -62,13 +63,9 @@ class SimulationServer:
     """Publishes the sensors and the clock of a robot, and executes commands.
 
     Args:
-        robot: The simulated robot.
-        node: Our node.
-        topics: Topic names.
         rate: Simulated seconds per second of wall-clock time; 0: as fast as possible.
         lockstep: Wait for connected programs and, after each scan, for the command that answers it, so many seconds of
             wall-clock time at most. None: the simulation does not wait.
-        wall: Wall-clock time.
     """
 
     def __init__(

@@ -56,7 +56,7 @@ def read_barn(path: Path) -> list[BarnWorld]:
 
 def _in_archive(path: Path) -> Iterator[tuple[int, BarnWorld]]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = dict(archive)
     except Exception as error:  # any error that a broken file causes
         raise InputError(one_line(f"{path} is not an .npz file of worlds: {error}")) from None

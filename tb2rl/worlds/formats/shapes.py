@@ -19,7 +19,6 @@ from tb2rl.worlds.formats.meshes import cut, load_mesh
 from tb2rl.worlds.formats.model_path import ModelPath, is_remote
 from tb2rl.worlds.formats.slices import LeftOut, OutOfPlane, Slice, upright
 
-_MOST_POLYLINES = 100  # of one shape
 _MOST_OBSTACLES = 10_000  # in a world; the outline of a house makes 30
 
 
@@ -83,8 +82,6 @@ class Shapes:
 
     def _add_polyline(self, shape: Element, placed: Placement) -> None:
         pose, lines = placed.pose, shape.findall("polyline") or [shape]
-        if len(lines) > _MOST_POLYLINES:
-            raise InputError(f"it has more than {_MOST_POLYLINES} <polyline>")
         (height,) = np.array(sizes(lines[0], "height", 1)) * placed.scale[2]
         outline = _between([_outline(line, placed.scale) for line in lines])
         if upright(pose):

@@ -95,6 +95,12 @@ def record() -> Callable[..., Recorded]:
     return _record
 
 
+@pytest.fixture(scope="session", params=["drive.bag", "drive"])
+def driven(request, tmp_path_factory) -> Recorded:
+    """A drive whose odometry is not the truth, in each format."""
+    return _record(tmp_path_factory.mktemp("bag") / request.param, variation="strong", laser_noise=0.01)
+
+
 @pytest.fixture
 def write() -> Callable[..., Path]:
     """The function `_write`."""

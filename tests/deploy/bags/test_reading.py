@@ -35,9 +35,8 @@ def foreign(bag, write, messages) -> Path:
     return write(bag, content)
 
 
-def test_an_episode_reads_back_as_it_was_driven(bag, record):
-    driven = record(bag, variation="strong")
-    drive = read_drive(bag, {})
+def test_an_episode_reads_back_as_it_was_driven(driven):
+    drive = read_drive(driven.path, {})
     states = driven.robot_states
     for rows, poses, twists in ((drive.odometry, "odometry", "odometry_twist"), (drive.truth, "pose", "twist")):
         assert rows[:, 0] == pytest.approx(0.2 * np.arange(len(states)), abs=1e-9)

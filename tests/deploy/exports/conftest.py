@@ -11,8 +11,8 @@ import pytest
 from tb2rl.commands.export import export_folder
 from tb2rl.deploy.network import network_of
 from tb2rl.deploy.portable.network import Network
-from tb2rl.envs.batch import ControlLoop
 from tb2rl.envs.encodings import stacked
+from tb2rl.envs.seeded_loop import SeededLoop
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
@@ -25,15 +25,15 @@ def _from_drives(policy, count: int) -> np.ndarray:
     rng, seen = np.random.default_rng(1), []
     space = config.scene.action_space
     space.seed(1)
-    with closing(ControlLoop(config.scene, num_envs)) as loop:
+    with closing(SeededLoop.open(config.scene, "kinematic", num_envs)) as loop:
         loop.seed(1)
-        observations = loop.reset()
+        observations = loop.reset_all()
         while len(seen) * num_envs < count:
             seen.append(np.array(observations))
             actions, _ = policy.predict(observations, deterministic=True)
             random = rng.random(num_envs) < 0.25
             actions[random] = np.stack([space.sample() for _ in range(num_envs)])[random]
-            observations = loop.step(actions).observations
+            observations = loop.step_and_reset(actions).observations
     return np.concatenate(seen)[:count]
 
 

@@ -21,7 +21,7 @@ from tb2rl.deploy import SensorData, TrainedPolicy
 from tb2rl.deploy.folder import program
 from tb2rl.deploy.portable.main import main as drive
 from tb2rl.deploy.portable.policy import ExportedPolicy
-from tb2rl.envs.batch import ControlLoop
+from tb2rl.envs.seeded_loop import SeededLoop
 from tb2rl.runs.loading import config_of
 
 NAMES = sorted(entry.parent.name for entry in top_folder("zoo").glob("*/config.yaml"))
@@ -55,12 +55,14 @@ def sensor_data(robot_state, index: int, waypoints=None) -> SensorData:
 def compare_in_simulation(policy, folder: Path, steps: int) -> None:
     """Drive two robots at random; compare observations and commands of the program, of a driver and of the policy."""
     scene = config_of(policy).scene.changed(variation="none")  # without latency
-    exported, trained = ([kind(of) for _ in range(2)] for kind, of in ((ExportedPolicy, folder), (TrainedPolicy, policy)))
+    exported, trained = (
+        [kind(of) for _ in range(2)] for kind, of in ((ExportedPolicy, folder), (TrainedPolicy, policy))
+    )
     needs = exported[0].needs
     scene.action_space.seed(0)
-    with closing(ControlLoop(scene, 2)) as loop:
+    with closing(SeededLoop.open(scene, "kinematic", 2)) as loop:
         loop.seed(0)
-        observations, ended = loop.reset(), np.arange(2)
+        observations, ended = loop.reset_all(), np.arange(2)
         for _ in range(steps):
             for index in ended:
                 exported[index].reset(), trained[index].reset()
@@ -73,7 +75,7 @@ def compare_in_simulation(policy, folder: Path, steps: int) -> None:
                     np.testing.assert_allclose(one.act(sensed), expected, rtol=0.0, atol=1e-5)
                 np.testing.assert_array_equal(exported[index].observed[0], observations[index])
                 assert exported[index].observed.dtype == observations[index].dtype
-            step = loop.step(np.stack([scene.action_space.sample() for _ in range(2)]))
+            step = loop.step_and_reset(np.stack([scene.action_space.sample() for _ in range(2)]))
             observations = step.observations
             ended = step.finished.indices if step.finished else ()
 
@@ -200,7 +202,7 @@ def test_a_filter_of_ones_own_is_packed_into_the_program(alone, robot, tmp_path)
         assert answers[1]["why"] == "driving"
         assert ((answers[1]["v"], answers[1]["w"]) == (0.0, 0.0)) == stands
     (tmp_path / "my_filter.py").write_text(MY_FILTER + "\nclass Driver: pass\n")
-    with pytest.raises(InputError, match="drive.py defines Driver"):
+    with pytest.raises(InputError, match=r"drive\.py defines Driver"):
         program([tmp_path / "my_filter.py"])
 
 

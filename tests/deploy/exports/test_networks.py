@@ -44,9 +44,9 @@ AGENTS = {
 }
 CAMERA = {"camera": {"width": 36, "height": 36}}
 IMAGES = {
-    "two frames of a depth image": {"task.observe": [{"camera": {**CAMERA["camera"], "depth": True}}], "task.frame_stack": 2},
+    "two frames of an image": {"task.observe": [CAMERA], "task.frame_stack": 2},
     "normalised beside an image": {"task.observe": ["laser", CAMERA], "train.norm_obs": True},
-}  # fmt: skip
+}
 NAMES = sorted(entry.parent.name for entry in top_folder("zoo").glob("*/config.yaml"))
 
 

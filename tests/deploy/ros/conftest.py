@@ -31,7 +31,7 @@ from typing import Any
 import pytest
 
 from tb2rl.deploy.ros.debian import PACKAGES
-from tb2rl.deploy.ros.messages import IncomingMessage, OutgoingMessage
+from tb2rl.deploy.ros.protocols import IncomingMessage, OutgoingMessage
 
 CHECKOUT = Path(__file__).parents[3]
 DEBIANS_PYTHON = "/usr/bin/python3"

@@ -11,7 +11,6 @@ import pytest
 
 from tb2rl.core.errors import install_extra
 from tb2rl.deploy import Limits, Mounting
-from tb2rl.deploy.ros.debian import _MessageFinder
 from tb2rl.deploy.ros.robot import parse_limits, parse_mounting
 from tb2rl.deploy.ros.topics import TURTLEBOT2, Topics, parse_topics
 from tb2rl.ros import main
@@ -80,17 +79,6 @@ def test_topics_mountings_and_limits_are_parsed():
     assert parse_mounting("0,0.2,0,upside-down") == Mounting(0.0, 0.2, 0.0, upside_down=True)
     assert parse_limits(None) == Limits()
     assert parse_limits(0.3) == Limits(speed=0.3)
-
-
-def test_messages_of_ros_1_are_found_in_the_folder_of_rospy(tmp_path):
-    for name in ("sensor_msgs", "std_srvs", "numpy"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").touch()
-    finder = _MessageFinder(tmp_path)
-    assert str(tmp_path) in finder.find_spec("sensor_msgs").origin
-    assert str(tmp_path) in finder.find_spec("std_srvs").origin
-    assert finder.find_spec("numpy") is None
-    assert finder.find_spec("nav_msgs") is None
 
 
 @pytest.mark.slow

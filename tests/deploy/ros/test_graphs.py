@@ -11,20 +11,22 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.deploy.ros.definitions import write_packages
+from tb2rl.deploy.ros.generated_messages import write_packages
 
 pytestmark = pytest.mark.slow
 SCAN, SCANS = "/kobuki/laser/scan", "sensor_msgs/LaserScan"
 START = (-3.75, -3.75, 0.0)  # of the world `loop`
 RATE = 2.0  # half the time, on a machine that may be busy
-BUMPER = {"kobuki_msgs/msg/BumperEvent.msg": "uint8 bumper\nuint8 state\n"}
 
 
 @pytest.fixture(scope="module")
 def simulated(graph):
     """A simulation for all tests of this module."""
     if graph.version == 1:
-        write_packages(graph.folder / "messages", BUMPER)
+        definition = graph.folder / "interfaces" / "kobuki_msgs" / "msg" / "BumperEvent.msg"
+        definition.parent.mkdir(parents=True)
+        definition.write_text("uint8 bumper\nuint8 state\n")
+        write_packages(graph.folder / "messages", graph.folder / "interfaces")
     with graph.start("simulate", "--rate", str(RATE)) as process:
         yield process
 

@@ -11,7 +11,6 @@ import tb2rl
 from tb2rl.deploy.ros.messages import BumperEvent, Twist
 from tb2rl.deploy.ros.simulated_robot import SimulatedRobot
 from tb2rl.envs.scene import make_scene
-from tb2rl.simulation import SIMULATIONS
 from tb2rl.tasks.wander import Wander
 
 FORWARD = Twist(0.5, 0.0)
@@ -23,10 +22,10 @@ def make_robot(simulation="kinematic", seed=0, scan_rate=10.0, coarse=False, **s
 
 
 def advance(robot, seconds):
-    return [bump for _ in range(round(seconds / robot.tick)) for bump in robot.step()]
+    return [event for _ in range(round(seconds / robot.tick)) for event in robot.step()]
 
 
-@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
 def test_it_executes_a_command_until_the_timeout_of_the_base(simulation):
     robot = make_robot(simulation)
     start = robot.odometry().pose
@@ -65,7 +64,7 @@ def test_a_scan_has_all_beams_of_the_robots_laser():
     np.testing.assert_array_equal(scan.ranges, env.unwrapped.robot_state.ranges[0])
 
 
-@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
 def test_coarse_ticks_are_the_steps_of_an_environment_to_the_bit(simulation):
     robot = make_robot(simulation, seed=3, scan_rate=5.0, coarse=True, start="random")
     env = tb2rl.make_env("maze", "raw", simulation=simulation, beams=720)
@@ -78,45 +77,20 @@ def test_coarse_ticks_are_the_steps_of_an_environment_to_the_bit(simulation):
         np.testing.assert_array_equal(robot.scan().ranges, env.unwrapped.robot_state.ranges[0])
 
 
-def test_a_reset_puts_it_at_its_start_and_the_clock_to_0_only_on_demand():
-    robot = make_robot()
-    start = robot.odometry().pose
-    robot.command(FORWARD)
-    advance(robot, 0.5)
-    robot.reset()
-    assert (robot.odometry().pose, robot.odometry().twist) == (start, (0.0, 0.0))
-    assert robot.clock().stamp == 500_000_000
-    advance(robot, 0.5)
-    assert robot.odometry().pose == pytest.approx(start), "the command was for before"
-    robot.reset(clock=True)
-    assert robot.clock().stamp == 0
-
-
-def test_random_starts_depend_on_the_seed():
-    def starts(seed):
-        robot = make_robot(seed=seed, start="random")
-        first = robot.odometry().pose
-        robot.reset()
-        return [first, robot.odometry().pose]
-
-    assert starts(1) == starts(1)
-    assert len({*starts(1), *starts(2)}) == 4
-
-
-@pytest.mark.parametrize("simulation", SIMULATIONS)
+@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
 def test_a_wall_presses_the_bumper_once(simulation):
     robot = make_robot(simulation, world="wall")
-    bumps = []
-    for _ in range(300):
+    events = []
+    for _ in range(120):
         robot.command(FORWARD)
-        bumps += advance(robot, 0.1)
-    assert bumps[0] == BumperEvent(1, True)
+        events += advance(robot, 0.1)
+    assert events[0] == BumperEvent(1, True)
     assert robot.record.contacts >= 1
     assert robot.record.nearest < 0.25
     standing = robot.odometry().stamp, robot.scan().ranges.min()
     robot.command(Twist(-0.3, 0.0))
-    bumps = advance(robot, 0.5)
-    assert bumps[-1] == BumperEvent(1, False)
+    events = advance(robot, 0.5)
+    assert events[-1] == BumperEvent(1, False)
     assert robot.scan().ranges.min() > standing[1] + 0.05
     assert f"touched something {robot.record.contacts} times" in str(robot.record)
 

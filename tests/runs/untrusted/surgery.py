@@ -1,4 +1,4 @@
-"""A checkpoint taken apart and put together again: the header and the data of its file, and the tree in the header."""
+"""Editing of checkpoint files: header and data, and the tree in the header."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Case:
-    """One bad file."""
+    """One untrusted file."""
 
     name: str
     agent: str
@@ -45,7 +45,7 @@ def joined(header: dict[str, Any], data: bytes) -> bytes:
 
 
 def packed(header: dict[str, Any], new: dict[str, bytes], data: bytes) -> bytes:
-    """A file whose data is whole again: the arrays of the header in turn, some of them with new bytes."""
+    """A consistent file with the arrays of the header in turn, some of them with new bytes."""
     made, parts, place = {"__metadata__": header["__metadata__"]}, [], 0
     for name, entry in arrays_of(header).items():
         part = new[name] if name in new else data[slice(*entry["data_offsets"])]
@@ -60,7 +60,7 @@ def arrays_of(header: dict[str, Any]) -> dict[str, Any]:
 
 
 def header_content(header: dict[str, Any]) -> dict[str, Any]:
-    """The tree in a header, with its references to arrays as they are."""
+    """The tree in a header, with references to arrays."""
     return json.loads(header["__metadata__"]["tb2rl"])["content"]
 
 
@@ -91,7 +91,7 @@ def children(tree: Any) -> list[Any]:
 
 
 def places(tree: Any, longest: int = 4) -> Iterator[list[Any]]:
-    """All places in a tree, of a long list only the first few."""
+    """Paths of all values in a tree; of a long list only the first few."""
     for key in children(tree)[: longest if isinstance(tree, list) else None]:
         yield [key]
         for rest in places(tree[key], longest):
@@ -99,7 +99,7 @@ def places(tree: Any, longest: int = 4) -> Iterator[list[Any]]:
 
 
 def some_place(rng: random.Random, tree: Any) -> list[Any]:
-    """One place, each branch as likely as its siblings: the state of a generator has thousands of numbers."""
+    """A random path, each branch as likely as its siblings, because a generator's state has thousands of numbers."""
     path: list[Any] = []
     while children(tree) and not (path and rng.random() < 0.15):
         path.append(rng.choice(children(tree)))

@@ -68,11 +68,11 @@ def write(tmp_path, monkeypatch):
 def read(write):
     """A function that reads a world of SDF: the world, and what it warned about."""
 
-    def read_sdf(inside: str, *, start=(50.0, 50.0, 0.0), name="mine.world", **said):
+    def read_sdf(inside: str, *, start=(50.0, 50.0, 0.0), name="mine.world", **options):
         path = write(name, f"<sdf version='1.6'><world name='default'>{inside}</world></sdf>")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            world = read_world(path, options=ImportOptions(start=start, **said))
+            world = read_world(path, options=ImportOptions(start=start, **options))
         assert {warning.category for warning in caught} <= {WorldWarning}
         return world, [str(warning.message) for warning in caught]
 

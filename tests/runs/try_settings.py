@@ -1,7 +1,6 @@
-"""Trains for a few steps with settings that come in, in a process that may hang or run out of memory.
+"""Trains for a few steps with given settings, in a process that may hang or exhaust memory.
 
-It reads pickled cases from its standard input (see `test_any_setting.py`) and answers each with a line of JSON: what is
-wrong with how it went, "" if nothing is.
+Reads pickled cases from stdin (see `test_any_value.py`) and answers each with a line of JSON: a failure, or "".
 """
 
 from __future__ import annotations
@@ -24,22 +23,22 @@ from tb2rl.runs.layers import parse_settings, resolve
 from tb2rl.training.training import train_config
 
 STEPS = 8
-MEMORY = 4 * 2**30  # [bytes] of address space that the cases of a process may take
+MEMORY = 4 * 2**30  # [bytes] of address space for the cases of a process
 
-# What is allowed and only takes long is cut after it has been checked; allocations are not.
+# Long trainings are shortened after their settings have been checked; allocations are not.
 LONG_TRAINING = {"total_timesteps": STEPS, "eval_steps": STEPS}
 LONG_ALGORITHM = {"n_epochs": 2, "gradient_steps": 2, "train_freq": STEPS}
 
 
 def attempt(case: dict[str, Any]) -> str:
-    """What is wrong with how a case goes."""
+    """The failure of a case: neither trained without a warning, nor refused in one line that names its key."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         warnings.filterwarnings("ignore", category=UserWarning, module="stable_baselines3")  # its advice on batches
-        # A gamma of 1e12 is nonsense, and what is calculated from it, too; numpy's own lines are those of a variance.
+        # A gamma of 1e12 overflows; numpy's own lines are those of a variance.
         warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"stable_baselines3|numpy\._core\._methods")
         try:
-            train_config(short(asked(case, Path(folder))), Path(folder, "run"))
+            train_config(shortened(resolved(case, Path(folder))), Path(folder, "run"))
         except InputError as error:
             message = str(error)
             if "\n" in message:
@@ -47,14 +46,14 @@ def attempt(case: dict[str, Any]) -> str:
             named = any(name in message.lower() for name in case["named"])
             return "" if named else f"a message without the key: {message}"
         except BaseException as error:
-            return f"{type(error).__name__} at {places(error)}: {error}"
-        return "".join(
-            f"{w.category.__name__} at {Path(w.filename).name}:{w.lineno}: {w.message}; " for w in warned[:1]
-        )
+            frames = traceback.extract_tb(error.__traceback__)[-3:]
+            places = " > ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames)
+            return f"{type(error).__name__} at {places}: {error}"
+        return "".join(f"{w.category.__name__} at {w.filename}:{w.lineno}: {w.message}" for w in warned[:1])
 
 
-def asked(case: dict[str, Any], folder: Path) -> Config:
-    preset = case.get("preset")
+def resolved(case: dict[str, Any], folder: Path) -> Config:
+    preset = None
     if "file" in case:
         preset = str(folder / "mine.yaml")
         Path(preset).write_bytes(case["file"])
@@ -62,7 +61,7 @@ def asked(case: dict[str, Any], folder: Path) -> Config:
     return resolve(case.get("agent"), case.get("task"), preset, settings)
 
 
-def short(config: Config) -> Config:
+def shortened(config: Config) -> Config:
     train = {key: min(getattr(config.train, key), most) for key, most in LONG_TRAINING.items()}
     agent = dict(config.agent_arguments)
     for key, most in LONG_ALGORITHM.items():
@@ -73,20 +72,12 @@ def short(config: Config) -> Config:
     return dataclasses.replace(config, agent_arguments=agent, train=dataclasses.replace(config.train, **train))
 
 
-def places(error: BaseException) -> str:
-    """Where an exception was raised, and the last lines of the project on the way there."""
-    frame_stack = traceback.extract_tb(error.__traceback__)
-    ours = [frame for frame in frame_stack if "/tb2rl/" in frame.filename or "/agents/" in frame.filename]
-    found = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in (frame_stack[-1], *reversed(ours[-2:]))]
-    return " < ".join(dict.fromkeys(found))
-
-
 def main() -> None:
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     train = {"total_timesteps": STEPS, "simulation": "kinematic", "n_envs": 2, "eval_freq": 0}
     settings = {f"train.{key}": value for key, value in train.items()} | {"agent.n_steps": 4, "agent.batch_size": 4}
-    attempt({"agent": "ppo", "settings": settings, "named": [""]})  # its imports take more than a case may
+    attempt({"agent": "ppo", "settings": settings, "named": [""]})  # imports do not count
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     print(json.dumps("ready"), file=answers)
