@@ -1,4 +1,4 @@
-"""Export a policy for a robot: an ONNX file, or a folder for numpy alone.
+"""Export a policy: an ONNX file, or a folder for numpy on a robot.
 
     python -m tb2rl.export zoo:drive-loop-ppo policy.onnx
     python -m tb2rl.export zoo:drive-loop-ppo robot

@@ -1,4 +1,4 @@
-"""Write a report of runs, suite results and bags: one self-contained HTML page.
+"""Write a report of runs, suites and bags: one HTML page.
 
     python -m tb2rl.report runs/maze/ppo/mine
     python -m tb2rl.report runs/maze/qlearn/seeds runs/maze/dqn/seeds --out comparison.html

@@ -13,8 +13,8 @@ from tb2rl.__main__ import COMMANDS, main
 from tb2rl.commands.benchmark import PARTS
 from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.evaluation import evaluator
-from tb2rl.viz import film
 from tb2rl.viz.cameras import CAMERAS
+from tb2rl.viz.episodes import STEPS
 
 FILES = {
     "full.yaml": "boxes: [{centre: [0, 0], size: [4, 4]}]\nstart: [0, 0, 0]\nbounds: [-2, -2, 2, 2]\n",
@@ -129,7 +129,7 @@ def test_a_run_folder_below_a_file_is_refused(tmp_path, monkeypatch, capsys):
 SHOWN = {
     "train": [*agent_names(), *task_names()],
     "evaluate": ["zoo:NAME", f"default: {evaluator.EPISODES}", f"default: {evaluator.STEPS}"],
-    "play": ["--video", "--teleop", *CAMERAS, f"({film.STEPS}"],
+    "play": ["--video", "--teleop", *CAMERAS, f"({STEPS}"],
     "report": ["zoo:NAME", "--out"],
     "benchmark": [*PARTS, "--json"],
     "export": [".onnx", "zoo:NAME"],

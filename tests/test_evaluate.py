@@ -58,13 +58,13 @@ def test_the_standard_evaluation_is_written_into_the_run_folder(run, short, caps
         kept_evaluation(Run.open(run))
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_only_an_evaluation_in_pybullet_is_the_standard_evaluation(simulation, run, short, capsys):
     command.main([str(run), *short, "--simulation", simulation])
     standard = simulation == "bullet"
     assert (run / "evaluation.json").exists() == standard
     shown = capsys.readouterr().out
-    assert ("these are not PyBullet's figures" in shown) == (not standard)
+    assert ("not PyBullet's" in shown) == (not standard)
     assert ("not written: a run folder keeps its standard evaluation only" in shown) == (not standard)
 
 
@@ -99,11 +99,11 @@ def test_a_policy_of_the_zoo_is_evaluated_by_its_name(short, tmp_path, capsys):
     [
         ("--ros 2", ["--ros", "go with --simulation ros"]),
         ("--goal 1,2", ["--goal", "--simulation ros", "task.goal"]),
-        ("--simulation gazebo", ["--simulation", "ros"]),
+        ("--simulation gazebo", ["unknown simulator", "bullet, kinematic, ros"]),
         ("--simulation kinematic --suite unseen", ["--simulation", "--suite"]),
         ("--simulation ros --workers 2", ["--workers", "one robot"]),
         ("--simulation ros --topics laser=/scan", ["--topics", "laser", "scan"]),
-        ("--simulation ros --top-speed 0", ["--top-speed", "above 0"]),
+        ("--simulation ros --top-speed 0", ["--top-speed", "greater than 0"]),
         ("--simulation ros --goal 1,nan", ["--goal", "nan"]),
         ("--simulation ros --goal 1,2", ["goal", "navigate"]),
         ("--simulation ros --ros-args -p use_sim_time:=true", ["--ros-args", "--ros 2"]),

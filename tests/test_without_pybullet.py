@@ -13,8 +13,9 @@ import pytest
 import tb2rl
 from tb2rl import benchmark
 from tb2rl.core.errors import InputError
-from tb2rl.simulation import bullet_trouble, default_simulator
-from tb2rl.viz.film import film
+from tb2rl.simulation import default_simulator
+from tb2rl.simulation.bullet import unavailable
+from tb2rl.viz.film import FilmOptions, film
 from tb2rl.viz.window import Window
 from tb2rl.zoo import __main__ as zoo
 
@@ -36,10 +37,10 @@ def reason(request, tmp_path, monkeypatch):
         monkeypatch.delitem(sys.modules, module, raising=False)
     if request.param == MISSING:
         monkeypatch.setitem(sys.modules, "pybullet", None)
-    for cached in (bullet_trouble, default_simulator):
+    for cached in (unavailable, default_simulator):
         cached.cache_clear()
     yield REASONS[request.param]
-    for cached in (bullet_trouble, default_simulator):
+    for cached in (unavailable, default_simulator):
         cached.cache_clear()
 
 
@@ -51,7 +52,7 @@ def test_anything_that_needs_pybullet_says_so_in_one_line(reason, tmp_path, monk
     calls = {
         'simulation="kinematic"': tb2rl.make_env,
         "a training": lambda: tb2rl.train(total_timesteps=8, n_envs=2, folder="run"),
-        "chase": lambda: film("zoo:maze-loop-dqn", "film.gif", camera="chase", steps=2),
+        "chase": lambda: film("zoo:maze-loop-dqn", "film.gif", options=FilmOptions(camera="chase", steps=2)),
         "window": lambda: Window(scene),
     }
     for word, call in calls.items():
@@ -93,7 +94,7 @@ def run(request, tmp_path):
 def test_an_evaluation_names_its_simulator(run, request):
     command = "-m tb2rl.evaluate zoo:maze-loop-dqn --episodes 2 --steps 5 --workers 2 --json figures.json"
     shown = run(*command.split())
-    assert shown.count("these are not PyBullet's figures") == 1
+    assert shown.count("not PyBullet's") == 1
     assert (REASONS[BROKEN] in shown) == ("broken" in request.node.name)
     assert json.loads((run.folder / "figures.json").read_text())["simulation"] == "kinematic"
 
@@ -102,7 +103,7 @@ def test_an_evaluation_names_its_simulator(run, request):
 def test_training_evaluation_report_and_film_work(run):
     training = "--simulation kinematic --n-envs 32 --total-timesteps 4096 --name mine --set train.eval_episodes=2"
     shown = run("-m", "tb2rl.train", *training.split(), "train.eval_steps=50")
-    assert shown.count("these are not PyBullet's figures") == 1
+    assert shown.count("not PyBullet's") == 1
     folder = run.folder / "runs/maze/qlearn/mine"
     evaluations = [json.loads(line) for line in (folder / "evaluations.jsonl").read_text().splitlines()]
     evaluations.append(json.loads((folder / "evaluation.json").read_text()))

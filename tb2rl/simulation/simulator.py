@@ -126,7 +126,7 @@ class SimulatorType:
         """Raise an `InputError` where it cannot run here; `purpose` says what needs it."""
         reason = self.unavailable()
         if reason is not None:
-            what = purpose or f"simulation={self.name!r}"
+            what = purpose or f'simulation="{self.name}" (another one is simulation="{batch_simulator().name}")'
             cure = f": {self.install}" if self.install and reason == NOT_INSTALLED else ""
             raise InputError(f"{what} needs {self.title}, which {reason}{cure}")
 

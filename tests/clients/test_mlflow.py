@@ -1,4 +1,4 @@
-"""MLflow as a tracker: what a training leaves in its store, read back by MLflow's own client."""
+"""MLflow as a tracker: the store of a training, read by MLflow's client."""
 
 import shutil
 
@@ -16,7 +16,7 @@ TRAIN |= {"eval_episodes": 2, "eval_steps": 8, "episode_steps": 8, "track": ["ml
 
 @pytest.fixture
 def mlflow(monkeypatch):
-    """The library, without what the environment here says to it."""
+    """The library, without its environment variables."""
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.delenv("MLFLOW_EXPERIMENT_NAME", raising=False)
     return pytest.importorskip("mlflow", reason="mlflow is not installed")
@@ -24,7 +24,7 @@ def mlflow(monkeypatch):
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
-    """A store without runs: to make its tables takes seconds."""
+    """A store without runs, because making its tables takes seconds."""
     file = tmp_path_factory.mktemp("tables") / "mlflow.db"
     pytest.importorskip("mlflow", reason="mlflow is not installed").MlflowClient(
         f"sqlite:///{file}"
@@ -37,7 +37,7 @@ def config(**settings):
 
 
 def read(mlflow, place):
-    """The client of a store beside runs, and the runs in it."""
+    """The client of the store beside the runs, and the runs in it."""
     client = mlflow.MlflowClient(f"sqlite:///{place}/mlflow/mlflow.db")
     experiment = client.get_experiment_by_name("tb2rl")
     return client, client.search_runs([experiment.experiment_id])
@@ -59,7 +59,7 @@ def test_the_store_beside_the_runs_holds_a_training_and_its_resumed_part(mlflow,
     pictures = [file.path for file in client.list_artifacts(run.info.run_id, "images")]
     assert sum(path.endswith(".png") and "paths" in path for path in pictures) == 2
 
-    (folder / "checkpoints" / "step-0000000128.safetensors").unlink()  # as if it was killed after it had told all
+    (folder / "checkpoints" / "step-0000000128.safetensors").unlink()  # as if killed after logging
     client.update_run(run.info.run_id, status="RUNNING")
     resume(folder, 192)
     client, (again,) = read(mlflow, place)
@@ -70,13 +70,13 @@ def test_the_store_beside_the_runs_holds_a_training_and_its_resumed_part(mlflow,
     assert steps(client, again, "eval/score") == [64, 128, 192]
 
 
-def test_a_run_that_is_not_in_the_store_is_begun_anew(mlflow, tables, tmp_path, monkeypatch):
+def test_a_run_that_is_not_in_the_store_starts_again(mlflow, tables, tmp_path, monkeypatch):
     (tmp_path / "mlflow").mkdir()
     for name in ("mlflow/mlflow.db", "other.db"):
         shutil.copy(tables, tmp_path / name)
     monkeypatch.chdir(tmp_path)  # where MLflow puts pictures, if the store is a database that the user names
     folder = train_config(config(save_freq=64, keep=9), tmp_path / "run").run.folder
-    for checkpoint in Run.open(folder).checkpoints[1:]:  # as if it had been killed
+    for checkpoint in Run.open(folder).checkpoints[1:]:  # as if killed
         checkpoint.unlink()
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/other.db")
     monkeypatch.setenv("MLFLOW_EXPERIMENT_NAME", "mine")
@@ -86,7 +86,7 @@ def test_a_run_that_is_not_in_the_store_is_begun_anew(mlflow, tables, tmp_path, 
     assert (run.info.status, steps(client, run, "eval/score")) == ("FINISHED", [132, 192])
 
 
-def test_a_training_that_fails_is_failed_there(mlflow, tables, tmp_path):
+def test_a_failed_training_is_marked_as_failed(mlflow, tables, tmp_path):
     (tmp_path / "mlflow").mkdir()
     shutil.copy(tables, tmp_path / "mlflow")
     with pytest.raises(ZeroDivisionError):
@@ -95,10 +95,8 @@ def test_a_training_that_fails_is_failed_there(mlflow, tables, tmp_path):
     assert (run.info.status, steps(client, run, "eval/score")) == ("FAILED", [64])
 
 
-@pytest.mark.parametrize(
-    "uri", ["", "http://127.0.0.1:9", "sqlite:///mlflow", "nonsense://x", "postgresql://127.0.0.1/x"]
-)
-def test_a_store_that_cannot_be_written_is_named(uri, mlflow, tmp_path, monkeypatch):
+@pytest.mark.parametrize("uri", ["", "http://127.0.0.1:9", "sqlite:///mlflow", "nonsense://x"])
+def test_a_store_that_cannot_be_written_is_an_error(uri, mlflow, tmp_path, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
     monkeypatch.chdir(tmp_path)

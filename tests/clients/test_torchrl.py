@@ -1,4 +1,4 @@
-"""The environments under TorchRL: its checker, its rollouts, its skipped steps, and pictures beside the laser."""
+"""TorchRL: its checker, rollouts, frame skip, and pictures beside the laser."""
 
 import pytest
 import torch as th
@@ -8,8 +8,9 @@ envs = pytest.importorskip("torchrl.envs")
 utils = pytest.importorskip("torchrl.envs.utils")
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
-@pytest.mark.parametrize("env_id", ["tb2rl:TurtleBot2Maze-v0", "tb2rl:TurtleBot2MazeRaw-v0"])
+@pytest.mark.parametrize(
+    ("env_id", "simulation"), [("tb2rl:TurtleBot2Maze-v0", "kinematic"), ("tb2rl:TurtleBot2MazeRaw-v0", "bullet")]
+)
 def test_the_checker_finds_nothing_and_a_rollout_is_seeded(env_id, simulation):
     env = envs.GymEnv(env_id, simulation=simulation)
     utils.check_env_specs(env)
@@ -26,8 +27,8 @@ def test_the_checker_finds_nothing_and_a_rollout_is_seeded(env_id, simulation):
         assert th.equal(rollouts[0][key], rollouts[1][key])
 
 
-def test_steps_are_skipped_by_torchrl():
-    """It asks the environment for `frameskip` first, and takes Python's TypeError as a no."""
+def test_frame_skip_repeats_the_action():
+    """TorchRL tries the argument `frameskip` first, and expects a TypeError."""
     env, plain = (envs.GymEnv("tb2rl:TurtleBot2Maze-v0", simulation="kinematic", frame_skip=skip) for skip in (3, 1))
     rewards = []
     for one, steps in ((env, 2), (plain, 6)):
@@ -47,11 +48,3 @@ def test_pictures_are_observations_beside_the_laser():
     assert rollout["pixels"].shape[-1] == 3
     assert rollout["observation"].shape == (3, 36)
     assert not th.equal(rollout["pixels"][0], rollout["next", "pixels"][2])
-
-
-def test_the_time_limit_truncates():
-    env = envs.GymEnv("tb2rl:TurtleBot2Maze-v0", simulation="kinematic", max_episode_steps=6)
-    rollout = env.rollout(20, policy=lambda observation: th.tensor([0, 1, 0]))
-    env.close()
-    assert rollout["next", "truncated"].flatten().tolist() == [False] * 5 + [True]
-    assert not rollout["next", "terminated"].any()

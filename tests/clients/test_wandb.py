@@ -1,4 +1,4 @@
-"""Weights & Biases as a tracker: the files that it leaves offline, read back as the library's messages."""
+"""Weights & Biases as a tracker: its offline files, read as the library's messages."""
 
 import json
 import struct
@@ -13,7 +13,10 @@ from tb2rl.training.training import resume, train_config
 
 wandb = pytest.importorskip("wandb", reason="wandb is not installed")
 
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")  # of the library
+pytestmark = [  # the library writes in a process of its own
+    pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning"),
+    pytest.mark.flaky(reruns=1),
+]
 _BLOCK = 2**15
 TRAIN = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "save_freq": 64, "keep": 9, "eval_freq": 64}
 TRAIN |= {"eval_episodes": 2, "eval_steps": 8, "episode_steps": 8, "track": ["wandb"]}
@@ -30,7 +33,7 @@ def config(**settings):
 
 
 def records(content: bytes) -> Iterator[bytes]:
-    """What a file of LevelDB's log format holds: pieces of records in blocks, the first after a header of the library.
+    """Records of a file in LevelDB's log format: pieces in blocks, after a header of the library.
 
     A piece has a checksum (4 bytes), a length (2), a kind (1: whole, 2: first, 3: middle, 4: last) and its content.
     """
@@ -49,7 +52,7 @@ def records(content: bytes) -> Iterator[bytes]:
 
 
 class Offline:
-    """What stands in the file of a run that was tracked offline."""
+    """Content of the offline file of a run."""
 
     def __init__(self, folder) -> None:
         from wandb.proto import wandb_internal_pb2
@@ -74,14 +77,14 @@ class Offline:
 
 
 def parts(folder) -> list[Offline]:
-    """The parts of a run, in the order in which they were made."""
+    """Parts of a run in the order of their creation."""
     deadline = time.monotonic() + 10  # [s] the library's process writes on for a moment after the run is finished
     while time.monotonic() < deadline:
         found = [Offline(part) for part in folder.glob("wandb/offline-run-*")]
         if all(part.exit is not None for part in found):
             return sorted(found, key=lambda part: part.rows[0]["_step"])
         time.sleep(0.05)
-    raise AssertionError("a file has no end")
+    raise AssertionError("a file of wandb has no exit record after 10 s")
 
 
 def test_a_training_and_its_resumed_part_are_one_run_of_two_files(tmp_path, capfd):
@@ -99,7 +102,7 @@ def test_a_training_and_its_resumed_part_are_one_run_of_two_files(tmp_path, capf
     assert not part.kinds & {"stats", "output_raw", "output"}  # of the machine, of the terminal
     assert not (files / "requirements.txt").exists()
 
-    (folder / "checkpoints" / "step-0000000128.safetensors").unlink()  # as if it was killed after it had told all
+    (folder / "checkpoints" / "step-0000000128.safetensors").unlink()  # as if killed after logging
     resume(folder, 192)
     part, again = parts(folder)
     assert again.run.run_id == part.run.run_id
@@ -109,7 +112,7 @@ def test_a_training_and_its_resumed_part_are_one_run_of_two_files(tmp_path, capf
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_training_that_fails_is_failed_there(tmp_path):
+def test_a_failed_training_is_marked_as_failed(tmp_path):
     with pytest.raises(ZeroDivisionError):
         train_config(config(), tmp_path / "run", on_evaluation=lambda _: 1 / 0)
     (part,) = parts(tmp_path / "run")
@@ -117,7 +120,7 @@ def test_a_training_that_fails_is_failed_there(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "value"), [("WANDB_PROJECT", "a/b"), ("WANDB_MODE", "ofline")])
-def test_an_environment_that_cannot_be_is_named(name, value, tmp_path, monkeypatch):
+def test_a_wrong_environment_variable_is_an_error(name, value, tmp_path, monkeypatch):
     monkeypatch.setenv(name, value)
     with pytest.raises(UnwritableError, match=r"^train\.track: wandb cannot write: "):
         train_config(config(), tmp_path / "run")
