@@ -15,7 +15,8 @@ from tb2rl.simulation.random_streams import StreamDraws
 
 
 class SeededLoop(ControlLoop):
-    """Each environment draws from a random stream of its own, so its episodes do not depend on the others or on threads.
+    """Each environment draws from a random stream of its own, so its episodes do not depend on the others or on
+    threads.
 
     Made by `SeededLoop.open`, see `ControlLoop.open`.
     """

@@ -1,6 +1,7 @@
 """Episodes of a policy, in the slots of a control loop: a free slot takes the next episode of the queue.
 
-An episode depends on its seed and number alone, not on slots, processes or other episodes. Evaluations, suites, films and
+An episode depends on its seed and number alone, not on slots, processes or other episodes. Evaluations, suites, films
+and
 tuning all run here.
 """
 

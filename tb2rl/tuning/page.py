@@ -12,6 +12,7 @@ from optuna import Study
 from optuna.trial import FrozenTrial
 
 from tb2rl.core.files import write_text
+from tb2rl.runs.plain_values import to_plain
 from tb2rl.tuning.charts import draw_charts, importances
 from tb2rl.tuning.selection import Comparison, TrialEvaluation
 from tb2rl.tuning.study import BEST, PAGE, StudyFolder

@@ -94,7 +94,7 @@ def test_an_episode_lasts_as_many_steps_as_it_says():
 CAMERA = ["laser", {"camera": {"width": 12, "height": 9}}]
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize(
     ("observation", "settings"),
     [("raw", {}), ("discrete", {"frame_stack": 3}), ("raw", {"observe": CAMERA, "frame_stack": 2})],

@@ -17,7 +17,7 @@ from tb2rl.sensors.names import SENSORS
 from tb2rl.worlds.registry import world_names
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("observation", BEAMS)
 @pytest.mark.parametrize("robot", robot_names())
 @pytest.mark.parametrize("name", tb2rl.GYM_IDS)
@@ -29,7 +29,7 @@ def test_every_id_keeps_the_contracts_of_gymnasium_and_stable_baselines3(name, r
     env.close()
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("robot", robot_names())
 @pytest.mark.parametrize("observation", BEAMS)
 def test_so_does_a_task_of_any_velocities(observation, robot, simulation, glide, make):
@@ -38,7 +38,7 @@ def test_so_does_a_task_of_any_velocities(observation, robot, simulation, glide,
     check_env_for_sb3(env)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_so_does_a_task_that_observes_images(simulation, image_task, make):
     env = make(image_task, "raw", simulation=simulation)
     check_env(env, skip_render_check=True)
@@ -50,7 +50,7 @@ LISTS = {name: [name] for name in SENSORS} | {name: [{"camera": kind}] for name,
 LISTS |= {"all": [*SENSORS], "camera and laser": ["camera", "laser"]}
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("observation", BEAMS)
 @pytest.mark.parametrize("name", LISTS)
 def test_so_does_every_sensor_that_can_be_listed(name, observation, simulation, make):

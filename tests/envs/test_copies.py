@@ -84,7 +84,7 @@ def test_the_end_of_one_is_not_the_end_of_the_other(env):
     twin.close()
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_before_a_reset_and_after_the_end_there_are_copies_too(simulation, make):
     env = make("maze", simulation=simulation)
     twin = copy.deepcopy(env)

@@ -89,7 +89,9 @@ def test_a_batch_that_explores_goes_on_from_its_state_to_the_bit():
         one.step_and_reset(chosen)
     other.restore(one.state())
     for chosen in actions[10:]:
-        np.testing.assert_array_equal(one.step_and_reset(chosen).observations, other.step_and_reset(chosen).observations)
+        np.testing.assert_array_equal(
+            one.step_and_reset(chosen).observations, other.step_and_reset(chosen).observations
+        )
 
 
 def test_a_map_holds_against_beams_that_miss():

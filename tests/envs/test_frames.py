@@ -42,7 +42,7 @@ def alike(one, other):
     return one.dtype == other.dtype and np.array_equal(one, other)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_an_environment_observes_its_last_frames_the_oldest_first(observed, simulation, make):
     plain, stacked = (
         make(observed[0], observed[1], simulation=simulation, frame_stack=n, **SETTINGS) for n in (1, FRAMES)
@@ -142,7 +142,7 @@ def test_names_and_units_are_repeated_so_that_nearness_knows_metres():
     assert th.equal(both, alone.repeat(2))
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_the_state_of_an_environment_has_its_frames(observed, simulation, make):
     env = make(observed[0], observed[1], simulation=simulation, frame_stack=FRAMES, laser_noise=0.01)
     env.reset(seed=0)

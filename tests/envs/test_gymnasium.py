@@ -66,7 +66,7 @@ def test_a_class_of_a_function_has_a_spec_for_this_process(glide):
     assert (env.spec.id, again.unwrapped.task) == ("Glide-v0", env.task)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("settings", [{"max_episode_steps": 6}, {"max_episode_steps": 6, "episode_steps": 9}])
 def test_the_time_limit_of_gymnasium_is_the_one_of_the_task(settings, simulation, drive):
     env = gym.make(MAZE, simulation=simulation, **settings)
@@ -92,7 +92,7 @@ def test_an_unknown_argument_is_a_type_error_in_the_words_of_python(make):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_window_without_a_display_is_refused(simulation, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(InputError, match="there is no display; use 'rgb_array'"):
@@ -116,7 +116,7 @@ def test_the_twin_offers_the_window_to_nobody():
     assert tb2rl.make_env(simulation="kinematic").metadata["render_modes"] == ["rgb_array"]
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_picture_can_be_drawn_on(simulation, make):
     env = make("maze", render_mode="rgb_array", simulation=simulation)
     env.reset(seed=0)
@@ -126,7 +126,7 @@ def test_a_picture_can_be_drawn_on(simulation, make):
     assert env.render()[:5].any()
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_an_environment_that_was_closed_opens_with_a_reset(simulation, make, drive):
     env, fresh = (
         make("maze", laser_noise=0.01, simulation=simulation),

@@ -35,7 +35,7 @@ def drive(env, actions, seed=0):
 # ---- one robot
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_command_is_obeyed_so_many_steps_later(simulation):
     actions = [1, 0, 2, 0, 1, 1, 0]
     _, late = drive(make(simulation, variation={"latency": 2}), actions)
@@ -47,7 +47,7 @@ def test_a_command_is_obeyed_so_many_steps_later(simulation):
 
 
 @pytest.mark.parametrize("frame_stack", [1, 3])
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_reading_is_observed_so_many_steps_later_and_judged_at_once(simulation, frame_stack):
     actions = [1, 0, 2, 0, 1, 1, 0]
     late, readings = drive(make(simulation, frame_stack=frame_stack, variation={"observation_latency": 2}), actions)
@@ -70,7 +70,7 @@ def test_nothing_of_an_episode_arrives_in_the_next_one():
     assert (env.robot_state.command == 0.0).all()
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_what_was_told_is_known_at_once_however_late_the_rest_comes(simulation):
     observe, actions = ["laser", {"last_action": {"count": 2}}], [1, 0, 2, 0]
     env = make(simulation, observe=observe, frame_stack=2, variation={"latency": 2, "observation_latency": 2})
@@ -166,7 +166,7 @@ def test_a_batch_goes_on_from_a_state_to_the_bit(observe):
         np.testing.assert_equal(other.step(actions), answer)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation):
     env = make(simulation, frame_stack=2, variation=STRONG)
     env.reset(seed=3)
@@ -199,7 +199,7 @@ def test_a_mapping_is_delayed_in_all_its_parts():
 # ---- every task, every way to say it
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("name", task_names())
 def test_every_task_can_be_varied(name, simulation):
     with tb2rl.make_env(name, simulation=simulation, variation="strong") as env:

@@ -33,14 +33,16 @@ def make(simulation="kinematic", observation="raw", **settings):
 
 
 def rollout(num_envs, steps=60, **settings):
-    env = TurtleBot2VecEnv(make_scene(Wander(dynamic_obstacles=OBSTACLE_SEED, **{"episode_steps": 25, **settings}), "raw"), num_envs)
+    env = TurtleBot2VecEnv(
+        make_scene(Wander(dynamic_obstacles=OBSTACLE_SEED, **{"episode_steps": 25, **settings}), "raw"), num_envs
+    )
     env.seed(0)
     seen, chosen = [env.reset()], np.random.default_rng(1).integers(3, size=(steps, 80))
     seen += [env.step(actions[:num_envs]) for actions in chosen]
     return env, seen
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("name", task_names())
 def test_every_task_can_have_movers(name, simulation):
     with tb2rl.make_env(name, simulation=simulation, dynamic_obstacles={"people": 2}) as env:
@@ -50,7 +52,7 @@ def test_every_task_can_have_movers(name, simulation):
             assert env.observation_space.contains(env.step(env.action_space.sample())[0])
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_worlds_file_can_hold_movers(simulation, tmp_path):
     (tmp_path / "hall.yaml").write_text(HALL)
     with make(simulation, world=str(tmp_path / "hall.yaml"), dynamic_obstacles={"people": 1}) as env:
@@ -117,7 +119,7 @@ def test_a_batch_goes_on_from_a_state_to_the_bit():
         np.testing.assert_equal(other.step(actions), answer)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation):
     env, other = (make(simulation, dynamic_obstacles=OBSTACLE_SEED) for _ in range(2))
     env.reset(seed=3)
@@ -141,7 +143,7 @@ def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation
         each.close()
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_episodes_end_in_crashes_of_both_kinds(simulation):
     """A robot that stands is run into; one that drives ahead hits a wall."""
     ended = {0: set(), 1: set()}
@@ -168,7 +170,7 @@ def test_the_twins_infos_name_both_kinds():
     assert env.num_envs == 80
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_render_shows_what_moves_where_it_is(simulation):
     with make(simulation, dynamic_obstacles={"posts": 1, "radius": 0.4}, render_mode="rgb_array", beams=1) as env:
         env.reset(seed=1)

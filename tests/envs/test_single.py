@@ -78,7 +78,7 @@ def test_a_start_that_cannot_be_is_refused(options, words, make):
 # ---- steps
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_step_reports_where_the_robot_is_and_how_it_fares(simulation, make, drive):
     env = make("maze", "raw", start="fixed", simulation=simulation)
     _, info = env.reset()
@@ -92,7 +92,7 @@ def test_a_step_reports_where_the_robot_is_and_how_it_fares(simulation, make, dr
     assert info["min_range"] == pytest.approx(seen.min())
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_crash_terminates_and_has_failed(simulation, make, drive):
     env = make(simulation=simulation)
     env.reset(options={"pose": FACING_A_WALL})
@@ -146,7 +146,7 @@ def test_what_is_not_an_action_is_refused(action, make):
         env.step(action)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_any_velocities_are_driven(simulation, glide, make, drive):
     env = make(glide, "raw", simulation=simulation, start="fixed", episode_steps=9)
     env.reset()
@@ -165,7 +165,7 @@ def test_a_step_before_the_reset_is_refused(make):
 # ---- states
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("fresh", [False, True])
 def test_it_goes_on_from_a_restored_state_to_the_bit(simulation, fresh, make, drive):
     def make_one():

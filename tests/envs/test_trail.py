@@ -79,5 +79,7 @@ def test_each_robot_forgets_where_its_own_episode_begins_and_a_batch_goes_on_to_
             np.testing.assert_array_equal(step.observations[ended], first[ended])
     other.restore(one.state())
     for chosen in actions[30:]:
-        np.testing.assert_array_equal(one.step_and_reset(chosen).observations, other.step_and_reset(chosen).observations)
+        np.testing.assert_array_equal(
+            one.step_and_reset(chosen).observations, other.step_and_reset(chosen).observations
+        )
     assert step.observations.max() > 1.0

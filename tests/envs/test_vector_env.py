@@ -39,7 +39,7 @@ def test_the_simulation_decides_as_it_does_for_one_environment(make_vec):
     assert all(isinstance(env.simulator, BulletSimulator) for env in physics.envs)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize("mode", [None, "vector_entry_point", "sync", "async"])
 def test_every_mode_of_gymnasium_drives(mode, simulation, make_vec):
     env = make_vec(num_envs=2, vectorization_mode=mode, simulation=simulation, max_episode_steps=8)
@@ -83,7 +83,7 @@ def test_infos_have_the_form_of_gymnasiums_own(make_vec):
     assert len(forms[0]) == 2  # with and without a final step
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 @pytest.mark.parametrize(
     ("mode", "found"),
     [(None, "SAME_STEP"), ("NEXT_STEP", "NEXT_STEP"), ("NextStep", "NEXT_STEP"), (AutoresetMode.DISABLED, "DISABLED")],

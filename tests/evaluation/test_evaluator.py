@@ -134,7 +134,8 @@ def test_an_episode_leads_to_the_goal_that_was_drawn_with_its_start():
     assert [each.goal for each in episodes] == [tuple(start.goal[0].tolist()) for start in evaluator.starts]
     assert len({(each.world, each.goal) for each in episodes}) > 4
     ways = [
-        config.scene.spec.goal_paths.path_length(*np.stack([s.world, s.way]).astype(int), s.pose) for s in evaluator.starts
+        config.scene.spec.goal_paths.path_length(*np.stack([s.world, s.way]).astype(int), s.pose)
+        for s in evaluator.starts
     ]
     assert min(ways) > config.task.goal_radius, "of two random goals it is the farther one"
 
@@ -238,7 +239,7 @@ def test_settings_change_the_task(run):
         evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_the_simulation_can_be_chosen(simulation, run):
     assert evaluate(run, simulation=simulation, episodes=1, steps=2, workers=1).simulation == simulation
 

@@ -65,9 +65,7 @@ def test_the_last_actions_are_what_was_told_as_shares_of_the_fastest(make_readin
         history.push(commands)
     shares = sensor.read(replace(robot_state, command_history=history))
     np.testing.assert_allclose(shares, [[0.2, 1.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, -1.0, 0.0, 0.0]])
-    np.testing.assert_array_equal(
-        LastAction(ROBOT).read(replace(robot_state, command_history=history)), shares[:, :2]
-    )
+    np.testing.assert_array_equal(LastAction(ROBOT).read(replace(robot_state, command_history=history)), shares[:, :2])
     np.testing.assert_array_equal(sensor.read(robot_state), np.zeros((2, 6)), "nothing was told yet")
 
 

@@ -36,7 +36,7 @@ def test_a_start_that_is_changed_leaves_the_next_one_as_it_was(make_setup):
     np.testing.assert_array_equal(InitialState.default(spec, 2).table, before)
 
 
-@pytest.mark.parametrize("name", ("bullet", "kinematic"))
+@pytest.mark.parametrize("name", ["bullet", "kinematic"])
 def test_every_simulation_begins_where_it_is_told_at_rest_and_says_so(name, make_setup, start_at):
     spec = make_setup("loop", "maze", beams=3)
     simulation = simulate(name, spec)

@@ -21,7 +21,7 @@ from tb2rl.worlds import World
 
 PERIOD = 0.2  # [s]
 WALL_AHEAD = World.from_shapes("wall ahead", [(1.5, 0.0, 1.0, 20.0, 0.0)], start=(0.0, 0.0, 0.0))
-BOTH = pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+BOTH = pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 
 
 def streams(num_envs: int, key: int = 0) -> StreamDraws:

@@ -26,8 +26,6 @@ from tb2rl.runs.layers import parse_settings
 from tb2rl.runs.normalisation import driving_policy
 from tb2rl.training.environments import make_vec_env
 from tb2rl.training.training import resume, train_config
-from tb2rl.viz.action_map import action_map
-from tb2rl.viz.film import FilmOptions, film
 
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw"}
 ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2, **SMALL}

@@ -165,7 +165,7 @@ def test_a_tracker_is_told_how_the_training_ended(name, error, ended, small, tmp
     ],
 )
 def test_other_names_are_refused_before_anything_is_made(name, message, small, tmp_path):
-    for train_it in (train_config, lambda config, folder: train_seeds(config, [0], folder, Where())):
+    for train_it in (train_config, lambda config, folder: train_seeds(config, [0], folder, LocalExecutor())):
         with pytest.raises(InputError) as error:
             train_it(small(track=[name]), tmp_path / "run")
         assert message in str(error.value)

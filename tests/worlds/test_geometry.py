@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-
 from tb2rl.worlds.geometry import cast, clearance_one, limit_ranges, shortest
 from tb2rl.worlds.index import index_of
-from tb2rl.worlds.registry import find_world, world_names
+from tb2rl.worlds.registry import find_world
 
 AHEAD, LEFT, BEHIND, RIGHT = 0.0, math.pi / 2, math.pi, -math.pi / 2
 

@@ -16,7 +16,6 @@ from tb2rl.commands import suite as command
 from tb2rl.core.agent import find_agent
 from tb2rl.evaluation.suite_result import kept_result, kept_summary
 from tb2rl.execution.local import LocalExecutor
-from tb2rl.registry import find_agent
 from tb2rl.runs import loading
 from tb2rl.runs.folder import Run
 from tb2rl.worlds.suites import SUITES

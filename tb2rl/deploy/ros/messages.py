@@ -14,7 +14,6 @@ import numpy as np
 
 from tb2rl.deploy.portable.policy_contract import are_usable
 from tb2rl.deploy.portable.scan import Scan
-from tb2rl.deploy.portable.scan import Scan
 from tb2rl.deploy.ros.protocols import MessageFactory
 
 BILLION = 1_000_000_000  # [ns] in a second

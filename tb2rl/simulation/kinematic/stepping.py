@@ -1,8 +1,10 @@
 """The compiled control steps of the fast twin, of many robots, among things that move or where nothing does.
 
-Arrays are as in `tb2rl.simulation.kinematic.motion`. Movers (num_envs, movers, 24), their `walks` (num_envs, 2), keys and
+Arrays are as in `tb2rl.simulation.kinematic.motion`. Movers (num_envs, movers, 24), their `walks` (num_envs, 2), keys
+and
 counts of
-their random numbers, and `routes` (points, 2) are as in `tb2rl.simulation.obstacles.motion`; where nothing moves they are None,
+their random numbers, and `routes` (points, 2) are as in `tb2rl.simulation.obstacles.motion`; where nothing moves they
+are None,
 and numba leaves out what concerns them.
 """
 

@@ -25,7 +25,7 @@ def advance(robot, seconds):
     return [event for _ in range(round(seconds / robot.tick)) for event in robot.step()]
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_it_executes_a_command_until_the_timeout_of_the_base(simulation):
     robot = make_robot(simulation)
     start = robot.odometry().pose
@@ -64,7 +64,7 @@ def test_a_scan_has_all_beams_of_the_robots_laser():
     np.testing.assert_array_equal(scan.ranges, env.unwrapped.robot_state.ranges[0])
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_coarse_ticks_are_the_steps_of_an_environment_to_the_bit(simulation):
     robot = make_robot(simulation, seed=3, scan_rate=5.0, coarse=True, start="random")
     env = tb2rl.make_env("maze", "raw", simulation=simulation, beams=720)
@@ -77,7 +77,7 @@ def test_coarse_ticks_are_the_steps_of_an_environment_to_the_bit(simulation):
         np.testing.assert_array_equal(robot.scan().ranges, env.unwrapped.robot_state.ranges[0])
 
 
-@pytest.mark.parametrize("simulation", ("bullet", "kinematic"))
+@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_a_wall_presses_the_bumper_once(simulation):
     robot = make_robot(simulation, world="wall")
     events = []

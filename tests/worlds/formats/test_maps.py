@@ -12,13 +12,12 @@ import shapely
 from PIL import Image
 
 from tb2rl.core.errors import InputError, WorldWarning
-from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
 from tb2rl.worlds.formats.cells import merge_cells, occupied_cells
 from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.formats.maps import write_map
 from tb2rl.worlds.geometry import cast
 from tb2rl.worlds.readers import read_world
-from tb2rl.worlds.registry import find_world, world_names
+from tb2rl.worlds.registry import find_world
 from tb2rl.worlds.world import World
 
 START = (0.0, 0.0, 0.0)
