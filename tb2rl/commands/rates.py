@@ -14,6 +14,7 @@ from tb2rl.core.processes import main_hidden, process_context, processors
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.simulation.kinematic.records import Motion
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.tasks.wander import Wander
 
@@ -131,17 +132,16 @@ def measure_batch(num_envs: int, beams: int, seconds: float) -> list[Figure]:
     env.reset()
     simulation, period, rng = env.loop.simulator, scene.task.control_period, np.random.default_rng(0)
     assert isinstance(simulation, KinematicSimulator)
-    numbers = [np.empty(shape) for shape in ((num_envs, 2), (num_envs, 2), num_envs, num_envs)]
-    results = *numbers, np.empty(num_envs, dtype=bool), np.empty(num_envs), np.empty((num_envs, beams))
     whole, bare = list[float](), list[float]()
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or len(whole) < 3:  # the first two start the threads
         action = rng.integers(len(scene.actions.names), size=num_envs)
-        commands, state = scene.actions.commands(action), simulation.state()
+        motion = Motion(**{name: simulation.state().get(name, np.zeros((num_envs, 2))) for name in Motion._fields})
+        motion.commands[:] = scene.actions.commands(action)
         start = time.perf_counter()
         env.step(action)
         between = time.perf_counter()
-        simulation.advance(state["poses"], state["rims"], commands, period, *results)
+        simulation.step_arrays(motion, period)
         whole.append(between - start)
         bare.append(time.perf_counter() - between)
     name = f"kinematic, {num_envs} environments, {beams} beams"

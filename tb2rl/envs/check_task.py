@@ -61,9 +61,11 @@ class _NothingInSight:
 
 
 def _check_start(initial_state: Any, task: Task, spec: SimulationSpec, where: str) -> None:
-    _demand(isinstance(initial_state, InitialState), f"{where}: initial_state must return a Start", initial_state)
+    _demand(
+        isinstance(initial_state, InitialState), f"{where}: initial_state must return an InitialState", initial_state
+    )
     table, shape = initial_state.table, (_ROBOTS, spec.table.shape[1])
-    _demand(np.shape(table) == shape, f"{where}: initial_state must return draws.robots rows, here {shape}", table)
+    _demand(np.shape(table) == shape, f"{where}: initial_state must return draws.num_envs rows, here {shape}", table)
     known = np.isin(initial_state.world, range(len(spec.worlds))).all()
     _demand(
         known,
@@ -112,7 +114,7 @@ def _check_sensor(sensor: Any, robot_state: RobotState, where: str) -> None:
     kind: type = np.uint8 if len(shape) == 3 else float
     below = kind is np.uint8 or (_numeric(low) and _numeric(high) and np.all(np.less(low, high)))
     _demand(below, f"{where}: low and high must be numbers, low the smaller one", (low, high))
-    values, fits = sensor.read(robot_state), f"an array of shape {('robots', *shape)}, {kind.__name__}, not NaN"
+    values, fits = sensor.read(robot_state), f"an array of shape {('num_envs', *shape)}, {kind.__name__}, not NaN"
     shaped = _is_array(values, shape, kind)
     hint = " (there is no goal in this task's episodes)" if shaped and np.isnan(robot_state.goal).any() else ""
     _demand(shaped and not np.isnan(values).any(), f"sensor {name} must read {fits}{hint}", values)
@@ -121,13 +123,13 @@ def _check_sensor(sensor: Any, robot_state: RobotState, where: str) -> None:
 def _check_outcome(outcome: Any, task: Task, where: str) -> None:
     _demand(isinstance(outcome, Outcome), f"{where}: outcome must return an Outcome", outcome)
     _demand(
-        _is_array(outcome.reward, (), float), f"{where}: outcome's reward must have shape (robots,)", outcome.reward
+        _is_array(outcome.reward, (), float), f"{where}: outcome's reward must have shape (num_envs,)", outcome.reward
     )
     succeeded = {} if outcome.succeeded is None else outcome.succeeded
     for kind, endings in (("failed", outcome.failed), ("succeeded", succeeded)):
         _demand(isinstance(endings, Mapping), f'{where}: outcome must return {kind}={{"name": mask}}', endings)
         for name, mask in endings.items():
-            _demand(_is_array(mask, (), bool), f"{where}: {kind}[{name!r}] must be bool, shape (robots,)", mask)
+            _demand(_is_array(mask, (), bool), f"{where}: {kind}[{name!r}] must be bool, shape (num_envs,)", mask)
     if outcome.succeeded is None and task.goal_task:
         raise InputError(
             f'{where}: goal_task is True, so outcome must return succeeded={{"goal": mask}} in the Outcome'

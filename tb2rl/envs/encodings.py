@@ -145,7 +145,7 @@ def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
 def _read(sensor: Sensor, robot_state: RobotState) -> np.ndarray:
     values = sensor.read(robot_state)
     if values.shape[1:] != sensor.shape or not values.ndim:
-        got, fits = values.shape, ("robots", *sensor.shape)
+        got, fits = values.shape, ("num_envs", *sensor.shape)
         raise InputError(f"sensor {sensor.name} must read an array of shape {fits}, and it has shape {got}")
     return values
 

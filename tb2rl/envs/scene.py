@@ -26,7 +26,7 @@ from tb2rl.robots.registry import find_robot
 from tb2rl.sensors import Sensor
 from tb2rl.simulation import InitialState, SimulationSpec, SimulatorType
 from tb2rl.simulation.random_streams import GeneratorDraws
-from tb2rl.simulation.spec import GOAL, GOAL_PATH, POSE
+from tb2rl.simulation.spec import GOAL, POSE
 from tb2rl.tasks import Actions, Task
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import check_number, find_dynamic_obstacles
@@ -47,6 +47,7 @@ class Scene:
         observation_space: What a learner observes.
         actions: What the robot can be told to do.
         sensors: What is read, before it is encoded.
+        filters: Filters of the commands, in order; each loop gets copies of its own.
     """
 
     task: Task
@@ -132,7 +133,8 @@ class Scene:
         """
         spec = self.spec.within(int(initial_state.world[0]))
         varied = self.task.randomized_initial_state(spec, GeneratorDraws(deepcopy(rng)))
-        for columns in (POSE, GOAL, GOAL_PATH):
+        varied.goal_path[:] = initial_state.goal_path
+        for columns in (POSE, GOAL):
             varied.table[:, columns] = initial_state.table[:, columns]
         return varied
 
@@ -149,13 +151,13 @@ class Scene:
         """
         if not settings.keys().isdisjoint({"robot", "world"}):
             raise InputError("a scene keeps its robot and its world; make another one")
-        return _assemble(replace(self.task, **settings), self.observation, self.robot, self.spec.worlds)
+        return _assemble(replace(self.task, **settings), self.observation, self.robot, self.spec.worlds, self.filters)
 
     def worlds_for(self, purpose: Purpose) -> Scene:
         """The scene in the worlds for a purpose: generated ones differ, see `tb2rl.worlds.generators`."""
         if not are_generated(self.task.world):
             return self
-        return _assemble(self.task, self.observation, self.robot, find_worlds(self.task.world, purpose))
+        return _assemble(self.task, self.observation, self.robot, find_worlds(self.task.world, purpose), self.filters)
 
     def in_worlds(self, worlds: tuple[World, ...], **settings: Any) -> Scene:
         """The scene in these worlds, whatever `task.world` says, and with other settings of its task.
@@ -163,7 +165,7 @@ class Scene:
         Raises:
             InputError: If they do not fit.
         """
-        return _assemble(replace(self.task, **settings), self.observation, self.robot, worlds)
+        return _assemble(replace(self.task, **settings), self.observation, self.robot, worlds, self.filters)
 
 
 def with_robots_settings(settings: Mapping[str, Any], kind: type[Task], task: Task | None = None) -> dict[str, Any]:
@@ -214,7 +216,9 @@ def make_scene(task: Task, observation: str) -> Scene:
     return _assemble(task, observation, find_robot(task.robot), find_worlds(task.world))
 
 
-def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, ...]) -> Scene:
+def _assemble(
+    task: Task, observation: str, robot: Robot, worlds: tuple[World, ...], filters: tuple[Filter, ...] = ()
+) -> Scene:
     worlds = task.prepare_worlds(worlds, robot)
     beams = task.beams or BEAMS[observation]
     if task.beam_indices is not None and max(task.beam_indices) >= beams:
@@ -236,7 +240,7 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
     actions, sensors = check_task(task, spec)
     encoding = encode(observation, sensors)
     space = stacked_space(encoding.space, task.frame_stack)
-    return Scene(task, observation, spec, encoding, space, actions.within(robot), sensors)
+    return Scene(task, observation, spec, encoding, space, actions.within(robot), sensors, filters)
 
 
 def _check_starts(task: Task, robot: Robot, worlds: tuple[World, ...]) -> None:

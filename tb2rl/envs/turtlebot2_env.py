@@ -114,7 +114,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
             final = transition.finished.infos
             info |= {"is_success": bool(final["is_success"][0]), "ended": final["ended"][0]}
             info["failed"] = bool(final["failed"][0])
-        terminated, truncated = bool(transition.terminated[0]), bool(transition.truncated[0])
+        terminated = bool(transition.terminated[0])
+        truncated = bool(self.loop.lengths[0] >= self.task.episode_steps)  # beside `terminated`, as in `TimeLimit`
         return rows(transition.observations, 0), float(transition.reward[0]), terminated, truncated, info
 
     def _info(self) -> dict[str, Any]:

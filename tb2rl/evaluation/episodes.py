@@ -20,9 +20,8 @@ from stable_baselines3.common.policies import BasePolicy
 from tb2rl.core.compiled import njit
 from tb2rl.envs.control_loop import ControlLoop, Transition
 from tb2rl.envs.encodings import Observations, rows
-from tb2rl.robots.robot import RADIUS
 from tb2rl.simulation import InitialState, RobotState
-from tb2rl.worlds.geometry import clearance_one
+from tb2rl.worlds.geometry import clearance_at
 
 # A network is asked for at least so many observations at once: then the rounding of an action depends neither on the
 # number nor on the order of the others. Smaller matrix products take other code (measured: 1 and 2 rows differ).
@@ -105,6 +104,9 @@ def run_steps(loop: ControlLoop, policy: Policy, episodes: Iterable[EpisodeStart
         loop: Its environments are the slots.
         policy: A policy that predicts for one observation only needs a loop with one slot.
         episodes: The queue.
+
+    Raises:
+        InputError: If such a policy gives an action that does not exist.
     """
     queue = deque(episodes)
     if not queue:
@@ -115,7 +117,7 @@ def run_steps(loop: ControlLoop, policy: Policy, episodes: Iterable[EpisodeStart
     with th.random.fork_rng(devices=[]):
         th.manual_seed(starts[0].seed)
         observations = loop.reset(_stacked(starts), [each.rng for each in starts])
-        predict = _Predictor(policy, loop.num_envs)
+        predict = _Predictor(policy, loop)
         while any(slots):
             before, actions = loop.robot_state, predict(observations)
             free = np.array([each is None for each in slots])
@@ -134,9 +136,11 @@ def run_steps(loop: ControlLoop, policy: Policy, episodes: Iterable[EpisodeStart
                 predict.restart(taken, starts[0].seed)
 
 
-def run_episodes(loop: ControlLoop, policy: Policy, episodes: Iterable[EpisodeStart]) -> Iterator[tuple[int, Episode]]:
-    """Drive episodes, and give number and record of each as it ends."""
-    recorder = Recorder(loop)
+def run_episodes(
+    loop: ControlLoop, policy: Policy, episodes: Iterable[EpisodeStart], by_laser: bool = False
+) -> Iterator[tuple[int, Episode]]:
+    """Drive episodes, and give number and record of each as it ends; `by_laser` see `Recorder`."""
+    recorder = Recorder(loop, by_laser)
     for step in run_steps(loop, policy, episodes):
         yield from recorder.record(step)
 
@@ -150,10 +154,16 @@ def draws_random_numbers(policy: Policy, observation_space: spaces.Space) -> boo
 
 
 class Recorder:
-    """Records the episodes of a loop as `run_steps` drives them."""
+    """Records the episodes of a loop as `run_steps` drives them.
 
-    def __init__(self, loop: ControlLoop) -> None:
+    Args:
+        loop: The loop.
+        by_laser: Whether `closest` comes from the laser, because the surroundings of a real robot are unknown.
+    """
+
+    def __init__(self, loop: ControlLoop, by_laser: bool = False) -> None:
         self._scene, slots, steps = loop.scene, loop.num_envs, loop.task.episode_steps
+        self._by_laser, self._nearest = by_laser, np.full(slots, np.inf)
         self._paths = np.empty((slots, steps + 1, 2))
         space = loop.scene.action_space
         self._actions = np.empty((slots, steps, *(space.shape or ())), smallest_type(space))
@@ -172,21 +182,24 @@ class Recorder:
         lengths[busy] += 1
         self._paths[slots[busy], lengths[busy]] = step.after.pose[busy, :2]
         self._touched |= step.after.bumped & busy
+        self._nearest = np.minimum(self._nearest, step.after.nearest)
         finished = step.transition.finished
         if finished is not None:
             for row, slot in enumerate(finished.indices):
                 episode = step.episodes[slot]
                 assert episode is not None  # a free slot finishes nothing
                 yield episode.number, self._episode(step, row, int(slot))
-                self._lengths[slot], self._touched[slot] = 0, False
+                self._lengths[slot], self._touched[slot], self._nearest[slot] = 0, False, np.inf
 
     def _episode(self, step: Step, row: int, slot: int) -> Episode:
         finished, initial_state = step.transition.finished, step.after.initial_state
         assert finished is not None
         infos, length = finished.infos, int(finished.lengths[row])
         path, world = self._paths[slot, : length + 1], int(initial_state.world[slot])
-        clearance = _smallest_clearance(path, *self._scene.spec.worlds[world].index)
-        radius = float(initial_state.parameters[slot, RADIUS])
+        clearance = self._nearest[slot]
+        if not self._by_laser:
+            clearance = _smallest_clearance(path, self._scene.spec.worlds[world].index)
+        radius = float(initial_state.rows["radius"][slot])
         goal = tuple(initial_state.goal[slot].tolist()) if self._scene.task.goal_task else None
         return Episode(
             start=tuple(self._starts[slot].tolist()),
@@ -208,8 +221,9 @@ class Recorder:
 class _Predictor:
     """Asks a policy for the actions of all slots, and keeps its recurrent state."""
 
-    def __init__(self, policy: Policy, slots: int) -> None:
+    def __init__(self, policy: Policy, loop: ControlLoop) -> None:
         self._policy, self._batched = policy, isinstance(policy, BasePolicy)
+        self._actions, slots = loop.scene.actions, loop.num_envs
         self._rows = np.arange(max(slots, _ROWS)) % slots  # slots that fill the batch
         self._slots = slots
         self._state: Any = None
@@ -219,7 +233,7 @@ class _Predictor:
         if not self._batched:
             memory = {} if self._state is None else {"state": self._state}
             action, self._state = self._policy.predict(rows(observations, 0), deterministic=True, **memory)
-            return np.asarray(action)[None]
+            return self._actions.checked(action)
         recurrent = {} if self._state is None else {"state": self._state, "episode_start": self._restarted}
         batch = rows(observations, self._rows)
         actions, self._state = self._policy.predict(batch, deterministic=True, **recurrent)
@@ -244,9 +258,9 @@ def smallest_type(space: spaces.Space) -> np.dtype:
 
 
 @njit(cache=True)
-def _smallest_clearance(points, boxes, posts, parts, lists):
+def _smallest_clearance(points, index):
     """The smallest distance from points (n, 2) to the obstacles of a world [m]."""
     smallest = np.inf
     for i in range(points.shape[0]):
-        smallest = min(smallest, clearance_one(points[i, 0], points[i, 1], boxes, posts, parts, lists, 0))
+        smallest = min(smallest, clearance_at(points[i, 0], points[i, 1], index, 0))
     return smallest

@@ -6,17 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tb2rl.simulation.spec import (
-    BOUNDS,
-    COMMAND_LATENCY,
-    GOAL,
-    GOAL_PATH,
-    OBSERVATION_LATENCY,
-    PARAMETERS,
-    POSE,
-    WORLD,
-    SimulationSpec,
-)
+from tb2rl.simulation.spec import BOUNDS, GOAL, PARAMETERS, POSE, SimulationSpec, as_rows
 
 
 @dataclass(frozen=True)
@@ -26,7 +16,7 @@ class InitialState:
     A task takes `default` and overwrites what differs: `initial_state.goal[:] = (1.0, 2.0)`. All properties are views.
 
     Attributes:
-        table: The columns of `tb2rl.simulation.spec`, shape (num_envs, COLUMNS).
+        table: The columns of `tb2rl.simulation.spec.FIELDS`, shape (num_envs, len(FIELDS)).
     """
 
     table: np.ndarray
@@ -45,6 +35,11 @@ class InitialState:
         return cls(spec.table[world])
 
     @property
+    def rows(self) -> np.ndarray:
+        """The table as records, shape (num_envs,)."""
+        return as_rows(self.table)
+
+    @property
     def pose(self) -> np.ndarray:
         """X [m], y [m], yaw [rad], shape (num_envs, 3)."""
         return self.table[:, POSE]
@@ -52,7 +47,7 @@ class InitialState:
     @property
     def world(self) -> np.ndarray:
         """Index into `SimulationSpec.worlds`, shape (num_envs,), as floats."""
-        return self.table[:, WORLD]
+        return self.rows["world"]
 
     @property
     def goal(self) -> np.ndarray:
@@ -65,7 +60,7 @@ class InitialState:
 
         A task whose goal is one of those says so here as well; other goals have no paths.
         """
-        return self.table[:, GOAL_PATH]
+        return self.rows["goal_path"]
 
     @property
     def bounds(self) -> np.ndarray:
@@ -80,9 +75,9 @@ class InitialState:
     @property
     def command_latency(self) -> np.ndarray:
         """Control steps until a command takes effect, shape (num_envs,), as floats."""
-        return self.table[:, COMMAND_LATENCY]
+        return self.rows["command_latency"]
 
     @property
     def observation_latency(self) -> np.ndarray:
         """Control steps until a robot state is observed, shape (num_envs,), as floats."""
-        return self.table[:, OBSERVATION_LATENCY]
+        return self.rows["observation_latency"]

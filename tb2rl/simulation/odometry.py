@@ -12,29 +12,28 @@ import math
 
 import numpy as np
 
-from tb2rl.robots.robot import WHEEL_SEPARATION
 from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.spec import ASSUMED_SEPARATION, ENCODERS, GYRO, LEFT_ENCODER, RIGHT_ENCODER, WHEEL
 
 
 def is_exact(initial_state: InitialState) -> bool:
     """Whether wheels and gyros of all robots are what they should be, so that odometry is what they did."""
-    gyro = initial_state.table[:, GYRO]
-    return bool((initial_state.table[:, ENCODERS] == 1.0).all() and ((gyro == 1.0) | (gyro == 0.0)).all())
+    rows = initial_state.rows
+    names = "wheel_radius", "assumed_separation", "left_encoder", "right_encoder"
+    return all((rows[name] == 1.0).all() for name in names) and bool(np.isin(rows["gyro"], (0.0, 1.0)).all())
 
 
-def as_counted(ways: np.ndarray, initial_state: InitialState) -> np.ndarray:
+def encoder_counts(ways: np.ndarray, initial_state: InitialState) -> np.ndarray:
     """Ways as the robots count them.
 
     Args:
         ways: How far each went [m] and turned [rad], or how fast, shape (num_envs, 2); of one robot any number of rows.
         start: How the episode of each began.
     """
-    table, separation = initial_state.table, initial_state.parameters[:, WHEEL_SEPARATION]
-    half = 0.5 * separation * ways[:, 1]
-    left = (ways[:, 0] - half) * table[:, LEFT_ENCODER] / table[:, WHEEL]
-    right = (ways[:, 0] + half) * table[:, RIGHT_ENCODER] / table[:, WHEEL]
-    counted, gyro = (right - left) / (separation * table[:, ASSUMED_SEPARATION]), table[:, GYRO]
+    rows = initial_state.rows
+    half = 0.5 * rows["wheel_separation"] * ways[:, 1]
+    left = (ways[:, 0] - half) * rows["left_encoder"] / rows["wheel_radius"]
+    right = (ways[:, 0] + half) * rows["right_encoder"] / rows["wheel_radius"]
+    counted, gyro = (right - left) / (rows["wheel_separation"] * rows["assumed_separation"]), rows["gyro"]
     turn = np.where(gyro == 0.0, counted, gyro * ways[:, 1])
     return np.stack([0.5 * (left + right), turn], axis=1)
 
@@ -67,7 +66,7 @@ def encoder_odometry(
     length, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / separation
     v, w = (left[1] + right[1]) / 2, (right[1] - left[1]) / separation
     if initial_state is not None:
-        (length, turn), (v, w) = as_counted(np.array([(length, turn), (v, w)]), initial_state).tolist()
+        (length, turn), (v, w) = encoder_counts(np.array([(length, turn), (v, w)]), initial_state).tolist()
     if turn:
         length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
     heading = yaw + turn / 2

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tb2rl.robots import Laser, Robot, robot
+from tb2rl.robots import Laser, Robot
 from tb2rl.simulation.random_streams import Draws
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
@@ -19,30 +19,39 @@ from tb2rl.worlds.places import Places
 PHYSICS_RATE = 80.0  # [Hz] 60 Hz holds every speed too, but hits a wall up to 9 mm deep; 100 Hz costs a third more
 _UNDIVIDED = 0.7  # [m/s] a faster robot has its physics steps divided, see `SimulationSpec.substeps`
 
-# The columns of a table of initial states: one row for each environment.
-POSE, WORLD, GOAL, BOUNDS = slice(0, 3), 3, slice(4, 6), slice(6, 10)
-PARAMETERS = slice(10, 16)  # of the robot, see `tb2rl.robots.robot`:
-RADIUS, WHEEL_SEPARATION = 10 + robot.RADIUS, 10 + robot.WHEEL_SEPARATION
-MAX_SPEED, MAX_TURN_RATE = 10 + robot.MAX_SPEED, 10 + robot.MAX_TURN_RATE
-ACCELERATION, COUPLING = 10 + robot.WHEEL_ACCELERATION, 10 + robot.WHEEL_COUPLING
-VARIATION = slice(16, 31)  # drawn by `tb2rl.simulation.variation`:
-WHEEL = 16  # true wheel radius / nominal wheel radius
-ASSUMED_SEPARATION = 17  # wheel separation that the odometry assumes / the true one
-LEFT_ENCODER, RIGHT_ENCODER = 18, 19  # distance that a wheel's encoder counts / the true one
-ENCODERS = slice(16, 20)  # these four
-NOISE = 20  # [m] standard deviation of the laser; below 0: `Laser.noise`
-BIAS = 21  # [m] added to all ranges
-DROPPED = 22  # share of beams that return inf
-MOUNT = slice(23, 26)  # x [m], y [m], yaw [rad]: true pose of the laser in its nominal frame
-MASS, FRICTION = 26, 27  # true / nominal, of the robot and of its wheels on the floor
-COMMAND_LATENCY, OBSERVATION_LATENCY = 28, 29  # [control steps]
-GYRO = 30  # turn that the gyro counts / the true one; 0: no gyro, so the encoders give the heading
-OBSTACLE_SEED = 31  # in [0, 1): decides everything that dynamic obstacles do in the episode
-GOAL_PATH = 32  # number of the goal in `GoalPaths`
-COLUMNS = 33
+# A row of the table of initial states, one for each environment; compiled code reads it as a record.
+FIELDS = (
+    "x", "y", "yaw",  # [m, m, rad]
+    "world",  # its index
+    "goal_x", "goal_y",  # [m]
+    "min_x", "min_y", "max_x", "max_y",  # [m] bounds of the world
+    # Of the robot, in the order of `Robot.parameters`:
+    "radius", "wheel_separation", "max_speed", "max_turn_rate", "wheel_acceleration", "wheel_coupling",
+    # Drawn by `tb2rl.simulation.variation`:
+    "wheel_radius",  # true / nominal
+    "assumed_separation",  # wheel separation that the odometry assumes / the true one
+    "left_encoder", "right_encoder",  # distance that a wheel's encoder counts / the true one
+    "laser_noise",  # [m] standard deviation; below 0: `Laser.noise`
+    "bias",  # [m] added to all ranges
+    "dropped",  # share of beams that return inf
+    "mount_x", "mount_y", "mount_yaw",  # [m, m, rad] true pose of the laser in its nominal frame
+    "mass", "friction",  # true / nominal, of the robot and of its wheels on the floor
+    "command_latency", "observation_latency",  # [control steps]
+    "gyro",  # turn that the gyro counts / the true one; 0: no gyro, so the encoders give the heading
+    # Of the episode:
+    "obstacle_seed",  # in [0, 1): decides everything that dynamic obstacles do
+    "goal_path",  # number of the goal in `GoalPaths`
+)  # fmt: skip
+RECORD = np.dtype([(name, np.float64) for name in FIELDS])
+POSE, GOAL, BOUNDS, PARAMETERS, VARIATION = slice(0, 3), slice(4, 6), slice(6, 10), slice(10, 16), slice(16, 31)
 _LARGEST_VARIATION = 10.0  # of a robot's parameters, times the nominal ones
 _LEAST = np.array([0.5, 0.5, 0.5, 0.5, -1.0, -1.0, 0.0, -0.5, -0.5, -np.pi, 0.1, 0.01, 0.0, 0.0, 0.0])
 _MOST = np.array([2.0, 2.0, 2.0, 2.0, np.inf, 1.0, 1.0, 0.5, 0.5, np.pi, 10.0, 10.0, 10.0, 10.0, 2.0])
+
+
+def as_rows(table: np.ndarray) -> np.ndarray:
+    """View a table of initial states as records, shape (num_envs,): `as_rows(table)["mass"][:] = 1.2`."""
+    return table.view(RECORD)[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +74,17 @@ class SimulationSpec:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """The default initial state in each world, shape (worlds, COLUMNS)."""
-        table = np.empty((len(self.worlds), COLUMNS))
+        """The default initial state in each world, shape (worlds, len(FIELDS))."""
+        table = np.zeros((len(self.worlds), len(FIELDS)))
         for number, world in enumerate(self.worlds):
-            table[number, POSE] = world.start
-            table[number, WORLD] = number
+            table[number, POSE], table[number, BOUNDS] = world.start, world.bounds
             table[number, GOAL] = world.goal[:2] if world.goal else np.nan
-            table[number, BOUNDS] = world.bounds
         table[:, PARAMETERS] = self.robot.parameters
-        table[:, VARIATION], table[:, OBSTACLE_SEED], table[:, GOAL_PATH] = 0.0, 0.0, OWN
-        table[:, ENCODERS], table[:, [MASS, FRICTION]] = 1.0, 1.0
-        table[:, NOISE], table[:, GYRO] = -1.0, float(self.robot.gyro)
+        rows = as_rows(table)
+        rows["world"], rows["goal_path"] = np.arange(len(self.worlds)), OWN
+        for nominal in ("wheel_radius", "assumed_separation", "left_encoder", "right_encoder", "mass", "friction"):
+            rows[nominal] = 1.0
+        rows["laser_noise"], rows["gyro"] = -1.0, float(self.robot.gyro)
         return table
 
     @cached_property
@@ -120,15 +129,15 @@ class SimulationSpec:
 
     def check_table(self, table: np.ndarray) -> None:
         """Raise a `ValueError` for a table of initial states, from a file, that does not fit this spec."""
-        if not np.isin(table[:, WORLD], range(len(self.worlds))).all():
+        rows, variation, parameters = as_rows(table), table[:, VARIATION], np.abs(table[:, PARAMETERS])
+        if not np.isin(rows["world"], range(len(self.worlds))).all():
             raise ValueError("a robot is in a world that is not there")
-        variation, parameters = table[:, VARIATION], np.abs(table[:, PARAMETERS])
         alike = parameters <= _LARGEST_VARIATION * np.abs(self.robot.parameters)
         if not (alike.all() and (variation >= _LEAST).all() and (variation <= _MOST).all()):
             raise ValueError("a robot's parameters are far from its own")
-        if not ((table[:, OBSTACLE_SEED] >= 0.0) & (table[:, OBSTACLE_SEED] < 1.0)).all():
+        if not ((rows["obstacle_seed"] >= 0.0) & (rows["obstacle_seed"] < 1.0)).all():
             raise ValueError("the seed of dynamic obstacles must be in [0, 1)")
-        if not np.isin(table[:, GOAL_PATH], range(GOALS + 1)).all():
+        if not np.isin(rows["goal_path"], range(GOALS + 1)).all():
             raise ValueError("a robot has a goal that is not there")
 
     def draw_worlds(self, draws: Draws) -> int | np.ndarray:

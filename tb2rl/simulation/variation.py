@@ -16,24 +16,8 @@ from annotated_types import Ge, Le
 
 from tb2rl.core.errors import InputError, unknown
 from tb2rl.core.values import ASCENDING, PAIR, Fraction, NonNegative, build
-from tb2rl.robots.robot import WHEEL_ACCELERATION, WHEEL_COUPLING, WHEEL_SEPARATION
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.random_streams import Draws
-from tb2rl.simulation.spec import (
-    ASSUMED_SEPARATION,
-    BIAS,
-    COMMAND_LATENCY,
-    DROPPED,
-    FRICTION,
-    GYRO,
-    LEFT_ENCODER,
-    MASS,
-    MOUNT,
-    NOISE,
-    OBSERVATION_LATENCY,
-    RIGHT_ENCODER,
-    WHEEL,
-)
 
 # Each is a range that a number is drawn from, evenly; a number alone stands for itself.
 _Share = Annotated[float, Ge(0.5), Le(2)]
@@ -80,27 +64,23 @@ class Variation:
         """
         if self == NONE:
             return
-        numbers = iter(draws.uniform(len(fields(self)) + 1).T)  # two for odometry
-        table, parameters = initial_state.table, initial_state.parameters
-        table[:, WHEEL] = _between(self.wheel_radius, next(numbers))
+        rows, numbers = initial_state.rows, iter(draws.uniform(len(fields(self)) + 1).T)  # two for odometry
+        rows["wheel_radius"] = _between(self.wheel_radius, next(numbers))
         separation = _between(self.wheel_separation, next(numbers))
-        parameters[:, WHEEL_SEPARATION] *= separation
-        table[:, ASSUMED_SEPARATION] = 1.0 / separation
-        for column in (LEFT_ENCODER, RIGHT_ENCODER):
-            table[:, column] = _between(self.odometry, next(numbers))
-        parameters[:, [WHEEL_ACCELERATION, WHEEL_COUPLING]] *= _between(self.acceleration, next(numbers))[:, None]
-        table[:, MASS] = _between(self.mass, next(numbers))
-        table[:, FRICTION] = _between(self.friction, next(numbers))
-        deviation = next(numbers)
-        if self.laser_noise is not None:
-            table[:, NOISE] = _between(self.laser_noise, deviation)
-        table[:, BIAS] = _between(self.bias, next(numbers))
-        table[:, DROPPED] = _between(self.dropped, next(numbers))
-        for i, span in enumerate((self.mount_x, self.mount_y, self.mount_yaw)):
-            table[:, MOUNT.start + i] = _between(span, next(numbers))
-        for column, (low, high) in ((COMMAND_LATENCY, self.latency), (OBSERVATION_LATENCY, self.observation_latency)):
-            table[:, column] = np.floor(low + (high + 1 - low) * next(numbers))
-        table[:, GYRO] *= _between(self.gyro, next(numbers))
+        rows["wheel_separation"] *= separation
+        rows["assumed_separation"] = 1.0 / separation
+        for encoder in ("left_encoder", "right_encoder"):
+            rows[encoder] = _between(self.odometry, next(numbers))
+        acceleration = _between(self.acceleration, next(numbers))
+        rows["wheel_acceleration"] *= acceleration
+        rows["wheel_coupling"] *= acceleration
+        for name in ("mass", "friction", "laser_noise", "bias", "dropped", "mount_x", "mount_y", "mount_yaw"):
+            drawn, limits = next(numbers), getattr(self, name)
+            if limits is not None:
+                rows[name] = _between(limits, drawn)
+        for name, (low, high) in (("command_latency", self.latency), ("observation_latency", self.observation_latency)):
+            rows[name] = np.floor(low + (high + 1 - low) * next(numbers))
+        rows["gyro"] *= _between(self.gyro, next(numbers))
 
 
 NONE = Variation()

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tb2rl.core.values import NonNegative
-from tb2rl.robots.robot import RADIUS
 from tb2rl.simulation import RobotState
 from tb2rl.tasks.task import Task
 
@@ -30,6 +29,6 @@ class CollisionTask(Task):
         alone.
         """
         if self.margin:
-            gap = after.nearest - after.initial_state.parameters[:, RADIUS]
+            gap = after.nearest - after.initial_state.rows["radius"]
             earned = earned + self.margin_reward * (np.clip(self.margin - gap, 0.0, self.margin) / self.margin) ** 2
         return np.where(collided, self.collision_reward, earned)

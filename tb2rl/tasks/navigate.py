@@ -12,7 +12,6 @@ import numpy as np
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import Count, NonNegative, Point, Positive, Worlds
 from tb2rl.robots import Robot
-from tb2rl.robots.robot import RADIUS
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.goal import GoalDirection, GoalDistance
 from tb2rl.sensors.motion import ForwardSpeed, LastAction, TurnRate
@@ -129,7 +128,7 @@ class Navigate(Task):
         # Close to a wall the way is rounded from squares that no robot can be at, and may jump by more than a step.
         at_most = 1.5 * self.max_speed * self.control_period
         closer = np.clip(before.path_length - after.path_length, -at_most, at_most)
-        gap = after.nearest - after.initial_state.parameters[:, RADIUS]
+        gap = after.nearest - after.initial_state.rows["radius"]
         fines = self.turn_reward * np.abs(after.twist[:, 1]) / self.turn_rate
         if self.margin:
             fines = fines + self.margin_reward * np.clip(self.margin - gap, 0.0, self.margin) / self.margin

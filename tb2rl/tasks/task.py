@@ -16,7 +16,6 @@ from tb2rl.robots import Robot
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import Draws, InitialState, RobotState, SimulationSpec
-from tb2rl.simulation.spec import OBSTACLE_SEED
 from tb2rl.simulation.variation import Variation, find_variation
 from tb2rl.tasks.actions import Actions
 from tb2rl.tasks.outcome import Outcome
@@ -120,5 +119,5 @@ class Task(ABC):
         initial_state = self.initial_state(spec, draws)
         self.resolved_variation.vary(initial_state, draws)
         if spec.has_dynamic_obstacles:
-            initial_state.table[:, OBSTACLE_SEED] = draws.uniform(1)[:, 0]
+            initial_state.rows["obstacle_seed"] = draws.uniform(1)[:, 0]
         return initial_state

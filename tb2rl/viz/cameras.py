@@ -8,7 +8,7 @@ from tb2rl.envs.scene import Scene
 from tb2rl.rendering.above import WorldPicture
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.bullet import SIMULATOR
-from tb2rl.simulation.obstacles.outlines import cast_all_at_movers
+from tb2rl.simulation.obstacles.outlines import cast_at_outlines
 from tb2rl.viz.film_frames import FilmFrame, goal_of
 from tb2rl.worlds.geometry import cast_many
 
@@ -46,7 +46,7 @@ class AboveCamera:
             return frame.ranges
         cast_many(frame.pose[None], np.zeros(1), *self._beams, *self._world.index, self._ranges)
         if frame.dynamic_obstacles is not None:
-            cast_all_at_movers(frame.pose[None], *self._beams, frame.dynamic_obstacles[None], self._ranges)
+            cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], self._ranges)
         return self._ranges[0]
 
     def close(self) -> None:

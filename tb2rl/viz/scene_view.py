@@ -18,7 +18,7 @@ from tb2rl.simulation import SimulationSpec
 from tb2rl.simulation.bullet.bodies import RobotBody, add_floor, add_robot, add_walls, connect
 from tb2rl.simulation.bullet.camera import take_picture
 from tb2rl.simulation.bullet.client import pybullet, quiet
-from tb2rl.simulation.bullet.obstacle_bodies import MoverBodies
+from tb2rl.simulation.bullet.obstacle_bodies import ObstacleBodies
 
 _CAMERA, _TARGET = (-1.4, 0.0, 1.3), (0.5, 0.0, 0.1)  # [m] of the chase camera, in the robot's frame
 _FIELD_OF_VIEW = math.radians(55.0)  # [rad] vertical
@@ -49,7 +49,7 @@ class SceneView:
             floor = add_floor(self._client)
             self._walls = add_walls(self._client, self._worlds[0])
             self._robot = add_robot(self._client, spec.robot)
-            self._dynamic_obstacles = MoverBodies(self._client)
+            self._dynamic_obstacles = ObstacleBodies(self._client)
         self._coloured_robot = -1
         if window:
             self._coloured_robot = _add_coloured_robot(self._client, self._robot)

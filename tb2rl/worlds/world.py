@@ -18,7 +18,7 @@ from shapely.geometry.base import BaseGeometry
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Point, Pose
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles, find_dynamic_obstacles
-from tb2rl.worlds.geometry import clearance_one, place_in_triangles
+from tb2rl.worlds.geometry import clearance_at, place_in_triangles
 from tb2rl.worlds.index import WorldIndex, index_of
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
@@ -176,7 +176,7 @@ class World:
 
     def clearance(self, x: float, y: float) -> float:
         """Distance from a point to the nearest obstacle [m]; 0 inside one."""
-        return clearance_one(x, y, *self.index, 0)
+        return clearance_at(x, y, self.index, 0)
 
     def contains(self, point: Point) -> bool:
         """Whether a point [m] is within the bounds."""

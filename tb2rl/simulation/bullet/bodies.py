@@ -1,4 +1,4 @@
-"""The bodies of the physics: floor, walls and robot, built in a PyBullet client."""
+"""Bodies in a PyBullet client: floor, walls and robot."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -20,16 +21,16 @@ GRAVITY = 9.81  # [m/s^2]
 FLOOR_FRICTION = 1.0  # rubber on a dry floor
 WHEEL_FRICTION = 1.0  # times that of the floor
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
-WALL_GROUP = 2  # of collisions: what laser rays are to hit
+WALL_GROUP = 2  # of collisions, for laser rays
 TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
-MOVING_GROUP = 1  # PyBullet's own, of what moves: else each wall would be held against the floor in every step
-_SHAPES = 16  # of one body; PyBullet drops all that are beyond without a word
-_ALIKE = 0.01  # share by which a robot's number and its URDF file's may differ
+MOVING_GROUP = 1  # PyBullet's own of bodies that move; walls collide with these alone, not with the floor
+_MAX_SHAPES = 16  # of a body; PyBullet drops more without a message
+_TOLERANCE = 0.01  # relative, between a robot's numbers and those of its URDF file
 _SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
 
 
 def connect(window: bool) -> int:
-    """A new PyBullet client, see `clear`, with PyBullet's window or without.
+    """Connect to a new PyBullet client, with or without its window, and `clear` it.
 
     Raises:
         InputError: If there is no display for a window.
@@ -42,9 +43,9 @@ def connect(window: bool) -> int:
 
 
 def disconnects(owner: object, client: int) -> weakref.finalize:
-    """Frees a client when it is called, or when the garbage collector takes its owner.
+    """A finalizer that disconnects a client when it is called, or when its owner is garbage-collected.
 
-    PyBullet keeps a client, tens of MB, until it is disconnected. A process that was forked does not disconnect it: the
+    PyBullet keeps a client, tens of MB, until it is disconnected. A forked process must not disconnect it, because the
     client belongs to the process that connected it.
     """
     finalizer = weakref.finalize(owner, _disconnect, client, os.getpid())
@@ -58,7 +59,7 @@ def _disconnect(client: int, process: int) -> None:
 
 
 def clear(client: int) -> None:
-    """Take all bodies out of a client, and set gravity and the solver.
+    """Remove all bodies from a client, and set gravity and the solver.
 
     The direct solver (Dantzig's, for the exact linear complementarity problem) holds the wheel speeds that the usual
     iterative one misses, at a fifth of its cost.
@@ -71,7 +72,7 @@ def clear(client: int) -> None:
 
 
 def add_floor(client: int) -> int:
-    """An endless floor; returns its body's number."""
+    """Add an endless floor; returns the number of its body."""
     plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
     floor = pybullet.createMultiBody(0.0, plane, physicsClientId=client)
     pybullet.changeDynamics(floor, -1, lateralFriction=FLOOR_FRICTION, physicsClientId=client)
@@ -79,7 +80,7 @@ def add_floor(client: int) -> int:
 
 
 def add_walls(client: int, world: World) -> tuple[int, ...]:
-    """All obstacles of a world, as few bodies that do not move, each of neighbours: what is far away costs no time.
+    """Add all walls and posts of a world, as few bodies, each of neighbours, because distant bodies cost no time.
 
     Returns:
         The bodies' numbers.
@@ -107,7 +108,7 @@ def add_walls(client: int, world: World) -> tuple[int, ...]:
             rgbaColors=[WALL_COLOUR] * len(group),
             **sizes,
         )
-        # Maximal coordinates: as a plain body that does not move, no step of the physics goes through it.
+        # With maximal coordinates it is a plain static body, which no step of the physics visits.
         body = pybullet.createMultiBody(0.0, collision, visual, useMaximalCoordinates=True, physicsClientId=client)
         bodies.append(body)
         pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, MOVING_GROUP, physicsClientId=client)
@@ -115,10 +116,10 @@ def add_walls(client: int, world: World) -> tuple[int, ...]:
 
 
 def _neighbours(places: np.ndarray, some: np.ndarray) -> list[np.ndarray]:
-    """Sort `some` of the places (n, 3), given by their indices, into groups that a body has room for."""
+    """Group `some` indices of places (n, 3) so that each group fits into a body."""
     if not len(some):
         return []
-    if len(some) <= _SHAPES:
+    if len(some) <= _MAX_SHAPES:
         return [some]
     axis = np.ptp(places[some], axis=0).argmax()
     some = some[np.argsort(places[some, axis], kind="stable")]
@@ -134,8 +135,7 @@ class RobotBody:
         client: The client's number.
         body: The body's number.
         wheels: The numbers of the left and the right wheel's joint.
-        centre: x and z of the centre of mass in the robot's frame [m]: PyBullet speaks of it, we of the middle of the
-            axle on the floor.
+        centre: x and z of the centre of mass in the robot's frame [m], because PyBullet's poses are those of it.
         inertia: Mass [kg] and moments of inertia [kg m^2] of the base.
     """
 
@@ -144,18 +144,18 @@ class RobotBody:
     wheels: tuple[int, int]
     centre: tuple[float, float]
     inertia: tuple[float, tuple[float, float, float]]
-    _weighs: list[float] = field(default_factory=lambda: [1.0, 1.0])  # what `weigh` said last
+    _dynamics: list[float] = field(default_factory=lambda: [1.0, 1.0])  # those of `set_dynamics`
 
     def frame_at(self, x: float, y: float, yaw: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Position of the centre of mass [m] and orientation (quaternion) of a robot that stands at a pose."""
+        """Position of the centre of mass [m] and orientation (quaternion) at a pose."""
         position = (x + self.centre[0] * math.cos(yaw), y + self.centre[0] * math.sin(yaw), self.centre[1])
         return position, (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
-    def weigh(self, mass: float, friction: float) -> None:
-        """Make the base's mass, where it lies now, and the wheels' friction so many times the robot's own."""
-        if self._weighs == [mass, friction]:
+    def set_dynamics(self, mass: float, friction: float) -> None:
+        """Set the base's mass and the wheels' friction, as multiples of the robot's own."""
+        if self._dynamics == [mass, friction]:
             return
-        self._weighs[:] = mass, friction
+        self._dynamics[:] = mass, friction
         own, moments = self.inertia
         pybullet.changeDynamics(
             self.body,
@@ -170,7 +170,7 @@ class RobotBody:
             )
 
     def turn_wheels(self, rates: Sequence[float], torque: float) -> None:
-        """Tell the wheels' motors how fast to turn [rad/s], and how hard they may push [N m]."""
+        """Set the target rates [rad/s] and the largest torque [N m] of the wheels' motors."""
         for wheel, rate in zip(self.wheels, rates, strict=True):
             pybullet.setJointMotorControl2(
                 self.body,
@@ -185,15 +185,40 @@ class RobotBody:
         """Put the robot at a pose (3,)."""
         pybullet.resetBasePositionAndOrientation(self.body, *self.frame_at(*map(float, pose)), self.client)
 
+    def teleport(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
+        """Restore a `motion`, without contacts of the former place."""
+        pybullet.resetBasePositionAndOrientation(self.body, (0.0, 0.0, 100.0), (0.0, 0.0, 0.0, 1.0), self.client)
+        pybullet.performCollisionDetection(self.client)  # forgets the contacts
+        pybullet.resetBasePositionAndOrientation(self.body, position, orientation, self.client)
+        pybullet.resetBaseVelocity(self.body, *velocity, self.client)
+        for wheel, (angle, rate) in zip(self.wheels, wheels, strict=True):
+            pybullet.resetJointState(self.body, wheel, angle, rate, self.client)
+
+    def motion(self) -> dict[str, Any]:
+        """Position, orientation and velocity of the base in PyBullet's terms, and the `wheel_states`."""
+        position, orientation = pybullet.getBasePositionAndOrientation(self.body, self.client)
+        velocity = pybullet.getBaseVelocity(self.body, self.client)
+        wheels = self.wheel_states()
+        return {"position": position, "orientation": orientation, "velocity": velocity, "wheels": wheels}
+
+    def wheel_states(self) -> tuple[tuple[float, float], ...]:
+        """Angle [rad] and rate [rad/s] of the left and the right wheel."""
+        return tuple(joint[:2] for joint in pybullet.getJointStates(self.body, self.wheels, self.client))
+
+    def touches(self, bodies: Sequence[int]) -> bool:
+        """Whether the robot is in contact with one of some bodies."""
+        contacts = pybullet.getContactPoints(self.body, physicsClientId=self.client)
+        return any(contact[2] in bodies and contact[8] < TOUCH for contact in contacts)  # other body; distance
+
     def pose(self) -> tuple[float, float, float]:
-        """Where it is: x [m], y [m], yaw [rad]."""
+        """X [m], y [m], yaw [rad]."""
         (px, py, _), (_, _, qz, qw) = pybullet.getBasePositionAndOrientation(self.body, self.client)
         yaw = math.remainder(2.0 * math.atan2(qz, qw), math.tau)  # the robot stays upright
         return px - self.centre[0] * math.cos(yaw), py - self.centre[0] * math.sin(yaw), yaw
 
 
 def add_robot(client: int, robot: Robot) -> RobotBody:
-    """Load a robot's URDF file.
+    """Add a robot from its URDF file.
 
     Raises:
         InputError: If PyBullet cannot load it, it lacks the wheels' joints, or its wheels are not those of the robot.
@@ -220,7 +245,7 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
 
 
 def _check_wheels(client: int, body: int, wheels: tuple[int, int], robot: Robot) -> None:
-    """Hold the wheels of a body that was just loaded against the numbers of its robot, which the twin drives by."""
+    """Compare the wheels of a loaded body with the robot's numbers, which the kinematic simulator uses."""
     left, right = (pybullet.getLinkState(body, wheel, physicsClientId=client)[4][1] for wheel in wheels)
     if not left > 0.0 > right:
         raise InputError(
@@ -230,7 +255,7 @@ def _check_wheels(client: int, body: int, wheels: tuple[int, int], robot: Robot)
     found: list[tuple[str, float, float | None]] = [("wheel_separation", robot.wheel_separation, left - right)]
     found += [("wheel_radius", robot.wheel_radius, _wheel_radius(client, body, wheel)) for wheel in wheels]
     for name, said, has in found:
-        if has is not None and abs(said - has) > _ALIKE * has:
+        if has is not None and abs(said - has) > _TOLERANCE * has:
             raise InputError(f"robot {robot.name}: {name} is {said:.4g} m, but {has:.4g} m in {robot.urdf}")
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from tb2rl.robots import Robot
-from tb2rl.robots.robot import MAX_SPEED, MAX_TURN_RATE
 from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.spec import PHYSICS_RATE, SimulationSpec
@@ -33,7 +32,7 @@ def _rim_accelerations(robot: Robot, v: float, w: float) -> tuple[float, float]:
     spec = SimulationSpec(robot, replace(robot.laser, beams=1, indices=None), (floor,))
     simulation = BulletSimulator(spec)
     initial_state = InitialState.default(spec, 1)
-    initial_state.parameters[:, [MAX_SPEED, MAX_TURN_RATE]] = 100.0, 1000.0
+    initial_state.rows["max_speed"], initial_state.rows["max_turn_rate"] = 100.0, 1000.0
     simulation.reset(initial_state, np.random.default_rng(0))
     twists = [simulation.step(np.array([[v, w]]), 1.0 / PHYSICS_RATE).twist[0] for _ in range(1 + _STEPS)]
     simulation.close()

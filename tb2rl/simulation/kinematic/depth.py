@@ -1,4 +1,6 @@
-"""The depth camera of the fast twin: walls and movers are equally high, so a column of pixels needs one planar ray."""
+"""The depth camera of the kinematic simulator; walls and dynamic obstacles are equally high, so that a column of
+pixels needs one planar ray.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.robots import Camera
-from tb2rl.simulation.obstacles.outlines import cast_all_at_movers
+from tb2rl.simulation.obstacles.outlines import cast_at_outlines
 from tb2rl.worlds.geometry import cast_many
 from tb2rl.worlds.index import WorldIndex
 from tb2rl.worlds.world import WALL_HEIGHT
@@ -19,55 +21,54 @@ def depth_images(
     poses: np.ndarray,
     world_of: np.ndarray,
     index: WorldIndex,
-    width: int,
-    height: int,
+    size: tuple[int, int],
     dynamic_obstacles: np.ndarray | None = None,
 ) -> np.ndarray:
-    """What the cameras of robots see that look along x from below the top of the walls.
+    """Depth images of cameras that look along x, mounted below the top of the walls.
 
     Args:
-        camera: Of each robot.
+        camera: Of every robot.
         poses: Of the robots: x [m], y [m], yaw [rad], shape (num_envs, 3).
         world_of: The world of each, shape (num_envs,).
         index: Of all worlds.
-        width, height: Of an image [px].
-        dynamic_obstacles: What moves, see `RobotState.dynamic_obstacles`; as high as the walls.
+        size: Height and width of an image [px].
+        dynamic_obstacles: See `RobotState.dynamic_obstacles`.
 
     Returns:
         Depth along the optical axis [m], shape (num_envs, height, width), float32; inf beyond the camera's range.
     """
-    forward, sideways, up = camera.position
-    eyes, cos, sin = np.array(poses, dtype=float), np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    eyes[:, 0] += forward * cos - sideways * sin
-    eyes[:, 1] += forward * sin + sideways * cos
+    (height, width), (forward, sideways, up) = size, camera.position
+    lens, cos, sin = np.array(poses, dtype=float), np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    lens[:, 0] += forward * cos - sideways * sin
+    lens[:, 1] += forward * sin + sideways * cos
     # PyBullet's renderer takes a pixel's colour and depth from its lower left corner, and not from its middle.
     reach = math.tan(camera.field_of_view / 2)
     leftward = reach * (width - 2.0 * np.arange(width)) / height
     upward = reach * (height - 2.0 * np.arange(1, height + 1)) / height
     along = 1.0 / np.hypot(1.0, leftward)  # the cosine of each ray's angle
-    walls = np.empty((len(eyes), width))
-    cast_many(eyes, world_of, along, along * leftward, *index, walls)
+    walls = np.empty((len(lens), width))
+    cast_many(lens, world_of, along, along * leftward, *index, walls)
     if dynamic_obstacles is not None:
-        cast_all_at_movers(eyes, along, along * leftward, dynamic_obstacles, walls)
+        cast_at_outlines(lens, (along, along * leftward), dynamic_obstacles, walls)
     walls *= along
-    images = np.empty((len(eyes), height, width), dtype=np.float32)
+    images = np.empty((len(lens), height, width), dtype=np.float32)
     _fill(walls, upward, up, camera.range[1], images)
     return images
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill(walls, upward, eye_height, farthest, images):
+def _fill(walls, upward, lens_height, farthest, images):
     """Write images (num_envs, height, width) of walls at depths (num_envs, width) [m]: wall, floor, or nothing.
 
-    `upward` (height,) is how much each row rises per metre of depth, `eye_height` [m] where the rays begin.
+    `upward` (height,) is how much each row rises per metre of depth, `lens_height` [m] where the rays begin.
     """
     for robot in range(walls.shape[0]):
         for row in range(upward.size):
             rise, end, beyond = upward[row], np.inf, np.inf
             if rise > 0.0:
-                end = (WALL_HEIGHT - eye_height) / rise  # further on, the ray is above the walls and sees nothing
+                end = (WALL_HEIGHT - lens_height) / rise  # further on, the ray is above the walls and sees nothing
             elif rise < 0.0:
-                end = beyond = -eye_height / rise  # where it meets the floor
+                end = beyond = -lens_height / rise  # where it meets the floor
             for column in range(walls.shape[1]):
                 wall = walls[robot, column]
                 depth = wall if wall <= end else beyond

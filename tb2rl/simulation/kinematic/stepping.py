@@ -1,11 +1,6 @@
-"""The compiled control steps of the fast twin, of many robots, among things that move or where nothing does.
+"""Compiled control steps of many robots of the kinematic simulator, with and without dynamic obstacles.
 
-Arrays are as in `tb2rl.simulation.kinematic.motion`. Movers (num_envs, movers, 24), their `walks` (num_envs, 2), keys
-and
-counts of
-their random numbers, and `routes` (points, 2) are as in `tb2rl.simulation.obstacles.motion`; where nothing moves they
-are None,
-and numba leaves out what concerns them.
+`obstacles` are `ObstacleArrays`, or None; then numba leaves out what concerns them.
 """
 
 from __future__ import annotations
@@ -15,185 +10,117 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.simulation.kinematic.motion import move, sense
+from tb2rl.simulation.kinematic.motion import move, scan
 from tb2rl.simulation.obstacles.motion import (
-    THINK,
+    DECIDE_EVERY,
+    decide,
+    move_obstacles,
     out_of_reach,
-    share_until_touch,
+    share_until_contact,
     step_obstacles_alone,
-    think,
-    walk,
 )
-from tb2rl.simulation.obstacles.outlines import LENGTH, X, Y
-from tb2rl.simulation.spec import MAX_SPEED, PHYSICS_RATE, POSE, RADIUS, WHEEL, WHEEL_SEPARATION, WORLD
+from tb2rl.simulation.spec import PHYSICS_RATE
 from tb2rl.worlds.geometry import shortest_of
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def step_with_obstacles(
-    poses, wheel_speeds, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways,
-    dynamic_obstacles, walks,
-    routes,
-):  # fmt: skip
-    """The control step of robot `i` and of its movers, which go first in each physics step.
+def move_among_obstacles(i, constants, motion, duration, obstacles):
+    """`move`, with the dynamic obstacles of robot `i`, which go first in each physics step.
 
     Returns:
-        Whether it touched a wall, and whether it touched a mover.
+        The length [m] and the turn [rad] of its way, whether it touched a wall, and whether a dynamic obstacle.
     """
-    steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as PyBullet makes
-    part, radius = duration / steps, starts[i, RADIUS]
-    speed = max(abs(wheel_speeds[i, 0]), abs(wheel_speeds[i, 1]), starts[i, MAX_SPEED] * starts[i, WHEEL])
+    robot, poses, wheel_speeds = constants.initial[i], motion.poses, motion.wheel_speeds
+    initial, index, world, radius = constants.initial, constants.index, int(robot.world), robot.radius
+    steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as in PyBullet
+    physics_step = duration / steps
+    speed = max(abs(wheel_speeds[i, 0]), abs(wheel_speeds[i, 1]), robot.max_speed * robot.wheel_radius)
     x, y = poses[i, 0], poses[i, 1]
-    if out_of_reach(x, y, speed, duration, radius, dynamic_obstacles, i):
-        step_obstacles_alone(
-            i, steps, part, dynamic_obstacles, walks, routes, starts, boxes, posts, parts, lists, world, x, y
-        )
-        return move(
-            poses, wheel_speeds, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world, ways
-        ), False
-    at_wall, at_mover, way, turned = False, False, 0.0, 0.0
+    if out_of_reach(x, y, speed, duration, radius, obstacles.obstacles, i):
+        step_obstacles_alone(i, steps, physics_step, obstacles, initial, index, world, x, y)
+        length, turn, at_wall = move(i, constants, motion, duration)
+        return length, turn, at_wall, False
+    at_wall, at_obstacle, length, turn = False, False, 0.0, 0.0
     for step in range(steps):
         x, y, yaw, v = poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
-        vx, vy = v * math.cos(yaw), v * math.sin(yaw)
-        if step % THINK == 0:
-            span = min(THINK, steps - step) * part
-            think(i, span, dynamic_obstacles, walks, starts, boxes, posts, parts, lists, world, x, y, vx, vy)
-        hit = walk(i, part, dynamic_obstacles, routes, boxes, posts, parts, lists, world, x, y, radius)
-        at_mover = hit or at_mover
-        hit = move(
-            poses, wheel_speeds, commands, part, physics_step, starts, i, boxes, posts, parts, lists, world, ways
-        )
+        if step % DECIDE_EVERY == 0:
+            span = min(DECIDE_EVERY, steps - step) * physics_step
+            decide(i, span, obstacles, initial, index, world, (x, y, v * math.cos(yaw), v * math.sin(yaw)))
+        hit = move_obstacles(i, physics_step, obstacles, index, world, x, y, radius)
+        at_obstacle = hit or at_obstacle
+        covered, turned, hit = move(i, constants, motion, physics_step)
         at_wall = hit or at_wall
         share = 1.0
-        for k in range(dynamic_obstacles.shape[1]):
-            if dynamic_obstacles[i, k, LENGTH] > 0.0:
-                at_x, at_y = dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y]
-                seen = x - at_x, y - at_y, poses[i, 0] - at_x, poses[i, 1] - at_y
-                share = min(share, share_until_touch(*seen, radius, dynamic_obstacles, i, k))
+        for k in range(obstacles.obstacles.shape[1]):
+            obstacle = obstacles.obstacles[i, k]
+            if obstacle.length > 0.0:
+                relative = x - obstacle.x, y - obstacle.y, poses[i, 0] - obstacle.x, poses[i, 1] - obstacle.y
+                share = min(share, share_until_contact(*relative, radius, obstacle))
         if share < 1.0:
-            at_mover = True
+            at_obstacle = True
             poses[i, 0], poses[i, 1] = x + share * (poses[i, 0] - x), y + share * (poses[i, 1] - y)
-        way, turned = way + share * ways[i, 0], turned + ways[i, 1]
-    ways[i, 0], ways[i, 1] = way, turned
-    return at_wall, at_mover
+        length, turn = length + share * covered, turn + turned
+    return length, turn, at_wall, at_obstacle
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def step_robots(
-    first, last, poses, wheel_speeds, commands, duration, physics_step, starts, boxes, posts, parts, lists, cos_beams,
-    sin_beams, limits, streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges,
-    dynamic_obstacles,
-    walks, routes, nearest_is_dynamic,
-):  # fmt: skip
-    """`step_block`, with room to calculate in: arrays that a loop's own function made are counted in every turn."""
+def _step_robots(first, last, constants, motion, duration, measured, scratch, obstacles):
+    """`step_block` without allocations, because the arrays of a function that allocates are counted in every turn."""
+    poses, wheel_speeds, twists = motion.poses, motion.wheel_speeds, motion.twists
     for i in range(first, last):
-        world = int(starts[i, WORLD])
-        x, y, earlier = poses[i, 0], poses[i, 1], 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
-        if dynamic_obstacles is None:
-            bumped[i] = move(
-                poses,
-                wheel_speeds,
-                commands,
-                duration,
-                physics_step,
-                starts,
-                i,
-                boxes,
-                posts,
-                parts,
-                lists,
-                world,
-                ways,
-            )
+        x, y, speed = poses[i, 0], poses[i, 1], 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
+        if obstacles is None:
+            length, turn, motion.bumped[i] = move(i, constants, motion, duration)
         else:
-            at_wall, at_mover = step_with_obstacles(
-                poses, wheel_speeds, commands, duration, physics_step, starts, i, boxes, posts, parts, lists, world,
-                ways,
-                dynamic_obstacles, walks, routes,
-            )  # fmt: skip
-            bumped[i] = at_wall or at_mover
-        moved[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
+            length, turn, at_wall, at_obstacle = move_among_obstacles(i, constants, motion, duration, obstacles)
+            motion.bumped[i] = at_wall or at_obstacle
+        measured.arcs[i, 0], measured.arcs[i, 1] = length, turn
+        measured.travelled[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
         twists[i, 0] = 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
-        twists[i, 1] = (wheel_speeds[i, 1] - wheel_speeds[i, 0]) / starts[i, WHEEL_SEPARATION]
-        accelerations[i] = (twists[i, 0] - earlier) / duration
-        streams[i, 1] += np.uint64(1)
-        sense(
-            poses, starts, i, cos_beams, sin_beams, boxes, posts, parts, lists, world, limits, streams, over_x, over_y,
-            ranges, dynamic_obstacles, nearest_is_dynamic,
-        )  # fmt: skip
-        nearest[i] = shortest_of(ranges, i)
-        if dynamic_obstacles is not None:
-            nearest_is_dynamic[i] = not at_wall and (at_mover or nearest_is_dynamic[i])
+        twists[i, 1] = (wheel_speeds[i, 1] - wheel_speeds[i, 0]) / constants.initial[i].wheel_separation
+        motion.accelerations[i] = (twists[i, 0] - speed) / duration
+        motion.streams[i, 1] += np.uint64(1)
+        if obstacles is None:
+            scan(i, constants, motion, scratch, measured.ranges, None)
+        else:
+            nearest = scan(i, constants, motion, scratch, measured.ranges, obstacles.obstacles)
+            measured.nearest_is_dynamic[i] = not at_wall and (at_obstacle or nearest)
+        measured.nearest[i] = shortest_of(measured.ranges, i)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def step_block(
-    first, last, poses, wheel_speeds, commands, duration, physics_step, starts, boxes, posts, parts, lists, beams,
-    limits,
-    streams, twists, ways, moved, accelerations, bumped, nearest, ranges,
-):  # fmt: skip
-    """A control step of robots `first` to `last` - 1, in place; see the module for the arrays.
+def step_block(first, last, constants, motion, duration, measured, obstacles):
+    """Step robots `first` to `last` - 1 for a control period.
 
-    `beams` (2, beams) are cosines and sines, `limits` is as in `sense`, `streams` (num_envs, 2) are keys and counts.
-    Results are `twists` (num_envs, 2) v and w [m/s, rad/s], `ways` (num_envs, 2) as in `move`, `moved` (num_envs,)
-    how far
-    from where it was [m], `accelerations` (num_envs,) the mean one ahead [m/s^2], `bumped` (num_envs,), `ranges`
-    (num_envs, beams) [m] and the shortest of each robot, `nearest` (num_envs,) [m].
+    Args:
+        first, last: Range of environments.
+        constants: `Constants`.
+        motion: `Motion`; its commands are read, and the rest changes in place.
+        duration: [s].
+        measured: `Measured`, the result.
+        obstacles: `ObstacleArrays`, changed in place; None: there are none.
     """
-    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
-    step_robots(
-        first, last, poses, wheel_speeds, commands, duration, physics_step, starts, boxes, posts, parts, lists,
-        beams[0],
-        beams[1], limits, streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges, None,
-        None, None, None,
-    )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def step_block_among(
-    first, last, poses, wheel_speeds, commands, duration, physics_step, starts, boxes, posts, parts, lists, beams,
-    limits,
-    streams, twists, ways, moved, accelerations, bumped, nearest, ranges, dynamic_obstacles, walks, routes,
-    nearest_is_dynamic,
-):  # fmt: skip
-    """`step_block` among things that move; `nearest_is_dynamic` (num_envs,) is a result, too.
-
-    It says whether what a robot touched, or else what its laser says is nearest, is a mover.
-    """
-    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
-    step_robots(
-        first, last, poses, wheel_speeds, commands, duration, physics_step, starts, boxes, posts, parts, lists,
-        beams[0],
-        beams[1], limits, streams, over_x, over_y, twists, ways, moved, accelerations, bumped, nearest, ranges,
-        dynamic_obstacles,
-        walks, routes, nearest_is_dynamic,
-    )  # fmt: skip
+    beams = constants.beams[0].size
+    _step_robots(first, last, constants, motion, duration, measured, (np.empty(beams), np.empty(beams)), obstacles)
 
 
 @njit(cache=True, error_model="numpy")
-def sense_some(
-    indices, poses, starts, boxes, posts, parts, lists, beams, limits, streams, ranges, dynamic_obstacles=None,
-    nearest_is_dynamic=None
-):  # fmt: skip
-    """The laser of the robots with the indices `robots` (n,), into their rows of `ranges` (num_envs, beams).
-
-    `dynamic_obstacles` and `nearest_is_dynamic` are as in `sense`.
-    """
-    over_x, over_y = np.empty(beams.shape[1]), np.empty(beams.shape[1])
+def scan_some(indices, constants, motion, ranges, nearest_is_dynamic, obstacles):
+    """The laser of some robots: into their rows of `ranges` [m] (num_envs, beams), and of `nearest_is_dynamic`."""
+    scratch = np.empty(ranges.shape[1]), np.empty(ranges.shape[1])
     for i in indices:
-        sense(
-            poses, starts, i, beams[0], beams[1], boxes, posts, parts, lists, int(starts[i, WORLD]), limits, streams,
-            over_x, over_y, ranges, dynamic_obstacles, nearest_is_dynamic,
-        )  # fmt: skip
+        if obstacles is None:
+            scan(i, constants, motion, scratch, ranges, None)
+        else:
+            nearest_is_dynamic[i] = scan(i, constants, motion, scratch, ranges, obstacles.obstacles)
 
 
 @njit(cache=True)
-def begin_some(indices, table, starts, poses, wheel_speeds, streams, twists, commands, accelerations, bumped):
-    """The robots with the indices `robots` (n,) stand where the rows of `table` (n, 32) say, and read once more.
-
-    `table` goes into their rows of `starts` (num_envs, 32); the other arrays are as in `step_block`.
-    """
+def reset_some(indices, rows, initial, motion):
+    """Copy the initial states `rows` (n,) to `initial` (num_envs,) and put these robots there, at rest."""
     for row, i in enumerate(indices):
-        starts[i], poses[i] = table[row], table[row, POSE]
-        wheel_speeds[i], twists[i], commands[i], accelerations[i], bumped[i] = 0.0, 0.0, 0.0, 0.0, False
-        streams[i, 1] += np.uint64(1)
+        initial[i] = rows[row]
+        motion.poses[i, 0], motion.poses[i, 1], motion.poses[i, 2] = rows[row].x, rows[row].y, rows[row].yaw
+        motion.wheel_speeds[i], motion.twists[i], motion.commands[i] = 0.0, 0.0, 0.0
+        motion.accelerations[i], motion.bumped[i] = 0.0, False
+        motion.streams[i, 1] += np.uint64(1)

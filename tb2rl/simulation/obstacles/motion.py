@@ -1,8 +1,10 @@
-"""How movers move, compiled; both simulations call this, so that the same episode has the same movers in both.
+"""Motion of dynamic obstacles, compiled; all simulators call this, so an episode has the same obstacles in each.
 
-Posts and boxes go straight, along a path or to random points. People walk by the social force model of Moussaid et al.
-2009, "Experimental study of the behavioural mechanisms underlying self-organization in human crowds", with its numbers.
-A mover that runs into the robot has touched it and stops there: nothing pushes the robot.
+Posts and boxes go straight, along a path or to random points; people walk as `tb2rl.simulation.obstacles.people` says.
+An obstacle that runs into the robot touches it and stops there, because nothing pushes the robot.
+
+Arguments in common: `arrays` are `ObstacleArrays`, `i` is the environment, `index` and `world` the `WorldIndex` and the
+number of its world there, `initial` the records of the initial states.
 """
 
 from __future__ import annotations
@@ -12,156 +14,118 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, X, Y, gap_to, reach_of
-from tb2rl.simulation.obstacles.social_force import social_force
+from tb2rl.simulation.obstacles.outlines import gap_to, outer_radius
+from tb2rl.simulation.obstacles.people import (
+    MAX_SPEED_RATIO,
+    accelerate,
+    head_for_target,
+    repel_each_other,
+    repel_from_walls_and_robot,
+    walk_along_walls,
+)
+from tb2rl.simulation.obstacles.records import EMPTY, PATH, PERSON, STRAIGHT
 from tb2rl.simulation.random_streams import uniform
-from tb2rl.simulation.spec import BOUNDS, RADIUS
-from tb2rl.worlds.geometry import clearance_one
+from tb2rl.worlds.geometry import clearance_at
 
-# The columns of a table of movers, after their outlines.
-VX, VY = 6, 7  # [m/s] of people
-TARGET_X, TARGET_Y = 8, 9  # [m] where to, unless along a path
-SPEED = 10  # [m/s] at which it goes, or wants to
-PATIENCE = 11  # [s] until it looks for another target
-NEXT, STRIDE = 12, 13  # number of the path's point that it goes to, and 1, or -1 on the way back
-FORCE_X, FORCE_Y = 14, 15  # [m/s^2] room to calculate in
-ROOM = 16  # [m] that a person may go until it has to look at walls
-# What no step changes: the kind; the first of its points among all paths', how many, whether from the last one on to
-# the first; whether it walks around the robot; the range of its speed [m/s].
-KIND, FIRST, COUNT, CLOSED, AVOIDS, SLOWEST, FASTEST = range(17, 24)
-MOVER_COLUMNS = 24
-NOBODY, PATH, STRAIGHT, PERSON = range(4)  # kinds
-
-THINK = 4  # physics steps between two decisions: 20 a second
-RELAXATION = 0.54  # [s] to the wanted velocity; this and the following: Moussaid et al. 2009
-STRENGTH = 4.5  # [m/s^2] of the force between two people
-WALL_STRENGTH, WALL_REACH = 3.0, 0.1  # [m/s^2], [m]
-HURRY = 1.3  # people are at most so many times as fast as they want to be (Helbing and Molnar 1995)
-_FELT = 0.6  # [m] a wall farther away is not felt
-_MARGIN = 0.1  # [m] that targets are off the walls, and the ways there
-_ARRIVED = 0.3  # [m] from a target, a person looks for the next one
-HALT = 2e-3  # [m] at which a mover touches the robot: PyBullet's bodies push each other from 1 mm on
-_WAITS = 1.0  # [s] that a mover waits for the robot to go, unless it is on a path, before it goes elsewhere
-_TRIES = 4  # directions that a mover looks in: it takes the one in which it gets farthest
-_NEAREST, _FARTHEST = 1.0, 6.0  # [m] to where it looks, at most
+DECIDE_EVERY = 4  # physics steps: 20 times a second
+CONTACT = 2e-3  # [m] at which an obstacle touches the robot: PyBullet's bodies push each other from 1 mm on
+_MARGIN = 0.1  # [m] between targets and walls, and on the way
+_ARRIVED = 0.3  # [m] from its target, a person chooses the next one
+_WAITS = 1.0  # [s] for the robot to go away, before another target is chosen
+_TRIES = 4  # directions; the target is in the one with the longest way
+_NEAREST, _FARTHEST = 1.0, 6.0  # [m] to a target
 _TINY = 1e-3  # [m]
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def think(i, span, dynamic_obstacles, streams, starts, boxes, posts, parts, lists, world, x, y, vx, vy):
-    """What the movers of robot `i` decide for the next `span` [s]: where to, and how people walk there.
+def decide(i, duration, arrays, initial, index, world, robot):
+    """Choose targets, and the velocities of people, for the next `duration` [s].
 
-    Args:
-        i: Which robot it is.
-        span: [s].
-        dynamic_obstacles: Of all robots, shape (num_envs, movers, 24); changed in place.
-        streams: Key of each robot's stream of random numbers for them, and how many were drawn, shape (num_envs, 2).
-        starts: Of all robots.
-        boxes, posts, parts, lists: The `Index` of the worlds.
-        world: The robot's in it.
-        x, y, vx, vy: Where the robot is [m] and its velocity [m/s].
+    `robot` is its position x, y [m] and velocity vx, vy [m/s].
     """
-    for k in range(dynamic_obstacles.shape[1]):
-        if dynamic_obstacles[i, k, KIND] < STRAIGHT:
+    obstacles = arrays.obstacles
+    for k in range(obstacles.shape[1]):
+        obstacle = obstacles[i, k]
+        if obstacle.kind < STRAIGHT:
             continue
-        left = math.hypot(
-            dynamic_obstacles[i, k, TARGET_X] - dynamic_obstacles[i, k, X],
-            dynamic_obstacles[i, k, TARGET_Y] - dynamic_obstacles[i, k, Y],
-        )
-        dynamic_obstacles[i, k, PATIENCE] -= span
-        if dynamic_obstacles[i, k, PATIENCE] <= 0.0 or left < (
-            _ARRIVED if dynamic_obstacles[i, k, KIND] == PERSON else _TINY
-        ):
-            _aim(i, k, dynamic_obstacles, streams, starts, boxes, posts, parts, lists, world)
-        if dynamic_obstacles[i, k, KIND] == PERSON:
-            _want(i, k, dynamic_obstacles)
-    for k in range(dynamic_obstacles.shape[1]):
-        for other in range(k + 1, dynamic_obstacles.shape[1]):
-            _feel_each_other(i, k, other, dynamic_obstacles)
-    for k in range(dynamic_obstacles.shape[1]):
-        if dynamic_obstacles[i, k, KIND] == PERSON:
-            _feel(i, k, dynamic_obstacles, boxes, posts, parts, lists, world, x, y, vx, vy, starts[i, RADIUS])
-            east, north = (
-                dynamic_obstacles[i, k, VX] + span * dynamic_obstacles[i, k, FORCE_X],
-                dynamic_obstacles[i, k, VY] + span * dynamic_obstacles[i, k, FORCE_Y],
-            )
-            cut = min(1.0, HURRY * dynamic_obstacles[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9))
-            dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = cut * east, cut * north
+        left = math.hypot(obstacle.target_x - obstacle.x, obstacle.target_y - obstacle.y)
+        obstacle.patience -= duration
+        if obstacle.patience <= 0.0 or left < (_ARRIVED if obstacle.kind == PERSON else _TINY):
+            _choose_target(i, obstacle, arrays.streams, initial, index, world)
+        if obstacle.kind == PERSON:
+            head_for_target(obstacle)
+    for k in range(obstacles.shape[1]):
+        for other in range(k + 1, obstacles.shape[1]):
+            repel_each_other(obstacles[i, k], obstacles[i, other])
+    for k in range(obstacles.shape[1]):
+        if obstacles[i, k].kind == PERSON:
+            repel_from_walls_and_robot(obstacles[i, k], index, world, robot, initial[i].radius)
+            accelerate(obstacles[i, k], duration)
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def walk(i, duration, dynamic_obstacles, routes, boxes, posts, parts, lists, world, x, y, radius):
-    """Move the movers of robot `i` for a physics step of `duration` [s], up to where they run into the robot.
+def move_obstacles(i, duration, arrays, index, world, x, y, radius):
+    """Move the obstacles of an environment for a physics step, up to where they run into the robot.
 
     Args:
-        i, movers, boxes, posts, parts, lists, world: As in `think`.
+        i, arrays, index, world: See the module.
         duration: [s].
-        routes: The points of all paths [m], shape (points, 2).
         x, y, radius: Of the robot [m].
 
     Returns:
-        Whether one of them has run into it.
+        Whether one of them ran into it.
     """
     touched = False
-    for k in range(dynamic_obstacles.shape[1]):
-        kind, from_x, from_y = dynamic_obstacles[i, k, KIND], dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y]
-        if kind == NOBODY:
+    for k in range(arrays.obstacles.shape[1]):
+        obstacle = arrays.obstacles[i, k]
+        kind, from_x, from_y = obstacle.kind, obstacle.x, obstacle.y
+        if kind == EMPTY:
             continue
-        cos, sin, point, stride = (
-            dynamic_obstacles[i, k, COS],
-            dynamic_obstacles[i, k, SIN],
-            dynamic_obstacles[i, k, NEXT],
-            dynamic_obstacles[i, k, STRIDE],
-        )
+        cos, sin, point, stride = obstacle.cos, obstacle.sin, obstacle.next, obstacle.stride
         if kind == PATH:
-            to_x, to_y = _follow(i, k, dynamic_obstacles, routes, duration * dynamic_obstacles[i, k, SPEED])
+            to_x, to_y = _follow_path(obstacle, arrays.path_points, duration * obstacle.speed)
         elif kind == STRAIGHT:
-            east, north = dynamic_obstacles[i, k, TARGET_X] - from_x, dynamic_obstacles[i, k, TARGET_Y] - from_y
-            share = min(
-                1.0, duration * dynamic_obstacles[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9)
-            )
+            east, north = obstacle.target_x - from_x, obstacle.target_y - from_y
+            share = min(1.0, duration * obstacle.speed / max(math.sqrt(east * east + north * north), 1e-9))
             to_x, to_y = from_x + share * east, from_y + share * north
         else:
-            to_x, to_y = _keep_off_walls(i, k, duration, dynamic_obstacles, boxes, posts, parts, lists, world)
+            to_x, to_y = walk_along_walls(obstacle, duration, index, world)
         east, north = to_x - from_x, to_y - from_y
         length = math.sqrt(east * east + north * north)
         if length > 1e-9:
-            dynamic_obstacles[i, k, COS], dynamic_obstacles[i, k, SIN] = east / length, north / length
-        share = share_until_touch(x - from_x, y - from_y, x - to_x, y - to_y, radius + HALT, dynamic_obstacles, i, k)
+            obstacle.cos, obstacle.sin = east / length, north / length
+        share = share_until_contact(x - from_x, y - from_y, x - to_x, y - to_y, radius + CONTACT, obstacle)
         if share < 1.0:
             touched = True
-            dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = 0.0, 0.0
-            dynamic_obstacles[i, k, PATIENCE] = min(dynamic_obstacles[i, k, PATIENCE], _WAITS)
-            dynamic_obstacles[i, k, NEXT], dynamic_obstacles[i, k, STRIDE] = point, stride
+            obstacle.vx, obstacle.vy = 0.0, 0.0
+            obstacle.patience = min(obstacle.patience, _WAITS)
+            obstacle.next, obstacle.stride = point, stride
             to_x, to_y = from_x + share * (to_x - from_x), from_y + share * (to_y - from_y)
             if share == 0.0:  # nor does a box turn
-                dynamic_obstacles[i, k, COS], dynamic_obstacles[i, k, SIN] = cos, sin
+                obstacle.cos, obstacle.sin = cos, sin
         elif kind != PERSON:
-            dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = (
-                (to_x - from_x) / duration,
-                (to_y - from_y) / duration,
-            )
-        dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y] = to_x, to_y
+            obstacle.vx, obstacle.vy = (to_x - from_x) / duration, (to_y - from_y) / duration
+        obstacle.x, obstacle.y = to_x, to_y
     return touched
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def share_until_touch(from_east, from_north, to_east, to_north, radius, dynamic_obstacles, i, k):
-    """How much of its way the robot or a mover goes until they touch, from 0 to 1: all of it, if it leads off.
+def share_until_contact(from_east, from_north, to_east, to_north, radius, obstacle):
+    """Share of a motion of the robot relative to an obstacle until they touch, in [0, 1]; 1 if they move apart.
 
     Args:
-        from_east, from_north, to_east, to_north: The robot's way, seen from the middle of the mover [m].
+        from_east, from_north, to_east, to_north: Positions of the robot relative to the obstacle's centre [m].
         radius: Of the robot [m].
-        movers, i, k: Mover `k` of robot `i`.
+        obstacle: Its record.
     """
-    gap = gap_to(to_east, to_north, dynamic_obstacles, i, k) - radius
-    if gap >= 0.0 or gap > gap_to(from_east, from_north, dynamic_obstacles, i, k) - radius:
+    gap = gap_to(to_east, to_north, obstacle) - radius
+    if gap >= 0.0 or gap > gap_to(from_east, from_north, obstacle) - radius:
         return 1.0
     low, high = 0.0, 1.0
     for _ in range(16):
         middle = 0.5 * (low + high)
         east, north = from_east + middle * (to_east - from_east), from_north + middle * (to_north - from_north)
-        if gap_to(east, north, dynamic_obstacles, i, k) < radius:
+        if gap_to(east, north, obstacle) < radius:
             high = middle
         else:
             low = middle
@@ -169,201 +133,76 @@ def share_until_touch(from_east, from_north, to_east, to_north, radius, dynamic_
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _follow(i, k, dynamic_obstacles, routes, left):
-    """Where a mover is on its path after `left` [m] more: there and back, or around."""
-    x, y, first, count = (
-        dynamic_obstacles[i, k, X],
-        dynamic_obstacles[i, k, Y],
-        int(dynamic_obstacles[i, k, FIRST]),
-        int(dynamic_obstacles[i, k, COUNT]),
-    )
-    for _ in range(count + 1):  # a path may be shorter than a step
-        point, stride = int(dynamic_obstacles[i, k, NEXT]), int(dynamic_obstacles[i, k, STRIDE])
-        east, north = routes[first + point, 0] - x, routes[first + point, 1] - y
-        distance = math.sqrt(east * east + north * north)
-        if distance > left:
-            return x + left / distance * east, y + left / distance * north
-        x, y, left = x + east, y + north, left - distance
-        if dynamic_obstacles[i, k, CLOSED] != 0.0:
-            dynamic_obstacles[i, k, NEXT] = (point + 1) % count
-        else:
-            stride = stride if 0 <= point + stride < count else -stride
-            dynamic_obstacles[i, k, NEXT], dynamic_obstacles[i, k, STRIDE] = point + stride, stride
-    return x, y
+def out_of_reach(x, y, speed, duration, radius, obstacles, i):
+    """Whether the robot and its obstacles can neither touch nor avoid each other in a control step.
 
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _aim(i, k, dynamic_obstacles, streams, starts, boxes, posts, parts, lists, world):
-    """Give a mover its next target: of some random points that it can go straight to, the farthest."""
-    x, y, best = dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y], 0.0
-    dynamic_obstacles[i, k, TARGET_X], dynamic_obstacles[i, k, TARGET_Y] = x, y
-    needed = min(reach_of(dynamic_obstacles, i, k) + _MARGIN, clearance_one(x, y, boxes, posts, parts, lists, world))
-    for _ in range(_TRIES):
-        angle = math.tau * uniform(streams[i, 0], streams[i, 1])
-        farthest = _NEAREST + (_FARTHEST - _NEAREST) * uniform(streams[i, 0], streams[i, 1] + np.uint64(1))
-        streams[i, 1] += np.uint64(2)
-        cos, sin, way, free = math.cos(angle), math.sin(angle), 0.0, 0.0
-        while way < farthest:
-            way = min(way + max(free, 0.05), farthest)
-            at_x, at_y = x + way * cos, y + way * sin
-            free = clearance_one(at_x, at_y, boxes, posts, parts, lists, world) - needed
-            inside = starts[i, BOUNDS.start] <= at_x <= starts[i, BOUNDS.start + 2]
-            inside = inside and starts[i, BOUNDS.start + 1] <= at_y <= starts[i, BOUNDS.start + 3]
-            if free < 0.0 or not inside:
-                break
-            if way > best:
-                best = way
-                dynamic_obstacles[i, k, TARGET_X], dynamic_obstacles[i, k, TARGET_Y] = at_x, at_y
-    dynamic_obstacles[i, k, PATIENCE] = 2.0 + 2.0 * best / dynamic_obstacles[i, k, SPEED] if best > 0.0 else 0.0
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def _want(i, k, dynamic_obstacles):
-    """The force on a person towards its target."""
-    east, north = (
-        dynamic_obstacles[i, k, TARGET_X] - dynamic_obstacles[i, k, X],
-        dynamic_obstacles[i, k, TARGET_Y] - dynamic_obstacles[i, k, Y],
-    )
-    wanted = dynamic_obstacles[i, k, SPEED] / max(math.sqrt(east * east + north * north), 1e-9)
-    dynamic_obstacles[i, k, FORCE_X] = (wanted * east - dynamic_obstacles[i, k, VX]) / RELAXATION
-    dynamic_obstacles[i, k, FORCE_Y] = (wanted * north - dynamic_obstacles[i, k, VY]) / RELAXATION
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def _feel_each_other(i, k, other, dynamic_obstacles):
-    """The forces between two movers, on those of them that are people: one is the other turned round."""
-    kind, others = dynamic_obstacles[i, k, KIND], dynamic_obstacles[i, other, KIND]
-    if kind == NOBODY or others == NOBODY or (kind != PERSON and others != PERSON):
-        return
-    east, north = (
-        dynamic_obstacles[i, other, X] - dynamic_obstacles[i, k, X],
-        dynamic_obstacles[i, other, Y] - dynamic_obstacles[i, k, Y],
-    )
-    faster = (
-        dynamic_obstacles[i, k, VX] - dynamic_obstacles[i, other, VX],
-        dynamic_obstacles[i, k, VY] - dynamic_obstacles[i, other, VY],
-    )
-    aside_x, aside_y = social_force(east, north, *faster)
-    distance = max(math.sqrt(east * east + north * north), 1e-9)
-    # Bodies do not pass through each other; what is as near as a wall pushes like one.
-    if kind == PERSON:
-        push = _push(gap_to(-east, -north, dynamic_obstacles, i, other) - dynamic_obstacles[i, k, LENGTH]) / distance
-        dynamic_obstacles[i, k, FORCE_X] = dynamic_obstacles[i, k, FORCE_X] + STRENGTH * aside_x - push * east
-        dynamic_obstacles[i, k, FORCE_Y] = dynamic_obstacles[i, k, FORCE_Y] + STRENGTH * aside_y - push * north
-    if others == PERSON:
-        push = _push(gap_to(east, north, dynamic_obstacles, i, k) - dynamic_obstacles[i, other, LENGTH]) / distance
-        dynamic_obstacles[i, other, FORCE_X] = dynamic_obstacles[i, other, FORCE_X] - STRENGTH * aside_x + push * east
-        dynamic_obstacles[i, other, FORCE_Y] = dynamic_obstacles[i, other, FORCE_Y] - STRENGTH * aside_y + push * north
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def _feel(
-    i, k, dynamic_obstacles, boxes, posts, parts, lists, world, robot_x, robot_y, robot_vx, robot_vy, robot_radius
-):
-    """The forces on a person off walls, and off the robot if it sees that."""
-    x, y, force_x, force_y = (
-        dynamic_obstacles[i, k, X],
-        dynamic_obstacles[i, k, Y],
-        dynamic_obstacles[i, k, FORCE_X],
-        dynamic_obstacles[i, k, FORCE_Y],
-    )
-    if dynamic_obstacles[i, k, AVOIDS] != 0.0:
-        east, north = robot_x - x, robot_y - y
-        aside_x, aside_y = social_force(
-            east, north, dynamic_obstacles[i, k, VX] - robot_vx, dynamic_obstacles[i, k, VY] - robot_vy
-        )
-        distance = max(math.sqrt(east * east + north * north), 1e-9)
-        push = _push(distance - robot_radius - dynamic_obstacles[i, k, LENGTH]) / distance
-        force_x, force_y = force_x + STRENGTH * aside_x - push * east, force_y + STRENGTH * aside_y - push * north
-    gap = clearance_one(x, y, boxes, posts, parts, lists, world) - dynamic_obstacles[i, k, LENGTH]
-    if gap < _FELT:
-        off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
-        push = _push(gap)
-        force_x, force_y = force_x + push * off_x, force_y + push * off_y
-    dynamic_obstacles[i, k, FORCE_X], dynamic_obstacles[i, k, FORCE_Y], dynamic_obstacles[i, k, ROOM] = (
-        force_x,
-        force_y,
-        min(gap, _FARTHEST) - _TINY,
-    )
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def _push(gap):
-    """The force [m/s^2] off a wall, or a body, that is so far away [m]."""
-    return WALL_STRENGTH * math.exp(-max(gap, -WALL_REACH) / WALL_REACH)
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _off_walls(x, y, boxes, posts, parts, lists, world):
-    """The direction that leads away from the nearest wall, a vector of length 1 at most."""
-    right = clearance_one(x + _TINY, y, boxes, posts, parts, lists, world)
-    left = clearance_one(x - _TINY, y, boxes, posts, parts, lists, world)
-    above = clearance_one(x, y + _TINY, boxes, posts, parts, lists, world)
-    below = clearance_one(x, y - _TINY, boxes, posts, parts, lists, world)
-    return (right - left) / (2.0 * _TINY), (above - below) / (2.0 * _TINY)
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _keep_off_walls(i, k, duration, dynamic_obstacles, boxes, posts, parts, lists, world):
-    """Where a person is after a step: along a wall, not into it."""
-    x, y, radius = dynamic_obstacles[i, k, X], dynamic_obstacles[i, k, Y], dynamic_obstacles[i, k, LENGTH]
-    vx, vy = dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY]
-    to_x, to_y = x + duration * vx, y + duration * vy
-    dynamic_obstacles[i, k, ROOM] -= duration * (abs(vx) + abs(vy))  # it goes less far than that
-    if dynamic_obstacles[i, k, ROOM] > 0.0:
-        return to_x, to_y
-    clearance = clearance_one(to_x, to_y, boxes, posts, parts, lists, world)
-    if clearance >= radius:
-        return to_x, to_y
-    here = clearance_one(x, y, boxes, posts, parts, lists, world)
-    if clearance >= here:
-        return to_x, to_y
-    off_x, off_y = _off_walls(x, y, boxes, posts, parts, lists, world)
-    into = min(vx * off_x + vy * off_y, 0.0)
-    vx, vy = vx - into * off_x, vy - into * off_y
-    to_x, to_y = x + duration * vx, y + duration * vy
-    if clearance_one(to_x, to_y, boxes, posts, parts, lists, world) < min(radius, here) - _TINY:
-        vx, vy, to_x, to_y = 0.0, 0.0, x, y
-    dynamic_obstacles[i, k, VX], dynamic_obstacles[i, k, VY] = vx, vy
-    return to_x, to_y
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def out_of_reach(x, y, speed, duration, radius, dynamic_obstacles, i):
-    """Whether robot `i` and its movers can neither meet nor see each other in a control step.
-
-    Then robot and movers go through it by themselves, which takes far less time.
+    Then they move independently, which is much faster.
 
     Args:
-        x, y: Where the robot is [m].
-        speed: As fast as it can become [m/s].
+        x, y: Position of the robot [m].
+        speed: Its largest speed in the step [m/s].
         duration: Of the step [s].
         radius: Of the robot [m].
-        dynamic_obstacles: Of all robots.
-        i: Which robot it is.
+        obstacles: Records, shape (num_envs, obstacles).
+        i: Environment.
     """
-    for k in range(dynamic_obstacles.shape[1]):
-        if dynamic_obstacles[i, k, LENGTH] > 0.0:
-            apart = math.hypot(dynamic_obstacles[i, k, X] - x, dynamic_obstacles[i, k, Y] - y)
-            way = duration * (speed + HURRY * dynamic_obstacles[i, k, SPEED])
-            if (
-                dynamic_obstacles[i, k, AVOIDS] != 0.0
-                or apart < radius + HALT + reach_of(dynamic_obstacles, i, k) + way
-            ):
+    for k in range(obstacles.shape[1]):
+        obstacle = obstacles[i, k]
+        if obstacle.length > 0.0:
+            distance = math.hypot(obstacle.x - x, obstacle.y - y)
+            covered = duration * (speed + MAX_SPEED_RATIO * obstacle.speed)
+            if obstacle.avoids != 0.0 or distance < radius + CONTACT + outer_radius(obstacle) + covered:
                 return False
     return True
 
 
 @njit(cache=True, **UNCOUNTED, error_model="numpy")
-def step_obstacles_alone(
-    i, steps, part, dynamic_obstacles, walks, routes, starts, boxes, posts, parts, lists, world, x, y
-):
-    """A control step of the movers of robot `i`, which is out of reach: so many physics steps of `part` [s].
-
-    `x`, `y` [m] are where it is at the beginning; out of reach, it makes no difference where it goes.
-    """
+def step_obstacles_alone(i, steps, physics_step, arrays, initial, index, world, x, y):
+    """Step the obstacles of a robot that is `out_of_reach` at x, y [m], for some physics steps [s] at once."""
     for step in range(steps):
-        if step % THINK == 0:
-            span = min(THINK, steps - step) * part
-            think(i, span, dynamic_obstacles, walks, starts, boxes, posts, parts, lists, world, x, y, 0.0, 0.0)
-        walk(i, part, dynamic_obstacles, routes, boxes, posts, parts, lists, world, x, y, 0.0)
+        if step % DECIDE_EVERY == 0:
+            duration = min(DECIDE_EVERY, steps - step) * physics_step
+            decide(i, duration, arrays, initial, index, world, (x, y, 0.0, 0.0))
+        move_obstacles(i, physics_step, arrays, index, world, x, y, 0.0)
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _follow_path(obstacle, path_points, left):
+    """Position of an obstacle on its path after `left` [m]: there and back, or around."""
+    x, y, first, count = obstacle.x, obstacle.y, int(obstacle.first), int(obstacle.count)
+    for _ in range(count + 1):  # a path may be shorter than a step
+        point, stride = int(obstacle.next), int(obstacle.stride)
+        east, north = path_points[first + point, 0] - x, path_points[first + point, 1] - y
+        distance = math.sqrt(east * east + north * north)
+        if distance > left:
+            return x + left / distance * east, y + left / distance * north
+        x, y, left = x + east, y + north, left - distance
+        if obstacle.closed != 0.0:
+            obstacle.next = (point + 1) % count
+        else:
+            stride = stride if 0 <= point + stride < count else -stride
+            obstacle.next, obstacle.stride = point + stride, stride
+    return x, y
+
+
+@njit(cache=True, **UNCOUNTED, error_model="numpy")
+def _choose_target(i, obstacle, streams, initial, index, world):
+    """Draw points that the obstacle can reach straight, and keep the farthest."""
+    x, y, best, bounds = obstacle.x, obstacle.y, 0.0, initial[i]
+    obstacle.target_x, obstacle.target_y = x, y
+    needed = min(outer_radius(obstacle) + _MARGIN, clearance_at(x, y, index, world))
+    for _ in range(_TRIES):
+        angle = math.tau * uniform(streams[i, 0], streams[i, 1])
+        farthest = _NEAREST + (_FARTHEST - _NEAREST) * uniform(streams[i, 0], streams[i, 1] + np.uint64(1))
+        streams[i, 1] += np.uint64(2)
+        cos, sin, length, free = math.cos(angle), math.sin(angle), 0.0, 0.0
+        while length < farthest:
+            length = min(length + max(free, 0.05), farthest)
+            at_x, at_y = x + length * cos, y + length * sin
+            free = clearance_at(at_x, at_y, index, world) - needed
+            inside = bounds.min_x <= at_x <= bounds.max_x and bounds.min_y <= at_y <= bounds.max_y
+            if free < 0.0 or not inside:
+                break
+            if length > best:
+                best, obstacle.target_x, obstacle.target_y = length, at_x, at_y
+    obstacle.patience = 2.0 + 2.0 * best / obstacle.speed if best > 0.0 else 0.0
