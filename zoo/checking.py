@@ -22,7 +22,7 @@ def check(entry: Entry, episodes: int) -> list[str]:
         entry: The policy.
         episodes: How many of the standard evaluation, the first ones.
     """
-    again = evaluate(entry.folder, episodes=entry.figures["episodes"], only=episodes, progress=True).summary()
+    again = evaluate(entry.folder, episodes=episodes, progress=True).summary()
     rate, speed = again[f"{entry.good}_rate"], again["mean_speed"]
     say(f"{entry.name}: {percent(rate)} good episodes, {speed:.3f} m/s")
     before = entry.figures["each"][:episodes]

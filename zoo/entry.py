@@ -14,6 +14,7 @@ from tb2rl.commands.train import requested_config
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import read_text, read_yaml, top_folder
 from tb2rl.envs.worlds import are_generated
+from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run
 from tb2rl.simulation.variation import varied
@@ -149,6 +150,11 @@ class Entry:
         if self.good == "success":
             return 0.0
         return GOOD_SPEED_ANYWHERE if are_generated(self.config.task.world) else GOOD_SPEED
+
+    @property
+    def metric_rows(self) -> list[tuple[str, str, str]]:
+        """Label, figure and spread of the metrics in the standard evaluation."""
+        return [metric.row(self.figures) for metric in shown_metrics(self.config.task.goal_task)]
 
     @property
     def speed_share(self) -> float:

@@ -19,6 +19,7 @@ from tb2rl.deploy.folder import write_folder
 from tb2rl.deploy.network import OBSERVATION, network_of, parts_of
 from tb2rl.deploy.portable.network import Network
 from tb2rl.envs.encodings import has_images, stacked
+from tb2rl.envs.task_filters import describe_filters
 from tb2rl.runs.loading import config_of, load
 
 _OBSERVATIONS, _IMAGES = 100, 4  # for the check of an export; onnx's own evaluator is slow
@@ -70,7 +71,8 @@ def export_folder(reference: str | Path, folder: Path, trust: bool = False) -> N
     needs, network = portable_needs(config), network_of(policy)
     portable = Network([(layer.kind, layer.arrays) for layer in network.sequence()])
     _check_same_actions(lambda observations: portable(observations[OBSERVATION]), policy)
-    write_folder(folder, network, describe(config, str(reference)), needs)
+    filters, files = describe_filters(config.task)
+    write_folder(folder, network, {**describe(config, str(reference)), "filters": filters}, needs, files)
 
 
 def _load(reference: str | Path, trust: bool) -> BaseAlgorithm:

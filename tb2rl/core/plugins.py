@@ -6,19 +6,24 @@ Built-in names win. Listing names imports nothing.
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
 import sys
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, get_type_hints
 
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import top_folder
 from tb2rl.core.trust import check_module
+from tb2rl.core.values import checked
 
 Kind = Literal["agent", "filter", "robot", "simulator", "task", "world"]
+
+T = TypeVar("T")
+_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 FILTERS = {"speed_limits": "tb2rl.envs.filters:SpeedLimits"}
 ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot3", "jackal")}
@@ -72,6 +77,36 @@ def find_plugin(kind: Kind, name: str) -> Any:
     if name not in references:
         raise unknown(kind, name, references)
     return import_object(references[name])
+
+
+def make_part(cls: type[T], arguments: Mapping[str, Any], where: str, given: Mapping[str, Any] | None = None) -> T:
+    """Make a sensor or a filter from the arguments of a config.
+
+    Args:
+        cls: Its class.
+        arguments: Checked against the annotations of `cls`.
+        where: The setting, for messages.
+        given: Further arguments, which a config cannot set.
+
+    Raises:
+        InputError: If an argument is unknown, missing or does not fit.
+    """
+    given, taken = given or {}, inspect.signature(cls).parameters
+    for key in arguments:
+        if key not in taken or key in given:
+            raise unknown(f"argument of {where}:", key, taken.keys() - given.keys())
+    needed = [key for key, one in taken.items() if one.default is one.empty and one.kind not in _ANY_NUMBER]
+    missing = [key for key in needed if key not in {*given, *arguments}]
+    if missing:
+        raise InputError(f"{where}: it needs {', '.join(missing)}; give the arguments as {{{missing[0]}: ...}}")
+    try:
+        hints = get_type_hints(cls.__init__, include_extras=True) if arguments else {}
+        fitting = {key: checked(hints.get(key, Any), value, f"{where}.{key}") for key, value in arguments.items()}
+        return cls(**given, **fitting)
+    except InputError:
+        raise
+    except Exception as error:  # of a user's own class
+        raise InputError(one_line(f"{where}: {type(error).__name__}: {error}")) from error
 
 
 def entry_point_references(kind: Kind) -> dict[str, str]:

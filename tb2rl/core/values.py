@@ -70,17 +70,15 @@ Names = Annotated[
 Bins = Annotated[tuple[float, ...], Len(1, 1000), AfterValidator(_check_increasing)]  # borders of classes
 
 
-def _sensors(value: Any) -> Any:
-    """Check a list of sensor names, each alone or as the only key of a mapping to its arguments."""
-    if not isinstance(value, list | tuple) or not value:
-        raise ValueError("must be a list of sensors, such as [laser, twist]")
+def _check_parts(value: Any) -> Any:
+    """Check a list of names, each alone or as the only key of a mapping to its arguments."""
+    example = "such as laser, or {camera: {width: 64}}"
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"must be a list of names, {example}")
     for entry in value:
-        if not isinstance(entry, str | Mapping):
-            raise ValueError("must name each sensor, or give its name with arguments, such as {camera: {width: 64}}")
-        if isinstance(entry, Mapping) and len(entry) != 1:
-            raise ValueError("must give each sensor by itself: [{camera: {width: 64}}, laser]")
-        if isinstance(entry, Mapping) and not isinstance(next(iter(entry.values())), Mapping | None):
-            raise ValueError("must give a sensor's arguments as a mapping, such as {camera: {width: 64}}")
+        alone = isinstance(entry, Mapping) and len(entry) == 1
+        if not isinstance(entry, str) and not (alone and isinstance(next(iter(entry.values())), Mapping | None)):
+            raise ValueError(f"must list names, each alone or as the only key of its arguments, {example}")
     return value
 
 
@@ -110,7 +108,8 @@ def _obstacles(value: Any) -> Any:
 Moved = Annotated[Any, BeforeValidator(_obstacles)]  # read by `tb2rl.worlds.dynamic_obstacles`
 Varied = Annotated[Any, BeforeValidator(_check_variation)]  # read by `tb2rl.simulation.variation`
 Arguments = dict[str, Any]
-Observed = Annotated[tuple[str | dict[str, Arguments | None], ...], Len(1, 100), BeforeValidator(_sensors)]
+Parts = Annotated[tuple[str | dict[str, Arguments | None], ...], Len(0, 100), BeforeValidator(_check_parts)]
+Observed = Annotated[Parts, Len(1)]
 Worlds = Annotated[Any, BeforeValidator(_worlds)]  # read by `tb2rl.envs.worlds`
 
 _UNKNOWN = "unexpected_keyword_argument"  # pydantic's error type for an unknown key

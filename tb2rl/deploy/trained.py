@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,10 @@ class TrainedPolicy:
         policy: A policy from `tb2rl.load` or `tb2rl.train`, or an argument of `tb2rl.load`.
         config: Its task; None: the task of its training. A policy that was not trained here needs one.
 
+    Attributes:
+        needs: Its requirements.
+        filters: The filters of its commands.
+
     Raises:
         InputError: If there is no such policy, or it observes what no robot can sense.
     """
@@ -38,7 +43,7 @@ class TrainedPolicy:
         if isinstance(policy, str | Path):
             policy = load(policy)
         self._scene = (config or config_of(policy)).scene
-        self.needs = needs_in(self._scene)
+        self.needs, self.filters = needs_in(self._scene), list(deepcopy(self._scene.filters))
         self._policy = getattr(policy, "policy", policy)
         self._compile()
 

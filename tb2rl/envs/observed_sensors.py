@@ -1,26 +1,23 @@
-"""What a task observes: its own sensors, or those that its setting `observe` names in their place."""
+"""The sensors that a task observes: its own, or those of its setting `observe`."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from typing import Any, get_type_hints
+from typing import Any
 
 from tb2rl.core.errors import InputError, one_line, unknown
-from tb2rl.core.plugins import import_object
-from tb2rl.core.values import checked
+from tb2rl.core.plugins import import_object, make_part
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.names import SENSORS
 from tb2rl.simulation import SimulationSpec
 from tb2rl.tasks import Task
 
-_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-
 
 def observed_sensors(task: Task, own: tuple[Sensor, ...], spec: SimulationSpec) -> tuple[Sensor, ...]:
     """The sensors that `task.observe` lists; those of the task itself if it is None.
 
-    A sensor that is named without arguments, and that the task has or offers, is the task's: with its settings.
+    A sensor that is named without arguments has the task's settings if it is among the task's own or available ones.
 
     Args:
         task: The task.
@@ -42,16 +39,19 @@ def observed_sensors(task: Task, own: tuple[Sensor, ...], spec: SimulationSpec) 
 
 
 def _sensors(entry: str | Mapping[str, Any], present: list[Sensor], spec: SimulationSpec) -> list[Sensor]:
-    """What one entry of the list means: a name, or {name: arguments}."""
+    """The sensors of an entry: a name, or {name: arguments}."""
     ((name, arguments),) = [(entry, None)] if isinstance(entry, str) else entry.items()
     kinds = _kinds(name)
     if not arguments:
         found = [next((sensor for sensor in present if type(sensor) is kind), None) for kind in kinds]
-        return [sensor or _made(kind, name, {}, spec) for sensor, kind in zip(found, kinds, strict=True)]
+        return [
+            sensor or make_part(kind, {}, f"task.observe.{name}", kind.given(spec))
+            for sensor, kind in zip(found, kinds, strict=True)
+        ]
     if len(kinds) > 1:
         singly = " and ".join(f"{kind.__module__}:{kind.__name__}" for kind in kinds)
         raise InputError(f"task.observe.{name}: it takes no arguments, being several sensors: {singly}")
-    return [_made(kinds[0], name, arguments, spec)]
+    return [make_part(kinds[0], arguments, f"task.observe.{name}", kinds[0].given(spec))]
 
 
 def _kinds(name: str) -> tuple[type[Sensor], ...]:
@@ -67,23 +67,3 @@ def _kinds(name: str) -> tuple[type[Sensor], ...]:
     if not (isinstance(found, type) and issubclass(found, Sensor)) or inspect.isabstract(found):
         raise InputError(one_line(f"task.observe: {name!r} is not a class derived from tb2rl.sensors.Sensor with read"))
     return (found,)
-
-
-def _made(kind: type[Sensor], name: str, arguments: Mapping[str, Any], spec: SimulationSpec) -> Sensor:
-    """A sensor with what the robot decides, and with arguments that are held against its class."""
-    where, given, taken = f"task.observe.{name}", kind.given(spec), inspect.signature(kind).parameters
-    for key in arguments:
-        if key not in taken or key in given:
-            raise unknown(f"argument of {where}:", key, taken.keys() - given.keys())
-    needed = [key for key, one in taken.items() if one.default is one.empty and one.kind not in _ANY_NUMBER]
-    lacking = [key for key in needed if key not in {*given, *arguments}]
-    if lacking:
-        raise InputError(f"{where}: it needs {', '.join(lacking)}; write {{{name}: {{{lacking[0]}: ...}}}}")
-    try:
-        hints = get_type_hints(kind.__init__, include_extras=True) if arguments else {}
-        fitting = {key: checked(hints.get(key, Any), value, f"{where}.{key}") for key, value in arguments.items()}
-        return kind(**given, **fitting)
-    except InputError:
-        raise
-    except Exception as error:  # of a user's own class
-        raise InputError(one_line(f"{where}: {type(error).__name__}: {error}")) from error

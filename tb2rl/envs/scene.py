@@ -20,6 +20,7 @@ from tb2rl.envs.filters import CommandDelay, Filter
 from tb2rl.envs.observation_pipeline import ObservationPipeline, stacked_space
 from tb2rl.envs.occupancy_mapper import OccupancyMapper
 from tb2rl.envs.pose_history import PoseHistory
+from tb2rl.envs.task_filters import task_filters
 from tb2rl.envs.worlds import are_generated, find_worlds, place_of
 from tb2rl.robots import Laser, Robot
 from tb2rl.robots.registry import find_robot
@@ -47,7 +48,7 @@ class Scene:
         observation_space: What a learner observes.
         actions: What the robot can be told to do.
         sensors: What is read, before it is encoded.
-        filters: Filters of the commands, in order; each loop gets copies of its own.
+        filters: Those of the task, in order; see `make_filters`.
     """
 
     task: Task
@@ -57,7 +58,7 @@ class Scene:
     observation_space: spaces.Space
     actions: Actions
     sensors: tuple[Sensor, ...]
-    filters: tuple[Filter, ...] = ()
+    filters: tuple[Filter, ...]
 
     @property
     def robot(self) -> Robot:
@@ -100,7 +101,7 @@ class Scene:
 
     def make_filters(self) -> list[Filter]:
         """New filters between action and simulator: those of the task, then the latency of commands."""
-        return [*map(deepcopy, self.filters), CommandDelay(self.task.resolved_variation.latency[1])]
+        return [*deepcopy(self.filters), CommandDelay(self.task.resolved_variation.latency[1])]
 
     def observation_pipeline(self) -> ObservationPipeline:
         """A new pipeline from robot states to observations."""
@@ -151,13 +152,13 @@ class Scene:
         """
         if not settings.keys().isdisjoint({"robot", "world"}):
             raise InputError("a scene keeps its robot and its world; make another one")
-        return _assemble(replace(self.task, **settings), self.observation, self.robot, self.spec.worlds, self.filters)
+        return _assemble(replace(self.task, **settings), self.observation, self.robot, self.spec.worlds)
 
     def worlds_for(self, purpose: Purpose) -> Scene:
         """The scene in the worlds for a purpose: generated ones differ, see `tb2rl.worlds.generators`."""
         if not are_generated(self.task.world):
             return self
-        return _assemble(self.task, self.observation, self.robot, find_worlds(self.task.world, purpose), self.filters)
+        return _assemble(self.task, self.observation, self.robot, find_worlds(self.task.world, purpose))
 
     def in_worlds(self, worlds: tuple[World, ...], **settings: Any) -> Scene:
         """The scene in these worlds, whatever `task.world` says, and with other settings of its task.
@@ -165,7 +166,7 @@ class Scene:
         Raises:
             InputError: If they do not fit.
         """
-        return _assemble(replace(self.task, **settings), self.observation, self.robot, worlds, self.filters)
+        return _assemble(replace(self.task, **settings), self.observation, self.robot, worlds)
 
 
 def with_robots_settings(settings: Mapping[str, Any], kind: type[Task], task: Task | None = None) -> dict[str, Any]:
@@ -216,9 +217,7 @@ def make_scene(task: Task, observation: str) -> Scene:
     return _assemble(task, observation, find_robot(task.robot), find_worlds(task.world))
 
 
-def _assemble(
-    task: Task, observation: str, robot: Robot, worlds: tuple[World, ...], filters: tuple[Filter, ...] = ()
-) -> Scene:
+def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, ...]) -> Scene:
     worlds = task.prepare_worlds(worlds, robot)
     beams = task.beams or BEAMS[observation]
     if task.beam_indices is not None and max(task.beam_indices) >= beams:
@@ -240,7 +239,7 @@ def _assemble(
     actions, sensors = check_task(task, spec)
     encoding = encode(observation, sensors)
     space = stacked_space(encoding.space, task.frame_stack)
-    return Scene(task, observation, spec, encoding, space, actions.within(robot), sensors, filters)
+    return Scene(task, observation, spec, encoding, space, actions.within(robot), sensors, task_filters(task))
 
 
 def _check_starts(task: Task, robot: Robot, worlds: tuple[World, ...]) -> None:

@@ -13,7 +13,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Count, checked, type_with_checks
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import Episode
-from tb2rl.evaluation.metrics import METRICS
+from tb2rl.evaluation.metrics import figures, shown_metrics
 from tb2rl.runs.config import Config, config_from
 from tb2rl.runs.folder import EVALUATION, Run
 from tb2rl.runs.versions import versions
@@ -57,25 +57,21 @@ class Evaluation:
         return self.task.episode_steps
 
     def summary(self) -> dict[str, Any]:
-        """Conditions, figures of all `METRICS`, and counts of endings, as JSON keeps them."""
-        figures: dict[str, Any] = {}
-        for metric in METRICS:
-            figures |= metric.figures(self.episodes, self.task.control_period)
+        """Conditions, figures of all metrics, and counts of endings, as JSON keeps them."""
         return {
             "episodes": len(self.episodes),
             "steps": self.steps,
             "seed": self.seed,
             "simulation": self.simulation,
-            **figures,
+            **figures(self.episodes, self.task.control_period),
             "endings": dict(sorted(Counter(self._each("ended")).items())),
         }
 
     def rows(self) -> list[tuple[str, str, str]]:
         """The table: label, figure, and unit with spread or interval."""
         summary = self.summary()
-        shown = [each for each in METRICS if each.in_tables and (self.task.goal_task or not each.goals_only)]
         endings = ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items())
-        return [*(metric.row(summary) for metric in shown), ("endings", "", endings)]
+        return [*(metric.row(summary) for metric in shown_metrics(self.task.goal_task)), ("endings", "", endings)]
 
     @property
     def score(self) -> tuple[float, float]:

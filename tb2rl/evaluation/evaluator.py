@@ -169,7 +169,7 @@ class _Loops:
         if slots not in self._open:
             processes = 1 if self._simulator.in_processes else None
             self._open[slots] = ControlLoop.open(self._scene, self._simulator, slots, processes=processes)
-        yield from run_episodes(self._open[slots], policy, starts)
+        yield from run_episodes(self._open[slots], policy, starts, self._simulator.is_robot)
 
     def close(self) -> None:
         """Release what the simulators hold."""

@@ -57,15 +57,22 @@ class Metric:
             return {self.key: sum(values) / sum(map(self.per, episodes, durations))}
         return {self.key: float(np.median(values))}
 
-    def row(self, figures: Mapping[str, Any]) -> tuple[str, str, str]:
-        """Label, figure, and unit with spread or interval, for a table."""
-        figure = figures[self.key]
+    def format(self, figure: float) -> str:
+        """A figure as text, rates in percent."""
+        if self.kind == "rate":
+            return f"{100 * figure:.1f} %"
+        return f"{figure:.1f}" if self.kind == "mean" else f"{figure:.3f}" if self.kind == "ratio" else f"{figure:g}"
+
+    def spread(self, figures: Mapping[str, Any]) -> str:
+        """The interval of a rate or the standard deviation of a mean; else ""."""
         if self.kind == "rate":
             low, high = figures[f"{self.name}_interval"]
-            return self.label, f"{100 * figure:.1f} %", f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
-        if self.kind == "mean":
-            return self.label, f"{figure:.1f}", f"\u00b1 {figures[f'std_{self.name}']:.1f} {self.unit}".rstrip()
-        return self.label, f"{figure:.3f}" if self.kind == "ratio" else f"{figure:g}", self.unit
+            return f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
+        return f"\u00b1 {figures[f'std_{self.name}']:.1f}" if self.kind == "mean" else ""
+
+    def row(self, figures: Mapping[str, Any]) -> tuple[str, str, str]:
+        """Label, figure, and spread with unit, for a table."""
+        return self.label, self.format(figures[self.key]), f"{self.spread(figures)} {self.unit}".strip()
 
 
 def squares(path: np.ndarray) -> int:
@@ -85,3 +92,13 @@ METRICS = (
     # Circling visits few squares.
     Metric("median_squares", "visited", "squares of 1 m (median)", lambda episode, _: squares(episode.path), "median"),
 )
+
+
+def figures(episodes: Sequence[Episode], control_period: float) -> dict[str, Any]:
+    """The figures of all metrics, by their keys."""
+    return {key: figure for metric in METRICS for key, figure in metric.figures(episodes, control_period).items()}
+
+
+def shown_metrics(goal_task: bool) -> list[Metric]:
+    """The metrics that tables, charts and TensorBoard show, for tasks with or without a goal."""
+    return [metric for metric in METRICS if metric.in_tables and (goal_task or not metric.goals_only)]

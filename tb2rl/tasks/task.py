@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
-from tb2rl.core.values import Bins, Count, Moved, Name, NonNegative, Observed, Positive, Varied, Worlds
+from tb2rl.core.values import Bins, Count, Moved, Name, NonNegative, Observed, Parts, Positive, Varied, Worlds
 from tb2rl.robots import Robot
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
@@ -52,6 +52,7 @@ class Task(ABC):
     frame_stack: Annotated[int, Ge(1), Le(100)] = 1  # the latest so many observations are stacked, the oldest first
     range_bins: Bins = (0.7, 1.0, 1.7)  # [m] borders of the distance classes
     observe: Observed | None = None  # the sensors, by name: see tb2rl/sensors/README.md; None: the task's own
+    filters: Parts = ()  # of the commands, by name: see tb2rl/tasks/README.md
 
     @cached_property
     def resolved_variation(self) -> Variation:

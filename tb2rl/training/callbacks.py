@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Image
 
 from tb2rl.evaluation.evaluation import Evaluation
+from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.runs.folder import Run
 from tb2rl.runs.normalisation import driving_policy
 from tb2rl.training.diagnostics import TrainingDiagnostics
@@ -21,9 +22,6 @@ from tb2rl.training.statistics import EpisodeLines, EpisodeStatistics
 from tb2rl.viz.pictures import draw_paths
 
 _PATHS_DRAWN = 5
-_LOGGED = (
-    "failure_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "mean_speed", "median_squares",
-)  # fmt: skip
 
 
 class EvaluationCallback(StatefulCallback):
@@ -99,8 +97,8 @@ class EvaluationCallback(StatefulCallback):
 
     def _log(self, evaluation: Evaluation, summary: Mapping[str, Any]) -> None:
         """Write an evaluation to the logger's outputs, such as TensorBoard."""
-        for key in _LOGGED:
-            self.logger.record(f"eval/{key}", summary[key])
+        for metric in shown_metrics(goal_task=True):
+            self.logger.record(f"eval/{metric.key}", summary[metric.key])
         self.logger.record("eval/score", evaluation.score[0])
         picture = draw_paths(evaluation.scene, evaluation.episodes[:_PATHS_DRAWN])
         self.logger.record("eval/paths", Image(picture, "HWC"))

@@ -47,7 +47,7 @@ def restore_into(present: Any, saved: Any, path: str) -> Any:
     elif isinstance(present, deque):
         if isinstance(saved, list):
             entries = [tuple(entry) if isinstance(entry, list) else entry for entry in saved]
-            if all(map(is_saved, entries)):
+            if all(map(is_saved, entries)) and len(set(map(np.shape, entries))) <= 1:
                 return deque(entries, maxlen=present.maxlen)
     elif isinstance(present, list | tuple):
         if isinstance(saved, list) and len(saved) == len(present):

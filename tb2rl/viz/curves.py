@@ -11,12 +11,12 @@ import numpy as np
 from tensorboard.backend.event_processing.event_accumulator import SCALARS, EventAccumulator
 
 from tb2rl.core.errors import InputError, one_line
+from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.runs.journal import read_lines
 
 POINTS = 120  # of a drawn curve, at most
 _TAGS = ("rollout/ep_rew_mean", "rollout/ep_len_mean", "rollout/failure_rate")
-_RATES = ("failure_free_rate", "success_rate")
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ def _read_evaluations(file: Path) -> dict[str, Curve]:
         return {}
     try:
         steps = [float(line["timesteps"]) for line in lines]
-        return {key: _curve(steps, [float(line[key]) for line in lines]) for key in _RATES}
+        rates = [metric.key for metric in shown_metrics(goal_task=True) if metric.kind == "rate"]
+        return {key: _curve(steps, [float(line[key]) for line in lines]) for key in rates}
     except (LookupError, TypeError, ValueError) as error:
         raise InputError(one_line(f"{file} is damaged: {error or type(error).__name__}")) from None
 

@@ -10,6 +10,7 @@ from typing import Any
 import jinja2
 
 from tb2rl.evaluation.evaluator import EPISODES
+from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.rendering.colours import FAILED, FLOOR, GOAL, START, WALL
 from tb2rl.viz import charts
@@ -24,8 +25,11 @@ _CURVES = (  # key, title, label of the axis, whether it is a rate
     ("rollout/ep_rew_mean", "Return in training", "return of an episode", False),
     ("rollout/ep_len_mean", "Length in training", "steps of an episode", False),
     ("rollout/failure_rate", "Failures in training", "failed episodes", True),
-    ("failure_free_rate", "Evaluations during training: failure-free", "failure-free episodes", True),
-    ("success_rate", "Evaluations during training: goal reached", "episodes that reach the goal", True),
+    *(
+        (metric.key, f"Evaluations during training: {metric.label}", "episodes", True)
+        for metric in shown_metrics(goal_task=True)
+        if metric.kind == "rate"
+    ),
 )
 
 
@@ -54,6 +58,7 @@ def page(
         colours=_COLOURS,
         headings=HEADINGS,
         standard_episodes=EPISODES,
+        metrics=shown_metrics(any(view.config.task.goal_task for view in views)),
     )
 
 

@@ -17,6 +17,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.files import top_folder
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
+from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run, config_file, read_config
@@ -178,8 +179,10 @@ def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool =
     """
     run = Run.open(folder, trust)
     curves = read_curves(folder)
-    if not run.config.task.goal_task:  # without a goal, success is the absence of failure
-        curves.pop("success_rate", None)
+    goal_task = run.config.task.goal_task
+    for metric in shown_metrics(goal_task=True):
+        if metric.goals_only and not goal_task:
+            curves.pop(metric.key, None)
     policy = load(folder, trust)
     trained, found = ({**config.to_dict(), "train": None} for config in (config_of(policy), run.config))
     if trained != found:
