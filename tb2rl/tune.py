@@ -1,12 +1,12 @@
-"""Search for better settings with Optuna: trials in the kinematic simulator, the best of them in PyBullet.
+"""Search for better settings with Optuna.
 
     python -m tb2rl.tune --agent qlearn --task maze --trials 30
     python -m tb2rl.tune --agent ppo --preset mine.yaml --space my_space.yaml --minutes 60
     python -m tb2rl.tune --agent ppo --task navigate --set task.guide=plan --steps 2000000 --name with-plan
     python -m tb2rl.tune --agent ppo --task navigate --trials 1000 --on ray:10.0.0.1:6379
 
-The study is the folder runs/tune/NAME. The same command continues it, also in several terminals at once. Results:
-best.yaml, for `train --preset`, and report.html.
+Trials drive in the kinematic simulator, the best of them in PyBullet. The study is the folder runs/tune/NAME. The same
+command continues it, also in several terminals at once. Results: best.yaml, for `train --preset`, and report.html.
 """
 
 from __future__ import annotations

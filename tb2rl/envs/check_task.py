@@ -1,4 +1,4 @@
-"""A step that nobody drives: what the methods of a task return is held against what they promise, before a training."""
+"""Checks a task by one dry-run step, before a training."""
 
 from __future__ import annotations
 
@@ -15,23 +15,26 @@ from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.random_streams import GeneratorDraws
 from tb2rl.tasks import Actions, Outcome, Task
 
-_ROBOTS = 2  # one alone would hide `if after.bumped`, and arrays without a robot axis
+_NUM_ENVS = 2  # one would hide `if after.bumped` and arrays without a leading axis
 
 
 def check_task(task: Task, spec: SimulationSpec) -> tuple[Actions, tuple[Sensor, ...]]:
-    """Two robots begin, read and are judged, without a simulation; returns the task's actions and sensors.
+    """Run the methods of a task for two environments without a simulator.
+
+    Returns:
+        The task's actions and sensors.
 
     Raises:
-        InputError: If something has not the type or shape that it must; errors inside of a method show as they are.
+        InputError: If a method returns a wrong type or shape; exceptions inside a method pass unchanged.
     """
     actions, where = task.actions, f"task {type(task).__name__}"
     hint = ", or @property is missing above it" if callable(actions) else ""
     _demand(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
-    with np.errstate(all="ignore"):  # some tasks divide by a speed, and these robots stand
+    with np.errstate(all="ignore"):  # some tasks divide by a speed, which is 0 here
         lacking = [number for number, world in enumerate(spec.worlds) if task.goal_task and world.goal is None]
         each = dict.fromkeys([0, *lacking])
         for part in (*map(spec.within, each), spec):
-            draws = GeneratorDraws(np.random.default_rng(0), _ROBOTS)
+            draws = GeneratorDraws(np.random.default_rng(0), _NUM_ENVS)
             initial_state = task.initial_state(part, draws)
             _check_start(initial_state, task, spec, where)
             task.resolved_variation.vary(initial_state, draws)
@@ -40,17 +43,17 @@ def check_task(task: Task, spec: SimulationSpec) -> tuple[Actions, tuple[Sensor,
         sensors = observed_sensors(task, tuple(own), spec)
         for sensor in sensors:
             _check_sensor(sensor, robot_state, where)
-        action = np.zeros((_ROBOTS, *(actions.space.shape or ())), actions.space.dtype)
+        action = np.zeros((_NUM_ENVS, *(actions.space.shape or ())), actions.space.dtype)
         _check_outcome(task.outcome(robot_state, action, robot_state), task, where)
     return actions, sensors
 
 
 @dataclass(frozen=True)
-class _NothingInSight:
-    """What robots see that see nothing at all.
+class _BlankCamera:
+    """Images of nothing.
 
     Attributes:
-        spec: The worlds that they are in.
+        spec: The worlds.
     """
 
     spec: SimulationSpec
@@ -64,7 +67,7 @@ def _check_start(initial_state: Any, task: Task, spec: SimulationSpec, where: st
     _demand(
         isinstance(initial_state, InitialState), f"{where}: initial_state must return an InitialState", initial_state
     )
-    table, shape = initial_state.table, (_ROBOTS, spec.table.shape[1])
+    table, shape = initial_state.table, (_NUM_ENVS, spec.table.shape[1])
     _demand(np.shape(table) == shape, f"{where}: initial_state must return draws.num_envs rows, here {shape}", table)
     known = np.isin(initial_state.world, range(len(spec.worlds))).all()
     _demand(
@@ -84,20 +87,20 @@ def _check_start(initial_state: Any, task: Task, spec: SimulationSpec, where: st
 
 
 def _at_rest(initial_state: InitialState, spec: SimulationSpec) -> RobotState:
-    """What robots read that have just begun, far from all walls; nobody can write into it."""
-    table, poses, twists = initial_state.table.copy(), initial_state.pose.copy(), np.zeros((_ROBOTS, 2))
-    ranges = np.full((_ROBOTS, len(spec.laser.angles)), spec.laser.max_range)
-    bumped, still, nearest = np.zeros(_ROBOTS, dtype=bool), np.zeros(_ROBOTS), ranges.min(axis=1)
+    """A read-only robot state at the start of episodes, far from all walls."""
+    table, poses, twists = initial_state.table.copy(), initial_state.pose.copy(), np.zeros((_NUM_ENVS, 2))
+    ranges = np.full((_NUM_ENVS, len(spec.laser.angles)), spec.laser.max_range)
+    bumped, still, nearest = np.zeros(_NUM_ENVS, dtype=bool), np.zeros(_NUM_ENVS), ranges.min(axis=1)
     dynamic_obstacles: tuple[np.ndarray, ...] = (
-        (np.zeros((_ROBOTS, 1, 6)), np.zeros(_ROBOTS, dtype=bool)) if spec.has_dynamic_obstacles else ()
+        (np.zeros((_NUM_ENVS, 1, 6)), np.zeros(_NUM_ENVS, dtype=bool)) if spec.has_dynamic_obstacles else ()
     )
     for array in (table, poses, twists, ranges, bumped, still, nearest, *dynamic_obstacles):
         array.flags.writeable = False
     truth = poses, twists
     robot_state = RobotState(
-        *truth, *truth, ranges, bumped, twists, still, InitialState(table), _NothingInSight(spec), *dynamic_obstacles
+        *truth, *truth, ranges, bumped, twists, still, InitialState(table), _BlankCamera(spec), *dynamic_obstacles
     )
-    vars(robot_state)["nearest"] = nearest  # its compiled function would be compiled again for arrays of this kind
+    vars(robot_state)["nearest"] = nearest  # else read-only arrays would compile its function again
     return robot_state
 
 
@@ -105,8 +108,8 @@ def _check_sensor(sensor: Any, robot_state: RobotState, where: str) -> None:
     hint = f": write {sensor.__name__}()" if isinstance(sensor, type) else ""
     _demand(isinstance(sensor, Sensor), f"{where}: sensors must return sensors{hint}", sensor)
     where = f"sensor {type(sensor).__name__}"
-    said: list[Any] = [getattr(sensor, key, None) for key in ("name", "unit", "shape", "bins", "low", "high")]
-    name, unit, shape, bins, low, high = said
+    declared: list[Any] = [getattr(sensor, key, None) for key in ("name", "unit", "shape", "bins", "low", "high")]
+    name, unit, shape, bins, low, high = declared
     _demand(isinstance(name, str) and isinstance(unit, str), f"{where}: name and unit must be strings", (name, unit))
     counts = isinstance(shape, tuple) and all(isinstance(count, int | np.integer) and count > 0 for count in shape)
     _demand(counts, f"{where}: shape must be a tuple of counts, such as (1,)", shape)
@@ -139,7 +142,7 @@ def _check_outcome(outcome: Any, task: Task, where: str) -> None:
 
 
 def _is_array(value: Any, shape: tuple[int, ...], kind: type) -> bool:
-    return isinstance(value, np.ndarray) and value.shape == (_ROBOTS, *shape) and np.can_cast(value.dtype, kind)
+    return isinstance(value, np.ndarray) and value.shape == (_NUM_ENVS, *shape) and np.can_cast(value.dtype, kind)
 
 
 def _numeric(value: Any) -> bool:
@@ -149,5 +152,5 @@ def _numeric(value: Any) -> bool:
 def _demand(holds: Any, what: str, got: Any) -> None:
     if not holds:
         array = isinstance(got, np.ndarray) and got.ndim > 0
-        told = f"an array of {got.dtype}, shape {got.shape}" if array else one_line(repr(got), 60)
-        raise InputError(f"{what}; got {told}")
+        got_text = f"an array of {got.dtype}, shape {got.shape}" if array else one_line(repr(got), 60)
+        raise InputError(f"{what}; got {got_text}")

@@ -1,4 +1,4 @@
-"""From a reading to what an agent observes: classes for tables, numbers and images for networks."""
+"""Encodings of robot states as observations: classes for tables, numbers and images for networks."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import RobotState
 
-BEAMS = {"discrete": 7, "raw": 36}  # of the laser where the task sets no number: 30 and 5 degrees apart
+BEAMS = {"discrete": 7, "raw": 36}  # default number of laser beams: 30 and 5 degrees apart
 NUMBERS = "numbers"  # the key of all numbers in an observation that has images beside them
 
 Observations = Any  # an array (num_envs, ...), or a mapping of names to such arrays
 
 
 class Encoding(Protocol):
-    """From a reading to the observations of all robots."""
+    """Encodes robot states as observations."""
 
     @property
     def space(self) -> spaces.Space:
-        """Of one robot's observation."""
+        """Space of one environment's observation."""
 
     def __call__(self, robot_state: RobotState) -> Observations:
-        """What the robots observe: an array (num_envs, ...), or a mapping of such arrays."""
+        """The observations: an array (num_envs, ...), or a mapping of such arrays."""
 
 
 class SensorBox(spaces.Box):
-    """A box of numbers that have units.
+    """A box of numbers with units.
 
     Args:
-        sensors: What the numbers are, one sensor after the other.
+        sensors: The sensors of the numbers, one after the other.
 
     Attributes:
         units: Of each number, such as "m" or "rad".
         names: The sensor of each number.
-        frame_stack: How many observations stand one after the other, the oldest first.
+        frame_stack: Number of stacked observations, the oldest first.
     """
 
     frame_stack = 1
@@ -55,14 +55,11 @@ class SensorBox(spaces.Box):
         self.names = tuple(sensor.name for sensor in sensors for _ in range(sensor.shape[0]))
 
     def repeated(self, frame_stack: int) -> SensorBox:
-        """The box of so many of these observations, one after the other."""
+        """The box of several of these observations, one after the other."""
         several = copy(self)
         spaces.Box.__init__(several, np.tile(self.low, frame_stack), np.tile(self.high, frame_stack), dtype=np.float32)
-        several.units, several.names, several.frame_stack = (
-            self.units * frame_stack,
-            self.names * frame_stack,
-            frame_stack,
-        )
+        several.units, several.names = self.units * frame_stack, self.names * frame_stack
+        several.frame_stack = frame_stack
         return several
 
 
@@ -80,7 +77,7 @@ class DiscretizedEncoding:
 
 
 class BoxEncoding:
-    """Every number as it is, cut to its limits, float32 (of a laser that hit nothing: the longest range)."""
+    """Numbers clipped to their limits, float32; a beam that hits nothing becomes the longest range."""
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         self._sensors = sensors
@@ -90,26 +87,26 @@ class BoxEncoding:
     def __call__(self, robot_state: RobotState) -> np.ndarray:
         values = [_read(sensor, robot_state) for sensor in self._sensors]
         joined = values[0] if len(values) == 1 else np.column_stack(values)
-        if not self._only_laser:  # which reads nothing below its shortest range
+        if not self._only_laser:  # whose ranges are never below its limit
             joined = np.maximum(joined, self.space.low)
         numbers = np.empty(joined.shape, np.float32)
-        _cut(joined, self.space.high, numbers)
+        _clip_above(joined, self.space.high, numbers)
         return numbers
 
 
 class Image:
-    """One image of uint8, for convolutional networks."""
+    """One uint8 image, for convolutional networks."""
 
     def __init__(self, sensor: Sensor) -> None:
         self._sensor = sensor
         self.space = spaces.Box(0, 255, sensor.shape, np.uint8)
 
     def __call__(self, robot_state: RobotState) -> np.ndarray:
-        return np.array(_read(self._sensor, robot_state))  # rows of it are overwritten where episodes end
+        return np.array(_read(self._sensor, robot_state))  # a copy, because resets overwrite its rows
 
 
 class DictEncoding:
-    """Images by their sensors' names, and all numbers together under "numbers": for networks of several inputs."""
+    """Images by the names of their sensors, and all numbers under "numbers", for networks of several inputs."""
 
     def __init__(self, numbers: Sequence[Sensor], images: Sequence[Sensor]) -> None:
         self._parts: dict[str, Encoding] = {sensor.name: Image(sensor) for sensor in images}
@@ -125,7 +122,7 @@ def encode(mode: str, sensors: Sequence[Sensor]) -> Encoding:
     """The encoding of a mode, "discrete" or "raw", for some sensors.
 
     Raises:
-        InputError: If a sensor cannot be observed so.
+        InputError: If a sensor cannot be encoded so.
     """
     images = [sensor for sensor in sensors if len(sensor.shape) == 3]
     numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
@@ -151,19 +148,19 @@ def _read(sensor: Sensor, robot_state: RobotState) -> np.ndarray:
 
 
 def numbers_of(observations: Observations) -> np.ndarray:
-    """The numbers, or their classes, of all robots, shape (num_envs, n), beside which there may be images."""
+    """The numbers or classes in observations, shape (num_envs, n), without images."""
     return observations[NUMBERS] if isinstance(observations, dict) else observations
 
 
 def rows(observations: Observations, indices: int | np.ndarray) -> Observations:
-    """The observation of one robot, or those of some, which are in arrays of their own."""
+    """The observation of one environment, or a copy of those of some."""
     if isinstance(observations, dict):
         return {name: values[indices] for name, values in observations.items()}
     return observations[indices]
 
 
 def put_rows(observations: Observations, indices: np.ndarray, some: Observations) -> None:
-    """Overwrite the observations of some robots, in place."""
+    """Overwrite the observations of some environments, in place."""
     if isinstance(observations, dict):
         for name, values in observations.items():
             values[indices] = some[name]
@@ -172,7 +169,7 @@ def put_rows(observations: Observations, indices: np.ndarray, some: Observations
 
 
 def stacked(each: Sequence[Observations]) -> Observations:
-    """The observations of several robots together, of one robot each."""
+    """Stack observations of single environments."""
     if isinstance(each[0], dict):
         return {name: np.stack([one[name] for one in each]) for name in each[0]}
     return np.stack(each)
@@ -188,8 +185,7 @@ def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> n
     """Sort laser ranges, or any other numbers, into classes.
 
     Args:
-        ranges: Distances to the nearest obstacle [m], shape (num_envs, beams), right to left; inf where nothing was
-        hit.
+        ranges: Distances to the nearest obstacle [m], shape (num_envs, beams); inf where nothing was hit.
         edges: Strictly increasing class borders [m], shape (bins - 1,).
 
     Returns:
@@ -201,8 +197,8 @@ def ranges_to_bins(ranges: np.ndarray, edges: Sequence[float] | np.ndarray) -> n
 
 
 @njit(cache=True)
-def _cut(values, high, numbers):
-    """Write `values` (num_envs, n), none above `high` (n,), to `numbers` (num_envs, n) of another type, in one pass."""
+def _clip_above(values, high, numbers):
+    """Write the minimum of `values` (num_envs, n) and `high` (n,) to `numbers` (num_envs, n) of another type."""
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             numbers[i, j] = min(values[i, j], high[j])
@@ -210,7 +206,7 @@ def _cut(values, high, numbers):
 
 @njit(cache=True)
 def _count_edges(ranges, edges, bins):
-    """Add to each of `bins` (n,) how many of `bins` are not above the number in `ranges` (n,)."""
+    """Add to each of `bins` (n,) the number of edges that are not above its range in `ranges` (n,)."""
     for i in range(ranges.size):
         for edge in edges:
             bins[i] += ranges[i] >= edge

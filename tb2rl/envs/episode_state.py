@@ -1,4 +1,4 @@
-"""What an environment remembers during an episode, beyond the present robot state."""
+"""Memory of an environment during an episode, beyond the present robot state."""
 
 from __future__ import annotations
 

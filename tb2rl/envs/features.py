@@ -1,4 +1,4 @@
-"""What networks make of raw observations before they learn from them."""
+"""Features extractors: preprocessing of raw observations in networks."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from tb2rl.core.errors import InputError
 
-NEAREST = 0.1  # [m] what counts as nearest; below what the laser can see
+NEAREST = 0.1  # [m] smaller distances count as this; below the laser's shortest range
 
 
 class InverseRange(BaseFeaturesExtractor):
-    """Distances as nearness 1 / (offset + d), so that a metre counts where it matters; all else scaled to [-1, 1].
+    """Distances d as 1 / (offset + d), which resolves short ones better; other numbers scaled to [-1, 1].
 
-    The observation space says which numbers are distances: their unit is "m" (see `tb2rl.envs.encodings.SensorBox`),
-    and
-    they cannot be below 0. A plain `Box` has no units, so there all that cannot be below 0 are.
+    Distances are the numbers of unit "m" (see `tb2rl.envs.encodings.SensorBox`) that cannot be below 0. A plain `Box`
+    has no units, so there all numbers that cannot be below 0 are distances.
 
     Args:
         observation_space: Raw observations.
-        middle: InverseRange that becomes 0.
+        middle: Inverse range that becomes 0.
         spread: Factor on the difference to it.
-        offset: [m] Small: the last decimetres before a wall stand out.
+        offset: [m]; if it is small, the last decimetres before a wall stand out.
 
     Raises:
         InputError: If there are images among the observations.
@@ -36,7 +35,7 @@ class InverseRange(BaseFeaturesExtractor):
         self, observation_space: spaces.Box, middle: float = 0.0, spread: float = 1.0, offset: float = 1.0
     ) -> None:
         if not (isinstance(observation_space, spaces.Box) and len(observation_space.shape) == 1):
-            raise InputError("Nearness reads numbers alone; with images take, for example, agent stable_baselines3:PPO")
+            raise InputError("InverseRange reads numbers alone; for images take, say, agent stable_baselines3:PPO")
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
         self.middle, self.spread, self.offset = middle, spread, offset
         units = getattr(observation_space, "units", ("m",) * observation_space.shape[0])
@@ -45,5 +44,5 @@ class InverseRange(BaseFeaturesExtractor):
         self.register_buffer("_largest", th.as_tensor(observation_space.high))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        nearness = self.spread * (1.0 / (self.offset + observations.clamp(min=NEAREST)) - self.middle)
-        return th.where(self._is_distance, nearness, observations / self._largest)
+        inverse = self.spread * (1.0 / (self.offset + observations.clamp(min=NEAREST)) - self.middle)
+        return th.where(self._is_distance, inverse, observations / self._largest)

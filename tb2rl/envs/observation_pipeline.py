@@ -1,4 +1,4 @@
-"""From robot states to observations as time passes: memory, encoding, latency, stacking."""
+"""The pipeline from robot states to observations: episode state, encoding, latency, frame stack."""
 
 from __future__ import annotations
 
@@ -19,12 +19,11 @@ from tb2rl.simulation import RobotState
 
 
 class ObservationPipeline:
-    """Turns robot states into observations, each as it is or the last few stacked.
+    """Turns robot states into observations, and stacks the last ones.
 
     Numbers and classes are stacked one after the other, the oldest first; of images, the channels. At the start of an
-    episode the first observation stands for those before it, as in Gymnasium's `FrameStackObservation`. (That wrapper
-    has no version for a batch. Stable-Baselines3's `VecFrameStack` fills with zeros, which to a laser are walls, and
-    knows no classes.)
+    episode the first observation stands for those before it, as in Gymnasium's `FrameStackObservation`, which has no
+    version for a batch. (Stable-Baselines3's `VecFrameStack` fills with zeros, which mean walls to a laser.)
 
     Args:
         encoding: From a robot state to an observation.
@@ -132,15 +131,16 @@ def _with_fields(robot_state: RobotState, episode_states: Sequence[EpisodeState]
 
 def _check(observations: Observations, space: spaces.Space) -> None:
     num_envs = len(next(iter(observations.values())) if isinstance(observations, dict) else observations)
-    if not all(space.contains(rows(observations, robot)) for robot in range(num_envs)):
+    if not all(space.contains(rows(observations, i)) for i in range(num_envs)):
         raise ValueError("the stacked observations lie outside the observation space")
 
 
 def stacked_space(space: spaces.Space, frame_stack: int) -> spaces.Space:
-    """The space of so many stacked observations.
+    """The space of stacked observations.
 
     Raises:
-        InputError: If stacked images have more channels than rows or columns: Stable-Baselines3 would mistake them.
+        InputError: If stacked images have more channels than rows or columns, because Stable-Baselines3 would mistake
+            them for images with the channels last.
     """
     if frame_stack == 1:
         return space
@@ -160,7 +160,7 @@ def stacked_space(space: spaces.Space, frame_stack: int) -> spaces.Space:
 
 
 def _each(function: Callable[..., np.ndarray], observations: Observations, *others: Any) -> Observations:
-    """A function of arrays, applied to each part of observations."""
+    """Apply a function of arrays to each part of observations."""
     if isinstance(observations, dict):
         return {name: function(part, *(other[name] for other in others)) for name, part in observations.items()}
     return function(observations, *others)

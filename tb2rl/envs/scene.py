@@ -1,4 +1,4 @@
-"""Names become objects, once: a task's settings name a robot and a world, and a scene holds what they mean."""
+"""Scenes: the objects that the settings of a task name, resolved once."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import check_number, find_dynamic_obstacles
 from tb2rl.worlds.generators import Purpose
 
-_ROOM = 0.05  # [m] around a robot where it begins, if it is larger than a task counts on
+_ROOM = 0.05  # [m] around a robot at the start, if it is too large for the usual `start_clearance`
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +44,10 @@ class Scene:
         task: The task.
         observation: How it is observed, "discrete" or "raw".
         spec: The robot, its laser and the worlds.
-        encoding: From one reading to one observation; see `observation_pipeline`.
-        observation_space: What a learner observes.
-        actions: What the robot can be told to do.
-        sensors: What is read, before it is encoded.
+        encoding: From robot states to observations; see `observation_pipeline`.
+        observation_space: Of one environment.
+        actions: Of the task, within the limits of the robot.
+        sensors: In the order of the observation.
         filters: Those of the task, in order; see `make_filters`.
     """
 
@@ -62,37 +62,37 @@ class Scene:
 
     @property
     def robot(self) -> Robot:
-        """What drives."""
+        """The robot."""
         return self.spec.robot
 
     @property
     def laser(self) -> Laser:
-        """The laser with the beams that the task reads."""
+        """The laser with the beams of the task."""
         return self.spec.laser
 
     @property
     def world(self) -> World:
-        """The first of the worlds; pictures of an episode show that of its start."""
+        """The first of the worlds."""
         return self.spec.worlds[0]
 
     @property
     def place(self) -> str:
-        """Where what drives, for titles: "loop", or "loop with turtlebot3" if it is not the usual robot."""
+        """Worlds and robot for titles: "loop", or "loop with turtlebot3" if it is not the default robot."""
         worlds = place_of(self.task.world, self.spec.worlds)
         return worlds if self.robot.name == Task.robot else f"{worlds} with {self.robot.name}"
 
     @property
     def action_space(self) -> spaces.Space:
-        """What a learner does."""
+        """Of one environment."""
         return self.actions.space
 
     @cached_property
     def goal(self) -> tuple[float, float] | None:
-        """Where an episode in the first world is to get, see `goal_in`."""
+        """The goal in the first world, see `goal_in`."""
         return self.goal_in(0)
 
     def goal_in(self, world: int) -> tuple[float, float] | None:
-        """Where the episodes in the world with this index are to get, x and y [m]; None: nowhere, or not all there."""
+        """The goal x, y [m] of episodes in the world with this index; None: there is none, or it is drawn."""
         if not self.task.goal_task:
             return None
         draws = [GeneratorDraws(np.random.default_rng(seed)) for seed in range(2)]
@@ -112,7 +112,7 @@ class Scene:
         )
 
     def episode_states(self, spec: SimulationSpec) -> list[EpisodeState]:
-        """What sensors need to remember of an episode in these worlds."""
+        """New memories of episodes in these worlds, as the sensors need them."""
         states: list[EpisodeState] = [OccupancyMapper(spec)] if self.task.maps_online else []
         if any(sensor.reads_pose_history for sensor in self.sensors):
             states.append(PoseHistory(self.task.control_period))
@@ -123,7 +123,7 @@ class Scene:
 
     @property
     def _prompt(self) -> np.ndarray:
-        """Which of the observed numbers are of commands, which have no latency, bool, shape (numbers,)."""
+        """Whether each observed number is of commands, which have no latency; bool, shape (numbers,)."""
         numbers = [sensor for sensor in self.sensors if len(sensor.shape) == 1]
         return np.repeat([s.reads_commands > 0 for s in numbers], [s.shape[0] for s in numbers])
 
@@ -145,7 +145,7 @@ class Scene:
             sensor.check(simulator)
 
     def changed(self, **settings: Any) -> Scene:
-        """The scene with other settings of its task, but for its robot and its world, which are made already.
+        """The scene with other settings of its task, but with the same robot and worlds.
 
         Raises:
             InputError: If they do not fit.
@@ -170,32 +170,32 @@ class Scene:
 
 
 def with_robots_settings(settings: Mapping[str, Any], kind: type[Task], task: Task | None = None) -> dict[str, Any]:
-    """Settings of a task, and beneath them those that suit the robot that they name.
+    """Add the task settings of the robot that settings name; the given ones have precedence.
 
     Args:
-        settings: What is to change.
+        settings: Changes.
         kind: The class of the task.
-        task: What is changed: what suited its robot, and is as that wanted it, becomes as usual again.
+        task: The task that changes; its settings that came with its robot return to the defaults.
 
     Raises:
-        InputError: If there is no such robot, or it brings what is not a setting of every task.
+        InputError: If there is no such robot, or one of its task settings is not of every task.
     """
     name = settings.get("robot")
-    if not isinstance(name, str):  # it stays as it was, or whoever reads the settings refuses it
+    if not isinstance(name, str):  # unchanged, or invalid, as the check of settings says
         return dict(settings)
-    suiting, known = _suiting(find_robot(name), kind), [each.name for each in fields(Task)]
-    for key in suiting:
+    own, known = _settings_of(find_robot(name), kind), [each.name for each in fields(Task)]
+    for key in own:
         if key not in known:
             raise unknown(f"key of robot {name}.task_settings", key, known)
     if task is None:
-        return {**suiting, **settings}
-    suited, usual = _suiting(find_robot(task.robot), kind), {each.name: each.default for each in fields(kind)}
-    left = {key: usual[key] for key, value in suited.items() if getattr(task, key) == value}
-    return {**left, **suiting, **settings}
+        return {**own, **settings}
+    former, default = _settings_of(find_robot(task.robot), kind), {each.name: each.default for each in fields(kind)}
+    reverted = {key: default[key] for key, value in former.items() if getattr(task, key) == value}
+    return {**reverted, **own, **settings}
 
 
-def _suiting(robot: Robot, kind: type[Task]) -> Mapping[str, Any]:
-    """What a robot brings to a kind of task, and room to begin if it is too large for the usual `start_clearance`."""
+def _settings_of(robot: Robot, kind: type[Task]) -> Mapping[str, Any]:
+    """The task settings of a robot, with a larger `start_clearance` if it is too large for the default."""
     (usual,) = (each.default for each in fields(kind) if each.name == "start_clearance")
     if not isinstance(usual, float) or usual >= robot.radius:
         return robot.task_settings
@@ -203,7 +203,7 @@ def _suiting(robot: Robot, kind: type[Task]) -> Mapping[str, Any]:
 
 
 def make_scene(task: Task, observation: str) -> Scene:
-    """The scene that a task's settings describe, in worlds to train in.
+    """Make the scene of a task, in worlds for training.
 
     Args:
         task: The task.
@@ -244,7 +244,7 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
 
 def _check_starts(task: Task, robot: Robot, worlds: tuple[World, ...]) -> None:
     """Raise an `InputError` if there is no room at the start of a world."""
-    if len(worlds) == 1:  # of which `begin` asks for the exact free space anyway
+    if len(worlds) == 1:  # starts need its exact free space anyway
         worlds[0].free_space(robot.radius)
         return
     for world in worlds:

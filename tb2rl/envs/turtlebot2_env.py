@@ -31,7 +31,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     | observation "discrete" | `MultiDiscrete`: the class of each of the sensors' numbers, the laser's beams first |
     | observation "raw" | `Box`, float32: these numbers as they are; with images a `Dict`, or one image alone |
     | with `frame_stack=4` of the task | the last four of these, see `ObservationPipeline` |
-    | reward, termination | the task's; a crash terminates |
+    | reward, termination | the task's; a collision terminates |
     | truncation | after `episode_steps` control steps |
 
     `info` of a step:

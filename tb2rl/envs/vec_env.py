@@ -86,7 +86,7 @@ class TurtleBot2VecEnv(VecEnv):
 
 
 def _infos(finished: FinishedEpisodes, truncated: np.ndarray) -> list[dict[str, Any]]:
-    """The info of each finished episode, spelt out, because a hundred of thousands finish in a step."""
+    """The info of each finished episode, spelt out, because hundreds of thousands finish in a step."""
     infos, observations = finished.infos, finished.observations
     names = "distance", "min_range", "bumped", "is_success", "ended", "failed"
     columns = *(infos[name].tolist() for name in names), finished.returns.tolist(), finished.lengths.tolist()

@@ -1,4 +1,4 @@
-"""The worlds that `task.world` names: one, several, a folder of files, or those that a generator makes."""
+"""The worlds of the setting `task.world`: one, several, a folder of files, or generated ones."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     """The worlds of a task.
 
     Args:
-        setting: A name that `find_world` takes, a generator's name, a folder, the settings of a generator, a file and
-            what it does not say ({file: my_map.yaml, start: [0, 0, 0]}, see `tb2rl.worlds.ImportOptions`), or a list of
-            all these. What is both a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
-        purpose: What generated worlds are for; others are the same for every purpose.
+        setting: A name that `find_world` takes, a generator's name, a folder, the settings of a generator, a file with
+            `tb2rl.worlds.ImportOptions` ({file: my_map.yaml, start: [0, 0, 0]}), or a list of all these. A name of both
+            a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
+        purpose: Of generated worlds; others are the same for every purpose.
 
     Raises:
         InputError: If there is no such world, or a setting does not fit.
@@ -50,7 +50,7 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
 
 
 def _check_number(entries: Iterable[Any]) -> None:
-    """Raise an `InputError` before any world is read if the entries of a list are too many worlds in sum."""
+    """Raise an `InputError` before any world is read if a list has too many worlds."""
     number = 0
     for entry in entries:
         number += _number(entry)
@@ -68,14 +68,14 @@ def _number(entry: Any) -> int:
 
 
 def worlds_of_files(setting: Any) -> dict[str, tuple[World, ...]]:
-    """The worlds that a setting has from files of this machine, for `carry` on another one."""
+    """The worlds of a setting that come from files, for `carry` on another machine."""
     if not isinstance(setting, str | Mapping):
         return {key: worlds for entry in setting for key, worlds in worlds_of_files(entry).items()}
     return {_key(setting): find_worlds(setting)} if list(files_named(setting)) else {}
 
 
 def carry(worlds: Mapping[str, tuple[World, ...]]) -> None:
-    """Let this process find the worlds that `worlds_of_files` took along, without their files."""
+    """Let `find_worlds` find the worlds of `worlds_of_files` in this process, without their files."""
     _carried.update(worlds)
 
 
@@ -87,11 +87,11 @@ def _key(setting: Any) -> str:
 
 
 def absolute_worlds(setting: Any) -> Any:
-    """The setting with absolute paths of files and folders: so that a run finds its worlds from any folder."""
+    """The setting with absolute paths, so that a run finds its worlds from any folder."""
     if isinstance(setting, Mapping):
         if "file" not in setting:
             return setting
-        folders = [str(Path(folder).resolve()) for folder in _said(setting).model_path if folder]
+        folders = [str(Path(folder).resolve()) for folder in _import_options(setting).model_path if folder]
         return {**setting, "file": absolute_worlds(setting["file"]), **({"model_path": folders} if folders else {})}
     if not isinstance(setting, str):
         return tuple(map(absolute_worlds, setting))
@@ -103,9 +103,11 @@ def absolute_worlds(setting: Any) -> Any:
 
 
 def files_named(setting: Any) -> Iterator[str]:
-    """The files and folders of this machine that a setting names."""
+    """The files and folders that a setting names."""
     if isinstance(setting, Mapping):
-        yield from [*files_named(str(setting["file"])), *_said(setting).model_path] if "file" in setting else []
+        yield from (
+            [*files_named(str(setting["file"])), *_import_options(setting).model_path] if "file" in setting else []
+        )
     elif not isinstance(setting, str):
         yield from (file for entry in setting for file in files_named(entry))
     elif (code := MADE_BY_CODE.fullmatch(setting)) is not None:
@@ -115,14 +117,14 @@ def files_named(setting: Any) -> Iterator[str]:
 
 
 def are_generated(setting: Any) -> bool:
-    """Whether some worlds of a setting are generated: these are other ones for each purpose."""
+    """Whether some worlds of a setting are generated; these differ by purpose."""
     if isinstance(setting, str):
         return setting in _generators()
     return "file" not in setting if isinstance(setting, Mapping) else any(map(are_generated, setting))
 
 
 def place_of(setting: Any, worlds: Sequence[World]) -> str:
-    """What titles call the worlds of a setting: "loop", "loop, circuit", "512 worlds of mixed"."""
+    """The worlds of a setting for titles: "loop", "loop, circuit", "512 worlds of mixed"."""
     if len(worlds) <= _NAMED:
         return ", ".join(world.name for world in worlds)
     generator = setting["generator"] if isinstance(setting, Mapping) else setting
@@ -133,12 +135,12 @@ def place_of(setting: Any, worlds: Sequence[World]) -> str:
 def _of_file(setting: Mapping[str, Any]) -> World:
     file, code = setting["file"], MADE_BY_CODE.fullmatch(setting["file"])
     if file in _generators() or _is_folder(file) or (code and code[2] is None):
-        said = ", ".join(str(key) for key in setting if key != "file")
-        raise InputError(one_line(f"task.world.file must be one file, for {said or 'it'} to count; {file} is not"))
-    return find_world(file, _said(setting))
+        options = ", ".join(str(key) for key in setting if key != "file")
+        raise InputError(one_line(f"task.world.file must be one file, for {options or 'it'} to count; {file} is not"))
+    return find_world(file, _import_options(setting))
 
 
-def _said(setting: Mapping[str, Any]) -> ImportOptions:
+def _import_options(setting: Mapping[str, Any]) -> ImportOptions:
     return build(ImportOptions, {key: value for key, value in setting.items() if key != "file"}, "task.world")
 
 
@@ -152,7 +154,7 @@ def _generated(settings: GeneratorSettings, purpose: Purpose) -> tuple[World, ..
 
 
 def _generators() -> list[str]:
-    """Generators that a name alone means: a built-in world comes first."""
+    """Names of generators that are not names of worlds, too."""
     return [name for name in GENERATORS if name not in world_names()]
 
 
@@ -162,7 +164,7 @@ def _is_folder(name: str) -> bool:
 
 
 def _files_in(folder: str) -> list[str]:
-    """The files of worlds in a folder, by name."""
+    """The world files in a folder, sorted by name."""
     endings = world_endings()
     files = [file for file in Path(folder).iterdir() if file.suffix in endings and file.stem.upper() != "README"]
     if not files:

@@ -1,8 +1,7 @@
 """Episodes of a policy, in the slots of a control loop: a free slot takes the next episode of the queue.
 
 An episode depends on its seed and number alone, not on slots, processes or other episodes. Evaluations, suites, films
-and
-tuning all run here.
+and tuning all run here.
 """
 
 from __future__ import annotations
@@ -10,10 +9,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import torch as th
+from annotated_types import Ge
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
@@ -85,7 +85,7 @@ class Episode:
     episode_return: float
     path: np.ndarray  # x, y [m] at the start and after each step, shape (length + 1, 2), float32
     actions: np.ndarray  # of each step: shape (length,), whole numbers, or (length, 2), float32
-    world: int = 0  # index among those of the scene
+    world: Annotated[int, Ge(0)] = 0  # index among those of the scene
     closest: float | None = None  # [m] smallest gap between hull and obstacles; None: not measured
     goal: tuple[float, float] | None = None  # x, y [m]; None: the task has none
 

@@ -188,6 +188,7 @@ def _kept(kind: type[T], file: Path, what: str) -> T:
         kept = build(kind, json.loads(read_text(file)), "result")
         if ALL not in kept.figures:
             raise ValueError("it does not have the figures of all worlds")
+        find_simulator(kept.simulation)
         if isinstance(kept, SuiteResult) and [drive.world for drive in kept.each] != list(range(len(kept.each))):
             raise ValueError("it does not have one world after the other")
     except (ValueError, RecursionError) as error:  # an InputError is a ValueError

@@ -169,7 +169,7 @@ def evaluator_of(result: SuiteResult, folder: Path) -> tuple[Evaluator, Policy]:
         raise InputError(f"the worlds of suite {suite.name} are not those that it drove in")
     scene = suite_scene(config.scene, suite)
     check_observes(policy, scene)
-    return suite_evaluator(scene, workers=1), getattr(policy, "policy", policy)
+    return suite_evaluator(scene, 1, result.simulation), getattr(policy, "policy", policy)
 
 
 def _policy_of(result: SuiteResult, folder: Path) -> tuple[Policy, Config]:

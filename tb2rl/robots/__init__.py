@@ -1,6 +1,6 @@
-"""What drives: a robot is a value, its dimensions, limits, laser and camera, with a URDF file for the physics.
+"""Robots as values: dimensions, limits, laser, camera, and a URDF file for PyBullet.
 
-A robot is one file here: `turtlebot2.py` is the one to copy (see README.md). Imported from here: what all rooms need.
+A robot is one file; copy `turtlebot2.py` (see README.md). Imports core.
 """
 
 from tb2rl.robots.robot import Camera, Laser, Robot

@@ -1,54 +1,50 @@
-"""A robot with two driven wheels, a laser scanner and a camera, as plain numbers.
+"""A robot with two driven wheels, a laser scanner and a camera.
 
-Frames follow REP 103: x forward, y left, angles counter-clockwise, metres, radians and seconds throughout. The origin
-of the robot's frame lies on the floor under the middle of the axle.
+Frames and units follow REP 103: x forward, y left, angles counter-clockwise; metres, radians, seconds. The origin of
+the robot's frame is on the floor under the middle of the axle.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from functools import cache, cached_property
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
-from pydantic import Strict
+from pydantic import StrictFloat, StrictInt
 
-from tb2rl.core.errors import InputError
-from tb2rl.core.values import build
-
-# The columns of a robot's parameters, which the compiled kernels read: one row for each robot.
+# Columns of `Robot.parameters`, for compiled code.
 RADIUS, WHEEL_SEPARATION, MAX_SPEED, MAX_TURN_RATE, WHEEL_ACCELERATION, WHEEL_COUPLING = range(6)
 
-Number = Annotated[float, Strict()]  # and no string that reads like one: the kernels take it as it is
-Above0 = Annotated[Number, Gt(0)]
+Positive = Annotated[StrictFloat, Gt(0)]  # strict: compiled code takes no numeric strings
 
 
 @dataclass(frozen=True)
 class Laser:
-    """A planar laser scanner above the middle of the axle; its beams sweep from right to left, both ends included.
+    """A planar laser scanner above the middle of the axle.
 
-    Of a full circle both ends are one beam: an even number of beams begins with the one that looks back.
+    Its beams go from right to left, both ends included. On a full circle the ends are one beam, and an even number of
+    beams starts with the one that looks back.
     """
 
-    beams: Annotated[int, Strict(), Ge(1)] = 720
-    indices: tuple[int, ...] | None = None  # the beams that are read, counted from the right; None: all
-    noise: Annotated[Number, Ge(0)] = 0.0  # [m] standard deviation of the Gaussian on every finite reading
-    field_of_view: Annotated[Above0, Le(math.tau)] = math.pi  # [rad]
-    min_range: Annotated[Number, Ge(0)] = 0.1  # [m]
-    max_range: Above0 = 30.0  # [m] nothing within: the reading is inf (REP 117)
+    beams: Annotated[StrictInt, Ge(1)] = 720
+    indices: tuple[int, ...] | None = None  # of the selected beams, from the right; None: all
+    noise: Annotated[StrictFloat, Ge(0)] = 0.0  # [m] standard deviation of the Gaussian noise on finite ranges
+    field_of_view: Annotated[Positive, Le(math.tau)] = math.pi  # [rad]
+    min_range: Annotated[StrictFloat, Ge(0)] = 0.1  # [m]
+    max_range: Positive = 30.0  # [m]; without a hit the range is inf (REP 117)
 
     @cached_property
     def angles(self) -> np.ndarray:
-        """Directions of the beams that are read, in the robot's frame [rad], shape (beams,), ascending."""
-        half = self.field_of_view / 2
-        if self.field_of_view == math.tau or self.beams == 1:  # one beam looks ahead, the others lie around it
+        """Directions of the selected beams in the robot's frame [rad], shape (beams,), ascending."""
+        if self.field_of_view == math.tau or self.beams == 1:  # one beam looks ahead
             angles = (np.arange(self.beams) - self.beams // 2) * self.field_of_view / self.beams
         else:
-            angles = np.linspace(-half, half, self.beams)
+            angles = np.linspace(-self.field_of_view / 2, self.field_of_view / 2, self.beams)
         return angles if self.indices is None else angles[list(self.indices)]
 
 
@@ -56,50 +52,48 @@ class Laser:
 class Camera:
     """A colour and depth camera that looks along x."""
 
-    position: tuple[Number, Number, Number]  # [m] in the robot's frame
-    field_of_view: Annotated[Above0, Lt(math.pi)]  # [rad] vertical
-    range: tuple[Above0, Above0]  # [m] nearest and farthest depth
+    position: tuple[StrictFloat, StrictFloat, StrictFloat]  # [m] in the robot's frame
+    field_of_view: Annotated[Positive, Lt(math.pi)]  # [rad] vertical
+    range: tuple[Positive, Positive]  # [m] least and largest depth
 
 
 @dataclass(frozen=True)
 class Robot:
     """A differential drive.
 
-    Both simulations drive it: PyBullet by its URDF file, the fast twin by the numbers alone. So the numbers must be
-    those of the file.
+    PyBullet reads the URDF file, the kinematic simulator the numbers alone, so both must agree.
 
     Attributes:
-        name: What it is called.
-        urdf: Its description for the physics; the base link's frame is the robot's frame.
-        wheel_joints: The names of the left and the right wheel's joint in the file.
-        radius: Of the round base [m]; what counts as touching a wall.
+        name: For messages and titles.
+        urdf: URDF file; its base link has the robot's frame.
+        wheel_joints: Names of the left and the right wheel's joint in the file.
+        radius: Radius of the round base, which makes contact [m].
         wheel_radius: [m]
-        wheel_separation: Between the wheels' middles, across the robot [m].
+        wheel_separation: Distance between the middles of the wheels [m].
         wheel_torque: Largest torque of a wheel's motor [N m].
-        max_speed: Fastest forward speed [m/s].
-        max_turn_rate: Fastest turn [rad/s].
-        wheel_acceleration: Of a wheel's rim whose motor pushes alone [m/s^2]; `tb2rl.simulation.motors.measure_motors`
-            measures this and the next one in PyBullet.
-        wheel_coupling: What a rim gains where both motors push the same way, and loses where they push against each
-            other [m/s^2].
-        laser: Its laser scanner.
-        camera: Its camera.
-        gyro: Whether its odometry turns as a gyro says, and not as its wheels count, which drift ten times as far.
-        task_settings: What suits it in any task, fields of `tb2rl.tasks.Task` by name: they come along where a setting
-            names the robot, before what is set beside it.
+        max_speed: [m/s]
+        max_turn_rate: [rad/s]
+        wheel_acceleration: Acceleration of a wheel's rim by its motor alone [m/s^2]; measured, as is the next one, by
+            `tb2rl.simulation.bullet.motors.measure_motors`.
+        wheel_coupling: Added to that if the other motor pushes the same way, subtracted if the opposite way [m/s^2].
+        laser: The laser scanner.
+        camera: The camera.
+        gyro: Whether a gyro gives the heading of the odometry; encoders drift ten times as fast.
+        task_settings: Defaults for every task with this robot, fields of `tb2rl.tasks.Task` by name; explicit settings
+            override them.
     """
 
     name: str
     urdf: Path
     wheel_joints: tuple[str, str]
-    radius: Above0
-    wheel_radius: Above0
-    wheel_separation: Above0
-    wheel_torque: Above0
-    max_speed: Above0
-    max_turn_rate: Above0
-    wheel_acceleration: Above0
-    wheel_coupling: Number
+    radius: Positive
+    wheel_radius: Positive
+    wheel_separation: Positive
+    wheel_torque: Positive
+    max_speed: Positive
+    max_turn_rate: Positive
+    wheel_acceleration: Positive
+    wheel_coupling: StrictFloat
     laser: Laser
     camera: Camera
     gyro: bool = True
@@ -107,29 +101,11 @@ class Robot:
 
     @cached_property
     def parameters(self) -> np.ndarray:
-        """The numbers that the compiled kernels need, in the order of the columns named above, shape (6,)."""
-        speeds = (self.max_speed, self.max_turn_rate, self.wheel_acceleration, self.wheel_coupling)
-        return np.array([self.radius, self.wheel_separation, *speeds])
+        """Parameters for compiled code, in the order of the columns named above, shape (6,)."""
+        motors = self.max_speed, self.max_turn_rate, self.wheel_acceleration, self.wheel_coupling
+        return np.array([self.radius, self.wheel_separation, *motors])
 
     def within_limits(self, commands: np.ndarray) -> np.ndarray:
-        """Commands (v [m/s], w [rad/s]) cut to what the base can do, shape (..., 2)."""
-        fastest = (self.max_speed, self.max_turn_rate)
-        return np.clip(commands, np.negative(fastest), fastest)
-
-
-@cache  # it takes a fifth as long as to open an environment
-def check_robot(robot: Robot) -> None:
-    """Hold a robot against the types of its fields.
-
-    Raises:
-        InputError: If a number is a string, not finite, or too small or too large to be one of a robot.
-    """
-    build(type(robot), asdict(robot), f"robot {robot.name}")
-    for name, (nearest, farthest) in {
-        "laser.min_range and max_range": (robot.laser.min_range, robot.laser.max_range),
-        "camera.range": robot.camera.range,
-    }.items():
-        if not nearest < farthest:
-            raise InputError(
-                f"robot {robot.name}.{name}: the first must be below the second, got {nearest}, {farthest}"
-            )
+        """Commands v [m/s] and w [rad/s], shape (..., 2), clipped to the robot's limits."""
+        limits = np.array([self.max_speed, self.max_turn_rate])
+        return np.clip(commands, -limits, limits)

@@ -1,18 +1,15 @@
-"""The TurtleBot3 Burger: two servo motors under a tower of plates, a laser scanner that sees all around, a camera.
+"""TurtleBot3 Burger: two servo motors under a tower of plates, a 360-degree laser scanner, a camera.
 
-Dimensions follow ROBOTIS's public specifications; `turtlebot3.urdf` states the same numbers for the physics (a test
-holds the two together).
+Dimensions are those of ROBOTIS's specifications; a test compares them with `turtlebot3.urdf`.
 """
-
-from __future__ import annotations
 
 import math
 from pathlib import Path
 
 from tb2rl.robots.robot import Camera, Laser, Robot
 
-# A Raspberry Pi's camera, version 2: 62.2 degrees horizontally, in pictures of 4 to 3.
-_CAMERA_HEIGHT = 2 * math.atan(math.tan(math.radians(62.2) / 2) * 3 / 4)  # [rad] 48.7 degrees vertically
+# Raspberry Pi camera v2: 62.2 degrees horizontally, aspect ratio 4:3.
+_VERTICAL_FIELD = 2 * math.atan(math.tan(math.radians(62.2) / 2) * 3 / 4)  # [rad] 48.7 degrees
 
 ROBOT = Robot(
     name="turtlebot3",
@@ -21,13 +18,13 @@ ROBOT = Robot(
     radius=0.105,  # around the axle, for turning on the spot
     wheel_radius=0.033,
     wheel_separation=0.160,
-    wheel_torque=0.15,  # chosen with the wheels' inertia: 2.5 m/s^2, as its settings for ROS's navigation allow
+    wheel_torque=0.15,  # chosen with the wheels' inertia: 2.5 m/s^2, the limit of its ROS navigation settings
     max_speed=0.22,
     max_turn_rate=2.84,
-    wheel_acceleration=2.640,  # measured in PyBullet, as is the next one
+    wheel_acceleration=2.640,  # measured in PyBullet, like the next one
     wheel_coupling=-0.094,
     laser=Laser(beams=360, field_of_view=math.tau, min_range=0.12, max_range=3.5),  # LDS-01
-    camera=Camera(position=(0.06, 0.0, 0.10), field_of_view=_CAMERA_HEIGHT, range=(0.05, 8.0)),
-    # It looks ahead as a TurtleBot2 does; at 0.4 s a step takes it about as far, so that episodes are as long.
+    camera=Camera(position=(0.06, 0.0, 0.10), field_of_view=_VERTICAL_FIELD, range=(0.05, 8.0)),
+    # The beams of a TurtleBot2, and steps about as long as its steps [m], so that episodes cover the same distance.
     task_settings={"field_of_view": math.pi, "control_period": 0.4},
 )

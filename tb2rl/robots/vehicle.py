@@ -1,4 +1,4 @@
-"""What a policy that does not learn is told of the robot that it drives."""
+"""The robot data that a classical navigator needs."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Vehicle:
-    """What drives, and how it is told to; a policy that does not learn is told it if it takes an argument `vehicle`.
+    """A robot and its actions, for policies whose constructor has an argument `vehicle`; by default a TurtleBot2.
 
     Attributes:
-        radius: Of the robot's base [m].
-        max_speed: The v that the task's action 1 means [m/s], or that of its fastest named action.
-        turn_rate: The w that the task's action 1 means [rad/s]; with named actions the robot's largest.
-        period: From one action to the next [s].
-        directions: Of the laser's beams, from right to left [rad]; None: evenly from -90 to 90 degrees.
+        radius: Radius of the robot's base [m].
+        max_speed: Speed at action 1, or of the fastest named action [m/s].
+        turn_rate: Turn rate at action 1; with named actions the robot's limit [rad/s].
+        period: Control period [s].
+        directions: Directions of the laser's beams, right to left [rad]; None: evenly from -90 to 90 degrees.
     """
 
     radius: float = 0.178

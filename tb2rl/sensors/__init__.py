@@ -1,7 +1,6 @@
-"""What is read: each sensor turns a `RobotState` into numbers, or into an image, for a learner to observe.
+"""Sensors: each turns a `RobotState` into numbers, or an image, for the observation.
 
-A task lists its sensors; a sensor of one's own is a small class (see README.md). Imported from here: the simulation and
-what lies below it.
+A task lists its sensors; a user's sensor is a small class (see README.md). Imports simulation and what is below it.
 """
 
 from tb2rl.sensors.sensor import Sensor

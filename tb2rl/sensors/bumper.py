@@ -1,4 +1,4 @@
-"""Whether the robot touches a wall."""
+"""Contact with an obstacle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tb2rl.simulation import RobotState
 
 
 class Bumper(Sensor):
-    """1 if the base touched a wall, or something that moves, since the last reading, else 0."""
+    """1 after a contact of the base since the last state, else 0."""
 
     name = "bumper"
     low, high = 0.0, 1.0
@@ -22,8 +22,5 @@ class Bumper(Sensor):
 
 
 def bumper_at(angle: float) -> int:
-    """Which of the Kobuki's bumpers an obstacle in this direction [rad] presses: 0 left, 1 in the middle, 2 right.
-
-    They are 60 degrees wide each, in front.
-    """
+    """The Kobuki's bumper in this direction [rad]: 0 left, 1 centre, 2 right; each covers 60 degrees of the front."""
     return 0 if angle > math.pi / 6 else 2 if angle < -math.pi / 6 else 1

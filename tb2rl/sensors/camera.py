@@ -1,4 +1,4 @@
-"""The camera's images: colours, depth or both."""
+"""Camera images: colours, depth or both."""
 
 from __future__ import annotations
 
@@ -17,30 +17,25 @@ Pixels = Annotated[int, Ge(4), Le(1024)]
 
 
 class Camera(Sensor):
-    """An image of uint8 with 1, 3 or 4 channels: red, green and blue, then depth.
+    """An image of uint8 with red, green and blue if `colour` is true, then depth if `depth` is.
 
-    Depth, along the optical axis, is 0 for 0 m and 255 for the camera's range (TurtleBot2: 8 m) and beyond.
+    Depth is measured along the optical axis: 0 is 0 m, 255 is the camera's maximum range or more.
 
     Args:
-        camera: Of the robot.
-        colour: Whether there are colours; PyBullet alone has them.
-        depth: Whether there is depth.
-        width, height: Of the image [px]; Stable-Baselines3's networks need 36 at least.
+        camera: The robot's camera.
+        colour: Whether to include colours.
+        depth: Whether to include depth.
+        width, height: Size of the image [px]; Stable-Baselines3's networks need at least 36.
 
     Raises:
-        InputError: If it would see nothing.
+        InputError: If both `colour` and `depth` are false.
     """
 
     name = "camera"
     low, high = 0, 255
 
     def __init__(
-        self,
-        camera: robots.Camera,
-        colour: bool = False,
-        depth: bool = True,
-        width: Pixels = 64,
-        height: Pixels = 64,
+        self, camera: robots.Camera, colour: bool = False, depth: bool = True, width: Pixels = 64, height: Pixels = 64
     ) -> None:
         if not (colour or depth):
             raise InputError("a camera without colour and depth sees nothing")
@@ -56,14 +51,12 @@ class Camera(Sensor):
             raise InputError(f"the cameras of simulation {simulator.name!r} see depth but no colours")
         height, limit = self.camera.position[2], simulator.max_camera_height
         if height >= limit:
-            raise InputError(
-                f"simulation {simulator.name!r} renders cameras below {limit:g} m, the height of its walls, and this "
-                f"robot's is {height:g} m high"
-            )
+            heights = f"{limit:g} m, the height of its walls, and this robot's is {height:g} m high"
+            raise InputError(f"simulation {simulator.name!r} renders cameras below {heights}")
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         colours, depth = robot_state.render_camera(*self.shape[:0:-1])
-        channels = [] if colours is None or not self.colour else [np.moveaxis(colours, -1, 1)]
+        channels = [np.moveaxis(colours, -1, 1)] if self.colour and colours is not None else []
         if self.depth:
             scaled = np.rint(np.minimum(depth * (255.0 / self.camera.range[1]), 255.0))
             channels.append(scaled.astype(np.uint8)[:, None])

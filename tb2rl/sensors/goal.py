@@ -1,4 +1,4 @@
-"""Where the goal is, as the robot believes by its wheels' odometry."""
+"""The goal relative to the robot, by odometry."""
 
 from __future__ import annotations
 
@@ -15,11 +15,7 @@ BEARING_BINS: Bins = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
 
 
 class GoalDistance(Sensor):
-    """How far the goal is [m].
-
-    Args:
-        bins: Borders of the distance classes [m].
-    """
+    """Distance to the goal [m]; `bins` are in metres, too."""
 
     name, unit = "goal distance", "m"
     low, high = 0.0, 100.0
@@ -28,15 +24,11 @@ class GoalDistance(Sensor):
         self.bins = bins
 
     def read(self, robot_state: RobotState) -> np.ndarray:
-        return np.hypot(*_to_goal(robot_state))[:, None]
+        return np.hypot(*_offset(robot_state))[:, None]
 
 
 class GoalBearing(Sensor):
-    """In which direction the goal is, counted from straight ahead [rad].
-
-    Args:
-        bins: Borders of the classes of angles [rad].
-    """
+    """Bearing of the goal: the angle from straight ahead, positive to the left [rad]; `bins` likewise."""
 
     name, unit = "goal bearing", "rad"
     low, high = -math.pi, math.pi
@@ -49,7 +41,7 @@ class GoalBearing(Sensor):
 
 
 class GoalDirection(Sensor):
-    """Cosine and sine of the direction in which the goal is: two numbers that make no jump behind the robot."""
+    """Cosine and sine of the goal's bearing, which do not jump behind the robot."""
 
     name, shape = "goal direction", (2,)
     low, high = -1.0, 1.0
@@ -60,12 +52,12 @@ class GoalDirection(Sensor):
         return np.column_stack([np.cos(bearing), np.sin(bearing)])
 
 
-def _to_goal(robot_state: RobotState) -> np.ndarray:
-    """How far the goal is along x and along y of the odometry's frame [m], shape (2, robots)."""
+def _offset(robot_state: RobotState) -> np.ndarray:
+    """From the robot to the goal along x and y of the odometry frame [m], shape (2, num_envs)."""
     return (robot_state.goal - robot_state.odometry[:, :2]).T
 
 
 def _bearing(robot_state: RobotState) -> np.ndarray:
-    """Its direction, counted from straight ahead [rad], shape (num_envs,); any number of whole turns more or less."""
-    east, north = _to_goal(robot_state)
-    return np.arctan2(north, east) - robot_state.odometry[:, 2]
+    """Bearing of the goal [rad], shape (num_envs,), not normalised."""
+    x, y = _offset(robot_state)
+    return np.arctan2(y, x) - robot_state.odometry[:, 2]

@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from tb2rl.core.values import Bins
 from tb2rl.robots import Laser
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import RobotState, SimulationSpec
+from tb2rl.simulation import RobotState
 
 
 class LaserRanges(Sensor):
-    """Distances along the laser's beams [m], right to left.
+    """Ranges of the laser's beams [m], right to left; `bins` are in metres, too."""
 
-    Args:
-        laser: Which beams there are, and how far they reach.
-        bins: Borders of the distance classes [m].
-    """
-
-    name, unit = "laser", "m"
+    name, unit, spec_arguments = "laser", "m", ("laser",)
 
     def __init__(self, laser: Laser, bins: Bins) -> None:
-        self.low, self.high = laser.min_range, laser.max_range
-        self.bins = bins
+        self.low, self.high, self.bins = laser.min_range, laser.max_range, bins
         self.shape = (len(laser.angles),)
-
-    @classmethod
-    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
-        return {"laser": spec.laser}
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         return robot_state.ranges

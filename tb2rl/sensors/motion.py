@@ -1,12 +1,11 @@
-"""How the robot moves, as its odometry and its inertial unit (IMU) say, and what it was told.
+"""Speeds by odometry, the inertial unit (IMU), and the latest commands.
 
-Odometry counts the wheels, which slip on the floor; the inertial unit feels how the body itself moves.
+Odometry follows the wheels, which can slip; the inertial unit measures the motion of the body.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -14,72 +13,44 @@ from annotated_types import Ge, Le
 from tb2rl.core.values import Bins
 from tb2rl.robots import Robot
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import RobotState, SimulationSpec
+from tb2rl.simulation import RobotState
 
 
 class _Motion(Sensor):
-    """One number that lies within what the robot can do.
+    """A signed number within a limit of the robot; `bins` are shares of the limit."""
 
-    Args:
-        robot: What it can do.
-        bins: Borders of the classes, as shares of the largest value.
-    """
+    spec_arguments = ("robot",)
 
-    def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1)) -> None:
-        self.high = self._largest(robot)
-        self.low = -self.high
-        self.bins = tuple(edge * self.high for edge in bins)
-
-    @classmethod
-    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
-        return {"robot": spec.robot}
-
-    @staticmethod
-    def _largest(robot: Robot) -> float:
-        raise NotImplementedError
+    def __init__(self, limit: float, bins: Bins) -> None:
+        self.low, self.high, self.bins = -limit, limit, tuple(share * limit for share in bins)
 
 
 class ForwardSpeed(_Motion):
-    """How fast the robot drives ahead, counted from its wheels [m/s].
-
-    Args:
-        robot: Its fastest speed is the limit.
-        bins: Borders of the classes, as shares of that.
-    """
+    """Forward speed by odometry [m/s]; `bins` are shares of the robot's largest speed."""
 
     name, unit = "forward speed", "m/s"
 
     def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1, 0.5)) -> None:
-        super().__init__(robot, bins)
-
-    @staticmethod
-    def _largest(robot: Robot) -> float:
-        return robot.max_speed
+        super().__init__(robot.max_speed, bins)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         return robot_state.odometry_twist[:, :1]
 
 
 class TurnRate(_Motion):
-    """How fast the robot turns to the left, counted from its wheels [rad/s].
-
-    Args:
-        robot: Its fastest turn is the limit.
-        bins: Borders of the classes, as shares of that.
-    """
+    """Turn rate by odometry, positive to the left [rad/s]; `bins` are shares of the robot's largest turn rate."""
 
     name, unit = "turn rate", "rad/s"
 
-    @staticmethod
-    def _largest(robot: Robot) -> float:
-        return robot.max_turn_rate
+    def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1)) -> None:
+        super().__init__(robot.max_turn_rate, bins)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         return robot_state.odometry_twist[:, 1:]
 
 
 class YawRate(TurnRate):
-    """How fast the robot truly turns to the left, as a gyroscope feels it [rad/s]; arguments as of `TurnRate`."""
+    """True turn rate, as a gyroscope measures it [rad/s]; arguments as of `TurnRate`."""
 
     name = "yaw rate"
 
@@ -88,47 +59,38 @@ class YawRate(TurnRate):
 
 
 class ForwardAcceleration(_Motion):
-    """The mean acceleration ahead since the last reading, as an accelerometer feels it [m/s^2].
+    """Mean forward acceleration since the last state, as an accelerometer measures it [m/s^2].
 
-    Args:
-        robot: What its motors can do is the limit; the blow of a wall is cut to it.
-        bins: Borders of the classes, as shares of that.
+    It is clipped to the limit of the motors, which impacts exceed; `bins` are shares of this limit.
     """
 
     name, unit = "forward acceleration", "m/s^2"
 
-    @staticmethod
-    def _largest(robot: Robot) -> float:
-        return robot.wheel_acceleration + abs(robot.wheel_coupling)
+    def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1)) -> None:
+        super().__init__(robot.wheel_acceleration + abs(robot.wheel_coupling), bins)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         return robot_state.acceleration[:, None]
 
 
 class LastAction(Sensor):
-    """What the robot was last told, v and w, as shares of its fastest speed and its fastest turn; 0 at the start.
+    """The latest commands v and w as shares of the robot's limits, the newest first; 0 at the start.
 
-    Who drives knows it at once, however late the robot obeys and its readings come. With a `count` of as many control
-    steps as both take, a late robot is a Markov decision process again (Katsikopoulos & Engelbrecht 2003, "Markov
-    decision processes with delays and asynchronous cost collection").
-
-    Shares, so that one sensor has one unit, and networks see numbers of one size, whatever the robot.
+    They have no latency. If `count` covers the latency of commands and observations, a robot with latency is a Markov
+    decision process again (Katsikopoulos & Engelbrecht 2003, "Markov decision processes with delays and asynchronous
+    cost collection"). Shares have one unit and one scale for all robots.
 
     Args:
-        robot: What it can do.
-        bins: Borders of the classes of all shares.
-        count: How many of the last actions, the newest first.
+        robot: Its speed limits are the unit.
+        bins: Borders of the bins of all shares.
+        count: Number of commands.
     """
 
-    name, low, high = "last action", -1.0, 1.0
+    name, low, high, spec_arguments = "last action", -1.0, 1.0, ("robot",)
 
     def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1), count: Annotated[int, Ge(1), Le(100)] = 1) -> None:
         self.max_speeds, self.bins = np.array([robot.max_speed, robot.max_turn_rate]), bins
         self.reads_commands, self.shape = count, (2 * count,)
-
-    @classmethod
-    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
-        return {"robot": spec.robot}
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         if robot_state.command_history is None:

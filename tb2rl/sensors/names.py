@@ -1,28 +1,21 @@
-"""The names of the sensors that a task's setting `observe` can list."""
+"""Names of the sensors, for a task's setting `observe`."""
 
 from __future__ import annotations
 
-from tb2rl.sensors.bumper import Bumper
-from tb2rl.sensors.camera import Camera
-from tb2rl.sensors.goal import GoalBearing, GoalDirection, GoalDistance
-from tb2rl.sensors.laser import LaserRanges
-from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
-from tb2rl.sensors.paths import FreePaths
+from tb2rl.sensors import bumper, camera, goal, laser, motion, paths, visited, waypoint
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.sensors.visited import Visited
-from tb2rl.sensors.waypoint import Waypoint, WaypointBearing
 
 SENSORS: dict[str, tuple[type[Sensor], ...]] = {
-    "bumper": (Bumper,),
-    "camera": (Camera,),
-    "free_paths": (FreePaths,),
-    "goal": (GoalDistance, GoalBearing),
-    "goal_direction": (GoalDirection,),
-    "imu": (YawRate, ForwardAcceleration),
-    "laser": (LaserRanges,),
-    "last_action": (LastAction,),
-    "twist": (ForwardSpeed, TurnRate),
-    "visited": (Visited,),
-    "waypoint": (Waypoint,),
-    "waypoint_bearing": (WaypointBearing,),
+    "bumper": (bumper.Bumper,),
+    "camera": (camera.Camera,),
+    "free_paths": (paths.FreePaths,),
+    "goal": (goal.GoalDistance, goal.GoalBearing),
+    "goal_direction": (goal.GoalDirection,),
+    "imu": (motion.YawRate, motion.ForwardAcceleration),
+    "laser": (laser.LaserRanges,),
+    "last_action": (motion.LastAction,),
+    "twist": (motion.ForwardSpeed, motion.TurnRate),
+    "visited": (visited.Visited,),
+    "waypoint": (waypoint.Waypoint,),
+    "waypoint_bearing": (waypoint.WaypointBearing,),
 }

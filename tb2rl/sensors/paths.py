@@ -1,10 +1,9 @@
-"""How far the robot can drive straight ahead in several directions: what decides where it may go, in few numbers."""
+"""Free distances in several directions."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -14,33 +13,32 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.values import Bins, NonNegative
 from tb2rl.robots import Laser, Robot
 from tb2rl.sensors.sensor import Sensor
-from tb2rl.simulation import RobotState, SimulationSpec
+from tb2rl.simulation import RobotState
 
 
 class FreePaths(Sensor):
-    """How far the robot, as wide as it is, could drive straight ahead in each of some directions [m], right to left.
+    """Distances that the robot's whole width can drive straight ahead in several directions [m], right to left.
 
-    The shortest range ahead of a doorway is the same whether the robot fits or not; this says how far it gets: the way
-    of a circle until it touches the first point that a beam has hit, which is the obstacle distance of the dynamic
-    window approach (Fox, Burgard & Thrun 1997) on straight ways.
+    Ranges do not tell whether the robot fits through a door; this does: it moves a disc until it touches the first
+    point that a beam has hit, as the dynamic window approach does (Fox, Burgard & Thrun 1997), on straight paths.
 
     Args:
-        robot: Its radius is the circle's.
-        laser: Whose beams, `task.beams` of them: what stands between two beams is not seen.
-        count: Of directions.
-        spread: The angle from the first direction to the last [rad].
-        gap: By how much the circle is wider than the robot on every side [m].
-        bins: Borders of the classes [m]; no way counts as longer than twice the last.
+        robot: Its radius plus `gap` is the disc's.
+        laser: Its `task.beams` beams; obstacles between two beams are not seen.
+        count: Number of directions.
+        spread: Angle from the first direction to the last [rad].
+        gap: Between robot and disc [m].
+        bins: Borders of the bins [m]; distances are clipped to twice the last.
 
     Attributes:
-        radius: Of the circle [m].
+        radius: Of the disc [m].
         directions: In the robot's frame [rad], shape (count,).
 
     Raises:
-        InputError: If there are directions in which the laser does not look.
+        InputError: If `spread` exceeds the laser's field of view.
     """
 
-    name, unit, low = "free paths", "m", 0.0
+    name, unit, low, spec_arguments = "free paths", "m", 0.0, ("robot", "laser")
 
     def __init__(
         self,
@@ -59,26 +57,22 @@ class FreePaths(Sensor):
         between = laser.angles - self.directions[:, None]
         self._ahead, self._aside = np.cos(between), np.sin(between)
 
-    @classmethod
-    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
-        return {"robot": spec.robot, "laser": spec.laser}
-
     def read(self, robot_state: RobotState) -> np.ndarray:
-        free = np.full((len(robot_state.ranges), *self.shape), self.high)
-        _shorten(free, robot_state.ranges, self._ahead, self._aside, self.radius)
-        return free
+        distances = np.full((len(robot_state.ranges), *self.shape), self.high)
+        _shorten(distances, robot_state.ranges, self._ahead, self._aside, self.radius)
+        return distances
 
 
 @njit(cache=True, **UNCOUNTED)
-def _shorten(free, ranges, ahead, aside, radius):
-    """Shorten the ways [m], shape (num_envs, directions), to where a circle touches what the beams have hit.
+def _shorten(distances, ranges, ahead, aside, radius):
+    """Shorten distances [m], shape (num_envs, directions), to where a disc touches the points that beams have hit.
 
     ahead, aside: Cosine and sine of the angle from a direction to a beam, shape (directions, beams).
     """
-    for robot in range(free.shape[0]):
-        for direction in range(free.shape[1]):
+    for i in range(distances.shape[0]):
+        for direction in range(distances.shape[1]):
             for beam in range(ranges.shape[1]):
-                beside = ranges[robot, beam] * aside[direction, beam]
+                beside = ranges[i, beam] * aside[direction, beam]
                 if abs(beside) < radius and ahead[direction, beam] > 0.0:
-                    before = ranges[robot, beam] * ahead[direction, beam] - math.sqrt(radius**2 - beside**2)
-                    free[robot, direction] = min(free[robot, direction], max(before, 0.0))
+                    before = ranges[i, beam] * ahead[direction, beam] - math.sqrt(radius**2 - beside**2)
+                    distances[i, direction] = min(distances[i, direction], max(before, 0.0))

@@ -1,4 +1,4 @@
-"""Where the robot has been lately: a memory for policies that have none."""
+"""A memory of visited places, for policies without one."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from tb2rl.core.values import Positive
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import RobotState
 
-_MOST = 10.0  # [s]
-_APART = 0.5  # of the distance: so near to a place counts as there
+_LONGEST = 10.0  # [s]
+_NEAR = 0.5  # of `distance`: so near to a place counts as there
 
 
 class Visited(Sensor):
-    """How long the robot has been at some places around it within the last minute [s], by its odometry.
+    """Time spent within the last minute at places around the robot [s], by odometry.
 
-    First the places on a circle, counter-clockwise from straight ahead, then where the robot is, then those on a circle
-    of twice the size. So a policy without a memory tells the way back from the way on: the idea of node counting
-    (Koenig & Szymanski 1999, "Value-update rules for real-time search").
+    The places are on a circle, counter-clockwise from straight ahead; then at the robot's position; then on a circle of
+    twice the radius. They tell a policy the way back from the way on, as node counting does (Koenig & Szymanski 1999,
+    "Value-update rules for real-time search").
 
     Args:
-        count: Of places on each circle.
+        count: Number of places on each circle.
         distance: Radius of the smaller circle [m].
 
     Attributes:
-        around: The places in the robot's frame, x and y [m], shape (2 * count + 1, 2).
-        near: How near to a place counts as there [m].
+        around: Places in the robot's frame, x and y [m], shape (2 * count + 1, 2).
+        near: Distance to a place that counts as there [m].
     """
 
-    name, unit, low, high = "visited", "s", 0.0, _MOST
+    name, unit, low, high = "visited", "s", 0.0, _LONGEST
     bins = (1.0, 3.0)
     reads_pose_history = True
 
@@ -40,7 +40,7 @@ class Visited(Sensor):
         angles = np.arange(count) * math.tau / count
         circle = distance * np.column_stack([np.cos(angles), np.sin(angles)])
         self.around = np.vstack([circle, (0.0, 0.0), 2.0 * circle])
-        self.near, self.shape = _APART * distance, (len(self.around),)
+        self.near, self.shape = _NEAR * distance, (len(self.around),)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         if robot_state.pose_history is None:

@@ -1,6 +1,6 @@
-"""Where the planned way leads: a point on it some way ahead, as navigation stacks hand it to what drives.
+"""A point ahead on the planned path, as navigation stacks give it to a path follower.
 
-The planner knows where the robot is on its map, as a localised robot does: on the world's own, or on what was seen.
+The planner knows the robot's pose on its map: the map of the world, or one that the robot builds online.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import RobotState
 
 LOOKAHEAD = 1.5  # [m]
-Lookahead = Annotated[Positive, Le(100)]  # a way is followed step by step
+Lookahead = Annotated[Positive, Le(100)]  # [m] limited, because a path is followed step by step
 
 
 class Waypoint(Sensor):
-    """Where the point of the way is that the robot is to get to next: so far ahead, and so far to the left [m].
+    """The lookahead point on the planned path: x ahead, y to the left [m].
 
     Args:
-        lookahead: How far ahead on the way it is [m]; the goal, where that is nearer.
-        bins: Borders of the classes of both numbers [m].
+        lookahead: Distance along the path [m]; a goal that is nearer takes its place.
+        bins: Borders of the bins of both coordinates [m].
     """
 
     name, unit, shape = "waypoint", "m", (2,)
@@ -33,27 +33,27 @@ class Waypoint(Sensor):
         self.low, self.high, self.lookahead, self.bins = -lookahead, lookahead, lookahead, bins
 
     def read(self, robot_state: RobotState) -> np.ndarray:
-        east, north = (robot_state.lookahead_point(self.lookahead) - robot_state.pose[:, :2]).T
+        x, y = (robot_state.lookahead_point(self.lookahead) - robot_state.pose[:, :2]).T
         cos, sin = np.cos(robot_state.pose[:, 2]), np.sin(robot_state.pose[:, 2])
-        return np.column_stack([cos * east + sin * north, cos * north - sin * east])
+        return np.column_stack([cos * x + sin * y, cos * y - sin * x])
 
 
-class WaypointBearing(Sensor):
-    """In which direction that point is, counted from straight ahead [rad]: one number, for tables.
+class WaypointBearing(Waypoint):
+    """Bearing of the lookahead point: the angle from straight ahead, positive to the left [rad].
 
     Args:
         lookahead: As of `Waypoint` [m].
-        bins: Borders of the classes of angles [rad].
+        bins: Borders of the bins [rad].
     """
 
-    name, unit = "waypoint bearing", "rad"
-    low, high = -math.pi, math.pi
+    name, unit, shape = "waypoint bearing", "rad", (1,)
 
     def __init__(
         self, lookahead: Lookahead = LOOKAHEAD, bins: Bins = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)
     ) -> None:
-        self.bins, self.lookahead, self._waypoint = bins, lookahead, Waypoint(lookahead)
+        super().__init__(lookahead, bins)
+        self.low, self.high = -math.pi, math.pi
 
     def read(self, robot_state: RobotState) -> np.ndarray:
-        ahead, left = self._waypoint.read(robot_state).T
+        ahead, left = super().read(robot_state).T
         return np.arctan2(left, ahead)[:, None]

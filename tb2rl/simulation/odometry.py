@@ -1,7 +1,7 @@
-"""What a robot believes of its way: it counts how its wheels turn, and takes them for what they should be.
+"""Odometry from wheel encoders, with the nominal wheels, and from a gyro.
 
-Which way it looks a gyro tells better: the driver of the Kobuki takes its heading from there, and x and y from the
-wheels (kobuki_node, `use_imu_heading`), and so do the drivers of the TurtleBot3 and the Jackal.
+The driver of the Kobuki takes the heading from the gyro, and x and y from the wheels (kobuki_node, `use_imu_heading`);
+so do the drivers of the TurtleBot3 and the Jackal.
 
 Borenstein and Feng 1996, "Measurement and correction of systematic odometry errors in mobile robots".
 """
@@ -16,33 +16,34 @@ from tb2rl.simulation.initial_state import InitialState
 
 
 def is_exact(initial_state: InitialState) -> bool:
-    """Whether wheels and gyros of all robots are what they should be, so that odometry is what they did."""
+    """Whether wheels and gyros of all robots are nominal, so that odometry has no errors."""
     rows = initial_state.rows
     names = "wheel_radius", "assumed_separation", "left_encoder", "right_encoder"
     return all((rows[name] == 1.0).all() for name in names) and bool(np.isin(rows["gyro"], (0.0, 1.0)).all())
 
 
-def encoder_counts(ways: np.ndarray, initial_state: InitialState) -> np.ndarray:
-    """Ways as the robots count them.
+def encoder_counts(arcs: np.ndarray, initial_state: InitialState) -> np.ndarray:
+    """Arcs as encoders and gyros measure them.
 
     Args:
-        ways: How far each went [m] and turned [rad], or how fast, shape (num_envs, 2); of one robot any number of rows.
-        start: How the episode of each began.
+        arcs: Lengths [m] and turns [rad], or speeds and turn rates, shape (num_envs, 2); any number of rows for one
+            robot.
+        initial_state: With the errors of wheels, encoders and gyros.
     """
     rows = initial_state.rows
-    half = 0.5 * rows["wheel_separation"] * ways[:, 1]
-    left = (ways[:, 0] - half) * rows["left_encoder"] / rows["wheel_radius"]
-    right = (ways[:, 0] + half) * rows["right_encoder"] / rows["wheel_radius"]
+    half = 0.5 * rows["wheel_separation"] * arcs[:, 1]
+    left = (arcs[:, 0] - half) * rows["left_encoder"] / rows["wheel_radius"]
+    right = (arcs[:, 0] + half) * rows["right_encoder"] / rows["wheel_radius"]
     counted, gyro = (right - left) / (rows["wheel_separation"] * rows["assumed_separation"]), rows["gyro"]
-    turn = np.where(gyro == 0.0, counted, gyro * ways[:, 1])
+    turn = np.where(gyro == 0.0, counted, gyro * arcs[:, 1])
     return np.stack([0.5 * (left + right), turn], axis=1)
 
 
-def integrate_odometry(odometry: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """Odometry (num_envs, 3) after arcs: `ways` (num_envs, 2) are their lengths [m] and turns [rad]."""
-    half = 0.5 * ways[:, 1]
-    chord, heading = ways[:, 0] * np.sinc(half / math.pi), odometry[:, 2] + half
-    yaw = odometry[:, 2] + ways[:, 1]
+def integrate_odometry(odometry: np.ndarray, arcs: np.ndarray) -> np.ndarray:
+    """Add arcs (num_envs, 2), lengths [m] and turns [rad], to odometry (num_envs, 3)."""
+    half = 0.5 * arcs[:, 1]
+    chord, heading = arcs[:, 0] * np.sinc(half / math.pi), odometry[:, 2] + half
+    yaw = odometry[:, 2] + arcs[:, 1]
     yaw -= math.tau * np.floor((yaw + math.pi) / math.tau)
     return np.stack([odometry[:, 0] + chord * np.cos(heading), odometry[:, 1] + chord * np.sin(heading), yaw], axis=1)
 
@@ -54,13 +55,16 @@ def encoder_odometry(
     separation: float,
     initial_state: InitialState | None,
 ) -> tuple[tuple[float, float, float], tuple[float, float]]:
-    """Odometry x, y, yaw of one robot after an arc, and v [m/s] and w [rad/s], by its wheels.
+    """Odometry of one robot after an arc.
 
     Args:
-        odometry: Before it.
-        left, right: How far the wheel's rim went [m], and how fast it is [m/s].
+        odometry: x, y, yaw before it [m, m, rad].
+        left, right: Distance [m] and speed [m/s] of the wheel's rim.
         separation: Of the wheels [m].
-        start: How the episode began; None: the wheels are what they should be.
+        initial_state: With the errors of wheels, encoders and gyro; None: there are none.
+
+    Returns:
+        x, y, yaw; v [m/s] and w [rad/s].
     """
     x, y, yaw = odometry
     length, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / separation

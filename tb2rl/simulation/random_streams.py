@@ -1,7 +1,7 @@
-"""Where random numbers come from.
+"""Counter-based random streams, and the sources of random numbers for initial states.
 
-The twin draws them by counting: number n of stream k is a hash of both, so that any thread can draw any robot's next
-one. Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"; the hash is SplitMix64 (Steele et al. 2014).
+Number n of stream k is a hash of both, so that any thread can draw the next number of any environment. Salmon et al.
+2011, "Parallel random numbers: as easy as 1, 2, 3"; the hash is SplitMix64 (Steele et al. 2014).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _GOLDEN, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1C
 
 @njit(cache=True)
 def uniform(key, count):
-    """Number `count` of stream `key` (uint64 both), evenly in [0, 1)."""
+    """Number `count` of stream `key` (both uint64), uniform in [0, 1)."""
     z = key + (count + np.uint64(1)) * _GOLDEN
     z = (z ^ (z >> np.uint64(30))) * _FIRST
     z = (z ^ (z >> np.uint64(27))) * _SECOND
@@ -35,7 +35,7 @@ def normal(key, count):
 
 @njit(cache=True)
 def uniforms(keys, counts, numbers):
-    """Fill `numbers` (num_envs, n) with the next n numbers of each robot's stream, and move its count on."""
+    """Fill `numbers` (num_envs, n) with the next n numbers of each stream, and advance its count."""
     for i in range(numbers.shape[0]):
         for j in range(numbers.shape[1]):
             numbers[i, j] = uniform(keys[i], counts[i])
@@ -43,19 +43,19 @@ def uniforms(keys, counts, numbers):
 
 
 class Draws(Protocol):
-    """A source of random numbers for robots whose episodes begin."""
+    """A source of random numbers for initial states."""
 
     @property
     def num_envs(self) -> int:
-        """How many robots draw."""
+        """Number of environments."""
 
     def uniform(self, count: int) -> np.ndarray:
-        """The next `count` numbers in [0, 1) of each robot, shape (num_envs, count)."""
+        """The next `count` numbers in [0, 1) for each environment, shape (num_envs, count)."""
 
 
 @dataclass(frozen=True)
 class GeneratorDraws:
-    """Draws from numpy's generator; all robots share it."""
+    """Draws from a generator that all environments share."""
 
     generator: np.random.Generator
     num_envs: int = 1
@@ -66,11 +66,11 @@ class GeneratorDraws:
 
 @dataclass(frozen=True)
 class StreamDraws:
-    """Draws from streams by counting, one for each robot.
+    """Draws from a counter-based stream for each environment.
 
     Attributes:
-        keys: Of the robots that draw, shape (num_envs,), uint64.
-        counts: How many numbers each has drawn so far, shape (num_envs,), uint64; moved on in place.
+        keys: Shape (num_envs,), uint64.
+        counts: Numbers drawn so far, shape (num_envs,), uint64; advanced in place.
     """
 
     keys: np.ndarray

@@ -1,4 +1,4 @@
-"""What the sensors of all robots measure at one instant, and the true state beside it."""
+"""Sensor readings of all robots at one instant, and their true state."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """What a simulator is: the protocol that environments drive, what each one can do, and the registry of their names.
 
-A simulator of one's own is one file with a class that follows `Simulator`, named "module:Class", or by an entry point
-of
+A simulator of one's own is one file with a class that follows `Simulator`, named "module:Class" or by an entry point of
 the group `tb2rl.simulators`.
 """
 

@@ -1,7 +1,7 @@
-"""How robots differ from the one that their numbers describe: in each episode, and each robot in its own way.
+"""Variation of the robot from episode to episode (domain randomisation).
 
-Domain randomisation (Peng et al. 2018, "Sim-to-real transfer of robotic control with dynamics randomization"): what
-drives well with all of these robots, is more likely to drive well with a real one.
+Peng et al. 2018, "Sim-to-real transfer of robotic control with dynamics randomization": a policy that drives well with
+all of these robots is more likely to drive well with a real one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tb2rl.core.values import ASCENDING, PAIR, Fraction, NonNegative, build
 from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.random_streams import Draws
 
-# Each is a range that a number is drawn from, evenly; a number alone stands for itself.
+# Each is a range of a uniform distribution; a number alone is a range of that number.
 _Share = Annotated[float, Ge(0.5), Le(2)]
 _Length = Annotated[float, Ge(-0.5), Le(0.5)]
 _Angle = Annotated[float, Ge(-math.pi), Le(math.pi)]
@@ -35,32 +35,33 @@ Latency = Annotated[tuple[_Steps, _Steps], PAIR, ASCENDING]
 
 @dataclass(frozen=True)
 class Variation:
-    """The ranges that an episode's robot is drawn from; without arguments it is always the same robot.
+    """Ranges of the parameters of an episode's robot; without arguments it is the nominal robot.
 
-    Wheels that are not what they should be make the robot drive otherwise than it is told, and its odometry, which
-    does not know of it, say otherwise than it drove; see `tb2rl.simulation.odometry`.
+    Wheels that are not nominal change the motion for a command, and their odometry has errors, see
+    `tb2rl.simulation.odometry`.
     """
 
-    wheel_radius: Shares = (1.0, 1.0)  # times the robot's own
-    wheel_separation: Shares = (1.0, 1.0)  # times its own
-    odometry: Shares = (1.0, 1.0)  # way that an encoder counts over the true one, drawn for each wheel
-    acceleration: Shares = (1.0, 1.0)  # of the motors, times its own
-    mass: Weights = (1.0, 1.0)  # times its own; in PyBullet alone
-    friction: Weights = (1.0, 1.0)  # of the wheels on the floor, times its own; in PyBullet alone
+    wheel_radius: Shares = (1.0, 1.0)  # true / nominal
+    wheel_separation: Shares = (1.0, 1.0)  # true / nominal
+    odometry: Shares = (1.0, 1.0)  # distance that an encoder counts / the true one, drawn for each wheel
+    acceleration: Shares = (1.0, 1.0)  # of the motors, true / nominal
+    mass: Weights = (1.0, 1.0)  # true / nominal; where the simulator varies dynamics
+    friction: Weights = (1.0, 1.0)  # of the wheels on the floor, true / nominal; where the simulator varies dynamics
     laser_noise: Deviations | None = None  # [m] standard deviation of the laser; None: the task's `laser_noise`
     bias: Lengths = (0.0, 0.0)  # [m] added to all ranges
-    dropped: Fractions = (0.0, 0.0)  # share of beams that come back empty: inf, as if nothing was there
-    mount_x: Lengths = (0.0, 0.0)  # [m] how far the laser is ahead of where it should be
-    mount_y: Lengths = (0.0, 0.0)  # [m] to the left
-    mount_yaw: Angles = (0.0, 0.0)  # [rad] turned to the left
-    latency: Latency = (0, 0)  # [control steps] until a command is obeyed
-    observation_latency: Latency = (0, 0)  # [control steps] until a reading is observed
-    gyro: Shares = (1.0, 1.0)  # turn that it counts over the true one, of a robot that has one
+    dropped: Fractions = (0.0, 0.0)  # share of beams that return inf
+    mount_x: Lengths = (0.0, 0.0)  # [m] true position of the laser ahead of the nominal one
+    mount_y: Lengths = (0.0, 0.0)  # [m] to its left
+    mount_yaw: Angles = (0.0, 0.0)  # [rad] its true yaw
+    latency: Latency = (0, 0)  # [control steps] until a command takes effect
+    observation_latency: Latency = (0, 0)  # [control steps] until a robot state is observed
+    gyro: Shares = (1.0, 1.0)  # turn that it counts / the true one, for robots with a gyro
 
     def vary(self, initial_state: InitialState, draws: Draws) -> None:
-        """Write what differs into the start of some robots' episodes: in place, and nothing is drawn for nothing.
+        """Draw the parameters of robots and write them into their initial states, in place.
 
-        As many numbers are drawn whatever varies: so a changed range changes no other number.
+        The number of draws does not depend on the ranges, so that changing one range leaves the others as they are;
+        without any variation nothing is drawn.
         """
         if self == NONE:
             return
@@ -84,7 +85,7 @@ class Variation:
 
 
 NONE = Variation()
-# Where the numbers come from: see tb2rl/robots/README.md.
+# For the sources of the numbers see tb2rl/robots/README.md.
 PRESETS = {
     "none": NONE,
     "mild": Variation(
@@ -124,7 +125,7 @@ PRESETS = {
 
 
 def find_variation(setting: Any) -> Variation:
-    """What `task.variation` means: a preset's name, or what is to be otherwise than in one ("preset", else "none").
+    """The variation of the setting `task.variation`: the name of a preset, or changes of one ("preset", else "none").
 
     Raises:
         InputError: For an unknown preset or key, or a range that does not fit.
@@ -135,12 +136,12 @@ def find_variation(setting: Any) -> Variation:
         raise unknown("preset of task.variation:", preset, PRESETS)
     others = {key: value for key, value in changes.items() if key != "preset"}
     if not all(isinstance(key, str) for key in others):
-        raise InputError(f"task.variation: a key must be the name of what varies, got {list(others)}")
+        raise InputError(f"task.variation: a key must be a string, got {list(others)}")
     return build(Variation, {**asdict(PRESETS[preset]), **others}, "task.variation")
 
 
 def varied(setting: Any) -> str:
-    """What `task.variation` means, for titles and tables: "strong variation"; "": nothing varies."""
+    """The setting `task.variation` for titles and tables: "strong variation"; "": nothing varies."""
     variation = find_variation(setting)
     if variation == NONE:
         return ""
@@ -153,6 +154,6 @@ def varied(setting: Any) -> str:
 
 
 def _between(span: tuple[float, float], shares: np.ndarray) -> np.ndarray:
-    """Numbers that lie at these shares, in [0, 1), of the way from the lowest to the highest."""
+    """Interpolate between the ends of a range by shares in [0, 1)."""
     low, high = span
     return low + (high - low) * shares

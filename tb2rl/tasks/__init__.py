@@ -1,7 +1,6 @@
-"""What is asked: the actions there are, where an episode begins, what a step was worth, and when it is over.
+"""Tasks: actions, initial states, rewards and endings.
 
-A task is one class (see README.md); `my_turtlebot2_maze.py` is the one to copy. Imported from here: sensors, the
-simulation and what lies below it.
+A task is one class; copy `my_turtlebot2_maze.py` (see README.md). Imports sensors, simulation and what is below them.
 """
 
 from tb2rl.tasks.actions import Actions, Commands, Velocities

@@ -1,9 +1,10 @@
-"""What a robot can be told to do: named commands, or any speeds within a range."""
+"""Action spaces: named commands, or continuous velocities."""
 
 from __future__ import annotations
 
 import operator
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from copy import copy
 from typing import Any, Self
 
@@ -17,36 +18,40 @@ Command = tuple[float, float]  # v [m/s], w [rad/s]
 
 
 class Actions(ABC):
-    """The actions of a task, and what each of them tells the base.
+    """An action space, and the command of each action.
 
     Attributes:
-        space: What an action is, for Gymnasium.
-        names: Names for kinds of actions, for people: in charts, maps and films.
+        space: For Gymnasium.
+        names: Kinds of actions, for charts, maps and films.
+        table: The extreme commands v [m/s] and w [rad/s], shape (n, 2).
     """
 
     space: spaces.Space
     names: tuple[str, ...]
+    table: np.ndarray
 
     @property
-    @abstractmethod
     def max_speed(self) -> float:
-        """The largest speed |v| that an action commands [m/s]."""
+        """Largest |v| of the commands [m/s]."""
+        return float(np.abs(self.table[:, 0]).max())
+
+    def within(self, robot: Robot) -> Self:
+        """The same actions, with commands clipped to the robot's limits."""
+        clipped = copy(self)
+        clipped.table = robot.within_limits(self.table)
+        return clipped
 
     @abstractmethod
     def commands(self, actions: np.ndarray) -> np.ndarray:
-        """What actions tell the base: v [m/s] and w [rad/s], (num_envs, ...) to (num_envs, 2)."""
-
-    @abstractmethod
-    def within(self, robot: Robot) -> Self:
-        """These actions, without what a robot cannot do."""
+        """Commands v [m/s] and w [rad/s], shape (num_envs, 2), of actions (num_envs, ...)."""
 
     @abstractmethod
     def kinds(self, actions: np.ndarray) -> np.ndarray:
-        """Which of the `names` each action is, as an index, shape (num_envs,)."""
+        """Index of each action's kind in `names`, shape (num_envs,)."""
 
     @abstractmethod
     def checked(self, action: Any) -> np.ndarray:
-        """One action of a user as an array with a robot axis of length one.
+        """Validate one action, and return it with a leading axis of length one.
 
         Raises:
             InputError: If it is not an action.
@@ -54,23 +59,23 @@ class Actions(ABC):
 
     @abstractmethod
     def nearest(self, command: np.ndarray) -> Any:
-        """The action that is most like a command v [m/s], w [rad/s], shape (2,)."""
+        """The action whose command is nearest to v [m/s] and w [rad/s], shape (2,)."""
 
     def describe(self, action: Any) -> str:
-        """One action in a few letters, for a film."""
+        """A short text for one action, for films."""
         return self.names[int(self.kinds(np.asarray([action]))[0])]
 
 
 class Commands(Actions):
-    """Named commands, each held for a control period: `Commands(forward=(0.5, 0.0), left=(0.05, 1.0))`.
+    """Named commands: `Commands(forward=(0.5, 0.0), left=(0.05, 1.0))`.
 
-    An action is a number from 0, in the order of the names; `actions.left` is the number of `left`.
+    Actions are integers from 0, in the order of the names; `actions.left` is the action `left`.
 
     Args:
         commands: v [m/s] and w [rad/s] by name, at least one.
 
     Raises:
-        InputError: If there is none of them, one is not two numbers, or a name is not free, such as `space`.
+        InputError: If there is no command, one is not two numbers, or a name is an attribute, such as `space`.
     """
 
     space: spaces.Discrete
@@ -81,27 +86,17 @@ class Commands(Actions):
         self.names = tuple(commands)
         self.table = np.array([_pair(command, name, "v [m/s] and w [rad/s]") for name, command in commands.items()])
         self.space = spaces.Discrete(len(self.names))
-        taken = [name for name in self.names if hasattr(self, name)]
-        if taken:
-            raise InputError(f"an action cannot be called {taken[0]!r}, which means something else here")
-        self.__dict__.update({name: number for number, name in enumerate(self.names)})
+        for index, name in enumerate(self.names):
+            if hasattr(self, name):
+                raise InputError(f"an action cannot be called {name!r}, an attribute of Commands; rename it")
+            setattr(self, name, index)
 
-    def __getattr__(self, name: str) -> int:  # for what is not an attribute
+    def __getattr__(self, name: str) -> int:  # only for missing attributes
         raise AttributeError(f"there is no action {name!r}; there are {', '.join(self.__dict__.get('names', ()))}")
 
     def plus(self, **commands: Command) -> Commands:
-        """These commands and more."""
-        present: dict[str, Command] = {name: (v, w) for name, (v, w) in zip(self.names, self.table, strict=True)}
-        return Commands(**present, **commands)
-
-    def within(self, robot: Robot) -> Self:
-        cut = copy(self)
-        cut.table = robot.within_limits(self.table)
-        return cut
-
-    @property
-    def max_speed(self) -> float:
-        return float(np.abs(self.table[:, 0]).max())
+        """These commands, followed by others."""
+        return Commands(**dict(zip(self.names, self.table.tolist(), strict=True)), **commands)
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
         return self.table.take(actions, axis=0)
@@ -110,13 +105,11 @@ class Commands(Actions):
         return np.asarray(actions, dtype=np.int64)
 
     def checked(self, action: Any) -> np.ndarray:
-        try:
+        with suppress(TypeError):  # of a float, NaN, an array
             index = operator.index(action)
-        except TypeError:  # a float, NaN, a longer array
-            index = -1
-        if not 0 <= index < len(self.names):
-            raise InputError(one_line(f"action {action!r} is not one of the integers 0 to {len(self.names) - 1}"))
-        return np.array([index])
+            if 0 <= index < len(self.names):
+                return np.array([index])
+        raise InputError(one_line(f"action {action!r} is not one of the integers 0 to {len(self.names) - 1}"))
 
     def nearest(self, command: np.ndarray) -> int:
         spans = np.maximum(np.abs(self.table).max(axis=0), 1e-9)
@@ -124,49 +117,48 @@ class Commands(Actions):
 
 
 class Velocities(Actions):
-    """Any forward speed and turn rate within a range; an action is two numbers from -1 to 1, the ends of the ranges.
+    """Continuous velocities: an action is two numbers from -1 to 1, the ends of the ranges.
 
-    Learners with Gaussian policies expect that scale (Stable-Baselines3, "Tips and Tricks when creating a custom
-    environment").
+    Gaussian policies expect this scale (Stable-Baselines3, "Tips and Tricks when creating a custom environment").
 
     Args:
-        forward: Slowest and fastest v [m/s].
+        forward: Least and largest v [m/s].
         turn: Least and largest w [rad/s].
 
     Raises:
-        InputError: If one is not two numbers, the smaller one first.
+        InputError: If a range is not two numbers, the smaller one first.
     """
 
     space: spaces.Box
     names = ("stand", "forward", "backward", "left", "right")
-    _BARELY = 0.25  # of the largest speed or turn rate: below this it does not count as going or turning
+    _THRESHOLD = 0.25  # of the largest speed or turn rate, above which an action counts as driving or turning
 
     def __init__(self, forward: tuple[float, float], turn: tuple[float, float]) -> None:
         ranges = [_pair(forward, "forward", "the slowest and the fastest [m/s]")]
         ranges.append(_pair(turn, "turn", "the least and the largest [rad/s]"))
-        self.low, self.high = np.array(ranges).T
+        self.table = np.array(ranges).T
         if (self.low > self.high).any():
             raise InputError(f"Velocities takes the smaller number first, got forward={forward}, turn={turn}")
         self.space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def within(self, robot: Robot) -> Self:
-        cut = copy(self)
-        cut.low, cut.high = robot.within_limits(np.array([self.low, self.high]))
-        return cut
+    @property
+    def low(self) -> np.ndarray:
+        """Command of the action (-1, -1): v [m/s] and w [rad/s], shape (2,)."""
+        return self.table[0]
 
     @property
-    def max_speed(self) -> float:
-        return float(np.abs([self.low[0], self.high[0]]).max())
+    def high(self) -> np.ndarray:
+        """Command of the action (1, 1), likewise."""
+        return self.table[1]
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
         shares = (np.clip(actions, -1.0, 1.0).astype(float) + 1.0) / 2.0
         return self.low + shares * (self.high - self.low)
 
     def kinds(self, actions: np.ndarray) -> np.ndarray:
-        v, w = self.commands(np.asarray(actions)).T
-        barely_v, barely_w = self._BARELY * np.abs([self.low, self.high]).max(axis=0)
-        cases = [w > barely_w, w < -barely_w, v > barely_v, v < -barely_v]
-        return np.select(cases, [self.names.index(name) for name in ("left", "right", "forward", "backward")], 0)
+        (v, w), (least_v, least_w) = self.commands(np.asarray(actions)).T, self._THRESHOLD * np.abs(self.table).max(0)
+        cases = {"left": w > least_w, "right": w < -least_w, "forward": v > least_v, "backward": v < -least_v}
+        return np.select(list(cases.values()), [self.names.index(name) for name in cases], 0)
 
     def checked(self, action: Any) -> np.ndarray:
         values = np.asarray(action)
@@ -179,15 +171,12 @@ class Velocities(Actions):
         return np.clip(2.0 * (command - self.low) / span - 1.0, -1.0, 1.0).astype(np.float32)
 
     def describe(self, action: Any) -> str:
-        v, w = self.commands(np.asarray([action]))[0]
-        return f"{v:.2f}, {w:+.2f}"
+        return "{:.2f}, {:+.2f}".format(*self.commands(np.asarray([action]))[0])
 
 
 def _pair(values: Any, name: str, meaning: str) -> np.ndarray:
-    try:
+    with suppress(TypeError, ValueError):
         pair = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        pair = np.empty(0)
-    if pair.shape != (2,) or not np.isfinite(pair).all():
-        raise InputError(one_line(f"action {name!r} needs two numbers, {meaning}, got {values!r}"))
-    return pair
+        if pair.shape == (2,) and np.isfinite(pair).all():
+            return pair
+    raise InputError(one_line(f"action {name!r} needs two numbers, {meaning}, got {values!r}"))

@@ -1,14 +1,11 @@
-"""Your own task on the same robot: copy this file, change what you like, and train it.
+"""A task to copy: change it, and train it.
 
     python -m tb2rl.train --agent qlearn --task my_turtlebot2_maze:MyTurtleBot2Maze
 
-Here: a fourth action, backwards, which costs as much as forwards pays. A task is one class: its fields are its
-settings, `actions` says what the robot can be told, and `judge` what a step was worth and whether the episode is over.
-Both work on all robots at once, so arrays come with a leading robot axis. Derive from `tb2rl.tasks.Task` to start from
-nothing.
+It adds a fourth action, backward, whose penalty is as large as the reward of forward. The fields of a task are its
+settings, `actions` is its action space, and `outcome` returns rewards and endings. Arrays have a leading axis of
+environments. Derive from `tb2rl.tasks.Task` to start from scratch.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +19,7 @@ from tb2rl.tasks.wander import Wander
 
 @dataclass(frozen=True)
 class MyTurtleBot2Maze(Wander):
-    """Wander, with a reverse gear that it does not pay to hide in."""
+    """Wander, with a reverse gear that does not pay."""
 
     backward_speed: float = -0.05  # [m/s]
     backward_reward: float = -5.0

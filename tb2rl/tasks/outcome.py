@@ -1,4 +1,4 @@
-"""What a task makes of one control step."""
+"""The outcome of a control step: rewards and endings."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 
 from tb2rl.simulation import RobotState
 
-TIME_LIMIT = "time limit"  # the ending of an episode whose steps are used up
+TIME_LIMIT = "time limit"  # ending of an episode that reached `episode_steps`
 COLLISION, OBSTACLE_COLLISION = "collision", "collision with a dynamic obstacle"
 
 
 def collision_endings(collided: np.ndarray, after: RobotState) -> dict[str, np.ndarray]:
-    """Endings of robots that have crashed, for `Outcome.failed`: into a wall, or into something that moves.
+    """Endings for `Outcome.failed`: collisions with walls, and with dynamic obstacles.
 
     Args:
-        collided: Which have, bool, shape (num_envs,).
-        after: The reading that says so.
+        collided: Which robots have collided, bool, shape (num_envs,).
+        after: The state in which they have.
     """
     if after.nearest_is_dynamic is None:
         return {COLLISION: collided}
@@ -27,7 +27,7 @@ def collision_endings(collided: np.ndarray, after: RobotState) -> dict[str, np.n
 
 
 class Ending(NamedTuple):
-    """Why an episode is over."""
+    """The reason for which an episode ended."""
 
     name: str
     failed: bool
@@ -36,16 +36,15 @@ class Ending(NamedTuple):
 
 @dataclass(frozen=True)
 class Outcome:
-    """Rewards, and which episodes end here.
+    """Rewards, and the episodes that end.
 
-    An ending says by its place whether it counts as failed or as a success. Of several, the first counts, failed ones
-    before the others.
+    If several endings apply, the first one counts, and failures count before successes.
 
     Attributes:
         reward: Shape (num_envs,).
-        failed: Endings that count as failed, by name, each with its robots, bool, shape (num_envs,).
-        succeeded: Endings at the goal, likewise; None for a task without a goal, where an episode succeeds that
-            reaches its time limit.
+        failed: Endings that are failures, by name: masks, bool, shape (num_envs,).
+        succeeded: Endings that are successes, likewise; None: a task without a goal, where reaching the time limit is a
+            success.
     """
 
     reward: np.ndarray
@@ -54,31 +53,27 @@ class Outcome:
 
     @property
     def terminated(self) -> np.ndarray:
-        """Whether an episode ends here, bool, shape (num_envs,)."""
-        masks = [*self.failed.values(), *self.succeeded.values()] if self.succeeded else list(self.failed.values())
-        if len(masks) == 1:  # as in most tasks; the general way takes longer than a robot's step
+        """Whether each episode ends, bool, shape (num_envs,)."""
+        masks = [*self.failed.values(), *(self.succeeded or {}).values()]
+        if len(masks) == 1:  # common, and the general way takes longer than the step of a robot
             return masks[0]
         return np.logical_or.reduce(masks) if masks else np.zeros(len(self.reward), dtype=bool)
 
-    def ending(self, robot: int, timed_out: bool) -> Ending | None:
-        """Why the episode of a robot is over, None if it is not; `timed_out` says that its steps are used up."""
-        for name, where in self.failed.items():
-            if where[robot]:
-                return Ending(name, failed=True, success=False)
-        for name, where in (self.succeeded or {}).items():
-            if where[robot]:
-                return Ending(name, failed=False, success=True)
-        return Ending(TIME_LIMIT, failed=False, success=self.succeeded is None) if timed_out else None
+    def ending(self, index: int, timed_out: bool) -> Ending | None:
+        """The ending of one environment's episode, None if it goes on.
+
+        Args:
+            index: Of the environment.
+            timed_out: Whether the time limit is reached.
+        """
+        return self.endings(np.array([index]))[0] if timed_out or self.terminated[index] else None
 
     def endings(self, indices: np.ndarray) -> list[Ending]:
-        """Why the episodes of the robots with indices `robots` (n,) are over, by their time limit if not otherwise.
-
-        The same as `ending` of each, for hundreds that end in one step.
-        """
+        """Endings of the episodes of some environments, shape (n,); the time limit where no other ending applies."""
         endings = [Ending(TIME_LIMIT, failed=False, success=self.succeeded is None)] * len(indices)
         for masks, failed in ((self.succeeded or {}, False), (self.failed, True)):
-            for name, where in reversed(list(masks.items())):  # the first one has the last word
+            for name, mask in reversed(list(masks.items())):  # the first overwrites the others
                 ending = Ending(name, failed, success=not failed)
-                for i in where[indices].nonzero()[0].tolist():
+                for i in mask[indices].nonzero()[0].tolist():
                     endings[i] = ending
         return endings

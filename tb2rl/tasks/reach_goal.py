@@ -1,4 +1,4 @@
-"""TurtleBot2Wall: reach a pose behind a wall."""
+"""TurtleBot2Wall: reach a goal behind a wall."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from tb2rl.worlds.world import Bounds
 
 @dataclass(frozen=True)
 class ReachGoal(Wander):
-    """Wander's actions and rewards, more for each step that comes closer, and an end at the goal.
+    """Wander's actions and rewards, a bonus for each step towards the goal, and success at the goal.
 
-    Beside the laser, the robot observes where the goal is in its own frame, by its wheels' odometry.
+    The robot observes its laser, and distance and bearing of the goal by odometry.
     """
 
     goal_task: ClassVar[bool] = True
 
     world: Worlds = "wall"
-    goal: Point | None = None  # [m] x and y; None: the world's own goal
+    goal: Point | None = None  # [m] x and y; None: the world's goal
     goal_tolerance: Positive = 0.2  # [m] in x and in y
-    progress_reward: float = 5.0  # on top of the step's reward
+    progress_reward: float = 5.0  # added to the step's reward
     goal_reward: float = 200.0  # replaces the step's reward
-    bounds: Bounds | None = None  # x from, y from, x to, y to [m]; None: the world's
+    bounds: Bounds | None = None  # least x and y, largest x and y [m]; None: the world's bounds
     distance_bins: Bins = DISTANCE_BINS  # [m]
     bearing_bins: Bins = BEARING_BINS  # [rad]
 
@@ -47,13 +47,12 @@ class ReachGoal(Wander):
 
     def outcome(self, before: RobotState, action: np.ndarray, after: RobotState) -> Outcome:
         wandered = super().outcome(before, action, after)
-        missing = after.goal - after.pose[:, :2]
-        reached = np.logical_and(*(np.abs(missing) <= self.goal_tolerance).T)
-        x, y = after.pose[:, 0], after.pose[:, 1]
-        x0, y0, x1, y1 = after.initial_state.bounds.T
-        outside: np.ndarray = (x <= x0) | (x > x1) | (y <= y0) | (y > y1)
-        closer = np.hypot(*missing.T) < np.hypot(*(after.goal - before.pose[:, :2]).T)
-        moving = wandered.reward + self.progress_reward * closer
-        collided = wandered.terminated
-        reward = np.select([collided | outside, reached], [self.collision_reward, self.goal_reward], moving)
+        x, y = after.pose[:, :2].T
+        min_x, min_y, max_x, max_y = after.initial_state.bounds.T
+        outside: np.ndarray = (x <= min_x) | (x > max_x) | (y <= min_y) | (y > max_y)
+        offset, last_offset = after.goal - after.pose[:, :2], after.goal - before.pose[:, :2]
+        reached = (np.abs(offset) <= self.goal_tolerance).all(axis=1)
+        moving = wandered.reward + self.progress_reward * (np.hypot(*offset.T) < np.hypot(*last_offset.T))
+        failed = wandered.terminated | outside
+        reward = np.select([failed, reached], [self.collision_reward, self.goal_reward], moving)
         return Outcome(reward, failed={**wandered.failed, "out of bounds": outside}, succeeded={"goal": reached})

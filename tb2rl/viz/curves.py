@@ -93,9 +93,12 @@ def _read_evaluations(file: Path) -> dict[str, Curve]:
     try:
         steps = [float(line["timesteps"]) for line in lines]
         rates = [metric.key for metric in shown_metrics(goal_task=True) if metric.kind == "rate"]
-        return {key: _curve(steps, [float(line[key]) for line in lines]) for key in rates}
-    except (LookupError, TypeError, ValueError) as error:
+        curves = {key: _curve(steps, [float(line[key]) for line in lines]) for key in rates}
+        if not all(np.isfinite([curve.steps, curve.values]).all() for curve in curves.values()):
+            raise ValueError("some of its numbers are not finite")
+    except (LookupError, OverflowError, TypeError, ValueError) as error:
         raise InputError(one_line(f"{file} is damaged: {error or type(error).__name__}")) from None
+    return curves
 
 
 def _curve(steps: Sequence[float], values: Sequence[float]) -> Curve:

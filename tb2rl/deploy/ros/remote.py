@@ -6,7 +6,7 @@ import atexit
 import math
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -82,10 +82,9 @@ class RemoteRobot:
         topics: DriverTopics,
         mounting: Mounting,
         limits: SpeedLimits,
-        wall: WallClock | None = None,
     ) -> None:
         self.spec, self._node, self._topics, self._limits = spec, node, topics, limits
-        self._reader, self._wall = ScanReader(needs, mounting), wall or WallClock()
+        self._reader, self._wall = ScanReader(needs, mounting), WallClock()
         self._sim_time = node.uses_sim_time()
         self._lock = threading.Condition()  # shared with the threads of ROS and the watchdog
         self._ranges, self._odometry = _Input(np.empty(0)), _Input(Odometry(0, "", "", (0.0, 0.0, 0.0), _STILL))
@@ -164,11 +163,7 @@ class RemoteRobot:
         self.state()
 
     def reset_at(
-        self,
-        indices: np.ndarray,
-        initial_state: InitialState,
-        robot_state: RobotState,
-        rng: Sequence[np.random.Generator] | None = None,
+        self, indices: np.ndarray, initial_state: InitialState, robot_state: RobotState, rng: object = None
     ) -> tuple[RobotState, RobotState]:
         """See `reset`."""
         first = self.reset(initial_state, np.random.default_rng())
@@ -249,11 +244,7 @@ class RemoteRobot:
                 self._hold_until = -math.inf
 
     def _wait_until(self, finished: Callable[[], bool], max_age: float = math.inf) -> None:
-        """Wait for odometry, a usable scan, and a condition.
-
-        Args:
-            finished: The condition.
-            max_age: Age of sensor data [s] above which it is missing.
+        """Wait for odometry, a usable scan, and a condition; sensor data older than `max_age` [s] is missing.
 
         Raises:
             InputError: If one of them is missing, or does not arrive within ten seconds of wall-clock time.

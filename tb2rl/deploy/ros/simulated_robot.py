@@ -133,7 +133,7 @@ class SimulatedRobot:
 
     def images(self) -> tuple[msg.Image | None, msg.Image]:
         """Camera images: colours, None if the simulator has none, and depths."""
-        colours, depth = self._robot_state.look(WIDTH, HEIGHT)
+        colours, depth = self._robot_state.render_camera(WIDTH, HEIGHT)
         coloured = None if colours is None else msg.Image(self._time, CAMERA, colours[0])
         return coloured, msg.Image(self._time, CAMERA, depth[0])
 

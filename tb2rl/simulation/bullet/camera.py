@@ -1,4 +1,4 @@
-"""Pictures of the physics, drawn by PyBullet's software renderer."""
+"""Images of PyBullet's software renderer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tb2rl.simulation.bullet.client import pybullet
 
 
 def look_ahead(client: int, pose: np.ndarray, camera: Camera, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """What the camera on a robot at a pose (3,) sees, which does not tilt; see `take_picture`."""
+    """Image of the camera on a robot at a pose (3,), see `take_picture`."""
     x, y, yaw = pose.tolist()
     ahead, left = np.array([math.cos(yaw), math.sin(yaw), 0.0]), np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     forward, sideways, up = camera.position
@@ -28,14 +28,14 @@ def take_picture(
     width: int,
     height: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What is seen from one point towards another.
+    """Image from one point towards another.
 
     Args:
         client: The PyBullet client.
-        eye, target: x, y, z [m], shape (3,).
+        camera, target: x, y, z [m], shape (3,).
         field_of_view: Vertical [rad].
-        reach: Nearest and farthest depth that is drawn [m].
-        width, height: Of the picture [px].
+        reach: Nearest and farthest rendered depth [m].
+        width, height: Of the image [px].
 
     Returns:
         Colours, shape (height, width, 3), uint8; depth along the optical axis [m], shape (height, width), float32, inf

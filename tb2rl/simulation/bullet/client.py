@@ -1,4 +1,4 @@
-"""PyBullet without the lines that its C code prints; every module that needs pybullet imports it from here."""
+"""Imports pybullet without the output of its C code; every module that needs pybullet imports it from here."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-_STREAMS = {"linux": ("stdout", "stderr"), "darwin": ("__stdoutp", "__stderrp")}  # what C's libraries call them
+_STREAMS = {"linux": ("stdout", "stderr"), "darwin": ("__stdoutp", "__stderrp")}  # their names in C libraries
 _lock = threading.RLock()
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep from the user what PyBullet's C code prints during the block: its build time, its solver.
+    """Suppress the output of PyBullet's C code during the block: its build time, its solver.
 
-    Only the streams of C are turned away, one thread at a time. The descriptors stay, and with them all that Python
-    prints meanwhile, from any thread. On other systems than Linux and macOS the lines show.
+    Only the streams of C are redirected, not the descriptors, so that output of Python passes, from any thread. On
+    other systems than Linux and macOS the lines show.
     """
     with _lock:
         streams = _streams_of_c()
         originals = [stream.value for stream in streams]
         try:
             for stream in streams:
-                stream.value = _nowhere()
+                stream.value = _null_stream()
             yield
         finally:
             for stream, original in zip(streams, originals, strict=True):
@@ -35,7 +35,7 @@ def quiet() -> Iterator[None]:
 
 @cache
 def _streams_of_c() -> list[ctypes.c_void_p]:
-    """The variables in which the C library keeps its standard output and its standard error."""
+    """The variables of the C library that hold standard output and standard error."""
     try:
         return [ctypes.c_void_p.in_dll(ctypes.CDLL(None), name) for name in _STREAMS[sys.platform]]
     except (KeyError, ValueError):
@@ -43,8 +43,8 @@ def _streams_of_c() -> list[ctypes.c_void_p]:
 
 
 @cache
-def _nowhere() -> int:
-    """A stream of C that leads nowhere; it stays open, since another thread may be printing to it."""
+def _null_stream() -> int:
+    """A stream of C to the null device; it stays open, because another thread may be printing to it."""
     library = ctypes.CDLL(None)
     library.fopen.restype, library.fopen.argtypes = ctypes.c_void_p, (ctypes.c_char_p, ctypes.c_char_p)
     return library.fopen(os.devnull.encode(), b"w")

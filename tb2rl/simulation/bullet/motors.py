@@ -1,4 +1,4 @@
-"""How fast a robot's motors speed its wheels up in PyBullet: what the twin needs to know of a robot."""
+"""Measures the acceleration of a robot's wheels in PyBullet, for the kinematic simulator."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from tb2rl.simulation.initial_state import InitialState
 from tb2rl.simulation.spec import PHYSICS_RATE, SimulationSpec
 from tb2rl.worlds import World
 
-_STEPS = 5  # of the physics, that a motor pushes
+_STEPS = 5  # physics steps of acceleration
 
 
 def measure_motors(robot: Robot) -> tuple[float, float]:
     """`Robot.wheel_acceleration` and `Robot.wheel_coupling` [m/s^2], measured on an open floor in PyBullet.
 
     Args:
-        robot: Its own values of these two do not matter.
+        robot: Its present values of these two do not matter.
     """
-    alone = _rim_accelerations(robot, 1.0, 2.0 / robot.wheel_separation)[1]  # the left wheel stands
+    alone = _rim_accelerations(robot, 1.0, 2.0 / robot.wheel_separation)[1]  # while the left wheel stands
     together = _rim_accelerations(robot, 2.0, 0.0)[1]
     return alone, together - alone
 

@@ -1,8 +1,8 @@
-"""Compiled work shared out among threads of this process, which sleep while there is none.
+"""A pool of threads for compiled work, which sleep while there is none.
 
-OpenMP's threads spin while they wait, which slows everything on a busy machine unless it is told otherwise before any
-library loads it, and a process that is forked after they have run dies in them. Python's threads have neither fault,
-as long as the work lets go of the interpreter (`nogil`).
+OpenMP's threads spin while they wait, which slows everything on a busy machine unless a variable prevents it before any
+library loads OpenMP, and a process that is forked after they have run dies in them. Python's threads have neither
+fault, as long as the work releases the interpreter (`nogil`).
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from typing import Any
 
 import numba
 
-# As many as this process may use processors, or as the shell's variable of this name says.
+# One for each processor that this process may use, or as many as the shell's variable of this name says.
 THREADS: int = numba.config.NUMBA_NUM_THREADS
 
 
 def parallel_for(work: Callable[..., Any], count: int, lead: int, *arguments: Any) -> None:
     """Call `work(first, last, *arguments)` for parts of the range from 0 to `count`, one for each thread, and wait.
 
-    The part of the thread that asks is larger by `lead`, what it gets done before another one is awake.
+    The part of the calling thread is larger by `lead`, because it begins before the others are awake.
     """
     first = min(count, (count + lead * (THREADS - 1)) // THREADS)
     borders = [first + (count - first) * number // max(THREADS - 1, 1) for number in range(THREADS)]
-    theirs = list(pairwise(borders))
+    others = list(pairwise(borders))
     done: SimpleQueue[BaseException | None] = SimpleQueue()
-    for part in theirs:
+    for part in others:
         _tasks().put((work, (*part, *arguments), done))
     try:
         work(0, first, *arguments)
     finally:
-        errors = [done.get() for _ in theirs]
+        errors = [done.get() for _ in others]
     for error in filter(None, errors):
         raise error
 
 
 @cache
 def _tasks() -> SimpleQueue[Any]:
-    """What the other threads do next; `concurrent.futures` takes three times as long to hand it over."""
+    """The queue of work; `concurrent.futures` takes three times as long to hand it over."""
     tasks: SimpleQueue[Any] = SimpleQueue()
     for _ in range(THREADS - 1):
         Thread(target=_serve, args=(tasks,), daemon=True).start()
@@ -55,9 +55,9 @@ def _serve(tasks: SimpleQueue[Any]) -> None:
         try:
             work(*arguments)
             done.put(None)
-        except BaseException as error:  # it is raised again where it was asked for
+        except BaseException as error:  # the caller raises it again
             done.put(error)
-        del work, arguments, done  # nothing is kept alive until the next time
+        del work, arguments, done  # keeps nothing alive until the next work
 
 
 if hasattr(os, "register_at_fork"):
