@@ -26,7 +26,7 @@ _FIGURES = tuple(field.name for field in fields(Episode) if field.name not in _A
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a policy did.
+    """The episodes of a policy and their conditions.
 
     Attributes:
         episodes: At least one.

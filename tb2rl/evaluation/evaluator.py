@@ -40,7 +40,7 @@ _BLOCK = 100  # initial states that are drawn together, see `random_initial_stat
 
 
 class Evaluator:
-    """Stands ready to evaluate policies: control loops stay open between evaluations.
+    """Evaluates policies in episodes that are fixed; control loops stay open between evaluations.
 
     Args:
         scene: The task and the worlds; its time limit is replaced.
@@ -78,7 +78,7 @@ class Evaluator:
         """Drive all episodes.
 
         Args:
-            policy: What drives.
+            policy: The policy.
             progress: Whether to draw a bar, where there is a terminal.
         """
         count = len(self.initial_states)

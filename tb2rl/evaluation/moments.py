@@ -43,7 +43,7 @@ def roll_out(
 
     Args:
         loop: With one environment.
-        policy: What drives.
+        policy: The policy.
         seed: Of the initial state unless it is given, of the noise, and of a policy that draws.
         initial_state: World, pose and goal, one row.
 

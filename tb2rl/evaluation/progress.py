@@ -1,4 +1,4 @@
-"""Progress bars for what takes more than a few seconds: on a terminal only, and gone once the work is done."""
+"""Progress bars for work of more than a few seconds: on a terminal only, and removed at the end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class _Bar(tqdm):
-    """A bar whose clock begins with the first thing that is done, because that one may wait for a compilation."""
+    """A bar whose clock starts when the first item is done, because that one may wait for a compilation."""
 
     def update(self, n: float | None = 1) -> bool | None:
         if not self.disable and not self.n:
@@ -20,30 +20,26 @@ class _Bar(tqdm):
         return super().update(n)
 
 
-def progress(things: Iterable[T] | None, what: str, unit: str, total: int | None = None, shown: bool = True) -> tqdm[T]:
-    """A bar that advances with each of the things that are taken from it.
+def progress(items: Iterable[T] | None, what: str, unit: str, total: int | None = None, shown: bool = True) -> tqdm[T]:
+    """A progress bar over some items.
 
     Args:
-        things: What to go through; None: the caller tells the bar with `update`.
-        what: Stands before the bar, for example "evaluating".
-        unit: What is counted, for example "episode".
-        total: How many things there are, where `things` does not know its length.
-        shown: False draws no bar, on a terminal either.
+        items: The items; None: the caller advances the bar with `update`.
+        what: Text before the bar, for example "evaluating".
+        unit: Of the count, for example "episode".
+        total: Number of items, if `items` has no length.
+        shown: Whether to draw the bar at all.
 
     Returns:
-        The bar: an iterable over `things`, and a context manager that removes it.
+        The bar: an iterable over `items`, and a context manager that removes it.
     """
     hidden = None if shown else True  # None: tqdm hides the bar where stderr is not a terminal
-    options = {
-        "desc": what,
-        "unit": f" {unit}",
-        "total": total,
-        "smoothing": 0,
-    }  # 0: the mean rate, as things come in lots
-    return _Bar(things, **options, file=sys.stderr, leave=False, disable=hidden)
+    options = {"desc": what, "unit": f" {unit}", "total": total}
+    options["smoothing"] = 0  # the mean rate, because items come in blocks
+    return _Bar(items, **options, file=sys.stderr, leave=False, disable=hidden)
 
 
 def say(line: Any) -> None:
-    """Print a line to stdout, above the bars that are drawn at the moment."""
+    """Print a line to stdout, above the present bars."""
     tqdm.write(str(line), file=sys.stdout)
     sys.stdout.flush()

@@ -1,8 +1,8 @@
-"""Two sets of trainings held against each other, by the measures of Agarwal et al. 2021 (NeurIPS).
+"""Comparison of two sets of trainings by the measures of Agarwal et al. 2021 (NeurIPS).
 
-Scores are one array for each task, with a score for each training, shape (trainings,). The figures are those of the
-library rliable 1.2.0, which the tests hold them against. It is not used itself: it brings 300 MB for these few lines,
-does not work with the newest pandas and arch, and draws its intervals from NumPy's global state.
+Scores are one array for each task, with a score for each training, shape (trainings,). The tests compare the
+figures with the library rliable 1.2.0. It is not a dependency, because it brings 300 MB, does not work with the newest
+pandas and arch, and draws its intervals from NumPy's global state.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 Scores = Sequence[np.ndarray]
 RESAMPLES = 5000
-FEW, ENOUGH = 5, 10  # trainings of each task: with fewer intervals say nothing, are too narrow
+FEW, ENOUGH = 5, 10  # trainings of each task; intervals of fewer mean nothing, respectively are too narrow
 _CUT = 0.25  # of the scores, at each end
 _ENDS = (2.5, 97.5)  # [%]
 
@@ -36,13 +36,13 @@ def interquartile_mean(scores: np.ndarray) -> np.ndarray:
 
 
 def probability_above(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """How likely one of our scores is above one of theirs, half where equal; shapes (..., n), (..., m) to (...)."""
+    """Probability that one of our scores is above one of theirs, 0.5 if equal; shapes (..., n), (..., m) to (...)."""
     difference = ours[..., :, None] - theirs[..., None, :]
     return (np.sign(difference).mean(axis=(-1, -2)) + 1) / 2
 
 
 def resampled(scores: Scores, seed: int) -> list[np.ndarray]:
-    """Trainings drawn again, within each task (the stratified bootstrap); each of shape (RESAMPLES, trainings)."""
+    """Stratified bootstrap: trainings resampled within each task; each of shape (RESAMPLES, trainings)."""
     draws = np.random.default_rng(seed)
     return [task[draws.integers(len(task), size=(RESAMPLES, len(task)))] for task in scores]
 
@@ -54,14 +54,14 @@ def middle(scores: Scores) -> Estimate:
 
 
 def difference(ours: Scores, theirs: Scores) -> Estimate:
-    """Our interquartile mean less theirs."""
+    """Our interquartile mean minus theirs."""
     again = [interquartile_mean(np.concatenate(each, axis=1)) for each in (resampled(ours, 0), resampled(theirs, 1))]
     value = interquartile_mean(np.concatenate(list(ours))) - interquartile_mean(np.concatenate(list(theirs)))
     return _estimate(value, again[0] - again[1])
 
 
 def improvement(ours: Scores, theirs: Scores) -> Estimate:
-    """How likely a training of ours is better than one of theirs at the same task, the mean over tasks."""
+    """Probability that a training of ours is better than one of theirs at the same task, averaged over tasks."""
     value = np.mean([probability_above(*pair) for pair in zip(ours, theirs, strict=True)])
     pairs = zip(resampled(ours, 0), resampled(theirs, 1), strict=True)
     return _estimate(value, np.mean([probability_above(*pair) for pair in pairs], axis=0))
@@ -81,12 +81,12 @@ def _estimate(value: np.ndarray | float | np.floating, again: np.ndarray) -> Est
 
 
 def verdict(ours: Scores, theirs: Scores, names: tuple[str, str]) -> str:
-    """Which is better, in words, or that these trainings do not tell.
+    """Which of two is better, in words, if these trainings can tell.
 
     Args:
         ours: The scores of the first.
         theirs: Those of the second, at the same tasks.
-        names: What the first and the second are called.
+        names: Of the first and of the second.
     """
     fewest = min(len(task) for task in (*ours, *theirs))
     if fewest < FEW:

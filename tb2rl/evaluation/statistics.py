@@ -1,4 +1,4 @@
-"""Intervals: how far a rate or a mean of a few values can be trusted."""
+"""Confidence intervals of rates and means."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-_Z = 1.959964  # of the normal distribution: 95 % lie between its negative and it
+_Z = 1.959964  # 97.5th percentile of the standard normal distribution
 _RESAMPLES = 10_000
 
 
 def wilson_interval(count: int, total: int) -> tuple[float, float]:
-    """The 95 % interval of a rate (Wilson 1927): honest near 0 and 1, where the usual one is not.
+    """The 95 % interval of a rate (Wilson 1927), which is valid near 0 and 1, too.
 
     Args:
-        count: How many of the trials succeeded.
-        total: How many trials there were, at least 1.
+        count: Number of successes.
+        total: Number of trials, at least 1.
 
     Returns:
         The lower and the upper end, both in [0, 1].
@@ -33,7 +33,7 @@ def bootstrap_interval(values: Sequence[float] | np.ndarray) -> tuple[float, flo
     It is too narrow for fewer than ten values; for two or three it is their range.
 
     Args:
-        values: One figure for each training, shape (trainings,).
+        values: One for each training, shape (trainings,).
 
     Returns:
         The lower and the upper end, in the unit of the values.

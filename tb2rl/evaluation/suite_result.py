@@ -1,4 +1,4 @@
-"""The result of a suite, as its file keeps it: the figures, the conditions, and what a policy did in each world."""
+"""The result of a suite in a file: figures, conditions, and the drive in each world."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from tb2rl.worlds.dynamic_obstacles import among, find_dynamic_obstacles
 
 T = TypeVar("T", bound="SuiteSummary")
 
-ALL = "all"  # what the figures of all families are called
-_MOTION = 0.1  # [m] from the start: here the clock of BARN begins
+ALL = "all"  # key of the figures of all worlds
+_MOTION = 0.1  # [m] from the start, where the clock of BARN starts
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What a policy did in one world of a suite; times are whole control steps."""
+    """One drive in a world of a suite; times are whole control steps."""
 
     world: Annotated[int, Ge(0)]  # its index in the suite
     ended: str  # "goal", "time limit", ...
     success: bool
     failed: bool
     time: NonNegative  # [s]
-    moving_time: NonNegative  # [s] from where it was 0.1 m from its start on; 0: it never was
+    moving_time: NonNegative  # [s] after the first 0.1 m; 0: it did not drive so far
     distance: NonNegative  # [m]
-    closest: NonNegative | None  # [m] from the hull to the nearest obstacle, at worst; None: there is no obstacle
+    closest: NonNegative | None  # [m] smallest gap between hull and obstacles; None: there is no obstacle
 
     @classmethod
     def of(cls, episode: Episode, control_period: float) -> Drive:
-        """What an episode was, with control steps of `control_period` [s]."""
-        gone = np.hypot(*(episode.path - episode.path[0]).T) >= _MOTION
-        moving = episode.length - int(gone.argmax()) if gone.any() else 0
+        """The drive of an episode; `control_period` in [s]."""
+        departed = np.hypot(*(episode.path - episode.path[0]).T) >= _MOTION
+        moving = episode.length - int(departed.argmax()) if departed.any() else 0
         return cls(
             world=episode.world,
             ended=episode.ended,
@@ -56,7 +56,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class NamedDrive(Drive):
-    """The same, with what its world is called."""
+    """A drive with the name and the family of its world."""
 
     name: str
     family: str
@@ -64,40 +64,40 @@ class NamedDrive(Drive):
 
 @dataclass(frozen=True)
 class Figures:
-    """How good a policy is in some worlds; a mean of successes is None where there is none."""
+    """Figures of a policy in some worlds; a mean over successes is None if there is none."""
 
     worlds: Count
     success_rate: Fraction
-    success_interval: tuple[Fraction, Fraction]  # of 95 %
-    failed_rate: Fraction  # crashes
-    time_limit_rate: Fraction  # out of time
+    success_interval: tuple[Fraction, Fraction]  # 95 %
+    failed_rate: Fraction
+    time_limit_rate: Fraction
     # Success weighted by path length (Anderson et al. 2018, "On evaluation of embodied navigation agents"). The
-    # shortest way ends where the goal is reached: at its radius, which is a tenth of the way in BARN.
+    # shortest path ends at the goal's radius, which is a tenth of the path in BARN.
     spl: Fraction
-    time_ratio: NonNegative | None  # time to the goal, over what this way takes at top speed; mean of the successes
-    mean_speed: NonNegative  # [m/s] all metres through all seconds
-    mean_closest: NonNegative | None  # [m] how near the hull came to an obstacle at worst; mean of the successes
-    # In the worst tenth of the worlds: those with the longest shortest ways, for the longer the way, the more there is
-    # to fail at. Which they are does not depend on the policy, so that policies can be compared.
+    time_ratio: NonNegative | None  # time to the goal / that of this path at top speed; mean over successes
+    mean_speed: NonNegative  # [m/s] total distance / total time
+    mean_closest: NonNegative | None  # [m] mean of `Drive.closest` over successes
+    # In the tenth of the worlds with the longest shortest paths, where most can fail. The selection does not depend on
+    # the policy, so that policies can be compared.
     longest_tenth_success_rate: Fraction
     endings: dict[str, CountOrZero]
-    barn_score: NonNegative | None = None  # where there are reference paths
+    barn_score: NonNegative | None = None  # if the suite has reference paths
     barn_formula: str | None = None
 
 
 @dataclass(frozen=True)
 class SuiteSummary:
-    """What a policy did in a suite, without each of its worlds, as plain values; nothing of it names a place on a disk.
+    """The result of a policy in a suite, without single worlds and without paths of this machine.
 
     Attributes:
         suite: Name of the suite.
         suite_digest: Of its worlds, see `Suite`.
-        simulation: Where it drove.
+        simulation: Name of the simulator.
         policy: Its name, or that of its file.
-        policy_digest: Of its file; None: of an agent that does not learn.
-        figures: Those of `ALL` worlds, and of each family.
-        config: What it was to do.
-        versions: Of what this depends on.
+        policy_digest: Of its file; None for an agent that does not learn.
+        figures: Of `ALL` worlds, and of each family.
+        config: Of the policy's task.
+        versions: Of the packages that the result depends on.
     """
 
     suite: str
@@ -111,7 +111,7 @@ class SuiteSummary:
 
     @property
     def guide(self) -> str:
-        """What guides it: "goal", "plan (map known)"; "": its task knows no guide."""
+        """The guide of the task: "goal", "plan (map known)"; "": none."""
         task = self.config.get("task", {})
         guide, planner = task.get("guide"), task.get("map")
         planned = f" (map {planner})" if guide == "plan" and planner else ""
@@ -119,21 +119,21 @@ class SuiteSummary:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """What makes it harder: "among 8 people", "strong variation"."""
+        """Conditions: "among 8 people", "strong variation"."""
         task = self.config.get("task", {})
-        moves = among(find_dynamic_obstacles(task.get("dynamic_obstacles"), "task.dynamic_obstacles"))
-        return tuple(filter(None, (moves, varied(task.get("variation", "none")))))
+        obstacles = among(find_dynamic_obstacles(task.get("dynamic_obstacles"), "task.dynamic_obstacles"))
+        return tuple(filter(None, (obstacles, varied(task.get("variation", "none")))))
 
     @property
     def title(self) -> str:
-        """What drove where: policy, guide, conditions, robot, simulation."""
-        guided, robot = [f"guide {self.guide}"] if self.guide else [], str(self.config.get("task", {}).get("robot"))
-        driven = [self.policy, *guided, *self.conditions, robot, find_simulator(self.simulation).title]
+        """Policy, guide, conditions, robot, simulator and suite."""
+        guide, robot = [f"guide {self.guide}"] if self.guide else [], str(self.config.get("task", {}).get("robot"))
+        driven = [self.policy, *guide, *self.conditions, robot, find_simulator(self.simulation).title]
         return f"{', '.join(driven)}: suite {self.suite}"
 
     @property
     def rows(self) -> dict[str, Figures]:
-        """The figures as a table has them: those of each family, if there are several, and then those of `ALL`."""
+        """The rows of a table: figures of each family, if there are several, then of `ALL`."""
         return {**(self.families if len(self.families) > 1 else {}), ALL: self.figures[ALL]}
 
     @property
@@ -144,11 +144,11 @@ class SuiteSummary:
 
 @dataclass(frozen=True)
 class SuiteResult(SuiteSummary):
-    """What a policy did in a suite: the summary, and each world.
+    """The result of a policy in a suite, with each world.
 
     Attributes:
-        suite_path: Where its worlds were read from; None: they are made.
-        each: What it did in each world, in their order.
+        suite_path: Folder of its worlds; None: they are generated.
+        each: The drives in all worlds, in their order.
     """
 
     suite_path: str | None
@@ -166,19 +166,19 @@ class SuiteResult(SuiteSummary):
 
 
 def kept_result(file: Path) -> SuiteResult:
-    """The result that a file holds.
+    """Read a result from a file.
 
     Raises:
-        InputError: If it does not hold one, or cannot be read.
+        InputError: If it cannot be read, or is not one.
     """
     return _kept(SuiteResult, file, "the result")
 
 
 def kept_summary(file: Path) -> SuiteSummary:
-    """The summary that a file holds.
+    """Read a summary from a file.
 
     Raises:
-        InputError: If it does not hold one, or cannot be read.
+        InputError: If it cannot be read, or is not one.
     """
     return _kept(SuiteSummary, file, "the summary")
 
@@ -187,10 +187,10 @@ def _kept(kind: type[T], file: Path, what: str) -> T:
     try:
         kept = build(kind, json.loads(read_text(file)), "result")
         if ALL not in kept.figures:
-            raise ValueError("it does not have the figures of all worlds")
+            raise ValueError("the figures of all worlds are missing")
         find_simulator(kept.simulation)
         if isinstance(kept, SuiteResult) and [drive.world for drive in kept.each] != list(range(len(kept.each))):
-            raise ValueError("it does not have one world after the other")
+            raise ValueError("its worlds are not in order")
     except (ValueError, RecursionError) as error:  # an InputError is a ValueError
         raise InputError(one_line(f"{file} is not {what} of a suite: {error}")) from None
     return kept

@@ -1,4 +1,4 @@
-"""How good a policy is in a suite: what it did in each world, and the figures, of all worlds and by family."""
+"""The evaluation of a policy in a suite: one drive in each world, and figures of all worlds and by family."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from tb2rl.worlds.suites import Suite, find_suite
 
 BARN_SCORE = "BARN 2024: 2 OT to 8 OT"  # the version of the formula; before February 2024 it was 4 OT to 8 OT
 _OPTIMAL_SPEED = 2.0  # [m/s] of OT
-_LEAST, _MOST = 2.0, 8.0  # times OT: what is faster or slower counts as if it took so long
-_SHORTEST = 1e-3  # [m] of a way, if a start is at its goal already
+_LEAST, _MOST = 2.0, 8.0  # limits of the counted time, in OT
+_SHORTEST = 1e-3  # [m] path, for a start at its goal
 
 
 @dataclass(frozen=True)
 class SuiteEvaluation:
-    """What a policy did in a suite.
+    """The drives of a policy in a suite.
 
     Attributes:
-        suite: Its worlds.
-        scene: The task in these worlds, see `suite_scene`.
+        suite: The suite.
+        scene: The task in its worlds, see `suite_scene`.
         drives: One for each world, in their order.
-        simulation: Where it drove.
+        simulation: Name of the simulator.
     """
 
     suite: Suite
@@ -53,17 +53,17 @@ class SuiteEvaluation:
 
     @property
     def families(self) -> list[str]:
-        """What kinds of worlds there are, in the order in which they come first."""
+        """The families of worlds, in order of appearance."""
         return list(dict.fromkeys(self.suite.families))
 
     def figures(self, family: str | None = None) -> Figures:
-        """The figures of one family, or of all worlds."""
+        """The figures of one family; None: of all worlds."""
         worlds = [i for i, each in enumerate(self.suite.families) if family in (None, each)]
-        drives, ways = [self.drives[i] for i in worlds], np.array(self.suite.path_lengths)[worlds]
+        drives, lengths = [self.drives[i] for i in worlds], np.array(self.suite.path_lengths)[worlds]
         reached = [drive.success for drive in drives]
         distances, times = ([getattr(drive, name) for drive in drives] for name in ("distance", "time"))
-        longest = np.argsort(-ways, kind="stable")[: math.ceil(len(worlds) / 10)]
-        needed = np.maximum(ways - getattr(self.scene.task, "goal_radius", 0.0), _SHORTEST)
+        longest = np.argsort(-lengths, kind="stable")[: math.ceil(len(worlds) / 10)]
+        needed = np.maximum(lengths - getattr(self.scene.task, "goal_radius", 0.0), _SHORTEST)
         ratios = np.array(times) * self.scene.robot.max_speed / needed
         figures = Figures(
             worlds=len(worlds),
@@ -84,12 +84,12 @@ class SuiteEvaluation:
         return replace(figures, barn_score=float(np.mean(scored)), barn_formula=BARN_SCORE)
 
     def result(self, config: Config, policy: str, policy_digest: str | None) -> SuiteResult:
-        """All of it as plain values, as a file keeps it.
+        """The result as plain values for a file.
 
         Args:
-            config: What the policy was to do.
+            config: Of the policy's task.
             policy: Its name, or that of its file.
-            policy_digest: Of its file; None: of an agent that does not learn.
+            policy_digest: Of its file; None for an agent that does not learn.
         """
         suite = self.suite
         named = zip(self.drives, suite.worlds, suite.families, strict=True)
@@ -111,7 +111,7 @@ def barn_score(drive: Drive, reference: float) -> float:
     """The score of BARN in one world, from 0 to 0.5, by the formula `BARN_SCORE`.
 
     Args:
-        drive: What the policy did there.
+        drive: In that world.
         reference: Length of the reference path [m].
     """
     optimal = reference / _OPTIMAL_SPEED
@@ -119,26 +119,26 @@ def barn_score(drive: Drive, reference: float) -> float:
 
 
 def suite_scene(scene: Scene, suite: Suite) -> Scene:
-    """The task of a scene in a suite: each episode from the start of a world to its goal, until the suite's time limit.
+    """The task of a scene in a suite: from the start of each world to its goal, with the suite's time limit.
 
     Raises:
-        InputError: If the task has no such goals, or does not fit the worlds.
+        InputError: If the task does not lead to goals of worlds, or does not fit the worlds.
     """
     known = {field.name for field in fields(scene.task)}
     steps = max(1, round(suite.time_limit / scene.task.control_period))
     settings: dict[str, Any] = {"start": "fixed", "episode_steps": steps}
     if "goal" in known:
-        settings["goal"] = None  # a task's own goal gives way to those of the worlds
+        settings["goal"] = None  # the goals of the worlds have precedence
     if suite.goal_radius is not None:
         if "goal_radius" not in known:
             raise InputError(
-                f"suite {suite.name} says task.goal_radius, which this task does not have; navigate has it"
+                f"suite {suite.name} sets task.goal_radius, which this task does not have; navigate has it"
             )
         settings["goal_radius"] = suite.goal_radius
-    there = scene.in_worlds(suite.worlds, **settings)
-    if not there.task.goal_task or any(there.goal_in(i) != world.goal[:2] for i, world in enumerate(suite.worlds)):  # type: ignore[index]
+    scene = scene.in_worlds(suite.worlds, **settings)
+    if not scene.task.goal_task or any(scene.goal_in(i) != world.goal[:2] for i, world in enumerate(suite.worlds)):  # type: ignore[index]
         raise InputError(f"suite {suite.name} needs a task that leads to the goals of its worlds, such as navigate")
-    return there
+    return scene
 
 
 def suite_evaluator(scene: Scene, workers: int | None = None, simulation: Any = None) -> Evaluator:
@@ -148,46 +148,46 @@ def suite_evaluator(scene: Scene, workers: int | None = None, simulation: Any = 
 
 
 def drives_of(evaluator: Evaluator, policy: Any, first: int = 0, executor: Executor | None = None) -> Iterator[Drive]:
-    """Drive through the worlds from number `first` on, in their order; for `executor` see `Evaluator.drive`."""
+    """Drive in the worlds from number `first` on, in their order; for `executor` see `Evaluator.drive`."""
     for episode in evaluator.drive(getattr(policy, "policy", policy), first, executor):
         yield Drive.of(episode, evaluator.scene.task.control_period)
 
 
 def evaluator_of(result: SuiteResult, folder: Path) -> tuple[Evaluator, Policy]:
-    """What drives a result again, in this process, see `Evaluator.moments`; and what drove it.
+    """The evaluator and the policy that repeat a result in this process, see `Evaluator.moments`.
 
     Args:
-        result: It.
-        folder: Where its file is: perhaps the run folder of the policy.
+        result: The result.
+        folder: Of its file, which may be the run folder of the policy.
 
     Raises:
-        InputError: If the policy or the worlds are not there any more, or are others.
+        InputError: If the policy or the worlds are missing or have changed.
     """
     policy, config = _policy_of(result, folder)
     suite = find_suite(result.suite, None if result.suite_path is None else Path(result.suite_path))
     if (suite.digest, len(suite.worlds)) != (result.suite_digest, len(result.each)):
-        raise InputError(f"the worlds of suite {suite.name} are not those that it drove in")
+        raise InputError(f"the worlds of suite {suite.name} have changed since")
     scene = suite_scene(config.scene, suite)
     check_observes(policy, scene)
     return suite_evaluator(scene, 1, result.simulation), getattr(policy, "policy", policy)
 
 
 def _policy_of(result: SuiteResult, folder: Path) -> tuple[Policy, Config]:
-    """The policy that drove, and what it was to do."""
+    """The policy of a result and its config."""
     try:
         config = config_from(result.config)
     except (*LIBRARY_ERRORS, ImportError) as error:  # an InputError is a ValueError
-        raise InputError(one_line(f"what it was to do is not known here: {error}")) from None
+        raise InputError(one_line(f"its config does not fit this installation: {error}")) from None
     if result.policy_digest is None:
         return make_baseline(config), config
     for reference in (result.policy, folder):
         if _is_digest(result.policy_digest, reference):
             return load(reference), config
-    raise InputError(f"the policy {result.policy} that drove it is not there, or it is another one by now")
+    raise InputError(f"its policy {result.policy} is missing or has changed since")
 
 
 def _is_digest(digest: str, reference: str | Path) -> bool:
-    if str(reference).startswith(HUB):  # nothing is downloaded because a file says so
+    if str(reference).startswith(HUB):  # a file must not cause a download
         return False
     try:
         return policy_digest(reference) == digest
