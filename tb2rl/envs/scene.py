@@ -144,6 +144,10 @@ class Scene:
         for sensor in self.sensors:
             sensor.check(simulator)
 
+    def with_time_limit(self, steps: int) -> Scene:
+        """The scene with another time limit of its episodes [control steps]."""
+        return replace(self, task=replace(self.task, episode_steps=steps))
+
     def changed(self, **settings: Any) -> Scene:
         """The scene with other settings of its task, but with the same robot and worlds.
 

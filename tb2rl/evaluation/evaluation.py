@@ -123,7 +123,7 @@ def kept_evaluation(run: Run) -> Evaluation:
         raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation: {error!s}")) from None
     if task != run.config.task:
         raise InputError(f"{run.folder}: {EVALUATION} is not of the task in config.yaml")
-    scene = run.config.scene.worlds_for("test").changed(episode_steps=steps)
+    scene = run.config.scene.worlds_for("test").with_time_limit(steps)
     if any(episode.actions.shape[1:] != scene.action_space.shape for episode in episodes):
         raise InputError(f"{run.folder}: {EVALUATION} has other actions than the task in config.yaml")
     if any(episode.world >= len(scene.spec.worlds) for episode in episodes):

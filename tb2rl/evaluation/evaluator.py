@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ class Evaluator:
         simulation: Any = None,
     ) -> None:
         self.simulator = default_simulator() if simulation is None else find_simulator(simulation)
-        self.scene, self.seed = self.simulator.prepare(scene.changed(episode_steps=steps)), seed
+        self.scene, self.seed = self.simulator.prepare(scene.with_time_limit(steps)), seed
         self.initial_states = [InitialState(row[None]) for row in initial_states.table]
         self._loops = _Loops(self.scene, self.simulator)
         workers = min(workers or (processors() if self.simulator.in_processes else 1), len(self.initial_states))
@@ -143,7 +144,7 @@ def _block(scene: Scene, seed: list[int]) -> np.ndarray:
         rng = np.random.default_rng(seed if len(seed) > 1 else seed[0])
         return task.initial_state(scene.spec, GeneratorDraws(rng, _BLOCK))
 
-    states = drawn(scene.changed(start="random").task)
+    states = drawn(replace(scene.task, start="random"))
     if scene.task.start == "fixed":  # then the goals are those of the worlds
         own = drawn(scene.task)
         states.goal[:], states.goal_path[:] = own.goal, own.goal_path

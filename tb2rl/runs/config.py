@@ -91,6 +91,11 @@ class Config:
         """The scene that the task's settings describe."""
         return make_scene(self.task, self.observation)
 
+    @cached_property
+    def validation_scene(self) -> Scene:
+        """The scene in the worlds that decide which policy of a training is the best."""
+        return self.scene.worlds_for("validation")
+
     def to_dict(self) -> dict[str, Any]:
         """The tree of plain values that `config_from` reads back."""
         task = {"name": self.task_name, "observation": self.observation, **dataclasses.asdict(self.task)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -189,7 +189,8 @@ class Trainer:
             th.set_num_threads(settings.torch_threads)
             env = resources.enter_context(closing(make_vec_env(scene, settings)))
             algorithm = make_algorithm(self.config, env)
-            evaluator = resources.enter_context(make_evaluator(scene, settings)) if settings.eval_freq else None
+            evaluator = make_evaluator(self.config.validation_scene, settings) if settings.eval_freq else None
+            resources.enter_context(evaluator or nullcontext())
             run = Run(self.folder, self.config) if self.checkpoint else Run.create(self.folder, self.config)
             refused = resources.enter_context(ExitStack())  # leaves no new folder behind if a tracker cannot begin
             if not self.checkpoint:

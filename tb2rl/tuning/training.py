@@ -118,7 +118,7 @@ def _train_once(config: Config, folder: Path, reporter: PruningReporter | None) 
     if reporter:
         reporter.fill()
     shutil.rmtree(folder / "checkpoints")  # the largest part, and nobody resumes a trial
-    with make_evaluator(config.scene, config.train, "search", SCORE_SEED) as evaluator:
+    with make_evaluator(config.scene.worlds_for("search"), config.train, SCORE_SEED) as evaluator:
         evaluation = evaluator.run(load(folder).policy)
     used_steps = min(1.0, training.timesteps / config.train.total_timesteps)
     return TrainingResult(evaluation.good_rate, evaluation.score[1], used_steps)
