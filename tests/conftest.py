@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -56,10 +57,10 @@ def _reading(
     bounds=(-9.0, -9.0, 9.0, 9.0),
     **others,
 ) -> RobotState:
-    """The state of as many robots as the longest argument has; a single value holds for all.
+    """A robot state of as many environments as the longest argument has; a single value holds for all.
 
-    `ranges` are (num_envs, beams) or (beams,); by default a robot has three beams, the middle one of `nearest` [m].
-    `others` are further fields; the robot is at rest by default.
+    `ranges` are (num_envs, beams) or (beams,); by default there are three beams, the middle one of `nearest` [m].
+    `others` are further fields; the robots are at rest by default.
     """
     pose, twist = np.atleast_2d(np.array(pose, float)), np.atleast_2d(np.array(twist, float))
     ranges = None if ranges is None else np.atleast_2d(np.array(ranges, float))
@@ -117,6 +118,30 @@ def make_reading():
 def small_suite():
     """The function `_small_suite`."""
     return _small_suite
+
+
+@pytest.fixture
+def workdir(tmp_path, monkeypatch) -> Path:
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def refused(workdir, capsys):
+    """A function that runs a command and returns its error: one line that names words, with status 2, and no files."""
+
+    def message(main, line: str | list[str], named: Sequence[str] = ()) -> str:
+        before = sorted(workdir.rglob("*"))
+        with pytest.raises(SystemExit) as stopped:
+            main(shlex.split(line) if isinstance(line, str) else line)
+        error = capsys.readouterr().err
+        assert (stopped.value.code, error.count("\n")) == (2, 1), error
+        assert [word for word in named if word not in error] == [], error
+        assert sorted(workdir.rglob("*")) == before, "it leaves nothing behind"
+        return error
+
+    return message
 
 
 @pytest.fixture
@@ -202,7 +227,7 @@ def guest(tmp_path):
     user.unlock()
 
 
-class FakeHub:
+class FakeHub(ThreadingHTTPServer):
     """A server of the Hugging Face hub on the loopback for reading and writing files; each upload is a commit.
 
     Attributes:
@@ -212,89 +237,88 @@ class FakeHub:
     """
 
     def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), HubHandler)
         self.repositories: dict[str, list[dict[str, bytes]]] = {}
         self.refuses: tuple[int, str] | None = None
         self.authorisations: list[str] = []
-        hub = self
-
-        class Handler(BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.1"
-
-            def answer(self) -> None:
-                body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
-                hub.authorisations.append(self.headers.get("Authorization", ""))
-                status, content, headers = hub.answer(self.command, unquote(self.path.partition("?")[0]), body)
-                self.send_response(status)
-                for name, value in {**headers, "Content-Length": str(len(content))}.items():
-                    self.send_header(name, value)
-                self.end_headers()
-                if self.command != "HEAD":
-                    self.wfile.write(content)
-
-            do_GET = do_HEAD = do_POST = answer  # noqa: N815 (http.server's names)
-
-            def log_message(self, *_: object) -> None:
-                pass
-
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.address = f"http://127.0.0.1:{self.server.server_port}"
-        Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
+        self.address = f"http://127.0.0.1:{self.server_port}"
+        Thread(target=self.serve_forever, args=(0.01,), daemon=True).start()
 
     def put(self, repository: str, files: Mapping[str, bytes]) -> str:
         """Commit changes of files and return the hash."""
         commits = self.repositories.setdefault(repository, [])
         commits.append({**(commits[-1] if commits else {}), **files})
-        return self.hash(repository, len(commits) - 1)
+        return self.hashes(repository)[-1]
 
-    def hash(self, repository: str, number: int) -> str:
-        return hashlib.sha1(f"{repository} {number}".encode()).hexdigest()
+    def hashes(self, repository: str) -> list[str]:
+        return [digest(f"{repository} {number}".encode()) for number in range(len(self.repositories[repository]))]
 
-    def answer(self, method: str, path: str, body: bytes) -> tuple[int, bytes, dict[str, str]]:
-        if self.refuses:
-            return self.refuses[0], b"{}", {"X-Error-Code": self.refuses[1]}
+    def answer(self, path: str, body: bytes) -> object:
+        """The content of a file, a JSON tree, or the error code of what is not there."""
         if path == "/api/repos/create":
             given = json.loads(body)
-            organization = given.get("organization")
-            repository = f"{organization}/{given['name']}" if organization else given["name"]
+            repository = "/".join(name for name in (given.get("organization"), given["name"]) if name)
             self.repositories.setdefault(repository, [])
-            return self.json({"url": f"{self.address}/{repository}", "name": repository})
+            return {"url": f"{self.address}/{repository}", "name": repository}
         if path == "/api/validate-yaml":
-            return self.json({"errors": [], "warnings": []})
-        *_, user, name, verb, rest = re.fullmatch(
-            r"(/api/models)?/([^/]+)/([^/]+)(?:/(revision|tree|preupload|commit|resolve)/(.*))?", path
-        ).groups()
-        repository, (revision, _, file) = f"{user}/{name}", (rest or "main").partition("/")
+            return {"errors": [], "warnings": []}
+        pattern = r"(?:/api/models)?/([^/]+/[^/]+)(?:/(revision|tree|preupload|commit|resolve)/(.*))?"
+        repository, verb, rest = re.fullmatch(pattern, path).groups()
         if repository not in self.repositories:
-            return 404, b"{}", {"X-Error-Code": "RepoNotFound"}
+            return "RepoNotFound"
         if verb == "preupload":
-            return self.json({"files": [{"path": each["path"], "uploadMode": "regular", "shouldIgnore": False}
-                                        for each in json.loads(body)["files"]]})  # fmt: skip
+            paths = [file["path"] for file in json.loads(body)["files"]]
+            return {"files": [{"path": path, "uploadMode": "regular", "shouldIgnore": False} for path in paths]}
         if verb == "commit":
-            lines = [json.loads(line) for line in body.splitlines()]
-            files = {line["value"]["path"]: base64.b64decode(line["value"]["content"]) for line in lines[1:]}
-            commit = self.put(repository, files)
-            return self.json({"commitUrl": f"{self.address}/{repository}/commit/{commit}", "commitOid": commit})
-        commits = self.repositories[repository]
-        hashes = [self.hash(repository, number) for number in range(len(commits))]
-        if revision not in ("main", *hashes) or not commits:
-            return 404, b"{}", {"X-Error-Code": "RevisionNotFound"}
-        number = hashes.index(revision) if revision in hashes else len(commits) - 1
-        files = commits[number]
+            lines = [json.loads(line)["value"] for line in body.splitlines()[1:]]
+            commit = self.put(repository, {line["path"]: base64.b64decode(line["content"]) for line in lines})
+            return {"commitUrl": f"{self.address}/{repository}/commit/{commit}", "commitOid": commit}
+        hashes, (revision, _, file) = self.hashes(repository), (rest or "main").partition("/")
+        if not hashes or revision not in ("main", *hashes):
+            return "RevisionNotFound"
+        number = hashes.index(revision) if revision in hashes else len(hashes) - 1
+        files = self.repositories[repository][number]
         if verb == "tree":
-            listed = files.items()
-            return self.json([{"type": "file", "path": p, "size": len(c), "oid": self.etag(c)} for p, c in listed])
+            return [{"type": "file", "path": p, "size": len(c), "oid": digest(c)} for p, c in files.items()]
         if verb == "resolve":
-            if file not in files:
-                return 404, b"{}", {"X-Error-Code": "EntryNotFound"}
-            return 200, files[file], {"X-Repo-Commit": hashes[number], "ETag": f'"{self.etag(files[file])}"'}
+            return (files[file], hashes[number]) if file in files else "EntryNotFound"
         siblings = [{"rfilename": path, "size": len(content)} for path, content in files.items()]
-        return self.json({"id": repository, "sha": hashes[number], "siblings": siblings})
+        return {"id": repository, "sha": hashes[number], "siblings": siblings}
 
-    def etag(self, content: bytes) -> str:
-        return hashlib.sha1(content).hexdigest()
 
-    def json(self, tree: object) -> tuple[int, bytes, dict[str, str]]:
-        return 200, json.dumps(tree).encode(), {"Content-Type": "application/json"}
+def digest(content: bytes) -> str:
+    return hashlib.sha1(content).hexdigest()
+
+
+class HubHandler(BaseHTTPRequestHandler):
+    """Answers the requests to a `FakeHub`."""
+
+    protocol_version = "HTTP/1.1"
+
+    def answer(self) -> None:
+        hub: FakeHub = self.server
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        hub.authorisations.append(self.headers.get("Authorization", ""))
+        answer = hub.refuses or hub.answer(unquote(self.path.partition("?")[0]), body)
+        if answer == hub.refuses or isinstance(answer, str):
+            status, code = hub.refuses or (404, answer)
+            content, headers = b"{}", {"X-Error-Code": code}
+        elif isinstance(answer, tuple):
+            status, (content, commit) = 200, answer
+            headers = {"X-Repo-Commit": commit, "ETag": f'"{digest(content)}"'}
+        else:
+            status, content, headers = 200, json.dumps(answer).encode(), {"Content-Type": "application/json"}
+        self.send_response(status)
+        for name, value in {**headers, "Content-Length": str(len(content))}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(content)
+
+    do_GET = do_HEAD = do_POST = answer  # noqa: N815 (http.server's names)
+
+    def log_message(self, *_: object) -> None:
+        pass
 
 
 @pytest.fixture
@@ -315,5 +339,5 @@ def hub(tmp_path, monkeypatch):
     fake.cache = home
     yield fake
     import_module("huggingface_hub").close_session()
-    fake.server.shutdown()
-    fake.server.server_close()
+    fake.shutdown()
+    fake.server_close()

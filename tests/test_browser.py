@@ -21,14 +21,12 @@ from tb2rl import evaluate, report, train
 from tb2rl.runs.folder import Run
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
-
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(
         not (CHROMIUM.exists() and DRIVER.exists()), reason="needs chromium and chromedriver, as Debian packages them"
     ),
 ]
-
 FLAGS = [
     "--headless=new",
     "--no-sandbox",
@@ -43,7 +41,7 @@ FLAGS = [
 WIDTHS = [400, 1400]  # [px] a phone, a desk
 A4 = 688  # [px] between the margins of a sheet
 SMALLEST = 9  # [px] of text in a chart
-
+LARGEST = 3_000_000  # bytes of a page
 OVERLAPS = """
 const picture = (element) => element.ownerSVGElement ?? null;
 const shown = [...document.querySelectorAll(arguments[0])].filter((element) => element.getClientRects().length);
@@ -65,10 +63,20 @@ return [...document.querySelectorAll("figure svg text")].map((text) => {
   return parseFloat(getComputedStyle(text).fontSize) * Math.hypot(scale.a, scale.b);
 });
 """
-BLOCKS = "h1, h2, h3, p, figure, figcaption, figure > svg, .scroll, .bar, .chooser > *, details, .together"
+BLOCKS = (
+    "h1, h2, h3, p, figure, figcaption, figure > svg, figure > img, .scroll, .bar, .chooser > *, details, .together"
+)
 LINES = "[id*='mean-'] > path, [id*='seed-'] > path"
 STAR = "#paths [id$='-goal'] use"
-LARGEST = 3_000_000  # bytes of a page
+
+
+def trained(task: str, run: Path, **settings: Any) -> Path:
+    short = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 50, "save_freq": 0}
+    short |= {"stop_score": None, "settings": {"task.beams": 5}, **settings}  # a small table
+    policy = train("qlearn", task, total_timesteps=24_000, eval_freq=6000, folder=run, **short)
+    evaluation = evaluate(policy, episodes=4, steps=300, workers=1, simulation="kinematic")
+    Run.open(run).write_evaluation(*evaluation.tree(policy.trained_with, str(run)))
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -76,33 +84,16 @@ def seeds(tmp_path_factory) -> Path:
     """A folder of runs of two seeds, each with a standard evaluation that is a short one."""
     folder = tmp_path_factory.mktemp("runs") / "seeds"
     for seed in (0, 1):
-        trained("maze", folder / f"seed-{seed}", episodes=8, seed=seed)
+        trained("maze", folder / f"seed-{seed}", seed=seed)
     return folder
 
 
 @pytest.fixture(scope="module")
-def goal_run(tmp_path_factory) -> Path:
-    """A run at a task with a goal, beside them."""
-    return trained("wall", tmp_path_factory.mktemp("runs") / "goal", episodes=4)
-
-
-def trained(task: str, run: Path, episodes: int, **settings: Any) -> Path:
-    short = {"simulation": "kinematic", "n_envs": 8, "eval_episodes": 2, "eval_steps": 50, "save_freq": 0}
-    short |= {"stop_score": None, **settings}
-    beams = {"task.beams": 5}  # a small table
-    policy = train("qlearn", task, settings=beams, total_timesteps=24_000, eval_freq=6000, folder=run, **short)
-    evaluation = evaluate(policy, episodes=episodes, steps=300, workers=1)
-    Run.open(run).write_evaluation(*evaluation.tree(policy.trained_with, str(run)))
-    return run
-
-
-@pytest.fixture(scope="module")
-def page(seeds, goal_run) -> str:
-    """The address of a report of two groups: the seeds, and the run with a goal."""
-    file = seeds / "report.html"
-    report.main([str(seeds), str(goal_run), "--out", str(file)])
-    assert file.stat().st_size < LARGEST
-    return file.as_uri()
+def page(seeds, tmp_path_factory) -> Path:
+    """A report of two groups: the seeds, and a run with a goal."""
+    goal_run = trained("wall", tmp_path_factory.mktemp("runs") / "goal")
+    report.main([str(seeds), str(goal_run), "--out", str(seeds / "report.html")])
+    return seeds / "report.html"
 
 
 @pytest.fixture(scope="module")
@@ -118,56 +109,41 @@ def browser(tmp_path_factory) -> Iterator[webdriver.Chrome]:
 
 
 @pytest.fixture
-def open_file(browser) -> Callable[[str, int], webdriver.Chrome]:
-    """Opens an address in a window of a width [px]: narrower than Chromium's own would go."""
+def open_page(browser) -> Callable[[Path, int], webdriver.Chrome]:
+    """Opens a page in a window of a width [px], narrower than Chromium's own would go, and checks how it fits."""
 
-    def opened(address: str, width: int) -> webdriver.Chrome:
+    def opened(file: Path, width: int) -> webdriver.Chrome:
+        assert file.stat().st_size < LARGEST
         metrics = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         browser.get_log("browser")  # discards messages of other pages
-        browser.get(address)
+        browser.get(file.as_uri())
+        assert browser.get_log("browser") == []
+        for summary in browser.find_elements(By.TAG_NAME, "summary"):
+            summary.click()
+        assert browser.execute_script("return document.documentElement.scrollWidth") == width
+        assert browser.execute_script(OVERLAPS, BLOCKS) == []
+        assert min([SMALLEST, *browser.execute_script(SIZES)]) == SMALLEST, "text in charts is large enough to read"
         return browser
 
     return opened
 
 
-@pytest.fixture
-def open_page(open_file, page) -> Callable[[int], webdriver.Chrome]:
-    """Opens the report in a window of a width [px]."""
-    return lambda width: open_file(page, width)
-
-
-def assert_fits(browser: webdriver.Chrome, width: int) -> None:
-    assert browser.execute_script("return document.documentElement.scrollWidth") == width
-    assert browser.execute_script(OVERLAPS, f"{BLOCKS}, figure > img") == []
-    assert min([SMALLEST, *browser.execute_script(SIZES)]) == SMALLEST, "text in charts is large enough to read"
-
-
-def assert_figures_are_drawn(browser: webdriver.Chrome) -> None:
-    for figure in browser.find_elements(By.TAG_NAME, "figure"):
+def assert_figures_are_drawn(browser: webdriver.Chrome, number: int | None = None) -> None:
+    figures = browser.find_elements(By.TAG_NAME, "figure")
+    assert number in (None, len(figures))
+    for figure in figures:
         browser.execute_script("arguments[0].scrollIntoView()", figure)
-        assert coloured(figure.screenshot_as_png) > 300, figure.text
-
-
-def coloured(png: bytes) -> int:
-    """How many pixels of a picture are neither grey nor nearly so."""
-    pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
-    return int((np.ptp(pixels, axis=2) > 30).sum())
-
-
-# ---- the report
+        pixels = np.asarray(Image.open(io.BytesIO(figure.screenshot_as_png)).convert("RGB")).astype(int)
+        assert (np.ptp(pixels, axis=2) > 30).sum() > 300, f"{figure.text} has colours"
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_the_report_is_drawn_without_overlaps_and_fits_its_window(width, open_page):
-    browser = open_page(width)
-    assert browser.get_log("browser") == []
+def test_the_report_is_drawn_without_overlaps_and_fits_its_window(width, page, open_page):
+    browser = open_page(page, width)
     assert browser.title == "qlearn at maze in loop, qlearn at wall in wall: 3 runs"
-    for summary in browser.find_elements(By.TAG_NAME, "summary"):
-        summary.click()
     shown = browser.find_element(By.TAG_NAME, "body").text
     assert [part for part in ("Differences", "task.goal_tolerance", "goal reached") if part not in shown] == []
-    assert_fits(browser, width)
     assert browser.execute_script(OVERLAPS, f"figure svg text, {STAR}") == []
     assert browser.execute_script(OVERLAPS, "th, td") == []
     curves = browser.find_elements(By.CSS_SELECTOR, "#curves figure")
@@ -178,10 +154,10 @@ def test_the_report_is_drawn_without_overlaps_and_fits_its_window(width, open_pa
     assert_figures_are_drawn(browser)
 
 
-def test_the_heading_changes_what_the_maps_show(open_page):
-    browser = open_page(1400)
+def test_the_heading_changes_what_the_maps_show(page, open_page):
+    browser = open_page(page, 1400)
     picture = browser.find_element(By.CSS_SELECTOR, "#map figure svg")
-    chooser, said = browser.find_element(By.ID, "heading"), browser.find_element(By.ID, "degrees")
+    chooser, degrees = browser.find_element(By.ID, "heading"), browser.find_element(By.ID, "degrees")
     actions = np.array(json.loads(picture.get_attribute("data-actions")))
     assert len(actions) == 16
 
@@ -193,15 +169,16 @@ def test_the_heading_changes_what_the_maps_show(open_page):
     for heading, keys in enumerate(["", Keys.ARROW_RIGHT, Keys.ARROW_RIGHT]):
         chooser.send_keys(keys)
         assert shown() == actions[heading].tolist()
-        seen[said.text] = picture.screenshot_as_png
+        seen[degrees.text] = picture.screenshot_as_png
     assert list(seen) == ["0° (along x)", "22.5°", "45°"]
     assert len(set(seen.values())) == 3
     chooser.send_keys(Keys.HOME)
     assert shown() == actions[0].tolist()
 
 
-def test_it_prints_without_its_controls_and_within_the_sheet(open_page):
-    browser = open_page(A4)
+def test_it_prints_without_its_controls_and_within_the_sheet(page, open_page):
+    browser = open_page(page, A4)
+    browser.refresh()  # closes what was opened
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     try:
         assert not browser.find_element(By.ID, "heading").is_displayed()
@@ -212,30 +189,22 @@ def test_it_prints_without_its_controls_and_within_the_sheet(open_page):
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 
-def test_films_of_a_suite_are_shown(browser, open_file, small_suite, tmp_path, monkeypatch):
+def test_films_of_a_suite_are_shown(open_page, small_suite, workdir, monkeypatch):
     for module in ("tb2rl.commands.suite", "tb2rl.evaluation.suites"):
         monkeypatch.setattr(f"{module}.find_suite", lambda name, path: small_suite(name))
-    result, file = str(tmp_path / "it.json"), tmp_path / "it.html"
     what = ["--agent", "random", "--task", "navigate", "--set", "task.world=loop", "--suite", "unseen"]
-    import_module("tb2rl.evaluate").main([*what, "--json", result])
-    report.main([result, "--out", str(file)])
+    import_module("tb2rl.evaluate").main([*what, "--json", "it.json", "--workers", "1"])
+    report.main(["it.json", "--out", "it.html"])
     for width in WIDTHS:
-        open_file(file.as_uri(), width)
-        assert browser.get_log("browser") == []
-        assert_fits(browser, width)
         images = "return [...document.querySelectorAll('img')].map((image) => image.naturalWidth)"
-        assert browser.execute_script(images) == [640] * 3
+        assert open_page(workdir / "it.html", width).execute_script(images) == [640] * 3
 
 
-def test_a_drive_is_drawn(browser, open_file, seeds, tmp_path):
+def test_a_drive_is_drawn(open_page, seeds, workdir):
     pytest.importorskip("rosbags")
-    bag, file = str(tmp_path / "drive.bag"), tmp_path / "it.html"
-    import_module("tb2rl.play").main([str(seeds / "seed-0"), "--steps", "100", "--bag", bag])
-    report.main([bag, "--world", "loop", "--out", str(file)])
+    import_module("tb2rl.play").main([str(seeds / "seed-0"), "--steps", "100", "--bag", "drive.bag"])
+    report.main(["drive.bag", "--world", "loop", "--out", "it.html"])
     for width in WIDTHS:
-        open_file(file.as_uri(), width)
-        assert browser.get_log("browser") == []
+        browser = open_page(workdir / "it.html", width)
         assert browser.title == "drive.bag"
-        assert_fits(browser, width)
-        assert len(browser.find_elements(By.TAG_NAME, "figure")) == 4
-        assert_figures_are_drawn(browser)
+        assert_figures_are_drawn(browser, 4)

@@ -56,9 +56,18 @@ def use(site, guest):
     return call
 
 
-def python(site: Path, code: str, **variables: str) -> str:
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(CHECKOUT)]), **variables}
-    return subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True).stdout
+@pytest.fixture
+def python(site):
+    """A function that runs code as this user, and returns its output."""
+
+    def run(code: str, stderr: int | None = None, **variables: str) -> str:
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), str(CHECKOUT)]), **variables}
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=env, check=True, stdout=subprocess.PIPE, stderr=stderr, text=True
+        )
+        return done.stdout
+
+    return run
 
 
 def test_without_a_writable_folder_a_private_one_is_shared_with_child_processes(site, use, guest):
@@ -73,17 +82,18 @@ def test_without_a_writable_folder_a_private_one_is_shared_with_child_processes(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("beside", "home"), [(True, True), (False, False)], ids=["beside it", "in NUMBA_CACHE_DIR"])
-def test_an_earlier_cache_is_used_without_write_permission(beside, home, site, use, guest, tmp_path):
-    named = {} if beside else {"NUMBA_CACHE_DIR": str(tmp_path / "named")}
-    python(site, "import tiny; tiny.twice(4)", **named)
-    for folder in (site, tmp_path / "named"):
-        if folder.exists():
-            guest.lock(folder)
-    variables = {**named, **({"HOME": str(guest.own(tmp_path / "home"))} if home else {})}
+@pytest.mark.parametrize("beside", [True, False], ids=["beside it, with a home", "in NUMBA_CACHE_DIR, without one"])
+def test_an_earlier_cache_is_used_without_write_permission(beside, site, use, python, guest, tmp_path):
+    variables = {} if beside else {"NUMBA_CACHE_DIR": str(tmp_path / "named")}
+    python("import tiny; tiny.twice(4)", **variables)
+    guest.lock(site)
+    if beside:
+        variables = {"HOME": str(guest.own(tmp_path / "home"))}
+    else:
+        guest.lock(tmp_path / "named")
     (result, hits, folder), warnings = use(**variables)
     assert (result, hits, warnings) == ("8", "1", "")
-    assert Path(folder).is_relative_to(tmp_path / "home" if home else guest.scratch)
+    assert Path(folder).is_relative_to(tmp_path / "home" if beside else guest.scratch)
 
 
 @pytest.mark.slow
@@ -95,24 +105,22 @@ def test_without_even_a_temporary_folder_it_compiles_without_a_cache(site, use, 
 
 
 @pytest.mark.slow
-def test_a_caller_of_a_function_in_a_changed_file_is_compiled_again(site):
+def test_a_caller_of_a_function_in_a_changed_file_is_compiled_again(site, python):
     (site / "caller.py").write_text(CALLER)
     code = "import caller; print(caller.call(4), sum(caller.call.stats.cache_hits.values()))"
-    assert [python(site, code), python(site, code)] == ["8 0\n", "8 1\n"]
+    assert [python(code), python(code)] == ["8 0\n", "8 1\n"]
     (site / "tiny.py").write_text(MODULE.replace("2 * x", "3 * x"))
-    assert python(site, code) == "12 0\n"
+    assert python(code) == "12 0\n"
 
 
 @pytest.mark.slow
-def test_compiling_is_announced_once_on_a_terminal(site, tmp_path):
+def test_compiling_is_announced_once_on_a_terminal(site, python):
     (site / "tinier.py").write_text(MODULE)
-    program = "from tb2rl.core import compiled; compiled.announce_compiling(); import tiny, tinier; tiny.twice(4)"
-    path = os.pathsep.join([str(site), str(CHECKOUT)])
-    env = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
     def printed(rest: str) -> str:
         terminal, theirs = os.openpty()
-        subprocess.run([sys.executable, "-c", program + rest], env=env, stderr=theirs, check=True)
+        start = "from tb2rl.core import compiled; compiled.announce_compiling(); import tiny, tinier; tiny.twice(4)"
+        python(start + rest, stderr=theirs, NUMBA_CACHE_DIR=str(site / "cache"))
         os.close(theirs)
         with suppress(OSError):  # Linux: nothing was written
             return os.read(terminal, 1000).decode()

@@ -12,16 +12,15 @@ import pytest
 COMMAND = "from tb2rl.core.errors import InputError, command\n@command\ndef main(arguments):\n    {}\nmain()\n"
 
 
-def ended(code: str, both: bool = False) -> tuple[int, str]:
-    """Status and stderr of a command whose reader (with `both`: also that of stderr) is gone before it writes."""
-    command = [sys.executable, "-c", f"input()\n{COMMAND.format(code)}"]
+def without_reader(code: str, both: bool = False) -> tuple[int, str]:
+    """Status and stderr of a command that writes into a closed pipe, with `both` also its stderr."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-c", COMMAND.format(code)]
     errors = subprocess.STDOUT if both else subprocess.PIPE
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
-        process.stdout.close()
-        process.stdin.write("\n")
-        process.stdin.close()
-        text = "" if both else process.stderr.read()
-        return process.wait(timeout=60), text
+    done = subprocess.run(command, stdout=writer, stderr=errors, text=True, check=False, timeout=60)
+    os.close(writer)
+    return done.returncode, done.stderr or ""
 
 
 @pytest.mark.parametrize(
@@ -33,12 +32,12 @@ def ended(code: str, both: bool = False) -> tuple[int, str]:
     ],
 )
 def test_a_command_without_a_reader_ends_silently(code):
-    assert ended(code) == (141, "")
+    assert without_reader(code) == (141, "")
 
 
 def test_a_command_without_a_reader_keeps_its_status_if_it_writes_nothing():
-    assert ended("raise InputError('wrong')") == (2, "error: wrong\n")
-    assert ended("raise InputError('wrong')", both=True) == (141, "")
+    assert without_reader("raise InputError('wrong')") == (2, "error: wrong\n")
+    assert without_reader("raise InputError('wrong')", both=True) == (141, "")
 
 
 def in_shell(code: str, redirection: str = "", **environment: str) -> tuple[int, str, str]:

@@ -20,7 +20,7 @@ from tb2rl.runs.folder import Run
 
 work = import_module("tb2rl.commands.evaluate")
 command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
-GUIDED = {"dwa", "pursuit", "vfh"}  # need a task with a goal: tests/agents/test_guided.py
+GUIDED = {"dwa", "pursuit", "vfh"}  # need a task with a goal: tests/agents
 BASELINES = [name for name in agent_names() if find_agent(name).algorithm is None and name not in GUIDED]
 KEYS = {"failure_free_rate", "success_rate", "mean_distance", "mean_return", "mean_length", "episodes"}
 
@@ -44,13 +44,14 @@ def test_the_standard_evaluation_is_written_into_the_run_folder(run, short, caps
     written = json.loads((run / "evaluation.json").read_text())
     assert written.keys() >= KEYS | {"policy", "config", "versions"}
     assert (written["episodes"], written["steps"], written["seed"], len(written["each"])) == (2, 5, SEED, 2)
-    assert written["policy"] == str(run)
+    assert (written["policy"], written["simulation"]) == (str(run), "bullet")
     assert written["config"] == load(run).trained_with.to_dict()
     again = evaluate(run, episodes=2, steps=5, workers=1)
     assert written["mean_return"] == again.summary()["mean_return"]
     shown = capsys.readouterr().out
     assert f"{100 * written['failure_free_rate']:.1f} %" in shown
     assert f"{written['mean_return']:.1f}" in shown
+    assert "not PyBullet's" not in shown
     assert kept_evaluation(Run.open(run)).summary() == again.summary()
     for file in ("evaluation.json", "episodes.safetensors"):
         (run / file).unlink()
@@ -58,23 +59,16 @@ def test_the_standard_evaluation_is_written_into_the_run_folder(run, short, caps
         kept_evaluation(Run.open(run))
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_only_an_evaluation_in_pybullet_is_the_standard_evaluation(simulation, run, short, capsys):
-    command.main([str(run), *short, "--simulation", simulation])
-    standard = simulation == "bullet"
-    assert (run / "evaluation.json").exists() == standard
-    shown = capsys.readouterr().out
-    assert ("not PyBullet's" in shown) == (not standard)
-    assert ("not written: a run folder keeps its standard evaluation only" in shown) == (not standard)
-
-
 @pytest.mark.parametrize(
-    "change", [["--episodes", "3"], ["--steps", "4"], ["--seed", "1"], ["--set", "task.world=circuit"]]
+    "change", [[], ["--episodes", "3"], ["--steps", "4"], ["--seed", "1"], ["--set", "task.world=circuit"]]
 )
 def test_any_other_evaluation_is_not_written_into_the_run_folder(change, run, short, capsys):
-    command.main([str(run), *short, "--simulation", "kinematic", *change])
+    simulation = [] if change else ["--simulation", "kinematic"]
+    command.main([str(run), *short, *simulation, *change])
     assert not (run / "evaluation.json").exists()
-    assert "not written" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "not written: a run folder keeps its standard evaluation only" in shown
+    assert ("not PyBullet's" in shown) == bool(simulation)
 
 
 def test_json_and_settings_of_the_task(run, short, tmp_path, capsys):
@@ -92,29 +86,6 @@ def test_a_policy_of_the_zoo_is_evaluated_by_its_name(short, tmp_path, capsys):
     command.main(["zoo:maze-loop-qlearn", *short, "--json", str(tmp_path / "it.json")])
     assert capsys.readouterr().out.splitlines()[0].strip() == "zoo:maze-loop-qlearn in loop"
     assert json.loads((tmp_path / "it.json").read_text())["policy"] == "zoo:maze-loop-qlearn"
-
-
-@pytest.mark.parametrize(
-    ("line", "named"),
-    [
-        ("--ros 2", ["--ros", "go with --simulation ros"]),
-        ("--goal 1,2", ["--goal", "--simulation ros", "task.goal"]),
-        ("--simulation gazebo", ["unknown simulator", "bullet, kinematic, ros"]),
-        ("--simulation kinematic --suite unseen", ["--simulation", "--suite"]),
-        ("--simulation ros --workers 2", ["--workers", "one robot"]),
-        ("--simulation ros --topics laser=/scan", ["--topics", "laser", "scan"]),
-        ("--simulation ros --top-speed 0", ["--top-speed", "greater than 0"]),
-        ("--simulation ros --goal 1,nan", ["--goal", "nan"]),
-        ("--simulation ros --goal 1,2", ["goal", "navigate"]),
-        ("--simulation ros --ros-args -p use_sim_time:=true", ["--ros-args", "--ros 2"]),
-    ],
-)
-def test_contradicting_options_of_a_robot_are_refused(line, named, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        command.main(["--agent", "random", *line.split()])
-    error = capsys.readouterr().err
-    assert (stopped.value.code, error.count("\n")) == (2, 1)
-    assert [name for name in named if name not in error] == [], error
 
 
 @pytest.mark.parametrize("name", BASELINES)

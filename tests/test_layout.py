@@ -21,24 +21,18 @@ FOR_AGENTS = {"tb2rl", "tb2rl.core.values", "tb2rl.core.compiled", "tb2rl.core.e
 
 def imported(module: Path) -> set[str]:
     """The modules of tb2rl that a module imports, anywhere in it."""
-    names = set()
-    for node in ast.walk(ast.parse(module.read_text())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            names.add(node.module or "")
+    nodes = list(ast.walk(ast.parse(module.read_text())))
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
     return {name for name in names if name.split(".")[0] == "tb2rl"}
 
 
-def mentioning(pattern: str) -> set[str]:
-    found = (module for module in MODULES if re.search(pattern, module.read_text()))
-    return {str(module.relative_to(CHECKOUT)) for module in found}
-
-
-def test_the_picture_shows_the_rooms_in_the_order_of_the_contract():
+def test_contract_picture_and_folders_have_the_same_rooms():
     contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
-    rooms = [name for layer in layers for name in layer.split(" | ") if (CHECKOUT / "tb2rl" / name).is_dir()]
+    folders = {file.parent.name for file in (CHECKOUT / "tb2rl").glob("*/__init__.py")}
+    rooms = [name for name in " | ".join(layers).split(" | ") if name in {*folders, "commands"}]
+    assert {*rooms} == folders
     shown = re.findall(r'font-weight="600">(\w+)/?</text>', (CHECKOUT / "zoo/pictures/architecture.svg").read_text())
     assert [name for name in shown if name in rooms] == rooms
 
@@ -64,18 +58,23 @@ def test_agents_import_little_and_nothing_imports_agents():
     assert {module.parent.name for module in importing} == {"agents"}
 
 
+@pytest.mark.parametrize(
+    ("pattern", "places"),
+    [
+        (r"find_world\(", {"tb2rl/worlds/registry.py", "tb2rl/envs/worlds.py", "tb2rl/commands/worlds.py"}),
+        (r"read_world\(", {"tb2rl/worlds/readers.py", "tb2rl/worlds/registry.py"}),
+        (r"(?m)^\s*(import|from) pybullet", {"tb2rl/simulation/bullet/client.py"}),
+        (r"(?m)^\s*from numba import .*\bnjit|@numba", set()),
+    ],
+    ids=["worlds by name", "worlds by file", "PyBullet", "numba's compiler"],
+)
+def test_each_decision_has_its_place(pattern, places):
+    found = (module for module in MODULES if re.search(pattern, module.read_text()))
+    assert {str(module.relative_to(CHECKOUT)) for module in found} == places
+
+
 def test_references_are_imported_in_one_module():
     """Except names of our own that a package loads lazily, and messages of ROS, which may not be installed."""
-    found = {name for name in mentioning(r"import_module\(") if not name.endswith(("__init__.py", "__main__.py"))}
-    assert {name for name in found if "ros" not in name} == {"tb2rl/core/plugins.py"}
-
-
-def test_a_world_is_loaded_by_its_name_in_one_module():
-    where = {"tb2rl/worlds/registry.py", "tb2rl/envs/worlds.py", "tb2rl/commands/worlds.py"}
-    assert mentioning(r"find_world\(") == where
-    assert mentioning(r"read_world\(") == {"tb2rl/worlds/readers.py", "tb2rl/worlds/registry.py"}
-
-
-def test_pybullet_and_numbas_compiler_are_imported_in_one_module_each():
-    assert mentioning(r"(?m)^\s*(import|from) pybullet") <= {"tb2rl/simulation/physics.py"}
-    assert mentioning(r"(?m)^\s*from numba import .*\bnjit|@numba") == set()
+    found = {str(module.relative_to(CHECKOUT)) for module in MODULES if "import_module(" in module.read_text()}
+    lazy = {name for name in found if name.endswith(("__init__.py", "__main__.py")) or "ros" in name}
+    assert found - lazy == {"tb2rl/core/plugins.py"}

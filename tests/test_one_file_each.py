@@ -24,10 +24,8 @@ FILES = {
         from tb2rl.worlds import World
 
         def read(path) -> World:
-            boxes = [tuple(map(float, line.split())) for line in path.read_text().splitlines()]
-            bounds = (-3.0, -3.0, 3.0, 3.0)
-            boxes = [(x, y, 1.0, 1.0, 0.0) for x, y in boxes]
-            return World.from_shapes(path.stem, boxes, start=(0, 0, 0), bounds=bounds)
+            boxes = [(*map(float, line.split()), 1.0, 1.0, 0.0) for line in path.read_text().splitlines()]
+            return World.from_shapes(path.stem, boxes, start=(0, 0, 0), bounds=(-3.0, -3.0, 3.0, 3.0))
         """,
     "yard.blocks": "2.0 2.0\n-2.0 -2.0\n",
     "cruise.py": """
@@ -45,22 +43,11 @@ FILES = {
                 driven = np.hypot(*(after.pose - before.pose)[:, :2].T)
                 return Outcome(10 * driven - 5 * after.bumped, failed={"bump": after.bumped})
         """,
-    "compass.py": """
-        import math
-        from dataclasses import dataclass
-
+    "senses.py": """
         import numpy as np
 
         from tb2rl.sensors import Sensor
-        from tb2rl.tasks.wander import Wander
-
-        class Compass(Sensor):
-            name, unit = "compass", "rad"
-            low, high = -math.pi, math.pi
-            bins = (-1.5, 0.0, 1.5)
-
-            def read(self, robot_state):
-                return robot_state.pose[:, 2:]
+        from tb2rl.sensors.camera import Camera
 
         class Speeds(Sensor):
             name, unit, shape = "speeds", "m/s", (2,)
@@ -70,19 +57,6 @@ FILES = {
             def read(self, robot_state):
                 return robot_state.twist
 
-        @dataclass(frozen=True)
-        class Guided(Wander):
-            def sensors(self, spec):
-                return (*super().sensors(spec), Compass(), Speeds())
-        """,
-    "picture.py": """
-        from dataclasses import dataclass
-
-        import numpy as np
-
-        from tb2rl.sensors import Sensor
-        from tb2rl.tasks.wander import Wander
-
         class Bars(Sensor):
             name, shape = "bars", (1, 36, 36)
 
@@ -90,10 +64,9 @@ FILES = {
                 rows = np.arange(36)[:, None] < 12 * np.minimum(robot_state.ranges, 3.0)[:, None, :]
                 return (255 * rows[:, None]).astype(np.uint8)
 
-        @dataclass(frozen=True)
-        class Pictured(Wander):
-            def sensors(self, spec):
-                return (*super().sensors(spec), Bars())
+        class Dark(Camera):
+            def read(self, robot_state):
+                return super().read(robot_state) // 2
         """,
     "small.py": """
         from dataclasses import replace
@@ -106,101 +79,83 @@ FILES = {
             radius=0.12, wheel_separation=0.16, max_speed=0.3,
         )
         """,
-    "dark.py": """
-        from tb2rl.sensors.camera import Camera
-
-        class Dark(Camera):
-            def read(self, robot_state):
-                return super().read(robot_state) // 2
-        """,
-    "quantiles.py": """
-        from tb2rl import Agent
-
-        AGENT = Agent("sb3_contrib:QRDQN")
-        """,
-    "straight.py": """
+    "agents.py": """
         import torch as th
         from stable_baselines3.common.policies import BasePolicy
 
         from tb2rl import Agent
 
-        AGENT = Agent(algorithm=None, policy="straight:Straight")
-
         class Straight(BasePolicy):
             def _predict(self, observation, deterministic=False):
                 return th.zeros(len(observation), dtype=th.int64)
+
+        QUANTILES = Agent("sb3_contrib:QRDQN")
+        STRAIGHT = Agent(algorithm=None, policy="agents:Straight")
         """,
 }
 SMALLER = {'radius="0.178"': 'radius="0.12"', "0.115 0.035": "0.08 0.035"}  # the base, and the wheels' places
 SMALLER |= {'joint name="wheel_left"': 'joint name="port"', 'joint name="wheel_right"': 'joint name="starboard"'}
-PPO = {"agent.n_steps": 32, "agent.batch_size": 32, "agent.n_epochs": 1}
-OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 1000, "agent.batch_size": 16}
-RAW = {"task.observation": "raw"}
-IMAGES = ("stable_baselines3:PPO", "maze")
-LEARNERS = {  # the new thing, and the agent, task and settings to train it with
-    "a world format": ("ppo", "maze", {**PPO, "task.world": "blocks:read:{folder}/yard.blocks"}),
-    "continuous actions, ppo": ("ppo", "cruise:Cruise", PPO),
-    "continuous actions, sac": ("stable_baselines3:SAC", "cruise:Cruise", {**OFF_POLICY, **RAW}),
-    "two sensors": ("ppo", "compass:Guided", PPO),
-    "two sensors, in classes": ("qlearn", "compass:Guided", {"task.beams": 3}),
-    "an image": ("stable_baselines3:PPO", "picture:Pictured", {**PPO, **RAW}),
-    "a camera and more": (*IMAGES, {**PPO, **RAW, "task.observe": ["camera", "laser", "twist", "bumper"]}),
-    "a camera with colours": (*IMAGES, {**PPO, **RAW, "task.observe": [{"camera": {"colour": True}}]}),
-    "an own camera": (*IMAGES, {**PPO, **RAW, "task.observe": [{"dark:Dark": {"width": 36}}]}),
-    "a robot": ("dqn", "maze", {**OFF_POLICY, "task.robot": "small:ROBOT"}),
-    "a memory": ("sb3_contrib:RecurrentPPO", "maze", {**PPO, **RAW}),
-    "an algorithm of sb3-contrib": ("quantiles:AGENT", "maze", {**OFF_POLICY, **RAW}),
+PPO = {"agent.n_steps": 32, "agent.batch_size": 32, "agent.n_epochs": 1, "task.observation": "raw"}
+OFF_POLICY = {"agent.learning_starts": 64, "agent.buffer_size": 1000, "agent.batch_size": 16, "task.observation": "raw"}
+YARD = {"task.world": "blocks:read:yard.blocks"}
+SPEEDS = {"task.beams": 3, "task.observe": ["laser", "senses:Speeds"]}
+IMAGES = {"task.observe": ["senses:Bars", "camera", "laser", "senses:Speeds"], "task.beams": 36}
+DARK = {"task.observe": [{"senses:Dark": {"width": 36, "height": 36, "colour": True}}]}
+LEARNERS = {  # the new thing: agent, task, simulator and settings to train it with
+    "a world format and continuous actions": ("stable_baselines3:SAC", "cruise:Cruise", "bullet", OFF_POLICY | YARD),
+    "a robot": ("dqn", "maze", "bullet", OFF_POLICY | {"task.robot": "small:ROBOT"}),
+    "a sensor in bins": ("qlearn", "maze", "kinematic", SPEEDS),
+    "two images and numbers": ("stable_baselines3:PPO", "maze", "kinematic", PPO | IMAGES),
+    "a camera with colours": ("stable_baselines3:PPO", "maze", "bullet", PPO | DARK),
+    "a memory": ("sb3_contrib:RecurrentPPO", "cruise:Cruise", "kinematic", PPO),
+    "an algorithm of sb3-contrib": ("agents:QUANTILES", "maze", "kinematic", OFF_POLICY),
 }
 
 
 @pytest.fixture
-def mine(tmp_path, monkeypatch) -> Path:
-    """A folder with a user's files, from which Python imports."""
+def mine(workdir, monkeypatch) -> None:
+    """A user's files in the working directory, from which Python imports."""
     for name, text in FILES.items():
-        (tmp_path / name).write_text(dedent(text).lstrip())
+        (workdir / name).write_text(dedent(text).lstrip())
     urdf = TURTLEBOT2.urdf.read_text()
     for theirs, ours in SMALLER.items():
         assert theirs in urdf
         urdf = urdf.replace(theirs, ours)
-    (tmp_path / "small.urdf").write_text(urdf)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
+    (workdir / "small.urdf").write_text(urdf)
+    monkeypatch.syspath_prepend(workdir)
+    yield
     for name in FILES:
         sys.modules.pop(Path(name).stem, None)
-
-
-IN_BULLET = ("a camera with colours", "a robot", "a world format", "continuous actions, sac")  # colours: only there
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("new", LEARNERS)
 def test_a_training_is_resumed_evaluated_filmed_and_reported(new, mine):
-    agent, task, settings = LEARNERS[new]
-    simulation = "bullet" if new in IN_BULLET else "kinematic"
-    settings = {k: v.format(folder=mine) if isinstance(v, str) else v for k, v in settings.items()}
+    agent, task, simulation, settings = LEARNERS[new]
     train = {"simulation": simulation, "n_envs": 2, "total_timesteps": 256, "save_freq": 128, "eval_freq": 128}
     train |= {"eval_episodes": 1, "eval_steps": 20, "episode_steps": 40, "stop_score": None}
+    train |= {"eval_simulation": simulation}
     config = resolve(agent, task, settings=settings | {f"train.{key}": value for key, value in train.items()})
-    run = train_config(config, mine / "run").run
+    run = train_config(config, Path("run")).run
     assert resume(run.folder, 320).timesteps == 64
     evaluation = evaluate(run.folder, episodes=2, steps=30, workers=1)
     assert [len(episode.path) for episode in evaluation.episodes] == [e.length + 1 for e in evaluation.episodes]
     run.write_evaluation(*evaluation.tree(run.config, "mine"))
     assert tb2rl.make_env(tb2rl.load(run.folder)).task == Run.open(run.folder).config.task
-    assert film(run.folder, mine / "film.gif", steps=5).stat().st_size > 1000
-    assert film(run.folder, mine / "chase.gif", steps=3, camera="chase").stat().st_size > 1000
+    for camera in ("above", "chase"):
+        options = FilmOptions(steps=3, camera=camera)
+        assert film(run.folder, Path(f"{camera}.gif"), options=options).stat().st_size > 1000
     report([str(run.folder)])
     assert (run.folder / "report.html").stat().st_size > 10_000
 
 
 def test_a_baseline_is_evaluated_and_filmed(mine):
-    config = resolve("straight:AGENT", "maze")
+    config = resolve("agents:STRAIGHT", "maze")
     policy = make_baseline(config)
     evaluation = evaluate(policy, config, episodes=2, steps=60, workers=1)
     assert {episode.ended for episode in evaluation.episodes} == {"collision"}
     assert all((episode.actions == 0).all() for episode in evaluation.episodes)
-    assert film(policy, mine / "film.gif", config, options=FilmOptions(steps=5)).stat().st_size > 1000
+    assert film(policy, Path("film.gif"), config, options=FilmOptions(steps=5)).stat().st_size > 1000
 
 
 def test_an_own_robot_follows_commands_in_both_simulators(mine):

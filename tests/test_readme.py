@@ -15,18 +15,9 @@ import pytest
 from tb2rl.__main__ import COMMANDS
 
 CHECKOUT = Path(__file__).parent.parent
-DOORS = (
-    "agents",
-    "configs",
-    "tb2rl/robots",
-    "tb2rl/deploy/ros",
-    "tb2rl/sensors",
-    "tb2rl/tasks",
-    "tb2rl/worlds",
-    "tb2rl/worlds/generators",
-    "zoo",
-)
-PAGES = ("README.md", "FROM_ROS.md", "CONTRIBUTING.md", *(f"{door}/README.md" for door in DOORS))
+OF_ROOMS = [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "tb2rl").rglob("README.md"))]
+PAGES = ["README.md", "FROM_ROS.md", "CONTRIBUTING.md", *OF_ROOMS]
+PAGES += ["agents/README.md", "configs/README.md", "zoo/README.md"]
 SHORTER = {  # arguments appended to a command to shorten it
     "train": "--simulation kinematic --n-envs 32 --total-timesteps 256 --eval-freq 0 --no-evaluation --no-progress",
     "evaluate": "--episodes 1 --steps 3 --workers 1",
@@ -99,14 +90,13 @@ def run(command: list[str], number: int) -> None:
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(workdir, monkeypatch):
     """An empty working directory on the path of Python, whose modules are forgotten after the test."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.syspath_prepend(str(workdir))
     known = set(sys.modules)
-    yield tmp_path
+    yield workdir
     for name in set(sys.modules) - known:
-        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+        if str(workdir) in str(getattr(sys.modules[name], "__file__", "")):
             del sys.modules[name]
 
 
@@ -165,15 +155,19 @@ def test_errors_are_as_the_page_quotes_them(page, folder, capsys):
                 assert capsys.readouterr().err.strip().splitlines()[-1].replace(f"{folder}/", "") == expected
 
 
-@pytest.mark.parametrize("page", PAGES)
+def anchors(page: Path) -> list[str]:
+    """What links to the headings of a page are called."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return [re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings]
+
+
+@pytest.mark.parametrize("page", [*PAGES, "CHANGELOG.md", "configs/SEEDS.md"])
 def test_every_link_of_a_page_leads_somewhere(page):
     for link in re.findall(r"\]\((?!http)([^)]+)\)", read(page)):
         path, _, anchor = link.partition("#")
         target = (CHECKOUT / page).parent / path if path else CHECKOUT / page
         assert target.exists(), link
-        if anchor:
-            headings = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), flags=re.MULTILINE)
-            assert anchor in [re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings], link
+        assert not anchor or anchor in anchors(target), link
 
 
 @pytest.mark.slow
@@ -202,16 +196,12 @@ def test_the_task_of_the_readme_does_what_the_built_in_one_does(folder):
     import tb2rl
 
     save_files("README.md", folder)
+    assert len([line for line in (folder / "my_task.py").read_text().splitlines() if line]) <= 15, "it is short"
     shown = tb2rl.make_env("my_task:MyTurtleBot2Maze", simulation="kinematic")
     built_in = tb2rl.make_env("my-maze", simulation="kinematic")
     assert shown.reset(seed=1)[0].tolist() == built_in.reset(seed=1)[0].tolist()
     for action in (0, 1, 3, 3, 2, 0, 0):
         assert shown.step(action)[1] == built_in.step(action)[1]
-
-
-def test_the_task_of_the_readme_is_short():
-    (text,) = [block.text for block in blocks("README.md") if block.file == "my_task.py"]
-    assert len([line for line in text.splitlines() if line.strip()]) <= 15
 
 
 def test_the_results_of_the_readme_are_those_of_the_zoo():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import warnings
@@ -15,6 +16,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.plugins import import_object
 from tb2rl.runs.layers import resolve
 
+QUICKSTART = Path(__file__).parent.parent / "zoo" / "quickstart.ipynb"
 MINE = """
     from dataclasses import dataclass
 
@@ -60,6 +62,15 @@ USED = """
 SAYS = "names __main__:Mine __main__:Hurry"
 
 
+def run_notebook(notebook, folder: Path) -> None:
+    """Run all cells of a notebook, or of its file, in a folder."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Jupyter's own packages
+        from nbclient import NotebookClient
+
+        NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(folder)}}).execute()
+
+
 def elsewhere(run: Path) -> str:
     """The message of loading a run in a program without its classes."""
     with pytest.raises(InputError) as refused:
@@ -93,17 +104,25 @@ def test_a_script_trains_with_its_own_classes_in_processes(tmp_path):
 
 @pytest.mark.slow
 def test_a_notebook_trains_with_the_classes_of_its_cells(tmp_path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of Jupyter's own packages
-        from nbclient import NotebookClient
-        from nbformat.v4 import new_code_cell, new_notebook
-
-        used = USED.replace("SIMULATION", "kinematic")
-        notebook = new_notebook(cells=[new_code_cell(dedent(part)) for part in (MINE, used)])
-        NotebookClient(notebook, timeout=100, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    nbformat = pytest.importorskip("nbformat.v4")
+    cells = [nbformat.new_code_cell(dedent(part)) for part in (MINE, USED.replace("SIMULATION", "kinematic"))]
+    notebook = nbformat.new_notebook(cells=cells)
+    run_notebook(notebook, tmp_path)
     printed = [output["text"] for output in notebook.cells[1].outputs if output.get("name") == "stdout"]
     assert SAYS in "".join(printed)
     assert "in a file" in elsewhere(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_the_quickstart_runs_from_top_to_bottom(tmp_path):
+    nbformat = pytest.importorskip("nbformat")
+    shutil.copy(QUICKSTART, tmp_path)
+    notebook = nbformat.read(tmp_path / QUICKSTART.name, as_version=4)
+    run_notebook(notebook, tmp_path)
+    shown = [set(output.get("data", ())) for cell in notebook.cells for output in cell.get("outputs", ())]
+    assert sum("image/png" in kinds for kinds in shown) == 3, "the robot, the curve, the paths of one's own task"
+    assert (tmp_path / "drive.mp4").stat().st_size > 50_000
+    assert len(list(tmp_path.glob("runs/quickstart/*/best/policy.safetensors"))) == 2
 
 
 @pytest.mark.parametrize("name", ["Nothing", "run", "__getattr__", ""])

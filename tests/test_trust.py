@@ -12,7 +12,6 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
 from tb2rl.core.plugins import import_object
 from tb2rl.core.trust import block_imports, untrusted_source
-from tb2rl.envs.worlds import files_named
 from tb2rl.runs.loading import load
 from tb2rl.tasks.registry import find_task
 from tb2rl.training.training import resume
@@ -39,6 +38,14 @@ def importable(monkeypatch):
             del sys.modules[name]
 
 
+@pytest.fixture
+def evil(importable, tmp_path):
+    """A folder on the path with a module that is not trusted."""
+    (tmp_path / "evil.py").write_text(TASK)
+    importable(tmp_path)
+    return tmp_path
+
+
 def edited_run(folder, task: str):
     """A copy of a policy of the zoo whose config names another task, with a module that has such a task."""
     run = shutil.copytree(top_folder("zoo") / "maze-loop-qlearn", folder / "run")
@@ -59,14 +66,13 @@ def test_a_module_in_a_run_folder_is_not_imported_even_from_the_path(inside, imp
     assert not list(run.rglob("executed"))
 
 
-def test_nor_by_a_package_or_a_module_outside_that_leads_into_it(importable, tmp_path, monkeypatch):
-    run = edited_run(tmp_path, "run.evil:Mine")
+def test_nor_by_a_package_or_a_module_outside_that_leads_into_it(importable, workdir):
+    run = edited_run(workdir, "run.evil:Mine")
     importable(run)
-    importable(tmp_path)
-    monkeypatch.chdir(tmp_path)
+    importable(workdir)
     with pytest.raises(InputError, match=r"'run\.evil' lies in"):
         load("run")
-    (tmp_path / "mine.py").write_text("from evil import Mine\n")
+    (workdir / "mine.py").write_text("from evil import Mine\n")
     (run / "config.yaml").write_text((run / "config.yaml").read_text().replace("run.evil:Mine", "mine:Mine"))
     with pytest.raises(InputError, match="'evil' lies in"):
         load(run)
@@ -82,30 +88,31 @@ def test_a_module_beside_a_run_folder_is_imported(importable, tmp_path):
     assert (tmp_path / "executed").exists()
 
 
-KNOWN = ["tb2rl.tasks.wander:Wander", "tb2rl.agents.qlearn:QLearning", "stable_baselines3:PPO", "torch.nn:ReLU"]
-STRANGE = [
-    "os:system",
-    "__main__:Mine",
-    "evil:Mine",
-    "torches:X",
-    "tb2rl:X",
-    "tb2rl.evil:Mine",  # a file in the folder around a checkout
-    "tb2rl.zoo.sharing:push",
-    "x" * 10_000 + ":X",
-    "",
-]
-
-
-@pytest.mark.parametrize("reference", KNOWN)
+@pytest.mark.parametrize(
+    "reference",
+    ["tb2rl.tasks.wander:Wander", "tb2rl.agents.qlearn:QLearning", "stable_baselines3:PPO", "torch.nn:ReLU"],
+)
 def test_an_untrusted_config_may_name_common_modules(reference):
     with untrusted_source("ada"):
         assert import_object(reference).__name__ == reference.partition(":")[2]
 
 
-@pytest.mark.parametrize("reference", STRANGE, ids=lambda reference: reference[:20])
-def test_an_untrusted_config_may_name_no_other_module(reference, importable, tmp_path):
-    (tmp_path / "evil.py").write_text(TASK)
-    importable(tmp_path)
+@pytest.mark.parametrize(
+    "reference",
+    [
+        "os:system",
+        "__main__:Mine",
+        "evil:Mine",
+        "torches:X",
+        "tb2rl:X",
+        "tb2rl.evil:Mine",  # a file in the folder around a checkout
+        "tb2rl.zoo.sharing:push",
+        "x" * 10_000 + ":X",
+        "",
+    ],
+    ids=lambda reference: reference[:20],
+)
+def test_an_untrusted_config_may_name_no_other_module(reference, evil):
     with untrusted_source("ada"), pytest.raises(InputError) as refused:
         import_object(reference)
     message = str(refused.value)
@@ -113,12 +120,10 @@ def test_an_untrusted_config_may_name_no_other_module(reference, importable, tmp
     assert reference.partition(":")[0][:50] in message
     assert message.endswith("say so with trust=True, or --trust")
     assert len(message) < 400
-    assert not (tmp_path / "executed").exists()
+    assert not (evil / "executed").exists()
 
 
-def test_the_outer_source_is_named_and_the_limit_ends_with_its_block(importable, tmp_path):
-    (tmp_path / "evil.py").write_text(TASK)
-    importable(tmp_path)
+def test_the_outer_source_is_named_and_the_limit_ends_with_its_block(evil):
     with untrusted_source("ada"), untrusted_source("bob"), pytest.raises(InputError, match=r"^ada names"):
         import_object("evil:Mine")
     assert import_object("evil:Mine") is import_module("evil").Mine
@@ -128,20 +133,3 @@ def test_an_installed_plugin_is_trusted(write_package):
     write_package("[tb2rl.tasks]\nmine = mine:Mine\n", mine=TASK)
     with untrusted_source("ada"):
         assert find_task("mine") is find_task("mine:Mine")
-
-
-@pytest.mark.parametrize(
-    ("setting", "named"),
-    [
-        (["loop", "mixed"], []),
-        ({"generator": "clutter", "count": 3}, []),
-        ({"file": "loop", "start": [0, 0, 0]}, []),
-        ("mine:WORLD", []),
-        ("hall.yaml", ["hall.yaml"]),
-        ("mine:read:/etc/passwd", ["/etc/passwd"]),
-        (["loop", "../x"], ["../x"]),
-        ({"file": "a/b.sdf", "model_path": ["/models"]}, ["a/b.sdf", "/models"]),
-    ],
-)
-def test_the_files_that_a_world_setting_names_are_known(setting, named):
-    assert list(files_named(setting)) == named

@@ -25,16 +25,15 @@ POLE = (
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(workdir):
     """A folder to work in, where warnings are shown as they are to users."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "narrow.yaml").write_text(NARROW)
-    (tmp_path / "pole.sdf").write_text(POLE)
-    (tmp_path / "hall.yaml").write_text("image: 'scan.pgm'\nresolution: 1\nstart: [2, 2, 0]\n")
-    (tmp_path / "scan.pgm").write_bytes(b"P5\n4 4\n255\n" + b"\xfe" * 16)
+    (workdir / "narrow.yaml").write_text(NARROW)
+    (workdir / "pole.sdf").write_text(POLE)
+    (workdir / "hall.yaml").write_text("image: 'scan.pgm'\nresolution: 1\nstart: [2, 2, 0]\n")
+    (workdir / "scan.pgm").write_bytes(b"P5\n4 4\n255\n" + b"\xfe" * 16)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        yield tmp_path
+        yield
 
 
 def output(line, capsys):
@@ -122,7 +121,6 @@ def test_options_take_precedence_over_the_file_and_omissions_are_one_line(folder
         ("draw lop", ["did you mean 'loop'"]),
         ("draw loop -o seen.h5", ["seen.h5", ".png"]),
         ("draw loop -o missing/seen.png", ["missing/"]),
-        ("draw loop --robot turtelbot2", ["did you mean 'turtlebot2'"]),
         ("convert loop mine.sdf", ["mine.sdf", ".yaml", ".pgm"]),
         ("convert narrow.yaml narrow.pgm", ["narrow.yaml is the source of the world"]),
         ("convert '{file: narrow.yaml, goal: [2.5, 0.75]}' narrow.pgm", ["narrow.yaml is the source of the world"]),
@@ -132,16 +130,8 @@ def test_options_take_precedence_over_the_file_and_omissions_are_one_line(folder
         ("check '{generator: rooms, worlds: 3}'", ["check takes one world", "is 3"]),
         ("convert loop mine.pgm --resolution 0", ["0 m", "cells"]),
         ("check narrow.yaml --start 0 0 0", ["start (0, 0)", "wall"]),
-        ("check narrow.yaml --start nan 0 0", ["world.start", "finite"]),
         ("check pole.sdf --unknown wall", ["'wall'", "obstacle"]),
     ],
 )
-def test_a_mistake_is_one_line_and_leaves_no_file_behind(line, named, folder, capsys):
-    before = sorted(folder.iterdir())
-    with pytest.raises(SystemExit) as stopped:
-        main(shlex.split(line))
-    message = capsys.readouterr().err
-    assert stopped.value.code == 2
-    assert message.count("\n") == 1, message
-    assert [part for part in named if part not in message] == [], message
-    assert sorted(folder.iterdir()) == before
+def test_a_mistake_is_one_line_and_leaves_no_file_behind(line, named, folder, refused):
+    refused(main, line, named)

@@ -18,7 +18,6 @@ from typing import Any, Literal, TypeVar, get_type_hints
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import top_folder
 from tb2rl.core.trust import check_module
-from tb2rl.core.values import checked
 
 Kind = Literal["agent", "filter", "robot", "simulator", "task", "world"]
 
@@ -91,6 +90,8 @@ def make_part(cls: type[T], arguments: Mapping[str, Any], where: str, given: Map
     Raises:
         InputError: If an argument is unknown, missing or does not fit.
     """
+    from tb2rl.core.values import checked  # imports pydantic, which listing names must not
+
     given, taken = given or {}, inspect.signature(cls).parameters
     for key in arguments:
         if key not in taken or key in given:

@@ -64,15 +64,16 @@ class Metric:
         return f"{figure:.1f}" if self.kind == "mean" else f"{figure:.3f}" if self.kind == "ratio" else f"{figure:g}"
 
     def spread(self, figures: Mapping[str, Any]) -> str:
-        """The interval of a rate or the standard deviation of a mean; else ""."""
+        """The 95 % interval of a rate or the standard deviation of a mean; else ""."""
         if self.kind == "rate":
             low, high = figures[f"{self.name}_interval"]
-            return f"95 % interval {100 * low:.1f} to {100 * high:.1f} %"
+            return f"{100 * low:.1f} to {100 * high:.1f} %"
         return f"\u00b1 {figures[f'std_{self.name}']:.1f}" if self.kind == "mean" else ""
 
     def row(self, figures: Mapping[str, Any]) -> tuple[str, str, str]:
         """Label, figure, and spread with unit, for a table."""
-        return self.label, self.format(figures[self.key]), f"{self.spread(figures)} {self.unit}".strip()
+        spread = f"95 % interval {self.spread(figures)}" if self.kind == "rate" else self.spread(figures)
+        return self.label, self.format(figures[self.key]), f"{spread} {self.unit}".strip()
 
 
 def squares(path: np.ndarray) -> int:

@@ -117,8 +117,10 @@ def test_noisy_values_choose_by_the_gap_relative_to_the_largest_value(values, ep
     assert action_shares(values, epsilon, "noisy_values")[1] == pytest.approx(share, abs=tolerance)
 
 
-@pytest.mark.parametrize("exploration", ["noisy_values", "epsilon_greedy"])
-@pytest.mark.parametrize(("values", "shares"), [([0.0, 0.0, 0.0], [1 / 3] * 3), ([2.0, 1.0, 2.0], [0.5, 0.0, 0.5])])
+@pytest.mark.parametrize(
+    ("exploration", "values", "shares"),
+    [("noisy_values", [0.0, 0.0, 0.0], [1 / 3] * 3), ("epsilon_greedy", [2.0, 1.0, 2.0], [0.5, 0.0, 0.5])],
+)
 def test_ties_are_broken_at_random(exploration, values, shares, action_shares):
     assert action_shares(values, 0.0, exploration) == pytest.approx(shares, abs=0.015)
 
@@ -207,20 +209,3 @@ def test_averages_change_neither_learning_nor_exploration(frozen_lake):
     np.testing.assert_array_equal(averaging._latest, plain.policy.q)
     np.testing.assert_array_equal(averaging.policy.visits, plain.policy.visits)
     assert not np.array_equal(averaging.policy.q, plain.policy.q)
-
-
-def test_a_learner_with_a_loaded_policy_continues_from_its_averages(drive):
-    model = QLearning("QTable", drive("terminated"), learning_rate=0.5, gamma=0.0, averaging=0.5)
-    model.policy.q[:] = 8.0
-    model.learn(2)
-    assert model._latest[0, 0] == 8.0 + 0.5 * (5.0 - 8.0)
-
-
-def test_a_saved_learner_continues_with_its_values_and_its_averages(drive, tmp_path):
-    model = QLearning("QTable", drive("terminated"), learning_rate=0.1, averaging=0.1).learn(20)
-    model.save(tmp_path / "model")
-    again = QLearning.load(tmp_path / "model", env=drive("terminated"))
-    for one in (model, again):
-        one.learn(20, reset_num_timesteps=False)
-    np.testing.assert_array_equal(again._latest, model._latest)
-    np.testing.assert_array_equal(again.policy.q, model.policy.q)

@@ -21,11 +21,8 @@ def test_sb3s_callbacks_evaluate_checkpoint_and_stop(tmp_path, drive):
     evaluation = EvalCallback(Monitor(drive()), best_model_save_path=str(tmp_path), eval_freq=5, verbose=0)
     model.learn(1000, callback=[checkpoints, evaluation, StopTrainingOnMaxEpisodes(6)])
     assert model.num_timesteps == 12
-    assert sorted(file.name for file in tmp_path.iterdir()) == [
-        "best_model.zip",
-        "rl_model_10_steps.zip",
-        "rl_model_5_steps.zip",
-    ]
+    files = {"best_model.zip", "rl_model_10_steps.zip", "rl_model_5_steps.zip"}
+    assert {file.name for file in tmp_path.iterdir()} == files
     assert evaluation.best_mean_reward == -195.0
     assert QLearning.load(tmp_path / "rl_model_5_steps.zip").num_timesteps == 5
 
@@ -41,12 +38,6 @@ def test_it_trains_in_subprocesses_of_sb3():
     assert model.policy.visits.sum() == 20
 
 
-@pytest.mark.filterwarnings("ignore::tqdm.TqdmExperimentalWarning")
-def test_it_shows_a_progress_bar(capfd, bandit):
-    QLearning("QTable", bandit()).learn(10, progress_bar=True)
-    assert "10/10" in "".join(capfd.readouterr())
-
-
 def test_it_logs_to_tensorboard(tmp_path, drive):
     QLearning("QTable", Monitor(drive(actions=2)), tensorboard_log=str(tmp_path)).learn(40, log_interval=10)
     events = EventAccumulator(str(tmp_path / "QLearning_1")).Reload()
@@ -57,8 +48,8 @@ def test_it_logs_to_tensorboard(tmp_path, drive):
     assert {"rollout/exploration_rate", "train/learning_rate", "time/fps"} <= logged.keys()
 
 
-def test_a_saved_model_acts_the_same_and_goes_on_learning(tmp_path, frozen_lake, epsilons):
-    model = QLearning("QTable", frozen_lake(), exploration_decay=0.9, seed=0).learn(2000)
+def test_a_saved_model_acts_the_same_and_continues_to_learn(tmp_path, frozen_lake, epsilons):
+    model = QLearning("QTable", frozen_lake(), exploration_decay=0.9, averaging=0.1, seed=0).learn(2000)
     model.save(tmp_path / "model")
     again = QLearning.load(tmp_path / "model", env=frozen_lake())
     states = np.arange(16)
@@ -66,6 +57,16 @@ def test_a_saved_model_acts_the_same_and_goes_on_learning(tmp_path, frozen_lake,
     epsilon, visits = model.exploration_rate, model.policy.visits.sum()
     assert epsilons(again, 100, reset_num_timesteps=False)[0] == epsilon, "resuming does not explore from the start"
     assert (again.num_timesteps, again.policy.visits.sum()) == (2100, visits + 100)
+
+
+def test_a_saved_learner_continues_with_its_values_and_its_averages(drive, tmp_path):
+    model = QLearning("QTable", drive("terminated"), learning_rate=0.1, averaging=0.1).learn(20)
+    model.save(tmp_path / "model")
+    again = QLearning.load(tmp_path / "model", env=drive("terminated"))
+    for one in (model, again):
+        one.learn(20, reset_num_timesteps=False)
+    np.testing.assert_array_equal(again._latest, model._latest)
+    np.testing.assert_array_equal(again.policy.q, model.policy.q)
 
 
 def test_a_saved_table_holds_only_the_visited_pairs(frozen_lake):
@@ -87,8 +88,6 @@ def test_a_saved_table_holds_only_the_visited_pairs(frozen_lake):
         {"pairs": [2, 1]},
         {"pairs": [-1, 1]},
         {"pairs": [1, 64]},
-        {"pairs": [2**63 - 2, -(2**63)]},
-        {"pairs": [[1, 2]]},
         {"pairs": [1.0, 2.0]},
         {"q": [1.0]},
         {"visits": [1, 0]},

@@ -44,20 +44,12 @@ def test_episodes_in_threads_are_those_of_one_thread(study, simulation, capfd):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("agent", ["qlearn", "stable_baselines3:PPO"])
-def test_trainings_in_threads_end_with_a_policy_each(study, agent, tmp_path, capfd):
+def test_trainings_in_threads_end_with_a_policy_each(study, tmp_path, capfd):
     def objective(trial):
         rate = trial.suggest_float("learning_rate", 1.0e-4, 1.0e-2, log=True)
-        small = {} if agent == "qlearn" else {"agent.n_steps": 64, "agent.batch_size": 32}
-        policy = tb2rl.train(
-            agent,
-            "maze",
-            settings={"agent.learning_rate": rate, "task.episode_steps": 40, **small},
-            folder=tmp_path / str(trial.number),
-            total_timesteps=128,
-            eval_freq=0,
-            seed=trial.number,
-        )
+        small = {"agent.n_steps": 64, "agent.batch_size": 32, "task.episode_steps": 40}
+        train = {"total_timesteps": 128, "eval_freq": 0, "seed": trial.number, "folder": tmp_path / str(trial.number)}
+        policy = tb2rl.train("stable_baselines3:PPO", "maze", settings={"agent.learning_rate": rate, **small}, **train)
         print(f"trial {trial.number} trained\n", end="")
         return tb2rl.evaluate(policy, episodes=1, steps=40, workers=1).episodes[0].episode_return
 

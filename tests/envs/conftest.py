@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from tb2rl import make_env
+from tb2rl.envs.scene import Scene, make_scene
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.sensors import Sensor
 from tb2rl.tasks import Outcome, Task, Velocities
 from tb2rl.tasks.reach_goal import ReachGoal
@@ -31,7 +33,7 @@ class Glide(Task):
 
 
 class Map(Sensor):
-    """A picture in which one pixel moves with the robot, brighter the nearer a wall is."""
+    """An image in which one pixel moves with the robot, brighter the nearer a wall is."""
 
     name, low, high, shape = "map", 0, 255, (1, 36, 36)
 
@@ -59,6 +61,19 @@ class Alone(Wander):
         return (Map(),)
 
 
+class Straight:
+    """A policy that takes the first action."""
+
+    def predict(self, observation, *, deterministic=False):
+        return np.array(0), None
+
+
+@pytest.fixture
+def straight():
+    """A `Straight`."""
+    return Straight()
+
+
 @pytest.fixture
 def glide():
     """The task `Glide`."""
@@ -71,7 +86,7 @@ def image_task(request):
     return request.param
 
 
-@pytest.fixture(params=[(Wander, "discrete"), (Wander, "raw"), (ReachGoal, "raw"), (Alone, "raw"), (Beside, "raw")])
+@pytest.fixture(params=[(Wander, "discrete"), (ReachGoal, "raw"), (Alone, "raw"), (Beside, "raw")])
 def observed(request):
     """A task and how it is observed: classes, numbers, an image, both."""
     return request.param
@@ -82,6 +97,19 @@ def make():
     """`make_env`, whose environments are closed after the test."""
     with ExitStack() as stack:
         yield lambda *arguments, **settings: stack.enter_context(closing(make_env(*arguments, **settings)))
+
+
+@pytest.fixture
+def start_vec_env():
+    """A function that makes a `TurtleBot2VecEnv` of a task or scene; returns it and its first observations."""
+
+    def start(task, observation="raw", num_envs=5, seed=0, **arguments):
+        scene = task if isinstance(task, Scene) else make_scene(task, observation)
+        env = TurtleBot2VecEnv(scene, num_envs, **arguments)
+        env.seed(seed)
+        return env, env.reset()
+
+    return start
 
 
 @pytest.fixture

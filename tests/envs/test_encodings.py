@@ -1,4 +1,4 @@
-"""What an agent observes of a reading: the classes of its numbers, or the numbers themselves, or images."""
+"""What an agent observes of a robot state: the classes of its numbers, the numbers themselves, or images."""
 
 import math
 import tracemalloc
@@ -10,16 +10,13 @@ from gymnasium import spaces
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import read_yaml, top_folder
-from tb2rl.core.plugins import task_names
 from tb2rl.core.values import build
 from tb2rl.envs.encodings import BEAMS, SensorBox, encode, ranges_to_bins
 from tb2rl.envs.scene import make_scene
 from tb2rl.robots import Laser
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
-from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.registry import find_task
-from tb2rl.tasks.wander import Wander
 
 INF, NAN = math.inf, math.nan
 
@@ -45,7 +42,7 @@ class Twist(Sensor):
 
 
 class Image(Sensor):
-    """The same picture for all, which is nobody's to change."""
+    """The same image for all, which must not be changed."""
 
     name, low, high = "image", 0, 255
     picture = np.arange(27, dtype=np.uint8).reshape(3, 3, 3)
@@ -67,12 +64,6 @@ def test_ranges_fall_into_classes_whose_lower_border_belongs_to_them():
     assert ranges_to_bins(ranges, [1.0, 2.0]).tolist() == [[0, 0, 1, 1, 1], [2, 2, 2, 0, 0]]
 
 
-def test_the_tutorials_classes_are_the_integer_part():
-    bins = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]["range_bins"]
-    ranges = np.array([NAN, 0.0, 0.999, 1.0, 2.5, 5.999, 6.0, 7.3, INF])
-    assert ranges_to_bins(ranges, bins).tolist() == [0, 0, 0, 1, 2, 5, 6, 6, 6]
-
-
 def test_the_tutorial_observes_five_of_720_beams_in_seven_classes():
     settings = read_yaml(top_folder("configs") / "tutorial.yaml")["task"]
     scene = make_scene(build(find_task(settings.pop("name")), settings, "task"), "discrete")
@@ -80,14 +71,14 @@ def test_the_tutorial_observes_five_of_720_beams_in_seven_classes():
     assert scene.observation_space.nvec.tolist() == [7] * 5
 
 
-def test_distance_classes_of_several_robots_are_rows(make_reading):
+def test_distance_classes_of_several_environments_are_rows(make_reading):
     observe = encode("discrete", [beams(3, (1.0, 2.0))])
     seen = observe(make_reading(ranges=[[0.5, 1.5, INF], [INF, INF, 0.1]]))
     assert seen.tolist() == [[0, 1, 2], [2, 2, 0]]
     assert np.issubdtype(seen.dtype, np.integer)
 
 
-def test_other_sensors_come_after_the_beams_in_the_classes_of_their_own_edges(make_reading):
+def test_other_sensors_come_after_the_beams_in_their_own_classes(make_reading):
     observe = encode("discrete", [beams(2), Odometry()])
     assert observe.space.nvec.tolist() == [2, 2, 3]
     seen = [observe(make_reading(ranges=[0.5, 2.0], odometry=(x, 0, 0)))[0].tolist() for x in (-1, 0, 0.7)]
@@ -104,11 +95,12 @@ def test_raw_ranges_are_metres_in_float32_and_nothing_hit_is_the_longest(make_re
     assert seen == pytest.approx(np.array([[0.5, 1.25, 30.0], [29, 30.0, 0.1]]))
 
 
-@pytest.mark.parametrize(("x", "seen"), [(-0.5, -0.5), (0.25, 0.25), (9.0, 1.0), (-9.0, -1.0)])
-def test_other_raw_numbers_come_after_the_beams_cut_to_their_limits(x, seen, make_reading):
+def test_other_raw_numbers_come_after_the_beams_clipped_to_their_limits(make_reading):
     observe = encode("raw", [beams(2), Odometry()])
     assert (observe.space.low[-1], observe.space.high[-1]) == (-1, 1)
-    assert observe(make_reading(ranges=[0.5, 2.0], odometry=(x, 0, 0)))[0].tolist() == [0.5, 2.0, seen]
+    odometry = [(x, 0, 0) for x in (-0.5, 0.25, 9.0, -9.0)]
+    seen = observe(make_reading(ranges=[[0.5, 2.0]] * 4, odometry=odometry))
+    assert seen.tolist() == [[0.5, 2.0, x] for x in (-0.5, 0.25, 1.0, -1.0)]
 
 
 def test_raw_numbers_say_their_units_and_what_they_are():
@@ -119,18 +111,6 @@ def test_raw_numbers_say_their_units_and_what_they_are():
     assert space.low == pytest.approx([0.1, 0.1, -1, -4, -4])
     assert space.high.tolist() == [30, 30, 1, 4, 4]
     assert space == spaces.Box(space.low, space.high)
-
-
-@pytest.mark.parametrize("mode", BEAMS)
-@pytest.mark.parametrize("name", task_names())
-def test_every_observation_of_every_task_lies_in_its_space(name, mode, make_reading):
-    scene, rng = make_scene(find_task(name)(), mode), np.random.default_rng(0)
-    laser = scene.laser
-    for _ in range(20):
-        ranges = rng.choice([laser.min_range, 0.7, 1.0, rng.uniform(0.1, 30), laser.max_range, INF], len(laser.angles))
-        odometry, goal = rng.uniform(-9, 9, 3), rng.uniform(-9, 9, 2)
-        robot_state = make_reading(ranges=ranges, odometry=odometry, goal=goal)
-        assert scene.observation_space.contains(scene.encoding(robot_state)[0])
 
 
 # ---- images
@@ -152,13 +132,6 @@ def test_an_image_beside_numbers_makes_a_mapping_of_both(make_reading):
     seen = observe(make_reading(ranges=[[0.5, INF]] * 2, odometry=[(0, 0, 0), (0.5, 0, 0)]))
     assert seen["numbers"].tolist() == [[0.5, 30, 0], [0.5, 30, 0.5]]
     assert (seen["image"] == Image.picture).all()
-
-
-def test_several_images_stand_by_their_names():
-    class Depth(Image):
-        name = "depth"
-
-    assert set(encode("raw", [Image(), Depth()]).space) == {"image", "depth"}
 
 
 @pytest.mark.parametrize("sensors", [[Image()], [beams(3), Image()]], ids=["alone", "beside numbers"])
@@ -185,10 +158,8 @@ class Strange(Sensor):
         ("discrete", [beams(2), Twist()], "sensor twist has no bins of classes; set them, or take observation=raw"),
         ("discrete", [beams(2), Image()], "sensor image is an image, which has no classes; take observation=raw"),
         ("discrete", [beams(2, (1.0, 1.0))], r"bins of sensor laser must strictly increase, got \[1.0, 1.0\]"),
-        ("discrete", [beams(2, (2.0, 1.0))], "bins of sensor laser must strictly increase"),
         ("raw", [Strange()], r"needs sensors, each with a shape of \(n,\)"),
         ("raw", [], "needs sensors"),
-        ("discrete", [], "needs sensors"),
     ],
 )
 def test_sensors_that_cannot_be_observed_are_refused_with_one_line(mode, sensors, words):
@@ -197,20 +168,8 @@ def test_sensors_that_cannot_be_observed_are_refused_with_one_line(mode, sensors
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("task", "words"),
-    [
-        (Wander(range_bins=(2.0, 1.0)), "laser must strictly increase"),
-        (ReachGoal(bearing_bins=(1.0, 0.0)), "goal bearing must strictly increase"),
-    ],
-)
-def test_a_task_with_edges_that_do_not_increase_is_refused(task, words):
-    with pytest.raises(InputError, match=words):
-        make_scene(task, "discrete")
-
-
 class Flat(Odometry):
-    """It forgets the axis of the robots' numbers."""
+    """Forgets the axis of the numbers."""
 
     def read(self, robot_state):
         return robot_state.odometry[:, 0]
@@ -218,7 +177,7 @@ class Flat(Odometry):
 
 @pytest.mark.parametrize("mode", BEAMS)
 def test_a_sensor_that_reads_another_shape_than_it_says_is_named(mode, make_reading):
-    with pytest.raises(InputError, match=r"sensor x must read an array of shape .*robots.*, 1.* it has shape \(2,\)"):
+    with pytest.raises(InputError, match=r"sensor x must read an array of shape .*num_envs.*, 1.* it has shape \(2,\)"):
         encode(mode, [beams(3), Flat()])(make_reading([1.0, 2.0]))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,10 +14,32 @@ from tb2rl.core.errors import InputError
 from tb2rl.deploy import Driver, Scan, TrainedPolicy
 from tb2rl.deploy.portable.driver import DRIVING
 from tb2rl.deploy.portable.policy import ExportedPolicy
+from tb2rl.envs.filters import Filter, SpeedLimits
 from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.runs.loading import config_of
 from tb2rl.tasks.wander import Wander
+
+
+class SlowStart(Filter):
+    """Halves the first two commands of an episode."""
+
+    def reset(self, num_envs):
+        self.steps = np.zeros(num_envs, int)
+
+    def reset_at(self, indices):
+        self.steps[indices] = 0
+
+    def __call__(self, commands, robot_state):
+        self.steps += 1
+        return np.where(self.steps[:, None] <= 2, 0.5 * commands, commands)
+
+    def state(self):
+        return {"steps": self.steps.copy()}
+
+    def restore(self, state):
+        self.steps = state["steps"].copy()
+
 
 FILTER = '''
 import numpy as np
@@ -93,3 +116,30 @@ def test_the_evaluation_of_a_policy_and_its_drivers_have_the_filter(crawl, tmp_p
 def test_a_wrong_filter_is_named(filters, message):
     with pytest.raises(InputError, match=message):
         make_env("maze", filters=filters)
+
+
+def test_each_environment_has_a_filter_of_its_own_that_restarts_with_its_episode(start_vec_env):
+    scene = make_scene(Wander(start="fixed", episode_steps=3), "raw")
+    scene = replace(scene, filters=(SlowStart(), SpeedLimits(speed=0.4)))
+    (env, _), (other, _) = (start_vec_env(scene, num_envs=2) for _ in range(2))
+    speeds = []
+    for step in range(5):
+        env.step(np.zeros(2, int))
+        if step:
+            other.step(np.zeros(2, int))
+            np.testing.assert_array_equal(env.loop.robot_state.command, other.loop.robot_state.command)
+        else:
+            other.restore(env.state())
+        speeds.append(env.loop.robot_state.command[:, 0].max())
+    assert speeds == [0.25, 0.25, 0.0, 0.25, 0.25]  # the third step ends the episode, and the next begins at rest
+
+
+def test_filters_come_before_the_latency_of_commands(make):
+    limits = [{"speed_limits": {"speed": 0.1}}, {"speed_limits": {"speed": 0.2}}]
+    env = make("maze", simulation="kinematic", start="fixed", filters=limits, variation={"latency": 1})
+    env.reset(seed=0)
+    commands = []
+    for action in (0, 1, 1):
+        env.step(action)
+        commands.append(env.robot_state.command[0].tolist())
+    assert commands == [[0.0, 0.0], [0.1, 0.0], [0.05, 1.0]]

@@ -1,221 +1,117 @@
-"""Commands that are obeyed late and readings that are observed late, in every face of an environment."""
+"""Commands that take effect late and observations that arrive late."""
 
 from __future__ import annotations
-
-import copy
 
 import numpy as np
 import pytest
 
 import tb2rl
 from tb2rl.core.errors import InputError
-from tb2rl.core.plugins import task_names
-from tb2rl.envs.observation_delay import Delay
-from tb2rl.envs.scene import make_scene
-from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.envs.observation_delay import ObservationDelay
 from tb2rl.simulation.variation import PRESETS
 from tb2rl.tasks.wander import Wander
 
-STRONG = {"preset": "strong", "latency": [1, 3], "observation_latency": [0, 2]}
+ACTIONS = [1, 0, 2, 0, 1, 1, 0]
 
 
-def make(simulation="kinematic", observation="raw", **settings):
-    return tb2rl.make_env("maze", observation, simulation=simulation, world="loop", **settings)
+@pytest.fixture
+def run(make):
+    """A function from settings to an environment, and the observations and robot states of an episode in it."""
 
+    def run_episode(simulation="kinematic", **settings):
+        env = make("maze", "raw", simulation=simulation, world="loop", **settings)
+        observations, robot_states = [env.reset(seed=0, options={"pose": (3.75, 0.0, 1.57)})[0]], [env.robot_state]
+        for action in ACTIONS:
+            observations.append(env.step(action)[0])
+            robot_states.append(env.robot_state)
+        return env, observations, robot_states
 
-def drive(env, actions, seed=0):
-    """The observations and the readings of an episode, the first ones too."""
-    observations, readings = [env.reset(seed=seed, options={"pose": (3.75, 0.0, 1.57)})[0]], [env.robot_state]
-    for action in actions:
-        observations.append(env.step(action)[0])
-        readings.append(env.robot_state)
-    return observations, readings
-
-
-# ---- one robot
+    return run_episode
 
 
 @pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_a_command_is_obeyed_so_many_steps_later(simulation):
-    actions = [1, 0, 2, 0, 1, 1, 0]
-    _, late = drive(make(simulation, variation={"latency": 2}), actions)
-    _, told = drive(make(simulation), actions)
-    assert [r.command[0].tolist() for r in late[:3]] == [[0.0, 0.0]] * 3
-    for lagging, prompt in zip(late[3:], told[1:], strict=False):
-        np.testing.assert_array_equal(lagging.command, prompt.command)
-        np.testing.assert_allclose(lagging.pose, prompt.pose, atol=1e-3)
+def test_a_command_takes_effect_so_many_steps_later(simulation, run):
+    *_, late = run(simulation, variation={"latency": 2})
+    *_, prompt = run(simulation)
+    assert [state.command[0].tolist() for state in late[:3]] == [[0.0, 0.0]] * 3
+    for one, other in zip(late[3:], prompt[1:], strict=False):
+        np.testing.assert_array_equal(one.command, other.command)
+        np.testing.assert_allclose(one.pose, other.pose, atol=1e-3)
 
 
-@pytest.mark.parametrize("frame_stack", [1, 3])
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_a_reading_is_observed_so_many_steps_later_and_judged_at_once(simulation, frame_stack):
-    actions = [1, 0, 2, 0, 1, 1, 0]
-    late, readings = drive(make(simulation, frame_stack=frame_stack, variation={"observation_latency": 2}), actions)
-    prompt, told = drive(make(simulation, frame_stack=frame_stack), actions)
-    for one, other in zip(late[:3], prompt[:1] * 3, strict=True):
-        np.testing.assert_array_equal(one, other)
-    for one, other in zip(late[2:], prompt, strict=False):
-        np.testing.assert_array_equal(one, other)
-    for one, other in zip(readings, told, strict=True):
-        np.testing.assert_array_equal(one.ranges, other.ranges)
+@pytest.mark.parametrize(("simulation", "frame_stack"), [("bullet", 1), ("kinematic", 3)])
+def test_an_observation_arrives_so_many_steps_later_and_is_rewarded_at_once(simulation, frame_stack, run):
+    _, late, late_states = run(simulation, frame_stack=frame_stack, variation={"observation_latency": 2})
+    _, prompt, prompt_states = run(simulation, frame_stack=frame_stack)
+    np.testing.assert_array_equal(late[:3], prompt[:1] * 3)
+    np.testing.assert_array_equal(late[2:], prompt[:-2])
+    np.testing.assert_array_equal([each.ranges for each in late_states], [each.ranges for each in prompt_states])
     assert (late[-1] != prompt[-1]).any()
 
 
-def test_nothing_of_an_episode_arrives_in_the_next_one():
-    env = make(variation={"latency": 3, "observation_latency": 3})
-    drive(env, [1] * 5)
+def test_nothing_of_an_episode_arrives_in_the_next_one(run):
+    env, *_ = run(variation={"latency": 3, "observation_latency": 3})
     first = env.reset(seed=1)[0]
     seen = [env.step(1)[0] for _ in range(3)]
     assert all((one == first).all() for one in seen)
     assert (env.robot_state.command == 0.0).all()
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_what_was_told_is_known_at_once_however_late_the_rest_comes(simulation):
-    observe, actions = ["laser", {"last_action": {"count": 2}}], [1, 0, 2, 0]
-    env = make(simulation, observe=observe, frame_stack=2, variation={"latency": 2, "observation_latency": 2})
-    observations, _ = drive(env, actions)
-    told = np.vstack([np.zeros((2, 2)), env.scene.actions.commands(np.array(actions))]) / (0.65, np.pi)
+def test_nor_does_it_where_one_of_many_environments_starts_again(start_vec_env):
+    variation = {"latency": 2, "observation_latency": 2}
+    observe = ["laser", {"last_action": {"count": 2}}]
+    env, _ = start_vec_env(Wander(variation=variation, observe=observe, episode_steps=6), num_envs=20)
+    for _ in range(6):
+        first, _, dones, _ = env.step(np.ones(20, int))
+    assert dones.all()
+    for _ in range(2):
+        observations, *_ = env.step(np.ones(20, int))
+        assert (env.loop.robot_state.command == 0.0).all()
+        np.testing.assert_array_equal(observations[:, :-4], first[:, :-4])
+    assert (first[:, -4:] == 0.0).all()
+
+
+def test_commands_are_observed_at_once_however_late_the_rest_arrives(run):
+    settings = {"observe": ["laser", {"last_action": {"count": 2}}], "frame_stack": 2}
+    env, observations, _ = run(variation={"latency": 2, "observation_latency": 2}, **settings)
+    commands = np.vstack([np.zeros((2, 2)), env.scene.actions.commands(np.array(ACTIONS))]) / (0.65, np.pi)
     for step, observation in enumerate(observations):
-        np.testing.assert_allclose(observation[-4:], np.concatenate([told[step + 1], told[step]]), atol=1e-6)
+        np.testing.assert_allclose(observation[-4:], np.concatenate([commands[step + 1], commands[step]]), atol=1e-6)
     columns = np.array(env.observation_space.names[: len(observation) // 2]) == "laser"
-    prompt, _ = drive(make(simulation, observe=observe, frame_stack=2, variation={"latency": 2}), actions)
+    _, prompt, _ = run(variation={"latency": 2}, **settings)
     np.testing.assert_array_equal(observations[-1][len(columns) :][columns], prompt[-3][len(columns) :][columns])
 
 
-# ---- thousands
-
-
-def rollout(variation, num_envs, steps=60, **settings):
-    env = TurtleBot2VecEnv(make_scene(Wander(variation=variation, episode_steps=25, **settings), "raw"), num_envs)
-    env.seed(4)
-    env.reset()
-    rng = np.random.default_rng(0)
-    actions = rng.integers(3, size=(steps, 200))[:, :num_envs]
-    return env, [env.step(chosen) for chosen in actions]
-
-
-def test_each_robot_of_a_batch_is_as_late_as_its_own_episode_says():
-    env = TurtleBot2VecEnv(make_scene(Wander(variation={"latency": [0, 3]}, episode_steps=1500), "raw"), 60)
-    env.seed(0)
-    env.reset()
-    late = env.loop.robot_state.initial_state.command_latency.astype(int)
-    assert set(late) == {0, 1, 2, 3}
-    table, history = env.loop.scene.actions, []
-    for step in range(4):
-        actions = np.random.default_rng(step).integers(3, size=60)
-        history.append(table.commands(actions))
-        _, _, dones, _ = env.step(actions)
-        begun = ~dones
-        obeyed = env.loop.robot_state.command
-        for robot in np.flatnonzero(begun):
-            if (then := step - late[robot]) >= 0:
-                np.testing.assert_array_equal(obeyed[robot], history[then][robot])
-            else:
-                assert (obeyed[robot] == 0.0).all()
-        if dones.any():
-            break
-
-
-def test_nothing_of_an_episode_arrives_in_the_next_one_of_a_batch():
-    settings = {
-        "variation": {"latency": 2, "observation_latency": 2},
-        "observe": ["laser", {"last_action": {"count": 2}}],
-    }
-    env = TurtleBot2VecEnv(make_scene(Wander(**settings, episode_steps=6), "raw"), 20)
-    env.seed(0)
-    env.reset()
-    for _ in range(6):
-        first, _, dones, _ = env.step(np.ones(20, int))
-    assert dones.any()
-    begun = np.flatnonzero(dones)
-    for _ in range(2):
-        observations, *_ = env.step(np.ones(20, int))
-        assert (env.loop.robot_state.command[begun] == 0.0).all()
-        np.testing.assert_array_equal(observations[begun, :-4], first[begun, :-4])
-    assert (first[begun, -4:] == 0.0).all()
-
-
-def test_a_robot_meets_the_same_whatever_the_others_do():
-    _, many = rollout(STRONG, 200)
-    _, few = rollout(STRONG, 10)
-    for one, other in zip(many, few, strict=True):
-        np.testing.assert_array_equal(one[0][:10], other[0])
-        np.testing.assert_array_equal(one[1][:10], other[1])
-
-
-def test_variation_moves_no_start_pose():
-    starts = []
-    for variation in ("none", "strong"):
-        env = TurtleBot2VecEnv(make_scene(Wander(variation=variation), "raw"), 30)
-        env.seed(0)
-        env.reset()
-        starts.append(env.loop.robot_state.pose)
-    np.testing.assert_array_equal(*starts)
-
-
-@pytest.mark.parametrize("observe", [None, ["laser", {"last_action": {"count": 5}}]])
-def test_a_batch_goes_on_from_a_state_to_the_bit(observe):
-    env, _ = rollout(STRONG, 40, frame_stack=2, laser_noise=0.01, observe=observe)
-    state = copy.deepcopy(env.state())
-    chosen = np.random.default_rng(9).integers(3, size=(40, 40))
-    expected = [env.step(actions) for actions in chosen]
-    other, _ = rollout(STRONG, 40, steps=3, frame_stack=2, laser_noise=0.01, observe=observe)
-    other.restore(state)
-    for actions, answer in zip(chosen, expected, strict=True):
-        np.testing.assert_equal(other.step(actions), answer)
-
-
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_an_environment_goes_on_from_a_state_and_as_a_copy_to_the_bit(simulation):
-    env = make(simulation, frame_stack=2, variation=STRONG)
-    env.reset(seed=3)
-    for _ in range(4):
-        env.step(1)
-    state, copied = copy.deepcopy(env.state()), copy.deepcopy(env)
-    other = make(simulation, frame_stack=2, variation=STRONG)
-    other.restore(state)
-    expected = [env.step(action)[0] for action in (0, 1, 2, 1)]
-    for each in (copied, other):
-        for action, seen in zip((0, 1, 2, 1), expected, strict=True):
-            np.testing.assert_array_equal(each.step(action)[0], seen)
-        each.close()
-
-
-# ---- images and other mappings
+def test_the_latency_of_each_environment_is_that_of_its_episode(start_vec_env):
+    env, _ = start_vec_env(Wander(variation={"latency": [0, 3]}, collision_range=0.0), num_envs=60)
+    latency = env.loop.robot_state.initial_state.command_latency.astype(int)
+    assert set(latency) == {0, 1, 2, 3}
+    history = [np.zeros((60, 2))] * 3
+    for actions in np.random.default_rng(0).integers(3, size=(4, 60)):
+        history.append(env.loop.scene.actions.commands(actions))
+        env.step(actions)
+        expected = np.array(history)[-1 - latency, np.arange(60)]
+        np.testing.assert_array_equal(env.loop.robot_state.command, expected)
 
 
 def test_a_mapping_is_delayed_in_all_its_parts():
-    delay = Delay(1)
-    delay.begin({"a": np.zeros((2, 3)), "b": np.zeros((2, 1))})
+    delay = ObservationDelay(1)
+    delay.reset({"a": np.zeros((2, 3)), "b": np.zeros((2, 1))})
     latest = {"a": np.ones((2, 3)), "b": np.ones((2, 1))}
-    arriving = delay.push(latest, np.array([1.0, 0.0]))
+    arriving = delay(latest, np.array([1.0, 0.0]))
     assert arriving["a"].tolist() == [[0] * 3, [1] * 3]
     assert arriving["b"].tolist() == [[0], [1]]
-    arriving["a"][:] = 7  # whoever gets it may write into it
-    assert delay.push(latest, np.array([1.0, 1.0]))["a"].tolist() == [[1] * 3] * 2
+    arriving["a"][:] = 7  # a caller may write into it
+    assert delay(latest, np.array([1.0, 1.0]))["a"].tolist() == [[1] * 3] * 2
 
 
-# ---- every task, every way to say it
+@pytest.mark.parametrize("setting", ["wild", {"latency": -1}, {"nothing": 1}, 3, ["mild"], None])
+def test_a_variation_that_does_not_fit_is_refused_in_one_line(setting):
+    with pytest.raises(InputError, match=r"task\.variation") as error:
+        tb2rl.make_env("maze", variation=setting)
+    assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-@pytest.mark.parametrize("name", task_names())
-def test_every_task_can_be_varied(name, simulation):
-    with tb2rl.make_env(name, simulation=simulation, variation="strong") as env:
-        env.reset(seed=0)
-        assert (env.robot_state.initial_state.parameters != env.scene.robot.parameters).any()
-        for _ in range(3):
-            assert env.observation_space.contains(env.step(env.action_space.sample())[0])
-
-
-def test_what_does_not_fit_is_said_when_it_is_made():
-    for setting in ("wild", {"latency": -1}, {"nothing": 1}, 3, ["mild"], None):
-        with pytest.raises(InputError, match=r"task\.variation") as caught:
-            make(variation=setting)
-        assert "\n" not in str(caught.value)
-
-
-def test_a_preset_can_be_changed_in_one_thing():
-    task = make(variation={"preset": "mild", "latency": [0, 1]}).task
+def test_one_key_of_a_preset_can_be_changed(make):
+    task = make("maze", simulation="kinematic", variation={"preset": "mild", "latency": [0, 1]}).task
     assert task.resolved_variation == PRESETS["mild"]

@@ -1,27 +1,23 @@
-"""The picture of the moment that `render` gives."""
+"""The top-down image of `render`."""
 
 import sys
-from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.envs.scene import make_scene
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
-from tb2rl.simulation import InitialState
-from tb2rl.tasks.wander import Wander
 
 CORNER = (-3.75, -3.75, 0.0)  # the start of the world "loop"
 
 
-def pixel(world, picture, x, y):
-    """The colour at a place [m]; the picture shows the world's bounds and 0.3 m around them."""
+def pixel(world, image, x, y):
+    """The colour at a place [m]; the image shows the world's bounds and 0.3 m around them."""
     x0, y0, x1, y1 = world.bounds
-    height, width, _ = picture.shape
+    height, width, _ = image.shape
     column = (x - x0 + 0.3) / (x1 - x0 + 0.6) * width
     row = (y1 + 0.3 - y) / (y1 - y0 + 0.6) * height
-    return picture[int(row), int(column)].astype(int)
+    return image[int(row), int(column)].astype(int)
 
 
 def is_wall(colour):
@@ -29,9 +25,8 @@ def is_wall(colour):
     return red > green + 40 > blue + 40
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_a_picture_shows_the_walls_and_the_robot_where_it_is(simulation, make, drive):
-    env = make(render_mode="rgb_array", start="fixed", beams=1, simulation=simulation)
+def test_an_image_shows_the_walls_and_the_robot_where_it_is(make, drive):
+    env = make(render_mode="rgb_array", start="fixed", beams=1)
     assert env.render() is None  # nothing to show yet
     env.reset()
     before = env.render()
@@ -49,37 +44,27 @@ def test_a_picture_shows_the_walls_and_the_robot_where_it_is(simulation, make, d
     assert (before != after).any()
 
 
-def test_a_picture_shows_the_goal_that_there_is(make):
-    pictures = []
+def test_an_image_shows_the_goal_that_there_is(make):
+    images = []
     for goal in ((5.0, 0.0), (4.0, 2.0)):
-        env = make("wall", goal=goal, render_mode="rgb_array", start="fixed", beams=1)
+        env = make("wall", goal=goal, render_mode="rgb_array", simulation="kinematic", start="fixed", beams=1)
         env.reset()
-        pictures.append(env.render())
+        images.append(env.render())
     for x, y, shown in ((5.2, 0.0, 0), (4.2, 2.0, 1)):  # the rings' right ends
-        red, green, blue = pixel(env.scene.world, pictures[shown], x, y)
+        red, green, blue = pixel(env.scene.world, images[shown], x, y)
         assert green > red + 40 > blue
-        assert pixel(env.scene.world, pictures[1 - shown], x, y).min() > 200
+        assert pixel(env.scene.world, images[1 - shown], x, y).min() > 200
 
 
-@dataclass(frozen=True)
-class Elsewhere(Wander):
-    """Each episode begins in the second world."""
-
-    def initial_state(self, spec, draws):
-        return InitialState.default(spec, draws.num_envs, world=len(spec.worlds) - 1)
-
-
-def test_a_picture_shows_the_world_that_the_episode_is_in(make_setup):
-    spec = make_setup("loop", "circuit", beams=1)
-    scene = replace(make_scene(Elsewhere(beams=1), "raw"), spec=spec)
-    env = TurtleBot2Env(scene, "rgb_array", "kinematic")
-    env.reset()
-    circuit = spec.worlds[1]
+def test_an_image_shows_the_world_that_the_episode_is_in(make):
+    env = make(world=["loop", "circuit"], render_mode="rgb_array", simulation="kinematic", start="fixed", beams=1)
+    env.reset(options={"world": 1})
+    circuit = env.scene.spec.worlds[1]
     assert is_wall(pixel(circuit, env.render(), 4.5, 2.25))
     assert pixel(circuit, env.render(), circuit.start[0] - 0.12, circuit.start[1]).max() < 80
 
 
-def test_without_a_render_mode_there_is_no_picture(make):
+def test_without_a_render_mode_there_is_no_image(make):
     env = make()
     env.reset(seed=0)
     assert env.render() is None
@@ -98,7 +83,7 @@ def test_a_window_without_a_display_is_refused_with_the_way_out(make, monkeypatc
         make(render_mode="human")
 
 
-def test_a_film_has_as_many_pictures_a_second_as_there_are_steps(make):
+def test_the_frame_rate_is_that_of_the_control_steps(make):
     assert make(control_period=0.1).metadata["render_fps"] == 10
     assert make(control_period=5.0).metadata["render_fps"] == 1
     assert TurtleBot2Env.metadata["render_fps"] == 5

@@ -1,4 +1,4 @@
-"""The picture from above shows the robot in its size, its beams, its path and its goal."""
+"""The top view shows the robot in its size, its beams, its path and its goal."""
 
 from __future__ import annotations
 
@@ -21,9 +21,8 @@ def draw(world, robot=ROBOT, laser=ONE_BEAM, goal=None, pose=(0.0, 0.0, 0.0), ra
     return picture.draw(np.array(pose), np.array(ranges), [np.array(point) for point in path])
 
 
-@pytest.mark.parametrize("larger", [1.0, 3.0])
-def test_the_robot_has_its_size(larger, square, look_at):
-    robot = replace(ROBOT, radius=larger * ROBOT.radius, wheel_separation=larger * ROBOT.wheel_separation)
+def test_a_large_robot_has_its_size(square, look_at):
+    robot = replace(ROBOT, radius=3 * ROBOT.radius, wheel_separation=3 * ROBOT.wheel_separation)
     look = look_at(square, draw(square, robot, pose=(-0.5, -0.2, 0.0)))
     body = look.points(BODY)
     (left, low), (right, high) = body.min(axis=0), body.max(axis=0)
@@ -34,7 +33,7 @@ def test_the_robot_has_its_size(larger, square, look_at):
     assert wheels.max() - wheels.min() == pytest.approx(robot.wheel_separation + 0.03, abs=0.02)
 
 
-@pytest.mark.parametrize("yaw", [0.0, math.pi / 2, -2.0])
+@pytest.mark.parametrize("yaw", [0.0, -2.0])
 def test_the_nose_points_ahead(yaw, square, look_at):
     x, y = look_at(square, draw(square, pose=(0.0, 0.0, yaw))).points(NOSE).mean(axis=0)
     assert math.remainder(math.atan2(y, x) - yaw, math.tau) == pytest.approx(0.0, abs=0.05)

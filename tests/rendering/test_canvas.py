@@ -22,7 +22,7 @@ def test_walls_are_at_their_positions(square, look_at):
     assert (x0, y0) == pytest.approx((-1.3, -1.3), abs=0.02)
 
 
-@pytest.mark.parametrize(("width", "height"), [(4.0, 1.0), (1.0, 4.0), (3.3, 2.7), (0.9, 100.0)])
+@pytest.mark.parametrize(("width", "height"), [(4.0, 1.0), (3.3, 2.7), (0.9, 100.0)])
 def test_sides_are_even_and_the_longer_side_is_fixed(width, height):
     world = World.from_shapes("any", start=(0, 0, 0), bounds=(0.0, 0.0, width, height))
     rows, columns, _ = Canvas(world).array().shape

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from PIL import ImageColor
 
-from tb2rl.registry import find_world
 from tb2rl.rendering.colours import BODY, FREE, GOAL, WALL
 from tb2rl.rendering.plan import draw_plan, make_grid
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.worlds.world import World
+from tb2rl.worlds import World
+from tb2rl.worlds.registry import find_world
 
 
 def share(picture, colour):
@@ -36,8 +36,7 @@ def test_a_room_behind_a_narrow_door_is_not_reachable(door, least, most):
 def test_a_grid_holds_all_plans_and_a_single_one_is_unchanged():
     plan = draw_plan(find_world("loop"), ROBOT)
     assert make_grid([plan], ["loop"]) is plan
-    picture = make_grid([plan] * 5, list("abcde"), columns=5)
-    assert picture.shape[1] == pytest.approx(5 * picture.shape[0], rel=0.1)
-    five, two = share(picture, BODY) * picture.size, share(make_grid([plan] * 2, ["a", "b"]), BODY)
-    assert five > 0
-    assert two > 0
+    grid = make_grid([plan] * 5, list("abcde"), columns=5)
+    assert grid.shape[1] == pytest.approx(5 * grid.shape[0], rel=0.1)
+    for tile in np.split(grid, 5, axis=1):
+        assert share(tile, BODY) > 0

@@ -61,34 +61,17 @@ def test_an_agent_that_learns_is_not_a_policy_alone(refused):
 
 ELSEWHERE = """
 import numpy as np
-import torch as th
 from stable_baselines3 import PPO
-from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.policies import ActorCriticPolicy
 
-class Policy(BasePolicy):
+class Policy(ActorCriticPolicy):
     "Its weights are arrays of another library than torch, which `state_dict` does not know."
 
-    def _predict(self, observation, deterministic=False):
-        return th.zeros(len(observation), dtype=th.int64)
-
-    def forward(self, observation):
-        nothing = th.zeros(len(observation))
-        return self._predict(observation), nothing[:, None], nothing
-
-    def predict_values(self, observation):
-        return th.zeros(len(observation), 1)
+    def state_dict(self):
+        return {}
 
 class Elsewhere(PPO):
-    def train(self):
-        self.policy.weights += 1.0
-
-    def _get_torch_save_params(self):
-        return [], []
-
-    def _setup_model(self):
-        super()._setup_model()
-        self.policy = Policy(self.observation_space, self.action_space)
-        self.policy.weights = np.zeros(3)
+    policy_aliases = {"MlpPolicy": Policy}
 """
 
 
@@ -112,9 +95,7 @@ def test_an_algorithm_without_parameters_that_can_be_saved_is_refused_before_the
         ("ppo", {"agent__n_steps": 0}),
         ("ppo", {"agent__batch_size": 1}),
         ("dqn", {"agent__optimize_memory_usage": True}),
-        ("dqn", {"agent__train_freq": [1, "x"]}),
         (f"{SB3}:SAC", {}),  # which needs continuous actions
-        (f"{SB3}:TD3", {"agent__gamma": 0.9}),
         ("ppo", {"agent__use_sde": True}),  # which needs them, too
         (f"{SB3}.common.off_policy_algorithm:OffPolicyAlgorithm", {}),
     ],
@@ -131,8 +112,6 @@ def test_what_a_library_refuses_is_one_line_that_names_the_settings(agent, setti
     ("agent", "task", "learns", "has"),
     [
         ("qlearn", "drive", "named", "continuous"),
-        ("dqn", "drive", "named", "continuous"),
-        ("sac", "maze", "continuous", "named"),
         ("td3", "my-maze", "continuous", "named"),
     ],
 )
@@ -145,7 +124,7 @@ def test_an_algorithm_that_wants_masks_of_actions_is_refused(refused):
     assert "agent sb3_contrib:MaskablePPO needs masks" in refused(make, "sb3_contrib:MaskablePPO")
 
 
-@pytest.mark.parametrize("device", ["nowhere", "meta", "cpu:x", ""])
+@pytest.mark.parametrize("device", ["nowhere", "cpu:x"])
 def test_a_device_that_cannot_be_used_is_refused(device, refused):
     assert "train.device" in refused(make, "ppo", train__device=device)
 
@@ -153,15 +132,13 @@ def test_a_device_that_cannot_be_used_is_refused(device, refused):
 NETWORKS = [
     ("ppo", {"net_arch": [10**6, 10**6]}),
     ("ppo", {"net_arch": {"pi": [8], "vf": [10**6, 10**6]}}),
-    ("dqn", {"net_arch": [20_000] * 3}),
     ("dqn", {"net_arch": [10**12]}),
     ("dqn", {"net_arch": [8] * 3_000}),
-    ("dqn", {"net_arch": [0]}),
     ("sb3_contrib:QRDQN", {"n_quantiles": 10**8}),
 ]
 
 
-@pytest.mark.parametrize(("agent", "kwargs"), NETWORKS, ids=str)
+@pytest.mark.parametrize(("agent", "kwargs"), NETWORKS)
 def test_a_network_that_nobody_means_is_refused_before_it_takes_memory(agent, kwargs, refused):
     resolve(agent)  # imports are not the network's memory
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

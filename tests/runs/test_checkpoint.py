@@ -16,10 +16,8 @@ from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.runs.folder import Run
 from tb2rl.runs.loading import load
 
-SHAPES = {
-    "bool": (3,), "uint8": (), "int8": (0,), "uint16": (3, 0, 2), "int16": (1,), "uint32": (2, 3, 4), "int32": (2, 2),
-    "uint64": (5,), "int64": (1, 1, 1, 1), "float16": (4,), "float32": (2, 3, 4), "float64": (),
-}  # fmt: skip
+SHAPES = {"bool": (3,), "uint8": (), "int8": (0,), "uint16": (3, 0, 2), "uint32": (2, 3, 4), "float16": (4,)}
+SHAPES |= {"int64": (1, 1, 1, 1), "float32": (2, 3, 4), "float64": ()}
 VALUES = [
     *(None, True, False, 0, -1, 2**64, -(2**127), 10**300, 0.1, -0.0, 1e-320, 1.7e308, float("inf"), float("-inf")),
     *("", "ü\0\n\\\"'", "\ud800", "$array", [], {}, [[]], [{}], [None, [True, {"a": []}]], {"a": {"b": {"": 1}}}),
@@ -76,12 +74,7 @@ def test_arrays_in_any_memory_layout_come_back(tmp_path):
     for name, view in views.items():
         np.testing.assert_array_equal(found[name], view)
     assert found["tensor"].shape == (4, 3)
-
-
-def test_a_loaded_array_is_a_writable_copy(tmp_path):
-    found = round_trip({"array": np.zeros(3)}, tmp_path)["array"]
-    found += 1
-    assert read_checkpoint(tmp_path / "tree.safetensors")["array"].tolist() == [0, 0, 0]
+    found["fortran"] += 1  # it is a writable copy
 
 
 def test_a_real_checkpoint_comes_back_to_the_byte(checkpoint, tmp_path):
@@ -108,12 +101,12 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(function, monkeypat
     assert list(tmp_path.iterdir()) == [file]
 
 
-@pytest.mark.parametrize("value", [object(), {1, object()}, np.array([object()]), np.array(["x"])], ids=type)
-def test_a_value_that_cannot_be_written_leaves_the_old_file_and_nothing_else(value, tmp_path):
+def test_a_value_that_cannot_be_written_leaves_the_old_file_and_nothing_else(tmp_path):
     file = tmp_path / "tree.safetensors"
     write_checkpoint(file, {"a": 1})
-    with suppress(Exception):
-        write_checkpoint(file, {"a": value})
+    for value in ({1, object()}, np.array([object()])):
+        with suppress(Exception):
+            write_checkpoint(file, {"a": value})
     assert read_checkpoint(file) == {"a": 1}
     assert list(tmp_path.iterdir()) == [file]
 
@@ -121,9 +114,8 @@ def test_a_value_that_cannot_be_written_leaves_the_old_file_and_nothing_else(val
 def test_a_run_that_cannot_save_says_so_in_one_line(dqn_checkpoint, monkeypatch, tmp_path, refused):
     algorithm = load(dqn_checkpoint)
     run = Run.create(tmp_path / "run", algorithm.trained_with)
-    run.save(algorithm, "final/policy")
-    before = {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()}
+    file = run.save(algorithm, "final/policy")
     monkeypatch.setattr(os, "fsync", no_space)
     message = refused(run.save, algorithm, "final/policy")
-    assert message == f"cannot write {run.folder / 'final' / 'policy.safetensors'}: No space left on device"
-    assert {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()} == before
+    assert message == f"cannot write {file}: No space left on device"
+    assert load(run.folder).num_timesteps == algorithm.num_timesteps

@@ -12,8 +12,7 @@ from pathlib import PurePath
 import numpy as np
 import pytest
 
-from tb2rl import convert, report
-from tb2rl.core.errors import InputError, install_extra
+from tb2rl.core.errors import install_extra
 from tb2rl.core.files import top_folder
 from tb2rl.runs import hub as module
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
@@ -91,7 +90,7 @@ def test_a_downloaded_policy_is_available_without_a_connection(hub, shared, refu
     )
 
 
-@pytest.mark.parametrize("name", ["policy.pkl", "evil.py", "config.yaml", "run", "a.json.so", "../evil.so"])
+@pytest.mark.parametrize("name", ["policy.pkl", "evil.py", "config.yaml", "a.json.so"])
 def test_a_repository_with_more_than_data_is_refused_and_not_downloaded(name, hub, shared, refused):
     hub.put("ada/maze", {**shared, name: b"\x80\x02}q\x00."})
     for trust in (False, True):
@@ -124,11 +123,9 @@ def test_a_file_that_is_too_large_or_missing_is_refused_before_the_download(name
     [
         ("agent", "name", "os:system", "os"),
         ("agent", "policy_kwargs", {"features_extractor_class": "evil:Net"}, "evil"),
-        ("agent", "policy_kwargs", {"optimizer_class": "evil:Adam"}, "evil"),
         ("task", "name", "best.evil:Task", "best.evil"),
         ("task", "robot", "evil:ROBOT", "evil"),
         ("task", "world", {"generator": "evil:make"}, "evil"),
-        ("task", "world", ["loop", "evil:WORLD"], "evil"),
         ("task", "observe", ["evil:Sensor"], "evil"),
         ("task", "world", "evil:read:/etc/passwd", "/etc/passwd"),
         ("task", "world", {"file": "hall.yaml"}, "hall.yaml"),
@@ -164,7 +161,6 @@ def test_a_shared_run_in_a_local_folder_is_untrusted_too(with_config, refused, e
     ("name", "content", "named"),
     [
         ("config.json", b"{", "is not JSON"),
-        ("config.json", b"[1]", "expected a mapping"),
         ("config.json", b'{"agent": {"name": "os:system"}}', "is not what its policy was trained with"),
         ("best/policy.safetensors", b"\x80\x04\x95.", "is not a checkpoint"),
         ("best/policy.safetensors", b"../../../../../etc/passwd", "is not a checkpoint"),  # as git stores a link
@@ -175,7 +171,7 @@ def test_a_damaged_file_is_refused(name, content, named, hub, shared, refused):
     assert named in refused(load, "hf:ada/maze")
 
 
-@pytest.mark.parametrize("reference", ["hf:", "hf:a/b/c", "hf:a/b@", "hf:../x", "hf:a b/c"])
+@pytest.mark.parametrize("reference", ["hf:", "hf:a/b/c", "hf:a/b@", "hf:../x"])
 def test_a_malformed_reference_is_refused(reference, hub, refused):
     assert reference in refused(load, reference)
 
@@ -200,16 +196,15 @@ def test_without_the_library_the_extra_is_named(refused, monkeypatch):
     assert refused(load, "hf:ada/maze") == f"the hub takes the extra `hub`: {install_extra('hub')}"
 
 
-def test_the_hub_is_not_contacted_for_other_policies(hub):
+def test_the_hub_is_not_contacted_for_other_policies(hub, refused):
     load("zoo:maze-loop-qlearn")
-    with pytest.raises(InputError):
-        load("ada/maze")
+    refused(load, "ada/maze")
     assert hub.authorisations == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "arguments", ["evaluate hf:ada/maze --episodes 1 --steps 3 --workers 1", "play hf:ada/maze --steps 3 --video a.gif"]
+    "arguments", ["evaluate hf:ada/maze --episodes 1 --steps 3 --workers 1", "convert hf:ada/maze policy.zip"]
 )
 def test_a_command_reports_an_untrusted_module_in_one_line(arguments, hub, with_config, evil, tmp_path):
     hub.put("ada/maze", with_config("task", "name", "evil:Task"))
@@ -224,18 +219,3 @@ def test_a_command_reports_an_untrusted_module_in_one_line(arguments, hub, with_
     assert evil.exists()
     assert "Bearer hf_secret" in hub.authorisations
     assert "hf_secret" not in done.stdout + done.stderr
-
-
-@pytest.mark.slow
-def test_reports_and_archives_are_made_of_policies_of_the_hub(hub, shared, with_config, evil, tmp_path, monkeypatch):
-    hub.put("ada/maze", shared)
-    hub.put("ada/evil", with_config("task", "name", "evil:Task"))
-    monkeypatch.chdir(tmp_path)
-    report.main(["hf:ada/maze"])
-    assert "hf:ada/maze" in (tmp_path / "report.html").read_text(encoding="utf-8")
-    convert.main(["hf:ada/maze", "policy.zip"])
-    assert (tmp_path / "policy.zip").is_file()
-    for command, arguments in ((report, []), (convert, ["other.zip"])):
-        with pytest.raises(SystemExit, match="2"):
-            command.main(["hf:ada/evil", *arguments])
-    assert not evil.exists()

@@ -22,7 +22,9 @@ def test_a_policy_comes_back_with_its_config_and_drives(checkpoint):
     assert config_of(policy) == content_config(content, checkpoint) == config_from(content["config"])
     for name, array in content["policy"].items():
         np.testing.assert_array_equal(policy.policy.state_dict()[name], array)
-    env = make_env(policy, simulation="kinematic")
+    env = make_env(policy, world="circuit", simulation="kinematic")
+    assert (env.observation_space, env.action_space) == (policy.observation_space, policy.action_space)
+    assert env.scene.world.name == "circuit"
     observation, _ = env.reset(seed=0)
     env.step(policy.predict(observation, deterministic=True)[0])
 
@@ -48,7 +50,7 @@ def test_the_zoo_is_loaded_by_name(refused):
     assert "did you mean 'maze-loop-qlearn'" in refused(load, "zoo:maze-lop-qlearn")
 
 
-@pytest.mark.parametrize("reference", ["no/such/run", "zoo:no-such-policy", "zoo:", "zoo:.."])
+@pytest.mark.parametrize("reference", ["no/such/run", "zoo:no-such-policy", "zoo:.."])
 def test_an_unknown_reference_is_refused(reference, refused):
     assert reference.removeprefix("zoo:") in refused(load, reference)
 
@@ -60,16 +62,9 @@ def test_an_object_that_is_no_trained_policy_has_no_config(refused):
 # ---- files that are not checkpoints
 
 
-@pytest.mark.parametrize("size", [0, 100, 0.5, -10])
-def test_a_truncated_checkpoint_is_refused(size, dqn_checkpoint, refused, tmp_path):
-    content = dqn_checkpoint.read_bytes()
-    size = int(size * len(content)) if isinstance(size, float) else size
-    (tmp_path / "policy.safetensors").write_bytes(content[:size])
-    assert "policy.safetensors is not a checkpoint" in refused(load, tmp_path / "policy.safetensors")
-
-
-@pytest.mark.parametrize("content", [b"hello world\n", b"\x80\x02}q\x00.", b"\x00" * 1000, b"PK\x03\x04"])
-def test_any_other_file_is_refused(content, refused, tmp_path):
+@pytest.mark.parametrize("content", [b"", b"\x80\x02}q\x00.", b"\x00" * 1000, 100, -10], ids=str)
+def test_a_file_that_is_no_checkpoint_or_a_truncated_one_is_refused(content, dqn_checkpoint, refused, tmp_path):
+    content = dqn_checkpoint.read_bytes()[:content] if isinstance(content, int) else content
     (tmp_path / "policy.safetensors").write_bytes(content)
     assert "policy.safetensors is not a checkpoint" in refused(load, tmp_path / "policy.safetensors")
 
@@ -100,14 +95,11 @@ def test_a_run_without_a_checkpoint_says_so(refused, tmp_path):
     ("place", "value", "named"),
     [
         ("config", ..., "'config'"),
-        ("config", [1], "sections"),
         ("config", {"agent": {"name": "qlearn"}}, "task.name"),
         ("config/agent", {"name": "wallfollower"}, "wallfollower"),
         ("config/task/world", "no_such", "no_such"),
-        ("config/task/no_such", 1, "no_such"),
         ("config/train/device", "nowhere", "train.device"),
         ("timesteps", ..., "timesteps"),
-        ("timesteps", "many", "timesteps is 'many'"),
         ("timesteps", -1, "timesteps is -1"),
     ],
 )
@@ -118,7 +110,7 @@ def test_a_config_that_does_not_fit_is_refused(place, value, named, dqn_checkpoi
     assert named in message
 
 
-@pytest.mark.parametrize("name", ["qlearn", "ppo", "recurrent_ppo", "sac"])
+@pytest.mark.parametrize("name", ["qlearn", "ppo", "sac"])
 def test_another_agents_checkpoint_is_refused(name, dqn_checkpoint, edited, refused, tmp_path):
     file = edited(dqn_checkpoint, tmp_path / "policy.safetensors", "config", resolve(name).to_dict())
     assert re.match(f"{file}( does not fit its config|: agent {name} learns continuous)", refused(load, file))

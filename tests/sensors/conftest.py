@@ -1,4 +1,4 @@
-"""Robots that are driven in both simulations, to hold what sensors read against where they went."""
+"""Robot states of an episode in each simulator, to compare sensors with the true motion."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ PERIOD = 0.2  # [s] of a command
 
 @pytest.fixture(params=("bullet", "kinematic"))
 def drive(request, make_setup):
-    """A function from a world, a pose and commands to the first reading and those after each command."""
+    """A function from a world, a pose and commands to the first robot state and those after each command."""
 
-    def readings(world, pose, commands):
+    def robot_states(world, pose, commands):
         spec = make_setup(world, beams=3)
-        start = InitialState.default(spec, 1)
-        start.pose[:] = pose
-        with closing(find_simulator(request.param).open(spec)) as simulation:
-            first = simulation.reset(start, np.random.default_rng(0))
-            return [first, *(simulation.step(np.array([command]), PERIOD) for command in commands)]
+        initial_state = InitialState.default(spec, 1)
+        initial_state.pose[:] = pose
+        with closing(find_simulator(request.param).open(spec)) as simulator:
+            first = simulator.reset(initial_state, np.random.default_rng(0))
+            return [first, *(simulator.step(np.array([command]), PERIOD) for command in commands)]
 
-    return readings
+    return robot_states

@@ -7,34 +7,34 @@ from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.sensors.camera import Camera
 
-REACH = 8.0  # [m] of the TurtleBot2's camera
+RANGE = 8.0  # [m] of the TurtleBot2's camera
 
 
 class Painted:
-    """An eye that sees an image of its own, and counts how often it is asked."""
+    """A camera with images of its own that counts its renderings."""
 
     def __init__(self, colours, depth):
-        self.colours, self.depth, self.asked = np.asarray(colours), np.asarray(depth, np.float32), 0
+        self.colours, self.depth, self.rendered = np.asarray(colours), np.asarray(depth, np.float32), 0
 
     def render_camera(self, robot_state, width, height):
-        self.asked += 1
+        self.rendered += 1
         assert self.depth.shape[1:] == (height, width)
         return self.colours, self.depth
 
 
 @pytest.fixture
 def camera():
-    """Two robots' images of 2 rows and 5 columns."""
+    """Images of two environments, each of 2 rows and 5 columns."""
     colours = np.arange(60, dtype=np.uint8).reshape(2, 2, 5, 3)
     depth = [[[0.0, 2.0, 4.0, 8.0, np.inf]] * 2, [[1.0] * 5] * 2]
     return Painted(colours, depth)
 
 
-def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_is(camera, make_reading):
+def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_was_hit(camera, make_reading):
     images = Camera(ROBOT.camera, width=5, height=2).read(make_reading(pose=[(0, 0, 0)] * 2, camera=camera))
     assert (images.dtype, images.shape) == (np.uint8, (2, 1, 2, 5))
     assert images[0, 0].tolist() == [[0, 64, 128, 255, 255]] * 2
-    assert (images[1] == round(255 / REACH)).all()
+    assert (images[1] == round(255 / RANGE)).all()
 
 
 def test_colours_come_first_and_depth_is_the_last_channel(camera, make_reading):
@@ -43,19 +43,19 @@ def test_colours_come_first_and_depth_is_the_last_channel(camera, make_reading):
     both = Camera(ROBOT.camera, colour=True, width=5, height=2).read(robot_state)
     np.testing.assert_array_equal(colours, camera.colours.transpose(0, 3, 1, 2))
     np.testing.assert_array_equal(both[:, :3], colours)
-    assert (both[1, 3] == round(255 / REACH)).all()
+    assert (both[1, 3] == round(255 / RANGE)).all()
 
 
 def test_images_are_made_when_they_are_read_and_not_before(camera, make_reading):
     robot_state = make_reading(pose=[(0, 0, 0)] * 2, camera=camera)
     robot_state.state()
-    assert camera.asked == 0
+    assert camera.rendered == 0
     Camera(ROBOT.camera, width=5, height=2).read(robot_state)
-    assert camera.asked == 1
+    assert camera.rendered == 1
 
 
-def test_a_reading_that_comes_from_no_simulation_has_no_images(make_reading):
-    with pytest.raises(InputError, match="comes from no simulation"):
+def test_a_robot_state_that_comes_from_no_simulator_has_no_images(make_reading):
+    with pytest.raises(InputError, match="comes from no simulator"):
         Camera(ROBOT.camera).read(make_reading())
 
 

@@ -1,4 +1,4 @@
-"""Where the goal is, by the wheels' odometry."""
+"""Distance and direction to the goal, by the wheels' odometry."""
 
 import math
 
@@ -7,29 +7,26 @@ import pytest
 
 from tb2rl.sensors.goal import GoalBearing, GoalDistance
 
-
-@pytest.mark.parametrize(
-    ("pose", "distance", "bearing"),
-    [
-        ((0, 0, 0), 5, 0),
-        ((5, -2, 0), 2, math.pi / 2),  # to the left: positive
-        ((5, 2, 0), 2, -math.pi / 2),
-        ((5, -2, math.pi / 2), 2, 0),
-        ((4, -1, math.pi), math.sqrt(2), -3 * math.pi / 4),
-        ((4, -1, -math.pi / 2), math.sqrt(2), 3 * math.pi / 4),
-        ((4, 0, 3.0), 1, -3.0),
-        ((4, 0, -3.0), 1, 3.0),
-        ((6, 0, 3.0), 1, math.pi - 3.0),
-        ((6, 0, -3.0), 1, 3.0 - math.pi),
-    ],
-)
-def test_distance_and_bearing_are_those_from_where_the_odometry_is(pose, distance, bearing, make_reading):
-    lost = make_reading(pose=(-7, 8, 1), odometry=pose, goal=(5.0, 0.0))
-    assert GoalDistance().read(lost) == pytest.approx(np.array([[distance]]))
-    assert GoalBearing().read(lost) == pytest.approx(np.array([[bearing]]))
+CASES = [  # odometry, distance [m], bearing [rad]
+    ((0, 0, 0), 5, 0),
+    ((5, -2, 0), 2, math.pi / 2),  # to the left: positive
+    ((5, 2, 0), 2, -math.pi / 2),
+    ((5, -2, math.pi / 2), 2, 0),
+    ((4, -1, math.pi), math.sqrt(2), -3 * math.pi / 4),
+    ((4, -1, -math.pi / 2), math.sqrt(2), 3 * math.pi / 4),
+    ((4, 0, 3.0), 1, -3.0),
+    ((6, 0, -3.0), 1, 3.0 - math.pi),
+]
 
 
-def test_every_robot_reads_its_own_goal(make_reading):
+def test_distance_and_bearing_are_those_from_the_odometry(make_reading):
+    odometry, distances, bearings = zip(*CASES, strict=True)
+    lost = make_reading(pose=[(-7, 8, 1)] * len(CASES), odometry=odometry, goal=(5.0, 0.0))
+    assert GoalDistance().read(lost)[:, 0] == pytest.approx(distances)
+    assert GoalBearing().read(lost)[:, 0] == pytest.approx(bearings)
+
+
+def test_each_environment_has_its_own_goal(make_reading):
     robot_state = make_reading(pose=[(0, 0, 0), (0, 0, 0)], goal=[(3, 4), (0, -2)])
     assert GoalDistance().read(robot_state).tolist() == [[5], [2]]
     assert GoalBearing().read(robot_state)[:, 0] == pytest.approx([math.atan2(4, 3), -math.pi / 2])
@@ -40,10 +37,3 @@ def test_a_bearing_stays_within_its_limits(make_reading):
     bearings = sensor.read(make_reading(pose=[(0, 0, yaw) for yaw in yaws], goal=(5.0, 0.0)))
     assert bearings.shape == (1001, 1)
     assert ((bearings >= sensor.low) & (bearings <= sensor.high)).all()
-
-
-def test_they_say_their_units_and_classes():
-    distance, bearing = GoalDistance((1.0, 2.0)), GoalBearing((0.0,))
-    assert (distance.unit, bearing.unit) == ("m", "rad")
-    assert (distance.bins, bearing.bins) == ((1.0, 2.0), (0.0,))
-    assert (distance.shape, bearing.shape) == ((1,), (1,))

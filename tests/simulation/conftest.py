@@ -1,9 +1,8 @@
-"""Robots to drive in PyBullet."""
+"""Simulators that are closed after a test, and a robot to drive in PyBullet."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import ExitStack, closing
 
 import numpy as np
@@ -12,42 +11,42 @@ import pytest
 from tb2rl.core.plugins import robot_names
 from tb2rl.robots.registry import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation import InitialState, RobotState, SimulationSpec
-from tb2rl.simulation.bullet.simulator import BulletSimulator
+from tb2rl.simulation import InitialState, RobotState, SimulationSpec, find_simulator
+from tb2rl.simulation.bullet.bodies import WALL_GROUP
+from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.worlds.description import world_from
+from tb2rl.worlds.world import WALL_HEIGHT
 
 OPEN = {"boxes": [{"centre": [19, 19], "size": [1, 1]}], "bounds": [-20, -20, 20, 20]}
 
 
-def _rows(robot_state: RobotState) -> Iterator[np.ndarray]:
-    """Everything in a reading, each an array (num_envs, n)."""
-    values = robot_state.state()
-    del values["initial_state"], values["bumped"]
-    yield from (value.reshape(len(value), -1) for value in values.values())
-    yield robot_state.bumped[:, None]
+def _initial_state(spec: SimulationSpec, poses=None, world=0, **fields) -> InitialState:
+    """One environment in a world, or one at each of `poses` (num_envs, 3), with some fields of the table set."""
+    initial_state = InitialState.default(spec, 1 if poses is None else len(poses), world)
+    if poses is not None:
+        initial_state.pose[:] = poses
+    for name, values in fields.items():
+        initial_state.rows[name][:] = values
+    return initial_state
 
 
 class Track:
     """One robot in PyBullet, to be placed and driven."""
 
-    def __init__(self, simulation: BulletSimulator) -> None:
+    def __init__(self, simulation) -> None:
         self.simulation, self.world, self.robot = simulation, simulation.spec.worlds[0], simulation.spec.robot
 
     def place(self, x=0.0, y=0.0, yaw=0.0, seed=0) -> RobotState:
-        """The first reading of an episode that begins here."""
-        start = InitialState.default(self.simulation.spec, 1)
-        start.pose[:] = x, y, yaw
-        return self.simulation.reset(start, np.random.default_rng(seed))
+        """The first state of an episode at this pose."""
+        return self.simulation.reset(_initial_state(self.simulation.spec, [(x, y, yaw)]), np.random.default_rng(seed))
 
     def drive(self, commands, duration=0.2) -> list[RobotState]:
-        """The readings of a robot that is told each of `commands` (steps, 2) for `duration` [s]."""
+        """The states after each of `commands` (steps, 2), which lasts `duration` [s]."""
         return [self.simulation.step(np.array([command]), duration) for command in commands]
 
-    def gaps(self, readings) -> np.ndarray:
-        """Distances between the base and the nearest wall [m], all around, shape (readings,)."""
-        return (
-            np.array([self.world.clearance(*robot_state.pose[0, :2]) for robot_state in readings]) - self.robot.radius
-        )
+    def gaps(self, states) -> np.ndarray:
+        """Distances between the base and the nearest wall [m], shape (states,)."""
+        return np.array([self.world.clearance(*state.pose[0, :2]) for state in states]) - self.robot.radius
 
     @staticmethod
     def gap(pose, other) -> tuple[float, float]:
@@ -56,22 +55,59 @@ class Track:
         return math.hypot(dx, dy), abs(math.remainder(turn, math.tau))
 
     @staticmethod
-    def record(readings) -> np.ndarray:
-        """Everything in some readings as one array, to compare to the bit."""
-        return np.array([np.hstack([*_rows(r)])[0] for r in readings])
+    def record(states) -> np.ndarray:
+        """Everything in some states as one array, to compare exactly; NaN where an episode has no goal."""
+        return np.array([np.hstack([values[0] for values in state.state().values()]) for state in states])
 
 
 @pytest.fixture(params=robot_names())
 def robot(request):
-    """Each robot that has a name."""
+    """Each registered robot."""
     return find_robot(request.param)
 
 
+@pytest.fixture(params=["bullet", "kinematic"])
+def simulator(request):
+    """The name of each simulator."""
+    return request.param
+
+
 @pytest.fixture
-def make_bullet():
-    """A function from a setup to its simulation in PyBullet, which is closed after the test."""
+def open_simulator():
+    """`find_simulator(name).open(spec, num_envs)`, which is closed after the test."""
     with ExitStack() as stack:
-        yield lambda spec: stack.enter_context(closing(BulletSimulator(spec)))
+        yield lambda name, *arguments: stack.enter_context(closing(find_simulator(name).open(*arguments)))
+
+
+@pytest.fixture
+def make_bullet(open_simulator):
+    """A function from a spec to its simulator in PyBullet, which is closed after the test."""
+    return lambda spec: open_simulator("bullet", spec)
+
+
+@pytest.fixture
+def ray_ranges():
+    """PyBullet's own ranges [m] of a simulator's world from a pose (3,) along angles (beams,), for the exact laser."""
+
+    def cast(simulation, pose, angles) -> np.ndarray:
+        (x, y, yaw), length, height = pose, simulation.spec.laser.max_range, WALL_HEIGHT / 2
+        ends = [(x + length * math.cos(yaw + a), y + length * math.sin(yaw + a), height) for a in angles]
+        only_walls = {"collisionFilterMask": WALL_GROUP, "physicsClientId": simulation._client}
+        hits = pybullet.rayTestBatch([(x, y, height)] * len(ends), ends, **only_walls)
+        return np.array([hit[2] * length if hit[0] >= 0 else np.inf for hit in hits])
+
+    return cast
+
+
+@pytest.fixture
+def begin():
+    """A function that resets a simulator to an `initial_state` with a seed, by default the first world's start."""
+
+    def reset(simulation, initial_state=None, seed=0) -> RobotState:
+        default = InitialState.default(simulation.spec, simulation.num_envs)
+        return simulation.reset(initial_state or default, np.random.default_rng(seed))
+
+    return reset
 
 
 @pytest.fixture
@@ -87,11 +123,5 @@ def make_track(make_setup, make_bullet):
 
 @pytest.fixture
 def start_at():
-    """A function from a setup and poses (num_envs, 3) to the start of episodes there."""
-
-    def start(spec: SimulationSpec, poses, world=0) -> InitialState:
-        start = InitialState.default(spec, len(poses), world)
-        start.pose[:] = poses
-        return start
-
-    return start
+    """The function `_initial_state`."""
+    return _initial_state

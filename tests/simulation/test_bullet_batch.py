@@ -1,4 +1,4 @@
-"""Many robots in PyBullet, shared out among processes: each drives as it would alone."""
+"""Many environments in PyBullet, distributed over processes: each drives as it would alone."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import pickle
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -22,177 +23,158 @@ from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.worlds.registry import find_world
 
 WORLDS = tuple(map(find_world, ("loop", "maze")))
-SETUP = SimulationSpec(ROBOT, replace(ROBOT.laser, beams=9, noise=0.02), WORLDS)
+SPEC = SimulationSpec(ROBOT, replace(ROBOT.laser, beams=9, noise=0.02), WORLDS)
 PERIOD = 0.2  # [s]
 
 
 @pytest.fixture
-def make():
-    """`BulletBatch`, whose worlds and processes are closed after the test."""
-    made = []
-    yield lambda *arguments: made.append(BulletBatch(*arguments)) or made[-1]
-    for batch in made:
-        batch.close()
+def make(open_simulator):
+    """A function from the numbers of environments and of processes to a `BulletBatch`, closed after the test."""
+    return lambda num_envs, processes=2: open_simulator("bullet", SPEC, num_envs, False, processes)
 
 
-def starts(num_envs, seed=0) -> InitialState:
-    """Each in one of the worlds, with a heading of its own."""
-    start = InitialState.default(SETUP, num_envs, np.arange(num_envs) % 2)
-    start.pose[:, 2] = np.random.default_rng(seed).uniform(-3, 3, num_envs)
-    return start
+def initial_states(num_envs, seed=0) -> InitialState:
+    """Alternating between the worlds, with random headings."""
+    initial_state = InitialState.default(SPEC, num_envs, np.arange(num_envs) % 2)
+    initial_state.pose[:, 2] = np.random.default_rng(seed).uniform(-3, 3, num_envs)
+    return initial_state
 
 
 def commands(steps, num_envs) -> np.ndarray:
     return np.random.default_rng(1).uniform((-0.2, -2), (0.6, 2), (steps, num_envs, 2))
 
 
-def begun(batch, seed=0) -> RobotState:
-    return batch.reset(starts(batch.num_envs, seed), np.random.default_rng(seed))
-
-
-def assert_same(robot_state: RobotState, other: RobotState) -> None:
-    np.testing.assert_equal(robot_state.state(), other.state())
+def reset(batch, seed=0) -> RobotState:
+    return batch.reset(initial_states(batch.num_envs, seed), np.random.default_rng(seed))
 
 
 def drive(batch, steps=10) -> list[dict]:
-    """The readings of a drive from a start, in which the robots 0 and 3 begin anew after every fourth step."""
-    seen = [begun(batch).state()]
-    for step, told in enumerate(commands(steps, batch.num_envs)):
-        robot_state = batch.step(told, PERIOD)
-        seen.append({**robot_state.state(), "moved": batch.travelled})
+    """The states of a drive in which the environments 0 and 3 are reset after every fourth step."""
+    states = [reset(batch).state()]
+    for step, command in enumerate(commands(steps, batch.num_envs)):
+        robot_state = batch.step(command, PERIOD)
+        states.append(robot_state.state() | {"travelled": batch.travelled})
         if step % 4 == 3:
-            again = np.array([0, 3])
-            fresh = InitialState.default(SETUP, 2, np.array([step // 4 % 2, 1]))
-            robot_state, first = batch.restart(again, fresh, robot_state)
-            seen += [robot_state.state(), first.state()]
-    return seen
+            fresh = InitialState.default(SPEC, 2, np.array([step // 4 % 2, 1]))
+            robot_state, first = batch.reset_at(np.array([0, 3]), fresh, robot_state)
+            states.append(robot_state.state())
+            np.testing.assert_equal(first.state(), {name: rows[[0, 3]] for name, rows in states[-1].items()})
+    return states
 
 
-class Singles:
-    """Simulations of one robot each, as a reference."""
-
-    def __init__(self, num_envs):
-        self.worlds, self.num_envs = [BulletSimulator(SETUP) for _ in range(num_envs)], num_envs
-
-    def reset(self, start, rng):
-        self.noise = rng.spawn(self.num_envs)
-        return self._joined([self._begin(i, start.table[i]) for i in range(self.num_envs)])
-
-    def step(self, commands, duration):
-        before = [robot_state.pose[0] for robot_state in self.latest]
-        robot_state = self._joined([w.step(c[None], duration) for w, c in zip(self.worlds, commands, strict=True)])
-        self.travelled = np.hypot(*(robot_state.pose - before)[:, :2].T)
-        return robot_state
-
-    def restart(self, num_envs, start, robot_state):
-        for i, row in zip(num_envs, start.table, strict=True):
-            self.latest[i] = self._begin(i, row)
-        return self._joined(self.latest), self._joined([self.latest[i] for i in num_envs], keep=False)
-
-    def _begin(self, i, row):
-        return self.worlds[i].reset(InitialState(row[None].copy()), self.noise[i])
-
-    def _joined(self, readings, keep=True):
-        self.latest = readings if keep else self.latest
-        states = [robot_state.state() for robot_state in readings]
-        return RobotState.from_state({name: np.concatenate([state[name] for state in states]) for name in states[0]})
+def drive_alone(i, num_envs, steps=10) -> list[dict]:
+    """The same drive of environment `i` in a simulator of its own."""
+    with closing(BulletSimulator(SPEC)) as simulation:
+        noise = np.random.default_rng(0).spawn(num_envs)[i]
+        states = [simulation.reset(InitialState(initial_states(num_envs).table[[i]]), noise).state()]
+        for step, command in enumerate(commands(steps, num_envs)):
+            robot_state = simulation.step(command[[i]], PERIOD)
+            states.append(robot_state.state())
+            if step % 4 == 3:
+                if i in (0, 3):
+                    fresh = InitialState.default(SPEC, 1, step // 4 % 2 if i == 0 else 1)
+                    robot_state, _ = simulation.reset_at(np.array([0]), fresh, robot_state)
+                states.append(robot_state.state())
+    return states
 
 
-@pytest.mark.parametrize("processes", [1, 2, 9])
-def test_each_robot_drives_as_it_would_alone(processes, make):
-    singles = Singles(5)
-    np.testing.assert_equal(drive(make(SETUP, 5, processes)), drive(singles))
-    for world in singles.worlds:
-        world.close()
+@pytest.mark.parametrize("processes", [2, 9])
+def test_each_environment_drives_as_it_would_alone(processes, make):
+    together, alone = drive(make(5, processes)), [drive_alone(i, 5) for i in range(5)]
+    for number, state in enumerate(together):
+        for name in alone[0][number]:
+            rows = np.concatenate([states[number][name] for states in alone])
+            np.testing.assert_array_equal(state[name], rows, name)
 
 
-def test_readings_keep_what_they_show(make):
-    batch = make(SETUP, 4, 2)
-    first = begun(batch)
-    kept = copy.deepcopy(first.state())
+def test_earlier_states_keep_their_values(make):
+    batch = make(4)
+    first = reset(batch)
     second = batch.step(commands(1, 4)[0], PERIOD)
-    kept_too = copy.deepcopy(second.state())
+    kept = copy.deepcopy([first.state(), second.state()])
     batch.step(commands(2, 4)[1], PERIOD)
-    np.testing.assert_equal([first.state(), second.state()], [kept, kept_too])
+    np.testing.assert_equal([first.state(), second.state()], kept)
     assert (first.pose != second.pose).any(axis=1).all()
 
 
-def test_the_cameras_see_where_each_robot_is(make):
-    batch = make(SETUP, 4, 2)
-    begun(batch)
-    told = commands(1, 4)[0]
-    robot_state = batch.step(told, PERIOD)
-    _, first = batch.restart(np.array([1, 2]), starts(2, seed=5), robot_state)
+def test_skipped_environments_stay_where_they_are(make):
+    batch, skip = make(4), np.array([True, False, True, False])
+    before = reset(batch).pose
+    after = batch.step(np.full((4, 2), 0.5), PERIOD, skip).pose
+    np.testing.assert_array_equal((after == before).all(axis=1), skip)
+
+
+def test_the_cameras_show_the_view_of_each_robot(make):
+    batch, command = make(4), commands(1, 4)[0]
+    reset(batch)
+    robot_state = batch.step(command, PERIOD)
+    _, first = batch.reset_at(np.array([1, 2]), initial_states(2, seed=5), robot_state)
     colours, depth = robot_state.render_camera(24, 18)
     assert (colours.shape, colours.dtype, depth.shape) == ((4, 18, 24, 3), np.uint8, (4, 18, 24))
-    for some, robots in ((first, [1, 2]), (robot_state, [0, 1, 2, 3])):
-        for image, robot in zip(some.look(24, 18)[0], robots, strict=True):
-            np.testing.assert_array_equal(image, colours[robot])
+    np.testing.assert_array_equal(first.render_camera(24, 18)[0], colours[1:3])
     assert len({image.tobytes() for image in colours}) == 4
-    alone = BulletSimulator(SETUP)
-    alone.reset(InitialState(starts(4).table[3:]), np.random.default_rng(0))
-    np.testing.assert_array_equal(alone.step(told[3:], PERIOD).look(24, 18)[0][0], colours[3])
-    alone.close()
+    with closing(BulletSimulator(SPEC)) as alone:
+        alone.reset(InitialState(initial_states(4).table[3:]), np.random.default_rng(0))
+        np.testing.assert_array_equal(alone.step(command[3:], PERIOD).render_camera(24, 18)[0][0], colours[3])
 
 
-@pytest.mark.parametrize("processes", [1, 2])
-def test_a_state_brings_back_all_that_follows(processes, make):
-    batch = make(SETUP, 8, processes)
-    begun(batch)
-    for told in commands(3, 8):
-        batch.step(told, PERIOD)
+def test_batches_of_any_number_of_processes_continue_from_a_state(make):
+    batch = make(8)
+    reset(batch)
+    for command in commands(3, 8):
+        batch.step(command, PERIOD)
     state = copy.deepcopy(batch.state())
-    ways = []
-    for go_on in (batch, batch, make(SETUP, 8, 3)):
-        if ways:
-            go_on.restore(state)
-        ways.append([{**go_on.step(told, PERIOD).state(), "moved": go_on.travelled} for told in commands(5, 8)])
-        ways[-1].append(go_on.restart(np.array([2]), starts(1), None)[1].state())
-    np.testing.assert_equal(ways[1:], [ways[0], ways[0]])
+    drives = []
+    for other in (batch, batch, make(8, 3)):
+        if drives:
+            other.restore(state)
+        states = [{**other.step(each, PERIOD).state(), "travelled": other.travelled} for each in commands(5, 8)]
+        drives.append([*states, other.reset_at(np.array([2]), initial_states(1), None)[1].state()])
+    np.testing.assert_equal(drives[1:], [drives[0], drives[0]])
 
 
-def test_the_next_way_is_counted_from_the_last_reading_though_physics_rounds_what_it_is_given(make):
-    batch = make(SETUP, 3, 2)
-    last = begun(batch).pose + [1e-9, 0.0, 0.0]
+def test_the_travelled_distance_starts_at_the_last_state_although_physics_rounds_it(make):
+    batch = make(3)
+    last = reset(batch).pose + [1e-9, 0.0, 0.0]
     batch.restore({**batch.state(), "poses": last})
     change = batch.step(commands(1, 3)[0], PERIOD).pose - last
     np.testing.assert_array_equal(batch.travelled, np.hypot(change[:, 0], change[:, 1]))
 
 
-def test_a_state_in_a_world_that_is_not_there_is_refused(make):
-    batch = make(SETUP, 2, 2)
+def test_a_state_in_an_unknown_world_is_refused(make):
+    batch = make(2)
     state = batch.state()
     state["worlds"][1]["initial_state"][0, 3] = 7
     with pytest.raises(ValueError, match="a world that is not there"):
         batch.restore(state)
 
 
-def test_an_error_in_a_world_arrives_once_and_the_others_live_on(make):
-    batch, wrong = make(SETUP, 4, 2), starts(4)
+def test_an_error_in_one_environment_is_raised_once_and_the_others_go_on(make):
+    batch, wrong = make(4), initial_states(4)
     wrong.parameters[:, RADIUS] = 0.3
     with pytest.raises(InputError, match="the robot's radius from its URDF file alone"):
         batch.reset(wrong, np.random.default_rng(0))
-    assert_same(begun(batch), begun(make(SETUP, 4, 1)))
+    np.testing.assert_equal(reset(batch).state(), reset(make(4, 1)).state())
 
 
-def test_what_is_interrupted_leaves_no_answer_for_the_next_question(make, monkeypatch):
-    batch, other = make(SETUP, 4, 2), make(SETUP, 4, 2)
-    begun(batch)
+def test_after_an_interrupt_the_next_request_gets_its_own_answer(make, monkeypatch):
+    batch = make(4)
+    reset(batch)
 
-    def interrupted(duration):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch._share, "step", interrupted)
+        patch.setattr(batch._share, "step", interrupt)
         with pytest.raises(KeyboardInterrupt):
             batch.step(np.ones((4, 2)), PERIOD)
     assert len(batch.state()["worlds"]) == 4
-    np.testing.assert_equal(drive(batch), drive(other))
+    np.testing.assert_equal(drive(batch), drive(make(4)))
 
 
-def test_a_process_that_is_killed_is_named_in_one_line(make):
-    batch = make(SETUP, 3, 2)
-    begun(batch)
+def test_a_killed_process_gives_an_error_of_one_line(make):
+    batch = make(3)
+    reset(batch)
     batch._processes[0].kill()
     batch._processes[0].join()
     for _ in range(2):
@@ -200,57 +182,50 @@ def test_a_process_that_is_killed_is_named_in_one_line(make):
             batch.step(np.zeros((3, 2)), PERIOD)
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_that_reaches_every_process_ends_none_of_them(name, make):
-    batch, other = make(SETUP, 4, 2), make(SETUP, 4, 2)
-    begun(batch)
-    os.kill(batch._processes[0].pid, getattr(signal, name))
-    np.testing.assert_equal(drive(batch), drive(other))
+def test_signals_that_reach_every_process_end_none_of_them(make):
+    batch = make(4)
+    reset(batch)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        os.kill(batch._processes[0].pid, getattr(signal, name))
+    np.testing.assert_equal(drive(batch), drive(make(4)))
 
 
-@pytest.mark.parametrize("processes", [1, 2])
-@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
-def test_worlds_in_processes_are_not_copied(copied, processes, make):
+@pytest.mark.parametrize(("processes", "copied"), [(1, copy.deepcopy), (2, pickle.dumps)])
+def test_a_batch_is_not_copied(copied, processes, make):
     with pytest.raises(InputError, match="cannot be copied or sent"):
-        copied(make(SETUP, 2, processes))
+        copied(make(2, processes))
 
 
 def test_close_ends_the_processes(make):
     before = set(multiprocessing.active_children())
-    batch = make(SETUP, 3, 2)
+    batch = make(3)
     started = set(multiprocessing.active_children()) - before
-    assert len(started) == 1  # the other share is in this process
+    assert len(started) == 1  # the other environments are in this process
     batch.close()
     assert not started & set(multiprocessing.active_children())
-    batch.close()  # once more does no harm
+    batch.close()
 
 
-def test_a_robot_that_cannot_be_loaded_leaves_no_process(tmp_path):
+def test_an_error_while_the_worlds_open_is_raised_and_leaves_no_process(make, tmp_path, monkeypatch):
     before = set(multiprocessing.active_children())
     (tmp_path / "robot.urdf").write_text("no robot")
     with pytest.raises(InputError, match="PyBullet cannot load"):
-        BulletBatch(replace(SETUP, robot=replace(ROBOT, urdf=tmp_path / "robot.urdf")), 2, 2)
-    assert set(multiprocessing.active_children()) <= before
-
-
-def test_an_error_in_another_process_where_it_opens_its_worlds_arrives(monkeypatch):
-    before = set(multiprocessing.active_children())
-    monkeypatch.setattr("tb2rl.simulation.bullet.batch.cloudpickle.dumps", lambda _: b"no setup")
-    with pytest.raises(pickle.UnpicklingError):
-        BulletBatch(SETUP, 2, 2)
+        BulletBatch(replace(SPEC, robot=replace(ROBOT, urdf=tmp_path / "robot.urdf")), 2, 2)
+    monkeypatch.setattr("tb2rl.simulation.bullet.batch.cloudpickle.dumps", lambda _: b"no spec")
+    with pytest.raises(pickle.UnpicklingError):  # of the other process
+        make(2)
     assert set(multiprocessing.active_children()) <= before
 
 
 def test_threads_drive_batches_of_their_own(make):
     with ThreadPoolExecutor(2) as pool:
-        ways = list(pool.map(lambda _: drive(make(SETUP, 4, 2)), range(2)))
-    np.testing.assert_equal(ways[0], ways[1])
-    np.testing.assert_equal(ways[0], drive(make(SETUP, 4, 1)))
+        drives = list(pool.map(lambda _: drive(make(4)), range(2)))
+    np.testing.assert_equal(drives, [drive(make(4, 1))] * 2)
 
 
 @pytest.mark.slow
-def test_processes_that_start_anew_serve_as_well(make, monkeypatch):
-    here = drive(make(SETUP, 4, 2))
+def test_spawned_processes_drive_as_well(make, monkeypatch):
+    expected = drive(make(4))
     spawn = multiprocessing.get_context("spawn")
     monkeypatch.setattr("tb2rl.simulation.bullet.batch.process_context", lambda: spawn)
-    np.testing.assert_equal(drive(make(SETUP, 4, 2)), here)
+    np.testing.assert_equal(drive(make(4)), expected)

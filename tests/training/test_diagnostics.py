@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.training.diagnostics import ADVICE, TrainingDiagnostics
+from tb2rl.training.diagnostics import ADVICE
 from tb2rl.training.training import resume, train_config
 
 PROBLEMS = {
@@ -71,13 +71,3 @@ def test_a_slow_robot_is_not_said_to_turn_on_the_spot(small, tmp_path, capsys):
     speeds = {"task.forward_speed": 0.07, "task.turn_speed": 0.07, "task.turn_rate": 0.1, "train.episode_steps": 100}
     train_config(small(settings=speeds, n_envs=64, total_timesteps=20_000), tmp_path / "run")
     assert ADVICE["spinning"] not in capsys.readouterr().err
-
-
-def test_a_return_is_not_flat_after_a_single_check():
-    diagnostics = TrainingDiagnostics(total_timesteps=900, control_period=0.2, max_speed=0.5)
-    latest, history = [[1.0, 10, 1.0, True], [3.0, 10, 1.0, True]], [[100, 2.0], [900, 2.0]]
-    diagnostics.restore({**diagnostics.state(), "latest": latest, "history": history})
-    diagnostics.num_timesteps = 900
-    assert not diagnostics._return_is_flat(), "there is only one check in the last third"
-    diagnostics._history.insert(1, (700, 2.0))
-    assert diagnostics._return_is_flat()

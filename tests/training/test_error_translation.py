@@ -48,15 +48,14 @@ def test_a_killed_simulator_process_is_named_and_none_is_left(small, tmp_path, m
     assert set(multiprocessing.active_children()) <= before
 
 
-@pytest.mark.parametrize("error", [errno.EROFS, errno.ENOSPC])
-def test_a_folder_that_cannot_be_written_is_named_and_the_last_checkpoint_stands(error, small, tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_named_and_the_last_checkpoint_stands(small, tmp_path, monkeypatch):
     run = train_config(small(), tmp_path / "run").run
 
     def refuse(*_: object) -> None:
-        raise OSError(error, os.strerror(error))
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     monkeypatch.setattr(Path, "replace", refuse)  # permissions do not stop root
-    with pytest.raises(InputError, match=os.strerror(error)) as stopped:
+    with pytest.raises(InputError, match=os.strerror(errno.EROFS)) as stopped:
         resume(run.folder, 256)
     assert "\n" not in str(stopped.value)
     assert load(run.folder).num_timesteps == int(run.checkpoints[0].stem[5:]) == 128
@@ -78,7 +77,6 @@ def test_too_little_memory_is_named(small, tmp_path, monkeypatch):
     [
         ("ppo", {**PPO, "agent.learning_rate": 1e8}, r"diverged .*smaller agent\.learning_rate"),
         ("ppo", {**PPO, "agent.n_epochs": 0}, r"agent ppo .*refuses its settings.*n_epochs"),
-        ("dqn", {"agent.learning_starts": 8, "agent.train_freq": 0}, r"agent dqn .*refuses its settings.*train_freq"),
         ("sb3_contrib:ARS", {}, "ARS does not tell its callbacks of every step"),
     ],
 )

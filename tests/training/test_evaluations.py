@@ -12,11 +12,9 @@ import pytest
 from tb2rl import load
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.twin import TwinEvaluator
-from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.runs.layers import resolve
 from tb2rl.train import main
-from tb2rl.training import environments
 from tb2rl.training.environments import make_evaluator
 from tb2rl.training.training import resume, train_config
 
@@ -26,12 +24,12 @@ OFTEN = {"total_timesteps": 512, "eval_freq": 64, "eval_episodes": 20, "eval_ste
 @pytest.fixture
 def rates(monkeypatch):
     """Makes evaluations report the given shares of good episodes, and returns, one after the other."""
-    run = TwinEvaluator.run
+    run = Evaluator.run
 
     def report(*shares: float, returns: Sequence[float] = ()) -> None:
         left = list(zip_longest(shares, returns))
 
-        def evaluate(evaluator: TwinEvaluator, *arguments) -> Evaluation:
+        def evaluate(evaluator: Evaluator, *arguments) -> Evaluation:
             evaluation, (share, found) = run(evaluator, *arguments), left.pop(0)
             good = round(share * len(evaluation.episodes))
             others = {} if found is None else {"episode_return": found}
@@ -40,7 +38,7 @@ def rates(monkeypatch):
             ]
             return replace(evaluation, episodes=episodes)
 
-        monkeypatch.setattr(TwinEvaluator, "run", evaluate)
+        monkeypatch.setattr(Evaluator, "run", evaluate)
 
     return report
 
@@ -51,7 +49,7 @@ def timesteps(evaluations) -> list[int]:
 
 @pytest.mark.parametrize(
     ("agent", "task", "settings"),
-    [("qlearn", "maze", {}), ("qlearn", "wall", {}), ("ppo", "maze", {"agent.n_steps": 32, "agent.batch_size": 64})],
+    [("qlearn", "wall", {}), ("ppo", "maze", {"agent.n_steps": 32, "agent.batch_size": 64})],
 )
 def test_good_evaluations_in_a_row_stop_a_training(agent, task, settings, small, rates, evaluations, tmp_path):
     rates(0.95, 0.9, 0.95, 0.95)
@@ -104,45 +102,38 @@ def test_the_command_prints_that_a_training_was_stopped(rates, tmp_path, monkeyp
     assert "stopped after 128 of 512 steps: 2 evaluations in a row reached 99.5 %\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_evaluations_run_in_the_simulator_of_the_settings(simulation, small, evaluations, tmp_path):
-    few = {"eval_freq": 128, "eval_episodes": 3, "eval_steps": 10, "eval_simulation": simulation}
-    (line,) = evaluations(train_config(small(**few), tmp_path / "run").run)
-    assert (line["simulation"], line["episodes"], line["steps"]) == (simulation, 3, 10)
+def test_an_evaluation_is_noted_with_its_conditions(small, tmp_path):
+    few = {"eval_freq": 128, "eval_episodes": 3, "eval_steps": 10, "eval_simulation": "bullet"}
+    run = train_config(small(**few), tmp_path / "run").run
+    (line,) = map(json.loads, (run.folder / "evaluations.jsonl").read_text().splitlines())
+    assert (line["simulation"], line["episodes"], line["steps"]) == ("bullet", 3, 10)
     assert line["median_squares"] >= 1
+    assert 0.0 < line["seconds"] <= line["elapsed"]
 
 
 @pytest.mark.parametrize(
-    ("settings", "episodes"),
-    [({}, 1000), ({"train.eval_simulation": "bullet"}, 20), ({"task.observe": ["camera"]}, 20)],
+    ("settings", "simulation", "episodes"),
+    [
+        ({}, "kinematic", 1000),
+        ({"train.eval_simulation": "bullet"}, "bullet", 20),
+        ({"task.observe": ["camera"]}, "kinematic", 20),
+        ({"task.observe": [{"camera": {"colour": True}}]}, "bullet", 20),
+    ],
 )
-def test_an_evaluation_has_fewer_episodes_if_a_step_takes_time(settings, episodes):
-    config = resolve("stable_baselines3:PPO", settings=settings | {"train.eval_steps": 2})
+def test_an_evaluation_has_fewer_episodes_if_a_step_takes_time(settings, simulation, episodes, capsys):
+    config = resolve("stable_baselines3:PPO", settings=settings)
     with make_evaluator(config.scene, config.train) as evaluator:
-        algorithm = make_algorithm(config, Spaces.vectorised(config))
-        assert len(evaluator.run(algorithm.policy).episodes) == episodes
+        assert (evaluator.simulator.name, len(evaluator.initial_states)) == (simulation, episodes)
+    refused = "use PyBullet, and are slower: the cameras of simulation 'kinematic' see depth but"
+    assert (refused in capsys.readouterr().out) == (simulation != config.train.eval_simulation)
 
 
 def test_evaluations_are_in_validation_worlds(small):
-    for simulation in ("kinematic", "bullet"):
-        world = {"task.world": {"generator": "rooms", "worlds": 4, "difficulty": 0.0}}
-        config = small(settings=world, eval_simulation=simulation, eval_episodes=2)
-        with make_evaluator(config.scene, config.train) as evaluator:
-            worlds = [world.name for world in evaluator.scene.spec.worlds]
-        assert worlds == [f"rooms {i} (validation)" for i in range(4)]
-
-
-def test_what_the_kinematic_simulator_cannot_observe_is_evaluated_in_pybullet(
-    small, evaluations, tmp_path, monkeypatch, capsys
-):
-    def refuse(*_arguments) -> None:
-        raise InputError("there are no colours")
-
-    monkeypatch.setattr(environments, "TwinEvaluator", refuse)
-    run = train_config(small(eval_freq=128, eval_episodes=3, eval_steps=10), tmp_path / "run").run
-    assert "evaluations on the way are in PyBullet, and slower: there are no colours\n" in capsys.readouterr().out
-    (line,) = evaluations(run)
-    assert line["simulation"] == "bullet"
+    world = {"task.world": {"generator": "rooms", "worlds": 4, "difficulty": 0.0}}
+    config = small(settings=world, eval_episodes=2)
+    with make_evaluator(config.scene, config.train) as evaluator:
+        worlds = [world.name for world in evaluator.scene.spec.worlds]
+    assert worlds == [f"rooms {i} (validation)" for i in range(4)]
 
 
 @pytest.mark.parametrize(("best_by", "timesteps"), [("success", 128), ("return", 192)])
@@ -150,9 +141,3 @@ def test_best_by_decides_which_policy_is_kept(best_by, timesteps, small, rates, 
     rates(0.5, 0.9, 0.8, 0.8, returns=(7.0, 1.0, 9.0, 8.0))  # a robot that turns on the spot collides least
     trained = train_config(small(**{**OFTEN, "total_timesteps": 256, "best_by": best_by}), tmp_path / "run")
     assert load(trained.run.folder).num_timesteps == timesteps
-
-
-def test_seconds_of_evaluations_and_of_the_training_are_noted(small, tmp_path):
-    run = train_config(small(**{**OFTEN, "total_timesteps": 128}), tmp_path / "run").run
-    lines = list(map(json.loads, (run.folder / "evaluations.jsonl").read_text().splitlines()))
-    assert 0.0 < lines[0]["seconds"] <= lines[0]["elapsed"] < lines[1]["elapsed"]

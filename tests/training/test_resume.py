@@ -35,7 +35,6 @@ FAST = [  # each kind of state at least once: buffers, noise, recurrent states, 
     (f"{CONTRIB}:RecurrentPPO", GLIDE, {**ON_POLICY, **LSTM, **NORMALISED, **FRAMES}),
 ]
 SLOW = [
-    (f"{SB3}:A2C", MAZE, {"agent.n_steps": 8}),
     (f"{SB3}:PPO", MAZE, {**ON_POLICY, "task.observe": [CAMERA]}),
     (f"{SB3}:PPO", MAZE, {**ON_POLICY, **FRAMES, "task.observation": "discrete"}),
     (f"{SB3}:DQN", MAZE, {**OFF_POLICY, "agent.n_steps": 3, "agent.buffer_size": 400}),
@@ -56,7 +55,7 @@ SHORT = {"simulation": "bullet", "total_timesteps": 64, "n_envs": 1}
     [
         *((*case, "kinematic") for case in FAST),
         *(pytest.param(*case, "kinematic", marks=pytest.mark.slow) for case in SLOW),
-        *(pytest.param(*case, "bullet", marks=pytest.mark.slow) for case in [*FAST, *SLOW[:6]]),
+        *(pytest.param(*case, "bullet", marks=pytest.mark.slow) for case in [*FAST[:4], SLOW[1]]),
     ],
 )
 def test_a_resumed_training_equals_the_uninterrupted_one(
@@ -88,7 +87,7 @@ AGENTS = {
         ("qlearn", "kinematic"),
         ("ppo", "kinematic"),
         *(pytest.param(agent, "kinematic", marks=pytest.mark.slow) for agent in list(AGENTS)[2:]),
-        *(pytest.param(agent, "bullet", marks=pytest.mark.slow) for agent in AGENTS),
+        *(pytest.param(agent, "bullet", marks=pytest.mark.slow) for agent in ("qlearn", "ppo")),
     ],
 )
 def test_evaluations_and_curves_continue_without_a_gap(
@@ -115,7 +114,7 @@ def test_a_training_in_many_worlds_resumes_to_the_bit(simulation, small, killed,
     resumed = killed(whole, tmp_path / "resumed")
     assert resume(resumed.folder).timesteps == 128
     assert_same_runs(whole, resumed)
-    state = read_checkpoint(whole.checkpoints[0])["training"]["environments"]["simulation"]
+    state = read_checkpoint(whole.checkpoints[0])["training"]["environments"]["simulator"]
     parts = [state] if simulation == "kinematic" else state["worlds"]
     worlds = np.concatenate([np.atleast_1d(part["initial_state"][:, 3]) for part in parts])
     assert len(np.unique(worlds)) > 4, "environments in worlds of their own"

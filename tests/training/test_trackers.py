@@ -44,7 +44,6 @@ MINE = """
                 file.write(json.dumps(line) + "\\n")
 
     class Stops(Lines):
-        "Ctrl-C, or an error, in the middle."
         def track(self, step, figures, pictures):
             super().track(step, figures, pictures)
             if step >= 128:
@@ -69,9 +68,6 @@ MINE = """
             raise UnwritableError("train.track: there is no disk")
 
     class Nothing:
-        pass
-
-    class Unfinished(Tracker):
         pass
     """
 LOGGED = {"eval_freq": 64, "eval_episodes": 2, "eval_steps": 8, "episode_steps": 8}
@@ -131,13 +127,12 @@ def test_a_training_outlives_a_tracker_that_cannot_write(small, tmp_path, capsys
 
 
 def test_a_training_whose_tracker_cannot_begin_leaves_nothing(small, tmp_path):
-    for _ in range(2):
-        with pytest.raises(InputError, match="there is no disk"):
-            train_config(small(track=["my_trackers:Closed"]), tmp_path / "run")
+    with pytest.raises(InputError, match="there is no disk"):
+        train_config(small(track=["my_trackers:Closed"]), tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("memory", ["{", '{"id": "../x", "step": 1}', '{"id": "x", "step": null}'])
+@pytest.mark.parametrize("memory", ["{", '{"id": "../x", "step": 1}'])
 def test_a_damaged_memory_is_named(memory, small, tmp_path):
     folder = train_config(small(track=["my_trackers:Lines"]), tmp_path / "run").run.folder
     (folder / "tracker-my_trackers.Lines.json").write_text(memory)
@@ -160,8 +155,6 @@ def test_a_tracker_is_told_how_the_training_ended(name, error, ended, small, tmp
         ("mflow", "unknown tracker in train.track: 'mflow'; did you mean 'mlflow'?"),
         ("my_trackers:Missing", "train.track: cannot import"),
         ("my_trackers:Nothing", "is not a class derived from tb2rl.training.trackers.Tracker"),
-        ("my_trackers:Unfinished", "Tracker with track"),
-        ("os:system", "is not a class"),
     ],
 )
 def test_other_names_are_refused_before_anything_is_made(name, message, small, tmp_path):
@@ -193,32 +186,19 @@ def test_a_run_folder_imports_no_tracker_that_lies_in_it(small, killed, tmp_path
     assert Run.open(folder).config.train.track == ("my_trackers:Lines",)  # to look at it imports nothing
 
 
-@pytest.mark.parametrize("store", ["", "sqlite:///mlflow.db", "./mlruns"])
-def test_a_cluster_needs_a_server_for_mlflow(store, small, tmp_path, monkeypatch):
+def test_a_cluster_needs_a_server_for_mlflow(small, tmp_path, monkeypatch):
     pytest.importorskip("mlflow", reason="mlflow is not installed")
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", store)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "sqlite:///mlflow.db")
     with pytest.raises(InputError, match="--on ray, mlflow needs a server for all machines: set MLFLOW_TRACKING_URI"):
         train_seeds(small(track=["mlflow"]), [0], tmp_path / "run", RayExecutor())
 
 
-@pytest.mark.parametrize("seeds", [[], pytest.param(["--seeds", "0,1"], marks=pytest.mark.slow)], ids=["one", "seeds"])
-def test_the_command_line_names_trackers(seeds, tmp_path, monkeypatch):
+@pytest.mark.parametrize("more", ["--no-evaluation", pytest.param("--seeds 0,1", marks=pytest.mark.slow)])
+def test_the_command_line_names_trackers(more, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    flags = [
-        "--simulation",
-        "kinematic",
-        "--total-timesteps",
-        "64",
-        "--n-envs",
-        "4",
-        "--eval-freq",
-        "0",
-        "--save-freq",
-        "0",
-        "--no-progress",
-    ]
-    main([*flags, "--track", "my_trackers:Lines", "--name", "it", *(seeds or ["--no-evaluation"])])
-    for name in ("it/seed-0", "it/seed-1") if seeds else ("it",):
+    flags = "--simulation kinematic --total-timesteps 64 --n-envs 4 --eval-freq 0 --save-freq 0 --no-progress"
+    main([*flags.split(), "--track", "my_trackers:Lines", "--name", "it", *more.split()])
+    for name in ("it/seed-0", "it/seed-1") if "--seeds" in more else ("it",):
         begun, *_, last = lines(tmp_path / "runs/maze/qlearn" / name)
         assert (begun["begun"], last) == (f"maze/qlearn/{name}", {"ended": "finished"})
 
@@ -226,9 +206,7 @@ def test_the_command_line_names_trackers(seeds, tmp_path, monkeypatch):
 def test_a_run_is_called_by_its_path_in_runs_or_by_what_it_is(small, tmp_path):
     config = small("dqn", "my_tasks:Pictured")
     assert run_name(config.task_name, config.agent_name, tmp_path / "elsewhere") == "Pictured/dqn/elsewhere"
-    assert (
-        run_name(config.task_name, config.agent_name, tmp_path / "runs" / "maze" / "dqn" / "a" / "seed-0")
-        == "maze/dqn/a/seed-0"
-    )
+    seed = tmp_path / "runs" / "maze" / "dqn" / "a" / "seed-0"
+    assert run_name(config.task_name, config.agent_name, seed) == "maze/dqn/a/seed-0"
     assert runs_folder(tmp_path / "runs" / "maze" / "dqn" / "a") == tmp_path / "runs"
     assert runs_folder(tmp_path / "elsewhere") == tmp_path

@@ -8,12 +8,11 @@ import torch as th
 import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tb2rl import evaluate, load, make_env, train
+from tb2rl import evaluate, load, train
 from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError
 from tb2rl.core.plugins import agent_names
-from tb2rl.evaluation.evaluator import TRAINING_SEED
-from tb2rl.evaluation.twin import TwinEvaluator
+from tb2rl.evaluation.evaluator import TRAINING_SEED, Evaluator
 from tb2rl.runs.folder import Run
 from tb2rl.runs.layers import resolve
 from tb2rl.training import training
@@ -27,7 +26,8 @@ SOON = {
     "ppo": {"agent.n_steps": 64, "agent.batch_size": 64},
     "recurrent_ppo": {"agent.n_steps": 64},
 }
-QUICK = {"total_timesteps": 512, "n_envs": 2, "eval_freq": 256, "eval_episodes": 3, "eval_steps": 60, "save_freq": 256}
+QUICK = {"simulation": "kinematic", "total_timesteps": 512, "n_envs": 2, "save_freq": 256}
+QUICK |= {"eval_freq": 256, "eval_episodes": 3, "eval_steps": 60}
 BARE = {"total_timesteps": 128, "n_envs": 1, "eval_freq": 0, "save_freq": 0, "simulation": "kinematic"}
 
 
@@ -35,7 +35,7 @@ class Trained:
     """A quick training, and its policy's parameters at the start, in each evaluation and at the end."""
 
     def __init__(self, agent: str, folder, patch: pytest.MonkeyPatch) -> None:
-        make, run = training.make_algorithm, TwinEvaluator.run
+        make, run = training.make_algorithm, Evaluator.run
 
         def make_algorithm(*arguments):
             self.algorithm = make(*arguments)
@@ -47,7 +47,7 @@ class Trained:
             return run(evaluator, policy, *more)
 
         patch.setattr(training, "make_algorithm", make_algorithm)
-        patch.setattr(TwinEvaluator, "run", evaluate_it)
+        patch.setattr(Evaluator, "run", evaluate_it)
         self.folder, self.evaluated = folder, []
         train(agent, task_of(agent), settings=SOON.get(agent), folder=folder, **QUICK)
         self.end = parameters(self.algorithm.policy)
@@ -111,25 +111,13 @@ def test_a_run_stands_for_its_best_policy_which_reproduces_its_evaluation(traine
     policy = load(trained.folder)
     assert (policy.num_timesteps, parameters(policy.policy)) == (lines[best]["timesteps"], trained.evaluated[best])
     conditions = {"episodes": QUICK["eval_episodes"], "steps": QUICK["eval_steps"], "seed": TRAINING_SEED}
-    with TwinEvaluator(policy.trained_with.scene, **conditions) as evaluator:
-        again = evaluator.run(policy.policy).summary()
+    again = evaluate(policy, workers=1, simulation=policy.trained_with.train.eval_simulation, **conditions).summary()
     assert {key: lines[best][key] for key in again} == {
         key: list(value) if isinstance(value, tuple) else value for key, value in again.items()
     }
 
 
 @pytest.mark.parametrize("trained", ["qlearn"], indirect=True)
-def test_the_environment_of_a_policy_is_that_of_its_training(trained):
-    policy = load(trained.folder)
-    env = make_env(policy, world="circuit")
-    assert (env.observation_space, env.action_space) == (policy.observation_space, policy.action_space)
-    assert (env.scene.world.name, env.task.episode_steps) == ("circuit", policy.trained_with.task.episode_steps)
-    observation, _ = env.reset(seed=0)
-    env.step(policy.predict(observation, deterministic=True)[0])
-    env.close()
-
-
-@pytest.mark.parametrize("trained", ["qlearn", "ppo"], indirect=True)
 def test_tensorboard_shows_scalars_and_paths(trained, scalars, evaluations):
     run = Run.open(trained.folder)
     events = EventAccumulator(str(run.folder / "tensorboard")).Reload()
@@ -160,20 +148,13 @@ def test_a_run_has_a_name_of_its_own(tmp_path, monkeypatch):
         train(name="../x")
     with pytest.raises(InputError, match="either it or folder="):
         train(name="x", folder="y")
-    folders = []
+    folders = set()
     for _ in range(3):
-        folders.append(training.default_folder(resolve("stable_baselines3:A2C", "wall")))
-        folders[-1].mkdir(parents=True)
-    assert len(set(folders)) == 3
+        folder = training.default_folder(resolve("stable_baselines3:A2C", "wall"))
+        folder.mkdir(parents=True)
+        folders.add(folder)
+    assert len(folders) == 3
     assert {str(folder.parent) for folder in folders} == {"runs/wall/A2C"}
-
-
-def test_an_existing_folder_is_left_alone(small, tmp_path):
-    run = training.train_config(small(), tmp_path / "run").run
-    before = {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()}
-    with pytest.raises(InputError, match="exists already"):
-        training.train_config(small(seed=1), run.folder)
-    assert {file: file.read_bytes() for file in run.folder.rglob("*") if file.is_file()} == before
 
 
 @pytest.mark.slow

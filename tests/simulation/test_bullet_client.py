@@ -1,4 +1,4 @@
-"""PyBullet's own lines are kept from the user, and nothing else is."""
+"""PyBullet's own lines are kept from the user, and nothing else is, with or without streams and threads."""
 
 import subprocess
 import sys
@@ -22,7 +22,7 @@ def drive(seed):
     return np.array(poses)
 
 alone = [drive(seed) for seed in range(16)]
-for _ in range(20):
+for _ in range(4):
     with ThreadPoolExecutor(8) as pool:
         for one, two in zip(alone, pool.map(drive, range(16)), strict=True):
             np.testing.assert_array_equal(one, two)
@@ -30,19 +30,16 @@ print("alive")
 """
 
 
-def run(script, **arguments):
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, **arguments)
-
-
-@pytest.mark.slow
-def test_environments_of_several_threads_drive_as_alone_and_lose_no_line():
-    done = run(THREADS)
-    expected = sorted([str(seed) for seed in range(16)] * 21)
-    assert sorted(line.split()[1] for line in done.stdout.splitlines()[:-1]) == expected
-    assert done.stdout.endswith("alive\n")
-    assert sorted(line.removeprefix("err ") for line in done.stderr.splitlines()) == expected
-
-
+PRINTS = """
+import tb2rl
+print("before", end=" ")
+env = tb2rl.make_env()
+env.reset(seed=0)
+env.step(0)
+env.camera()
+env.close()
+print("after")
+"""
 WITHOUT_STREAMS = """
 import os, sys
 {loss}
@@ -55,6 +52,25 @@ os._exit(7)
 """
 
 
+def run(script):
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+
+
+def test_nothing_is_printed_and_nothing_of_the_user_is_lost():
+    done = run(PRINTS)
+    assert (done.stdout, done.stderr) == ("before after\n", "")
+
+
+@pytest.mark.slow
+def test_environments_in_threads_drive_as_alone_and_lose_no_line():
+    done = run(THREADS)
+    expected = sorted([str(seed) for seed in range(16)] * 5)
+    assert sorted(line.split()[1] for line in done.stdout.splitlines()[:-1]) == expected
+    assert done.stdout.endswith("alive\n")
+    assert sorted(line.removeprefix("err ") for line in done.stderr.splitlines()) == expected
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["sys.stdout = sys.stderr = None", "os.close(0); os.close(1); os.close(2)"])
 def test_it_works_without_streams(loss):
     done = subprocess.run([sys.executable, "-c", WITHOUT_STREAMS.replace("{loss}", loss)], check=False)

@@ -1,0 +1,328 @@
+"""Robots among dynamic obstacles: both simulators have the same ones, and touch and measure them alike."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tb2rl.robots.turtlebot2 import ROBOT
+from tb2rl.simulation import InitialState
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.obstacles.outlines import LENGTH, WIDTH, X, Y
+from tb2rl.simulation.obstacles.records import FIELDS
+from tb2rl.simulation.random_streams import GeneratorDraws
+from tb2rl.simulation.variation import PRESETS
+from tb2rl.worlds import World
+from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
+
+PERIOD = 0.2  # [s]
+PATHS = [{"posts": 5, "path": [[-4, -4], [-4, 4], [4, 4]]}, {"boxes": 3, "path": [[4, 4], [4, -4]], "closed": True}]
+MIXED = [{"people": 2, "boxes": 1}, {"posts": 1, "path": [[-4, -4], [-4, 4]]}, {"people": 1, "avoid_robot": True}]
+WALL = [(1.0, 0.0, 0.2, 4.0, 0.0)]
+
+
+def among(spec, dynamic_obstacles):
+    return replace(spec, dynamic_obstacles=find_dynamic_obstacles(dynamic_obstacles, "dynamic_obstacles"))
+
+
+def standing(x, radius=0.25):
+    """A post that stands at (x, 0)."""
+    return {"posts": 1, "radius": radius, "path": [[x, -1e-3], [x, 1e-3]], "speed": 1e-3}
+
+
+@pytest.fixture
+def on_floor(make_setup):
+    """A function from dynamic obstacles to a spec of a floor with walls; the laser measures all around."""
+
+    def make(dynamic_obstacles, walls=(), beams=720):
+        world = World.from_shapes("floor", walls, start=(0, 0, 0), bounds=(-9, -9, 9, 9))
+        return among(make_setup(world, beams=beams, field_of_view=math.tau, min_range=0.05), dynamic_obstacles)
+
+    return make
+
+
+@pytest.fixture
+def start_on_floor(on_floor, simulator, open_simulator, begin):
+    """A function from the same to each simulator, and its first state."""
+
+    def make(*arguments):
+        simulation = open_simulator(simulator, on_floor(*arguments))
+        return simulation, begin(simulation)
+
+    return make
+
+
+def random_starts(spec, rng, num_envs=1):
+    """Initial states anywhere, each with its own dynamic obstacles."""
+    worlds = rng.integers(len(spec.worlds), size=num_envs)
+    initial_state = InitialState.default(spec, num_envs, worlds)
+    initial_state.pose[:] = spec.poses_from(worlds, rng.random((num_envs, 4)), 0.3)
+    initial_state.rows["obstacle_seed"] = rng.random(num_envs)
+    return initial_state
+
+
+def random_commands(rng, steps=25):
+    """Commands that change each second, mostly ahead, shape (steps, 1, 2)."""
+    commands = np.column_stack([rng.uniform(-0.1, 0.6, steps // 5), rng.uniform(-1.5, 1.5, steps // 5)])
+    return np.repeat(commands, 5, axis=0)[:, None]
+
+
+def drive(simulation, commands):
+    return [simulation.step(command, PERIOD).state() for command in commands]
+
+
+# ---- both simulators
+
+
+@pytest.mark.parametrize("dynamic_obstacles", [[{"people": 4}, *PATHS], {"people": 4, "avoid_robot": True}], ids=str)
+def test_both_simulators_agree_until_the_first_touch(dynamic_obstacles, make_setup, make_bullet, begin, ray_ranges):
+    spec = among(make_setup("loop", "maze", beams=36), dynamic_obstacles)
+    bullet, kinematic, rng = make_bullet(spec), KinematicSimulator(spec), np.random.default_rng(0)
+    apart, rays, touches = [], [], []
+    for _ in range(20):
+        initial_state = random_starts(spec, rng)
+        for simulation in (bullet, kinematic):
+            begin(simulation, InitialState(initial_state.table.copy()))
+        for command in random_commands(rng):
+            real, other = bullet.step(command, PERIOD), kinematic.step(command, PERIOD)
+            if real.bumped[0] or other.bumped[0]:
+                touches.append((bool(real.nearest_is_dynamic[0]), bool(other.nearest_is_dynamic[0])))
+                break
+            tolerance = 0.05 if "avoid_robot" in str(dynamic_obstacles) else 1e-9
+            assert np.abs(real.dynamic_obstacles - other.dynamic_obstacles).max() < tolerance
+            east, north, turn = (real.pose - other.pose)[0]
+            apart.append((math.hypot(east, north), abs(math.remainder(turn, math.tau))))
+            with np.errstate(invalid="ignore"):
+                errors = np.abs(ray_ranges(bullet, real.pose[0], spec.laser.angles) - real.ranges[0])
+            rays.extend(errors[np.isfinite(real.ranges[0])])
+    distance, turn = np.median(apart, axis=0)
+    assert distance < 0.03
+    assert math.degrees(turn) < 3
+    assert len(apart) > 300
+    assert np.mean(np.array(rays) > 5e-3) < 1e-3, "but for beams that graze an edge"
+    assert sum(real == other for real, other in touches) >= 0.9 * len(touches)
+    assert any(real for real, _ in touches) or "avoid_robot" in str(dynamic_obstacles)
+
+
+def test_without_dynamic_obstacles_a_state_has_none(simulator, make_setup, open_simulator, begin):
+    robot_state = begin(open_simulator(simulator, make_setup("loop", beams=9)))
+    assert robot_state.dynamic_obstacles is None
+    assert robot_state.nearest_is_dynamic is None
+    assert "dynamic_obstacles" not in robot_state.state()
+
+
+def test_a_world_has_its_own_dynamic_obstacles_beside_those_of_the_task(make_setup, begin):
+    posts = find_dynamic_obstacles({"posts": 2}, "")
+    own = World.from_shapes("own", start=(0, 0, 0), bounds=(-9, -9, 9, 9), dynamic_obstacles=posts)
+    bare = World.from_shapes("bare", start=(0, 0, 0), bounds=(-9, -9, 9, 9))
+    spec = among(make_setup(bare, own), {"people": 1})
+    robot_state = begin(KinematicSimulator(spec, 2), InitialState.default(spec, 2, np.array([0, 1])))
+    assert ((robot_state.dynamic_obstacles[..., LENGTH] > 0).sum(axis=1) == (1, 3)).all()
+    assert (robot_state.dynamic_obstacles[0, 1:, [LENGTH, WIDTH]] == 0).all()
+
+
+def test_a_group_is_present_as_a_whole_in_its_share_of_the_episodes(make_setup, make_bullet, begin):
+    groups = [{"people": 3, "presence": 0.25}, {"posts": 1}, {"boxes": 2, "presence": 0.8}]
+    spec = among(make_setup("loop", "maze", beams=9), groups)
+    simulation, initial_state = KinematicSimulator(spec, 2000), random_starts(spec, np.random.default_rng(3), 2000)
+    present = begin(simulation, initial_state).dynamic_obstacles[..., LENGTH] > 0
+    assert ((present[:, :3] == present[:, [0]]).all(axis=1) & present[:, 3] & (present[:, 4] == present[:, 5])).all()
+    shares = present[:, 0].mean(), present[:, 4].mean(), (present[:, 0] & present[:, 4]).mean()
+    assert shares == pytest.approx([0.25, 0.8, 0.2], abs=0.03)
+    again = KinematicSimulator(spec, 2000)
+    again.restore(simulation.state())
+    np.testing.assert_equal(*(drive(each, np.full((1, 2000, 2), 0.2)) for each in (simulation, again)))
+    for i in (0, int(present[:, 0].argmax())):
+        alone = begin(make_bullet(spec), InitialState(initial_state.table[[i]].copy()))
+        assert (alone.dynamic_obstacles[0, :, LENGTH] > 0).tolist() == present[i].tolist()
+
+
+def test_depth_images_show_dynamic_obstacles(start_on_floor):
+    """The row of pixels at the camera's height sees the front of a post."""
+    depth = start_on_floor(standing(2, radius=0.3))[1].render_camera(64, 48)[1][0]
+    assert depth[23, 32] == pytest.approx(2.0 - ROBOT.camera.position[0] - 0.3, abs=0.01)
+    assert not math.isclose(depth[23, 2], depth[23, 32], abs_tol=0.5)
+
+
+# ---- touches
+
+ALONG_X = {"size": [0.5, 0.4], "path": [[2, 0], [-2, 0]], "speed": 1.0}
+
+
+@pytest.mark.parametrize("kind", ["posts", "boxes"])
+def test_a_dynamic_obstacle_stops_at_a_standing_robot_without_pushing_it(kind, start_on_floor):
+    simulation, first = start_on_floor({kind: 1, **ALONG_X})
+    states = [simulation.step(np.zeros((1, 2)), PERIOD) for _ in range(30)]
+    touched = [bool(state.bumped[0]) for state in states]
+    begins = touched.index(True)
+    assert 2 < begins < 25
+    assert all(touched[begins:])
+    assert all(state.nearest_is_dynamic[0] for state in states[begins:])
+    assert np.hypot(*states[-1].pose[0, :2]) < 2e-3
+    assert states[-1].nearest[0] - ROBOT.radius == pytest.approx(0.002, abs=1e-3)
+    assert first.dynamic_obstacles.shape == (1, 1, 6)
+    assert np.hypot(*first.dynamic_obstacles[0, 0, :2]) > 1.5, "earlier states keep their values"
+
+
+def test_a_waiting_obstacle_goes_on_when_the_robot_has_left(start_on_floor):
+    simulation, _ = start_on_floor({"posts": 1, **ALONG_X})
+    while not (robot_state := simulation.step(np.zeros((1, 2)), PERIOD)).bumped[0]:
+        pass
+    side = np.sign(robot_state.dynamic_obstacles[0, 0, X])
+    turn = (0.0, (math.pi / 2 + 0.5 * side) / 2)  # to the left and a little away from it
+    for command in [turn] * 10 + [(0.5, 0.0)] * 10 + [(0.0, 0.0)] * 5:
+        robot_state = simulation.step(np.array([command]), PERIOD)
+    assert abs(robot_state.pose[0, 1]) > 0.6
+    assert np.sign(robot_state.dynamic_obstacles[0, 0, X]) == -side
+    assert not robot_state.bumped[0]
+
+
+def test_a_robot_stops_at_a_slower_obstacle(start_on_floor):
+    simulation, _ = start_on_floor(standing(2))
+    for _ in range(25):
+        robot_state = simulation.step(np.array([[0.5, 0.0]]), PERIOD)
+    assert robot_state.bumped[0]
+    assert robot_state.nearest_is_dynamic[0]
+    assert robot_state.pose[0, 0] == pytest.approx(2 - 0.25 - ROBOT.radius, abs=5e-3)
+
+
+def test_a_touched_wall_is_not_dynamic_and_slows_no_distant_obstacle(start_on_floor):
+    simulation, first = start_on_floor({"boxes": 1, "path": [[-6, -100], [-6, 100]], "speed": 0.5}, WALL)
+    for _ in range(15):
+        robot_state = simulation.step(np.array([[0.5, 0.0]]), PERIOD)
+    assert robot_state.bumped[0]
+    assert not robot_state.nearest_is_dynamic[0]
+    moved = np.abs(robot_state.dynamic_obstacles - first.dynamic_obstacles)[0, 0, Y]
+    assert moved == pytest.approx(0.5 * 15 * PERIOD)
+
+
+def test_a_wall_contact_counts_although_a_dynamic_obstacle_touches_the_robot_too(start_on_floor):
+    path = [[-3, 0], [0.8, 0]]  # it comes back once the robot is at the wall
+    simulation, _ = start_on_floor({"posts": 1, "path": path, "speed": 0.6}, WALL)
+    moving = []
+    for _ in range(100):
+        robot_state = simulation.step(np.array([[0.2, 0.0]]), PERIOD)
+        gap = robot_state.pose[0, 0] - robot_state.dynamic_obstacles[0, 0, X] - 0.25 - ROBOT.radius
+        if gap < 5e-3 and robot_state.bumped[0]:
+            moving.append(bool(robot_state.nearest_is_dynamic[0]))
+    assert len(moving) > 5
+    assert not any(moving)
+
+
+@pytest.mark.parametrize(("distance", "nearest", "is_dynamic"), [(3.1, 1.25, True), (1.1, 1.0, False)])
+def test_the_nearest_along_the_beams_is_a_post_or_a_wall(
+    distance, nearest, is_dynamic, on_floor, simulator, open_simulator, begin
+):
+    walls = [(-0.6, 0.0, 0.2, 4.0, 0.0), (distance, 0.0, 0.2, 4.0, 0.0)]  # one behind, where no beam points
+    spec = on_floor(standing(1.5), walls, 5)
+    robot_state = begin(open_simulator(simulator, replace(spec, laser=replace(spec.laser, field_of_view=1.0))))
+    assert robot_state.nearest_is_dynamic.tolist() == [is_dynamic]
+    assert robot_state.nearest[0] == pytest.approx(nearest, abs=1e-3)
+
+
+# ---- exact repetition
+
+
+@pytest.mark.parametrize(("world", "dynamic_obstacles"), [("loop", MIXED), ("floor", {"people": 2})])
+def test_states_and_copies_of_varied_robots_continue_exactly(
+    world, dynamic_obstacles, simulator, make_setup, on_floor, open_simulator, begin
+):
+    spec = among(make_setup("loop", beams=9, noise=0.01), MIXED) if world == "loop" else on_floor({"people": 2})
+    rng, simulation = np.random.default_rng(1), open_simulator(simulator, spec)
+    initial_state = random_starts(spec, rng)
+    PRESETS["strong"].vary(initial_state, GeneratorDraws(rng))
+    begin(simulation, initial_state)
+    commands = random_commands(rng, 20)
+    drive(simulation, commands)
+    copies = [copy.deepcopy(simulation), pickle.loads(pickle.dumps(simulation))]
+    expected = drive(simulation, commands)
+    for each in copies:
+        np.testing.assert_equal(drive(each, commands), expected)
+        each.close()
+    state = pickle.loads(pickle.dumps(simulation.state()))
+    expected = drive(simulation, commands)
+    other = open_simulator(simulator, spec)
+    for each in (simulation, other):
+        begin(each, random_starts(spec, rng))
+        each.restore(state)
+        np.testing.assert_equal(drive(each, commands), expected)
+
+
+def test_the_same_initial_state_gives_the_same_episode_whatever_was_before(
+    simulator, make_setup, open_simulator, begin
+):
+    spec, rng = among(make_setup("loop", beams=9), [*MIXED, {"posts": 4}]), np.random.default_rng(0)
+    initial_state, commands, episodes = random_starts(spec, rng), random_commands(rng, 40), []
+    for before in range(3):
+        simulation = open_simulator(simulator, spec)
+        for _ in range(before):
+            begin(simulation, random_starts(spec, rng))
+            drive(simulation, random_commands(rng, 10))
+        begin(simulation, InitialState(initial_state.table.copy()))
+        episodes.append(drive(simulation, commands))
+    np.testing.assert_equal(episodes[1:], episodes[:1] * 2)
+
+
+def test_a_reset_of_some_environments_leaves_the_obstacles_of_the_others_alone(make_setup, begin):
+    spec, rng = among(make_setup("loop", "maze", beams=9, noise=0.01), MIXED), np.random.default_rng(1)
+    initial_state, fresh = random_starts(spec, rng, 20), random_starts(spec, rng, 3)
+    indices, commands, drives = np.array([0, 3, 11]), rng.uniform((-0.1, -1), (0.6, 1), (20, 20, 2)), []
+    for resets in (False, True):
+        simulation = KinematicSimulator(spec, 20)
+        begin(simulation, InitialState(initial_state.table.copy()))
+        robot_state = [simulation.step(command, PERIOD) for command in commands[:10]][-1]
+        if resets:
+            robot_state, first = simulation.reset_at(indices, fresh, robot_state)
+            np.testing.assert_equal(first.state(), {name: rows[indices] for name, rows in robot_state.state().items()})
+            alone = begin(KinematicSimulator(spec, 3), fresh)
+            np.testing.assert_array_equal(first.dynamic_obstacles, alone.dynamic_obstacles)
+        drives.append(drive(simulation, commands[10:]))
+    for expected, state in zip(*drives, strict=True):
+        for name, rows in expected.items():
+            np.testing.assert_array_equal(np.delete(state[name], indices, 0), np.delete(rows, indices, 0), name)
+
+
+def test_an_environment_does_not_depend_on_the_others(make_setup, begin):
+    spec, rng = among(make_setup("loop", "maze", beams=9), MIXED), np.random.default_rng(1)
+    initial_state, commands = random_starts(spec, rng, 256), rng.uniform((-0.1, -1), (0.6, 1), (20, 256, 2))
+    initial_state.parameters[:] *= rng.uniform(0.8, 1.2, initial_state.parameters.shape)
+    drives = []
+    for num_envs in (1, 7, 256):  # many are shared among threads
+        simulation = KinematicSimulator(spec, num_envs)
+        begin(simulation, InitialState(initial_state.table[:num_envs].copy()))
+        drives.append(drive(simulation, commands[:, :num_envs])[-1])
+    for few, many in pairwise(drives):
+        np.testing.assert_equal(few, {name: rows[: len(few[name])] for name, rows in many.items()})
+
+
+@pytest.mark.parametrize(
+    ("row", "field", "value"),
+    [(0, "x", np.nan), (0, "length", 3.0), (0, "speed", 1e6), (3, "next", 1e9), (3, "next", -1.0), (3, "stride", 7.0)],
+)
+def test_a_state_of_other_obstacles_is_refused(row, field, value, make_setup, begin):
+    simulation = KinematicSimulator(among(make_setup("loop", beams=9), MIXED))
+    begin(simulation)
+    state = simulation.state()
+    forged = copy.deepcopy(state)
+    forged["dynamic_obstacles"]["table"][0, row, FIELDS.index(field)] = value
+    fewer = {**state["dynamic_obstacles"], "table": state["dynamic_obstacles"]["table"][:, :2]}
+    for wrong in (forged, {**state, "dynamic_obstacles": fewer}):
+        with pytest.raises(ValueError, match="dynamic obstacle"):
+            simulation.restore(wrong)
+    simulation.restore(state)
+
+
+def test_a_robot_far_from_all_obstacles_drives_exactly_as_without_them(on_floor, begin):
+    commands = np.random.default_rng(0).uniform((-0.3, -2), (0.6, 2), (40, 1, 2))
+    poses = []
+    for dynamic_obstacles in (None, {"boxes": 2, "path": [[-8, -8], [-8, 8]]}):
+        simulation = KinematicSimulator(on_floor(dynamic_obstacles))
+        begin(simulation)
+        poses.append([simulation.step(command, PERIOD).pose for command in commands])
+    np.testing.assert_array_equal(*poses)
