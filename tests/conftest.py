@@ -46,7 +46,7 @@ def _spec(*worlds: World | str, robot: Robot = ROBOT, **laser) -> SimulationSpec
     return SimulationSpec(robot, replace(robot.laser, **laser), found or (FLOOR,))
 
 
-def _reading(
+def _robot_state(
     nearest=3.0,
     ranges=None,
     bumped=False,
@@ -103,15 +103,15 @@ def trained_run(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def make_setup():
+def make_spec():
     """The function `_spec`."""
     return _spec
 
 
 @pytest.fixture
-def make_reading():
-    """The function `_reading`."""
-    return _reading
+def make_robot_state():
+    """The function `_robot_state`."""
+    return _robot_state
 
 
 @pytest.fixture

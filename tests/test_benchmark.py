@@ -84,8 +84,8 @@ def test_wrong_input_is_refused_before_anything_is_measured(line, named, refused
 
 
 @pytest.mark.skipif(THREADS < 2, reason="one processor has nothing to share")
-def test_threads_share_the_work_of_many_environments(make_setup):
-    spec, rng = make_setup("loop", beams=36), np.random.default_rng(0)
+def test_threads_share_the_work_of_many_environments(make_spec):
+    spec, rng = make_spec("loop", beams=36), np.random.default_rng(0)
     simulator, initial_state = KinematicSimulator(spec, 4096), InitialState.default(spec, 4096)
     initial_state.pose[:] = spec.worlds[0].random_poses(rng, 4096, 0.6)
     simulator.reset(initial_state, rng)

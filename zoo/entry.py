@@ -154,7 +154,8 @@ class Entry:
     @property
     def metric_rows(self) -> list[tuple[str, str, str]]:
         """Label, figure and spread of the metrics in the standard evaluation."""
-        return [metric.row(self.figures) for metric in shown_metrics(self.config.task.goal_task)]
+        shown = shown_metrics(self.config.task.goal_task)
+        return [metric.row(self.figures) for metric in shown if metric.key in self.figures]  # older ones lack some
 
     @property
     def speed_share(self) -> float:

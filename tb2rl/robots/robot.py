@@ -62,41 +62,24 @@ class Robot:
     """A differential drive.
 
     PyBullet reads the URDF file, the kinematic simulator the numbers alone, so both must agree.
-
-    Attributes:
-        name: For messages and titles.
-        urdf: URDF file; its base link has the robot's frame.
-        wheel_joints: Names of the left and the right wheel's joint in the file.
-        radius: Radius of the round base, which makes contact [m].
-        wheel_radius: [m]
-        wheel_separation: Distance between the middles of the wheels [m].
-        wheel_torque: Largest torque of a wheel's motor [N m].
-        max_speed: [m/s]
-        max_turn_rate: [rad/s]
-        wheel_acceleration: Acceleration of a wheel's rim by its motor alone [m/s^2]; measured, as is the next one, by
-            `tb2rl.simulation.bullet.motors.measure_motors`.
-        wheel_coupling: Added to that if the other motor pushes the same way, subtracted if the opposite way [m/s^2].
-        laser: The laser scanner.
-        camera: The camera.
-        gyro: Whether a gyro gives the heading of the odometry; encoders drift ten times as fast.
-        task_settings: Defaults for every task with this robot, fields of `tb2rl.tasks.Task` by name; explicit settings
-            override them.
     """
 
     name: str
-    urdf: Path
-    wheel_joints: tuple[str, str]
-    radius: Positive
-    wheel_radius: Positive
-    wheel_separation: Positive
-    wheel_torque: Positive
-    max_speed: Positive
-    max_turn_rate: Positive
-    wheel_acceleration: Positive
-    wheel_coupling: StrictFloat
+    urdf: Path  # its base link has the robot's frame
+    wheel_joints: tuple[str, str]  # of the left and the right wheel in the file
+    radius: Positive  # [m] of the round base, which makes contact
+    wheel_radius: Positive  # [m]
+    wheel_separation: Positive  # [m] between the middles of the wheels
+    wheel_torque: Positive  # [N m] largest torque of a wheel's motor
+    max_speed: Positive  # [m/s]
+    max_turn_rate: Positive  # [rad/s]
+    # Measured in PyBullet by `tb2rl.simulation.bullet.motors.measure_motors`:
+    wheel_acceleration: Positive  # [m/s^2] of a wheel's rim by its motor alone
+    wheel_coupling: StrictFloat  # [m/s^2] added if the other motor pushes the same way, subtracted if the opposite way
     laser: Laser
     camera: Camera
-    gyro: bool = True
+    gyro: bool = True  # whether a gyro gives the heading of the odometry; encoders drift ten times as fast
+    # Defaults of tasks with this robot, fields of `tb2rl.tasks.Task` by name; explicit settings override them:
     task_settings: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @cached_property

@@ -24,7 +24,7 @@ class GoalDistance(Sensor):
         self.bins = bins
 
     def read(self, robot_state: RobotState) -> np.ndarray:
-        return np.hypot(*_offset(robot_state))[:, None]
+        return np.hypot(*(robot_state.goal - robot_state.odometry[:, :2]).T)[:, None]
 
 
 class GoalBearing(Sensor):
@@ -52,12 +52,7 @@ class GoalDirection(Sensor):
         return np.column_stack([np.cos(bearing), np.sin(bearing)])
 
 
-def _offset(robot_state: RobotState) -> np.ndarray:
-    """From the robot to the goal along x and y of the odometry frame [m], shape (2, num_envs)."""
-    return (robot_state.goal - robot_state.odometry[:, :2]).T
-
-
 def _bearing(robot_state: RobotState) -> np.ndarray:
     """Bearing of the goal [rad], shape (num_envs,), not normalised."""
-    x, y = _offset(robot_state)
+    x, y = (robot_state.goal - robot_state.odometry[:, :2]).T
     return np.arctan2(y, x) - robot_state.odometry[:, 2]

@@ -12,7 +12,7 @@ from tb2rl.simulation import RobotState, SimulationSpec, SimulatorType
 
 
 class Sensor(ABC):
-    """Numbers or one image in the observation.
+    """Numbers or one image in the observation, such as:
 
         class Compass(Sensor):
             name, unit = "compass", "rad"
@@ -20,37 +20,28 @@ class Sensor(ABC):
             bins = (-1.57, 0.0, 1.57)
 
             def read(self, robot_state):
-                return robot_state.pose[:, 2:]
+                return robot_state.odometry[:, 2:]
 
-    Attributes:
-        name: Its name; the key of an image in the observation.
-        unit: Of its numbers: "m", "rad", "m/s", ...; "" for none.
-        low, high: Bounds; values are clipped to them.
-        bins: Strictly increasing borders of the bins for tabular agents; empty: it can only be observed raw.
-        shape: Of one environment's values: (n,) for n numbers, (channels, height, width) for an image of uint8.
-        reads_pose_history: Whether it reads `RobotState.pose_history`.
-        reads_commands: Number of commands that it reads from `RobotState.command_history`; if any, it reads nothing
-            else.
-        spec_arguments: Arguments of its class that `task.observe` takes from the `SimulationSpec`: "robot", "laser".
+    It holds settings only, because one sensor reads all environments.
     """
 
-    name: str
-    unit: str = ""
-    low: float
+    name: str  # the key of an image in the observation
+    unit: str = ""  # "m", "rad", "m/s", ...
+    low: float  # values are clipped to low and high
     high: float
-    bins: tuple[float, ...] = ()
-    shape: tuple[int, ...] = (1,)
-    reads_pose_history: bool = False
-    reads_commands: int = 0
-    spec_arguments: tuple[str, ...] = ()
+    bins: tuple[float, ...] = ()  # strictly increasing borders, for tabular agents; empty: it can only be observed raw
+    shape: tuple[int, ...] = (1,)  # (n,) for n numbers, (channels, height, width) for an image of uint8
+    reads_pose_history: bool = False  # see `RobotState.pose_history`
+    reads_commands: int = 0  # of `RobotState.command_history`; a sensor of commands reads nothing else
+    spec_arguments: tuple[str, ...] = ()  # constructor arguments that are fields of `SimulationSpec`
 
     @classmethod
     def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
-        """Arguments of the class that the robot and the worlds determine, when `task.observe` names the sensor."""
+        """Constructor arguments that the robot and the worlds determine, for a sensor in `task.observe`."""
         return {name: getattr(spec, name) for name in cls.spec_arguments}
 
     def check(self, simulator: SimulatorType) -> None:  # noqa: B027 (most sensors work in all)
-        """Raise an `InputError` if a simulator cannot provide what the sensor reads."""
+        """Raise an `InputError` if a simulator lacks the data of the sensor."""
 
     @abstractmethod
     def read(self, robot_state: RobotState) -> np.ndarray:

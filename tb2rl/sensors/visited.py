@@ -12,9 +12,6 @@ from tb2rl.core.values import Positive
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import RobotState
 
-_LONGEST = 10.0  # [s]
-_NEAR = 0.5  # of `distance`: so near to a place counts as there
-
 
 class Visited(Sensor):
     """Time spent within the last minute at places around the robot [s], by odometry.
@@ -32,7 +29,7 @@ class Visited(Sensor):
         near: Distance to a place that counts as there [m].
     """
 
-    name, unit, low, high = "visited", "s", 0.0, _LONGEST
+    name, unit, low, high = "visited", "s", 0.0, 10.0
     bins = (1.0, 3.0)
     reads_pose_history = True
 
@@ -40,7 +37,7 @@ class Visited(Sensor):
         angles = np.arange(count) * math.tau / count
         circle = distance * np.column_stack([np.cos(angles), np.sin(angles)])
         self.around = np.vstack([circle, (0.0, 0.0), 2.0 * circle])
-        self.near, self.shape = _NEAR * distance, (len(self.around),)
+        self.near, self.shape = 0.5 * distance, (len(self.around),)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         if robot_state.pose_history is None:

@@ -16,6 +16,7 @@ from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import RobotState
 
 LOOKAHEAD = 1.5  # [m]
+BEARING_BINS: Bins = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)  # [rad]
 Lookahead = Annotated[Positive, Le(100)]  # [m] limited, because a path is followed step by step
 
 
@@ -39,18 +40,11 @@ class Waypoint(Sensor):
 
 
 class WaypointBearing(Waypoint):
-    """Bearing of the lookahead point: the angle from straight ahead, positive to the left [rad].
-
-    Args:
-        lookahead: As of `Waypoint` [m].
-        bins: Borders of the bins [rad].
-    """
+    """Bearing of the lookahead point: the angle from straight ahead, positive to the left [rad]; `bins` likewise."""
 
     name, unit, shape = "waypoint bearing", "rad", (1,)
 
-    def __init__(
-        self, lookahead: Lookahead = LOOKAHEAD, bins: Bins = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)
-    ) -> None:
+    def __init__(self, lookahead: Lookahead = LOOKAHEAD, bins: Bins = BEARING_BINS) -> None:
         super().__init__(lookahead, bins)
         self.low, self.high = -math.pi, math.pi
 

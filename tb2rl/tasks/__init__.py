@@ -1,6 +1,6 @@
 """Tasks: actions, initial states, rewards and endings.
 
-A task is one class; copy `my_turtlebot2_maze.py` (see README.md). Imports sensors, simulation and what is below them.
+A task is one class; copy `my_turtlebot2_maze.py` (see README.md). Imports the rooms below: sensors, simulation, ...
 """
 
 from tb2rl.tasks.actions import Actions, Commands, Velocities

@@ -10,10 +10,10 @@ import numpy as np
 from tb2rl.core.values import NonNegative, Positive
 from tb2rl.simulation import RobotState
 from tb2rl.tasks.actions import Velocities
-from tb2rl.tasks.collision_task import CollisionTask
 from tb2rl.tasks.outcome import Outcome
+from tb2rl.tasks.task import CollisionTask
 
-_HALF_RATE = 0.3  # [rad/s] at which half of `turn_cost` applies; at full speed a circle of 2 m radius
+_HALF_RATE = 0.3  # [rad/s] at which half of `turn_cost` applies: a circle of 2 m radius at full speed
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,9 @@ class Drive(CollisionTask):
     """Drive as far as possible without a collision.
 
     The reward of a step is v cos(w) dt, the distance driven, reduced by turns (Xie et al. 2017, "Towards Monocular
-    Vision based Obstacle Avoidance through Deep Reinforcement Learning"). A circle on one spot earns a quarter of a
-    straight line. Xie's collision reward is -10; with it td3 learns to stand still, because a collision also ends
-    further rewards.
+    Vision based Obstacle Avoidance through Deep Reinforcement Learning"). At full speed a circle of 0.5 m radius earns
+    a quarter of a straight line. The collision reward is a fifth of theirs, because a collision also ends the rewards:
+    with -10 td3 learns to stand still.
 
     A wide circle still earns nearly as much as anything else. A `turn_cost` favours few sharp turns over constant
     slight ones, so the robot explores more of the world.

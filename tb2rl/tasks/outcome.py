@@ -15,12 +15,7 @@ COLLISION, OBSTACLE_COLLISION = "collision", "collision with a dynamic obstacle"
 
 
 def collision_endings(collided: np.ndarray, after: RobotState) -> dict[str, np.ndarray]:
-    """Endings for `Outcome.failed`: collisions with walls, and with dynamic obstacles.
-
-    Args:
-        collided: Which robots have collided, bool, shape (num_envs,).
-        after: The state in which they have.
-    """
+    """Endings for `Outcome.failed`, by obstacle, of robots that `collided`, bool, shape (num_envs,)."""
     if after.nearest_is_dynamic is None:
         return {COLLISION: collided}
     return {COLLISION: collided & ~after.nearest_is_dynamic, OBSTACLE_COLLISION: collided & after.nearest_is_dynamic}
@@ -60,12 +55,7 @@ class Outcome:
         return np.logical_or.reduce(masks) if masks else np.zeros(len(self.reward), dtype=bool)
 
     def ending(self, index: int, timed_out: bool) -> Ending | None:
-        """The ending of one environment's episode, None if it goes on.
-
-        Args:
-            index: Of the environment.
-            timed_out: Whether the time limit is reached.
-        """
+        """Ending of one environment's episode, None if it goes on; `timed_out` if it has reached its time limit."""
         return self.endings(np.array([index]))[0] if timed_out or self.terminated[index] else None
 
     def endings(self, indices: np.ndarray) -> list[Ending]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from tb2rl.simulation import RobotState
 from tb2rl.tasks.actions import Commands
-from tb2rl.tasks.collision_task import CollisionTask
 from tb2rl.tasks.outcome import Outcome
+from tb2rl.tasks.task import CollisionTask
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Charts of the report: learning curves and paths, as SVG whose text is text.
+"""Charts of the report: learning curves, paths and heat maps, as SVG whose text is text.
 
 No chart contains names that users chose: they belong to the page, which escapes them.
 """
@@ -17,10 +17,10 @@ from markupsafe import Markup
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.colors import to_hex
+from matplotlib.colors import LogNorm, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
-from matplotlib.ticker import EngFormatter, PercentFormatter
+from matplotlib.ticker import EngFormatter, FuncFormatter, PercentFormatter
 
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.rendering.colours import DYNAMIC_OBSTACLE, FAILED, FLOOR, GOAL, PATH, START, WALL
@@ -36,6 +36,7 @@ ACTION_COLOURS = ("#9ecae9", "#e69f00", "#4b3a8c", "#009e73", "#cc79a7", "#f0e44
 WIDTH = 4.2  # [in] a phone shows it nearly as large, so its text stays readable
 MAX_WORLDS, _COLUMNS = 12, 3  # of one figure
 _DPI = 120  # of rasterized parts, because thousands of path segments would be megabytes as SVG
+_CELL, _MAX_CELLS = 0.1, 150  # [m] side of a cell of the heat map, most cells in a row
 _MARKED_POINTS = 30  # up to which curves have a marker at each point
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -107,6 +108,32 @@ def draw_episodes(evaluation: Evaluation) -> Markup:
         mark(axes, hits, **cross, color=DYNAMIC_OBSTACLE, gid=f"obstacle-collisions{suffix}")
         mark(axes, failures, **cross, color=FAILED, gid=f"failures{suffix}")
         mark_goals(axes, goals_in(scene, world, episodes), f"goal{suffix}")
+    return svg(figure)
+
+
+@matplotlib.rc_context(STYLE)
+def draw_heat_map(evaluation: Evaluation) -> Markup:
+    """Share of the time of all episodes in each cell of the first world."""
+    x0, y0, x1, y1 = evaluation.scene.world.bounds
+    x, y = np.concatenate([episode.path[1:] for episode in evaluation.episodes]).T
+    side = max(_CELL, (x1 - x0) / _MAX_CELLS, (y1 - y0) / _MAX_CELLS)
+    columns, rows = int(np.ceil((x1 - x0) / side)), int(np.ceil((y1 - y0) / side))
+    bounds = [(x0, x0 + columns * side), (y0, y0 + rows * side)]
+    shares = np.histogram2d(x, y, bins=(columns, rows), range=bounds)[0] / len(x)
+    largest = shares.max() or 1.0  # 0: the robots were never within the bounds
+    figure, (axes,) = world_figure([evaluation.scene.world])
+    image = axes.imshow(
+        np.ma.masked_equal(shares, 0.0).T,
+        origin="lower",
+        extent=(*bounds[0], *bounds[1]),
+        cmap="YlGnBu",
+        norm=LogNorm(largest / 1000, largest),
+        interpolation="nearest",
+    )
+    figure.set_figheight(figure.get_figheight() + 0.5)
+    percent = FuncFormatter(lambda share, _: f"{100 * share:g} %")
+    bar = figure.colorbar(image, ax=axes, location="bottom", aspect=40, shrink=0.9, format=percent)
+    bar.outline.set_visible(False)
     return svg(figure)
 
 

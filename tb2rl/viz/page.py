@@ -63,13 +63,14 @@ def page(
 
 
 def _row(group: RunGroup, view: RunView) -> dict[str, Any]:
-    """A run with its pictures."""
+    """A run with its pictures; a heat map is of one world."""
     evaluation = view.evaluation
     worlds = len({episode.world for episode in evaluation.episodes})
     return {
         "group": group,
         "view": view,
         "paths": charts.draw_episodes(evaluation),
+        "heat_map": charts.draw_heat_map(evaluation) if len(evaluation.scene.spec.worlds) == 1 else None,
         "map": action_map(view.policy, view.config.scene),
         "worlds": worlds,
         "drawn_worlds": min(worlds, charts.MAX_WORLDS),

@@ -73,7 +73,7 @@ def test_the_tutorial_preset_has_the_tutorials_numbers():
     assert train.total_timesteps >= 500 * 10_000, "the episodes end the training, not the steps"
 
 
-def test_the_tutorial_preset_observes_the_integer_part_of_the_ranges(make_reading):
+def test_the_tutorial_preset_observes_the_integer_part_of_the_ranges(make_robot_state):
     scene = resolve(preset="tutorial").scene
     assert np.degrees(scene.laser.angles) == pytest.approx([-90 + i * 180 / 719 for i in (0, 144, 288, 432, 576)])
     assert scene.observation_space.nvec.tolist() == [7] * 5
@@ -81,7 +81,7 @@ def test_the_tutorial_preset_observes_the_integer_part_of_the_ranges(make_readin
         ((0.3, 0.99, 1.0, 1.99, 2.0), [0, 0, 1, 1, 2]),
         ((5.99, 6.0, 29.0, np.inf, np.nan), [5, 6, 6, 6, 0]),
     ):
-        assert scene.encoding(make_reading(ranges=ranges))[0].tolist() == classes
+        assert scene.encoding(make_robot_state(ranges=ranges))[0].tolist() == classes
 
 
 def test_the_tutorials_first_visit_stores_the_reward_and_later_ones_bootstrap_also_through_a_collision(values_after):

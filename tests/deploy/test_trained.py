@@ -10,7 +10,7 @@ import pytest
 
 from tb2rl import load, make_env
 from tb2rl.core.errors import InputError
-from tb2rl.deploy import Driver, SensorData, TrainedPolicy
+from tb2rl.deploy import Driver, Scan, SensorData, TrainedPolicy
 from tb2rl.deploy.description import describe
 from tb2rl.deploy.portable.encoding import Encoding
 from tb2rl.runs.algorithm import make_baseline
@@ -22,7 +22,16 @@ from tb2rl.training.training import train
 STEPS = 60
 
 
-def compare_commands(policy, ask) -> int:
+def ask(driver, env, now):
+    """Pass the sensor data of an environment to a driver, and ask it for a command."""
+    robot_state, laser = env.robot_state, env.scene.laser
+    first, second = laser.angles[:2].tolist()
+    driver.see_scan(Scan(robot_state.ranges[0], first, second - first, laser.min_range, laser.max_range), now)
+    driver.see_odometry(tuple(robot_state.odometry[0].tolist()), tuple(robot_state.odometry_twist[0].tolist()), now)
+    return driver.command(now)
+
+
+def compare_commands(policy) -> int:
     """Compare the commands of a policy and its driver for an episode; returns the number of steps."""
     env = make_env(policy, simulation="kinematic", variation="none", dynamic_obstacles=None)
     trained = TrainedPolicy(policy)
@@ -44,12 +53,12 @@ def compare_commands(policy, ask) -> int:
 
 
 @pytest.mark.parametrize("name", ["maze-loop-qlearn", "wall-wall-dqn"])
-def test_a_policy_of_the_zoo_drives_as_in_its_environment(name, ask):
-    assert compare_commands(load(f"zoo:{name}"), ask) == STEPS
+def test_a_policy_of_the_zoo_drives_as_in_its_environment(name):
+    assert compare_commands(load(f"zoo:{name}")) == STEPS
 
 
 @pytest.mark.slow
-def test_frame_stack_statistics_and_recurrent_state_come_along(ask, tmp_path):
+def test_frame_stack_statistics_and_recurrent_state_come_along(tmp_path):
     settings = {
         "agent.n_steps": 16,
         "agent.batch_size": 32,
@@ -61,18 +70,12 @@ def test_frame_stack_statistics_and_recurrent_state_come_along(ask, tmp_path):
     }
     small = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "eval_freq": 0}
     policy = train("sb3_contrib:RecurrentPPO", "drive", settings=settings, folder=tmp_path / "run", **small)
-    assert compare_commands(policy, ask) >= 2
+    assert compare_commands(policy) >= 2
 
 
-@pytest.fixture(scope="module")
-def mapping_policy():
-    """Pure pursuit along a plan on the map that it draws."""
+def test_a_map_drawn_on_the_robot_leads_around_the_wall_to_the_goal_and_fits_one_far_away():
     config = resolve("pursuit", "navigate", settings={"task.guide": "plan", "task.map": "online", "task.world": "wall"})
-    return TrainedPolicy(make_baseline(config), config), config
-
-
-def test_a_map_drawn_on_the_robot_leads_around_the_wall_to_the_goal(mapping_policy, ask):
-    trained, config = mapping_policy
+    trained = TrainedPolicy(make_baseline(config), config)
     env = make_env(config.task, "raw", simulation="kinematic", start="fixed")
     env.reset(seed=0)
     driver = Driver(trained)
@@ -87,10 +90,6 @@ def test_a_map_drawn_on_the_robot_leads_around_the_wall_to_the_goal(mapping_poli
         *_, info = env.step(env.scene.actions.nearest(np.array([command.v, command.w])))
         ended = info["ended"]
     assert (command.why, ended) == ("the goal is reached", "goal")
-
-
-def test_a_goal_far_away_fits_on_the_map(mapping_policy):
-    trained, _ = mapping_policy
     trained.reset()
     ranges = np.full(len(trained.needs.beams), math.inf)
     v, w = trained.act(SensorData(ranges, pose=(50.0, -3.0, 0.0), goal=(80.0, -3.0)))

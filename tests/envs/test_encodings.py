@@ -71,35 +71,35 @@ def test_the_tutorial_observes_five_of_720_beams_in_seven_classes():
     assert scene.observation_space.nvec.tolist() == [7] * 5
 
 
-def test_distance_classes_of_several_environments_are_rows(make_reading):
+def test_distance_classes_of_several_environments_are_rows(make_robot_state):
     observe = encode("discrete", [beams(3, (1.0, 2.0))])
-    seen = observe(make_reading(ranges=[[0.5, 1.5, INF], [INF, INF, 0.1]]))
+    seen = observe(make_robot_state(ranges=[[0.5, 1.5, INF], [INF, INF, 0.1]]))
     assert seen.tolist() == [[0, 1, 2], [2, 2, 0]]
     assert np.issubdtype(seen.dtype, np.integer)
 
 
-def test_other_sensors_come_after_the_beams_in_their_own_classes(make_reading):
+def test_other_sensors_come_after_the_beams_in_their_own_classes(make_robot_state):
     observe = encode("discrete", [beams(2), Odometry()])
     assert observe.space.nvec.tolist() == [2, 2, 3]
-    seen = [observe(make_reading(ranges=[0.5, 2.0], odometry=(x, 0, 0)))[0].tolist() for x in (-1, 0, 0.7)]
+    seen = [observe(make_robot_state(ranges=[0.5, 2.0], odometry=(x, 0, 0)))[0].tolist() for x in (-1, 0, 0.7)]
     assert seen == [[0, 1, 0], [0, 1, 1], [0, 1, 2]]
 
 
 # ---- numbers
 
 
-def test_raw_ranges_are_metres_in_float32_and_nothing_hit_is_the_longest(make_reading):
+def test_raw_ranges_are_metres_in_float32_and_nothing_hit_is_the_longest(make_robot_state):
     observe = encode("raw", [beams(3)])
-    seen = observe(make_reading(ranges=[[0.5, 1.25, INF], [29.0, 31.0, 0.1]]))
+    seen = observe(make_robot_state(ranges=[[0.5, 1.25, INF], [29.0, 31.0, 0.1]]))
     assert seen.dtype == np.float32
     assert seen == pytest.approx(np.array([[0.5, 1.25, 30.0], [29, 30.0, 0.1]]))
 
 
-def test_other_raw_numbers_come_after_the_beams_clipped_to_their_limits(make_reading):
+def test_other_raw_numbers_come_after_the_beams_clipped_to_their_limits(make_robot_state):
     observe = encode("raw", [beams(2), Odometry()])
     assert (observe.space.low[-1], observe.space.high[-1]) == (-1, 1)
     odometry = [(x, 0, 0) for x in (-0.5, 0.25, 9.0, -9.0)]
-    seen = observe(make_reading(ranges=[[0.5, 2.0]] * 4, odometry=odometry))
+    seen = observe(make_robot_state(ranges=[[0.5, 2.0]] * 4, odometry=odometry))
     assert seen.tolist() == [[0.5, 2.0, x] for x in (-0.5, 0.25, 1.0, -1.0)]
 
 
@@ -116,28 +116,28 @@ def test_raw_numbers_say_their_units_and_what_they_are():
 # ---- images
 
 
-def test_an_image_alone_is_the_observation(make_reading):
+def test_an_image_alone_is_the_observation(make_robot_state):
     observe = encode("raw", [Image()])
     assert observe.space == spaces.Box(0, 255, (3, 3, 3), np.uint8)
-    seen = observe(make_reading([1.0, 2.0]))
+    seen = observe(make_robot_state([1.0, 2.0]))
     assert seen.dtype == np.uint8
     assert (seen == Image.picture).all()
     assert seen.shape == (2, 3, 3, 3)
 
 
-def test_an_image_beside_numbers_makes_a_mapping_of_both(make_reading):
+def test_an_image_beside_numbers_makes_a_mapping_of_both(make_robot_state):
     observe = encode("raw", [beams(2), Image(), Odometry()])
     assert set(observe.space) == {"image", "numbers"}
     assert observe.space["numbers"].names == ("laser", "laser", "x")
-    seen = observe(make_reading(ranges=[[0.5, INF]] * 2, odometry=[(0, 0, 0), (0.5, 0, 0)]))
+    seen = observe(make_robot_state(ranges=[[0.5, INF]] * 2, odometry=[(0, 0, 0), (0.5, 0, 0)]))
     assert seen["numbers"].tolist() == [[0.5, 30, 0], [0.5, 30, 0.5]]
     assert (seen["image"] == Image.picture).all()
 
 
 @pytest.mark.parametrize("sensors", [[Image()], [beams(3), Image()]], ids=["alone", "beside numbers"])
-def test_an_observed_image_may_be_overwritten_and_the_sensors_own_stays(sensors, make_reading):
+def test_an_observed_image_may_be_overwritten_and_the_sensors_own_stays(sensors, make_robot_state):
     before = Image.picture.copy()
-    seen = encode("raw", sensors)(make_reading([1.0, 2.0]))
+    seen = encode("raw", sensors)(make_robot_state([1.0, 2.0]))
     (seen["image"] if isinstance(seen, dict) else seen)[0] = 0
     np.testing.assert_array_equal(Image.picture, before)
 
@@ -176,13 +176,13 @@ class Flat(Odometry):
 
 
 @pytest.mark.parametrize("mode", BEAMS)
-def test_a_sensor_that_reads_another_shape_than_it_says_is_named(mode, make_reading):
+def test_a_sensor_that_reads_another_shape_than_it_says_is_named(mode, make_robot_state):
     with pytest.raises(InputError, match=r"sensor x must read an array of shape .*num_envs.*, 1.* it has shape \(2,\)"):
-        encode(mode, [beams(3), Flat()])(make_reading([1.0, 2.0]))
+        encode(mode, [beams(3), Flat()])(make_robot_state([1.0, 2.0]))
 
 
-def test_raw_ranges_are_written_in_one_pass(make_setup):
-    encoding = encode("raw", [LaserRanges(make_setup("loop", beams=36).laser, ())])
+def test_raw_ranges_are_written_in_one_pass(make_spec):
+    encoding = encode("raw", [LaserRanges(make_spec("loop", beams=36).laser, ())])
     robot_state = SimpleNamespace(ranges=np.full((1000, 36), 2.0))
     encoding(robot_state)  # compiles
     tracemalloc.start()

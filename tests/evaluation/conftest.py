@@ -1,35 +1,30 @@
-"""Policies and tasks to judge: a driver with one action, and tasks that are special in one way each."""
+"""A policy with one action, tasks that are special in one way each, and episodes without a drive."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tb2rl import train
-from tb2rl.evaluation.evaluation import Episode, Evaluation
+from tb2rl.evaluation.episodes import Episode
+from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.sensors import Sensor
 from tb2rl.tasks import Outcome, Task, Velocities
 from tb2rl.tasks.wander import Wander
 
 
-class _Ahead:
-    """Takes the same action all the time, the first one: forward."""
-
-    def __init__(self) -> None:
-        self.observations: list = []
+class _Forward:
+    """Always takes the first action: forward."""
 
     def predict(self, observation, *, deterministic=False):
-        self.observations.append(observation)
         return np.int64(0), None
 
 
 @dataclass(frozen=True)
 class Cruise(Task):
-    """Any speeds within a range."""
+    """Any velocities within a range."""
 
     actions = Velocities(forward=(0.0, 0.5), turn=(-1.0, 1.0))
 
@@ -39,15 +34,15 @@ class Cruise(Task):
 
 @dataclass(frozen=True)
 class Northward(Wander):
-    """Every episode begins with a look along y, and has a goal of its own."""
+    """Every episode starts with yaw pi / 2 and has a random goal."""
 
     goal_task = True
 
     def initial_state(self, spec, draws):
-        start = super().initial_state(spec, draws)
-        start.pose[:, 2] = math.pi / 2
-        start.goal[:] = draws.uniform(2)
-        return start
+        states = super().initial_state(spec, draws)
+        states.pose[:, 2] = math.pi / 2
+        states.goal[:] = draws.uniform(2)
+        return states
 
     def outcome(self, before, action, after):
         outcome = super().outcome(before, action, after)
@@ -55,7 +50,7 @@ class Northward(Wander):
 
 
 class _Picture(Sensor):
-    """Grey where the way is free."""
+    """Grey where the laser sees free space."""
 
     name, shape = "picture", (1, 36, 36)
 
@@ -66,14 +61,14 @@ class _Picture(Sensor):
 
 @dataclass(frozen=True)
 class Pictured(Wander):
-    """Observes an image beside its laser's ranges."""
+    """Observes an image beside the laser's ranges."""
 
     def sensors(self, spec):
         return (*super().sensors(spec), _Picture())
 
 
 def _outcomes(evaluation: Evaluation) -> list[tuple]:
-    """All that happened, to compare to the bit."""
+    """Everything that happened, for comparisons to the bit."""
     return [
         (e.start, e.ended, e.failed, e.length, e.distance, e.episode_return, e.path.tolist(), e.actions.tolist())
         for e in evaluation.episodes
@@ -81,16 +76,16 @@ def _outcomes(evaluation: Evaluation) -> list[tuple]:
 
 
 def _episode(ended="time limit", success=True, length=0, distance=1.0, total=0.0, failed=None) -> Episode:
-    """An episode that was not driven; a crash counts as failed, other endings as `failed` says."""
+    """An episode that was not driven; a collision counts as failed, other endings as `failed` says."""
     failed = ended == "collision" if failed is None else failed
     path, actions = np.zeros((length + 1, 2), np.float32), np.zeros(length, np.uint8)
     return Episode((0.0, 0.0, 0.0), ended, failed, success, failed, length, distance, total, path, actions)
 
 
 @pytest.fixture
-def ahead():
-    """A policy that drives forward and remembers what it observed."""
-    return _Ahead()
+def forward():
+    """A policy that drives forward."""
+    return _Forward()
 
 
 @pytest.fixture
@@ -113,7 +108,7 @@ def cruise() -> type[Task]:
 
 @pytest.fixture
 def northward() -> type[Task]:
-    """A task with a start of its own."""
+    """A task with initial states of its own."""
     return Northward
 
 
@@ -121,11 +116,3 @@ def northward() -> type[Task]:
 def pictured() -> type[Task]:
     """A task whose observations are mappings."""
     return Pictured
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
-    """A run folder with a policy that knows next to nothing."""
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    train("qlearn", total_timesteps=100, n_envs=1, eval_freq=0, save_freq=0, folder=folder)
-    return folder

@@ -1,11 +1,9 @@
-"""What an evaluation says of its episodes, and how it is kept in a run folder and read back."""
+"""The metrics of an evaluation, and its files in a run folder."""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,26 +12,28 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.turtlebot2_env import TurtleBot2Env
+from tb2rl.evaluation.episodes import Episode
 from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluation import Evaluation, episode_of, kept_evaluation
-from tb2rl.evaluation.rollout import roll_out
+from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
+from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.folder import EVALUATION, PATHS, Run
 from tb2rl.runs.layers import resolve
+from tb2rl.simulation import InitialState
 from tb2rl.tasks.wander import Wander
 
-# ---- the figures
+# ---- metrics
+
+
+def evaluation_of(*episodes: Episode, task: Wander = Wander()) -> Evaluation:  # noqa: B008 (frozen)
+    return Evaluation(episodes, make_scene(task, "raw"), 1, "kinematic")
 
 
 def test_the_summary_counts_what_happened(make_episode):
-    collided, lasted = (
-        make_episode("collision", False, 10, 1.0, -150.0),
-        make_episode("time limit", True, 30, 3.0, 150.0),
-    )
-    scene = make_scene(Wander(control_period=0.5, episode_steps=30), "raw")
-    evaluation = Evaluation([collided, lasted] * 2, scene, seed=1)
+    collided = make_episode("collision", False, 10, 1.0, -150.0)
+    lasted = make_episode("time limit", True, 30, 3.0, 150.0)
+    evaluation = evaluation_of(*[collided, lasted] * 2, task=Wander(control_period=0.5, episode_steps=30))
     summary = evaluation.summary()
     assert (summary["episodes"], summary["steps"], summary["seed"]) == (4, 30, 1)
     assert (summary["failure_free_rate"], summary["success_rate"], summary["touch_free_rate"]) == (0.5, 0.5, 0.5)
@@ -46,7 +46,7 @@ def test_the_summary_counts_what_happened(make_episode):
 
 
 def test_an_evaluation_is_printed_as_a_table_without_its_arrays(make_episode):
-    evaluation = Evaluation([make_episode(length=2)] * 4, make_scene(Wander(episode_steps=7), "raw"), 0)
+    evaluation = evaluation_of(*[make_episode(length=2)] * 4, task=Wander(episode_steps=7))
     header, first, *_, endings = str(evaluation).splitlines()
     assert repr(evaluation) == str(evaluation)
     assert " ".join(header.split()) == "4 episodes of at most 7 steps value"
@@ -55,92 +55,83 @@ def test_an_evaluation_is_printed_as_a_table_without_its_arrays(make_episode):
     assert "array" not in str(evaluation)
 
 
-def test_the_squares_that_the_median_episode_visits_tell_driving_from_circling(make_episode):
-    around = 2 * np.pi * np.arange(100) / 20
-    circling = np.stack([0.5 + 0.4 * np.cos(around), -0.5 + 0.4 * np.sin(around)], axis=1)  # in the square (0, -1)
+def test_the_squares_of_the_median_episode_distinguish_driving_from_circling(make_episode):
+    angles = 2 * np.pi * np.arange(100) / 20
+    circling = np.stack([0.5 + 0.4 * np.cos(angles), -0.5 + 0.4 * np.sin(angles)], axis=1)  # in the square (0, -1)
     straight = np.stack([np.arange(-20, 80) / 10 + 0.05, np.full(100, 3.5)], axis=1)  # from -2 to 8
-    back_and_forth = np.concatenate([straight, straight[::-1]])
-    episodes = [
-        replace(make_episode(length=1), path=path.astype(np.float32)) for path in (circling, straight, back_and_forth)
-    ]
+    paths = circling, straight, np.concatenate([straight, straight[::-1]])
+    episodes = [replace(make_episode(length=1), path=path.astype(np.float32)) for path in paths]
 
     def squares(*numbers: int) -> float:
-        return Evaluation([episodes[i] for i in numbers], make_scene(Wander(), "raw"), 0).summary()["median_squares"]
+        return evaluation_of(*(episodes[i] for i in numbers)).summary()["median_squares"]
 
     assert (squares(0), squares(1), squares(2)) == (1, 10, 10)
-    assert squares(0, 0, 1) == 1
-    assert squares(0, 1) == 5.5
+    assert (squares(0, 0, 1), squares(0, 1)) == (1, 5.5)
 
 
-def test_what_failed_is_told_by_the_episode_and_not_by_the_name_of_its_ending(make_episode):
+def test_failures_are_counted_by_episode_and_not_by_the_name_of_the_ending(make_episode):
     endings = [("stuck", True), ("collision", False), ("time limit", False), ("stuck", True)]
-    episodes = [make_episode(name, False, 1, failed=failed) for name, failed in endings]
-    summary = Evaluation(episodes, make_scene(Wander(), "raw"), 0).summary()
+    summary = evaluation_of(*(make_episode(name, False, 1, failed=failed) for name, failed in endings)).summary()
     assert (summary["failure_free_rate"], summary["success_rate"]) == (0.5, 0.0)
-    assert summary["failure_free_interval"] == wilson_interval(2, 4)
     assert summary["endings"] == {"collision": 1, "stuck": 2, "time limit": 1}
 
 
-def test_out_of_bounds_counts_as_failed(ahead):
+def test_out_of_bounds_counts_as_failed(forward):
     scene = resolve("random", "wall", settings={"task.bounds": [-1.0, -3.0, 1.0, 3.0]}).scene
-    with closing(TurtleBot2Env(scene)) as env:
-        outside = episode_of(scene, list(roll_out(env, ahead, 0, pose=(0.0, 2.0, 0.0))))
+    states = InitialState.default(scene.spec, 1)
+    states.pose[:] = 0.0, 2.0, 0.0
+    with Evaluator(scene, states, workers=1, simulation="kinematic") as evaluator:
+        evaluation = evaluator.run(forward)
+    (outside,) = evaluation.episodes
     assert (outside.ended, outside.failed, outside.success, outside.touched) == ("out of bounds", True, False, False)
     assert outside.path[-1, 0] > 1.0 > outside.path[-2, 0]
     assert 5.0 * (outside.length - 1) <= outside.episode_return + 200.0 <= 10.0 * (outside.length - 1)
-    summary = Evaluation([outside], scene, 0).summary()
-    assert (summary["failure_free_rate"], summary["success_rate"]) == (0.0, 0.0)
-    assert summary["endings"] == {"out of bounds": 1}
+    assert evaluation.summary()["endings"] == {"out of bounds": 1}
 
 
-def test_a_policy_that_succeeds_more_often_scores_higher_whatever_its_return(make_episode):
-    def score(success: bool, total: float) -> tuple[float, float]:
-        return Evaluation([make_episode("", success, 1, 1.0, total)], make_scene(Wander(), "raw"), 0).score
+def test_the_score_compares_success_rates_in_half_percents_and_then_returns(make_episode):
+    def score(failures: int, total: float, count: int = 1000) -> tuple[float, float]:
+        return evaluation_of(*(make_episode("", i >= failures, 1, 1.0, total) for i in range(count))).score
 
-    assert score(True, -9.0) > score(False, 9.0) > score(False, 8.0)
-
-
-def test_of_rates_in_the_same_half_percent_the_higher_return_decides(make_episode):
-    def score(failures: int, total: float) -> tuple[float, float]:
-        episodes = [make_episode("", i >= failures, 1, 1.0, total) for i in range(1000)]
-        return Evaluation(episodes, make_scene(Wander(), "raw"), 0).score
-
+    assert score(0, -9.0, 1) > score(1, 9.0, 1) > score(1, 8.0, 1)
     assert score(1, 9.0) > score(0, 8.0) > score(5, 9.0)
 
 
-# ---- kept in a run folder
+# ---- files in a run folder
+
+
+@pytest.fixture(scope="module")
+def evaluated(trained_run, tmp_path_factory) -> Path:
+    """A run folder with an evaluation of two episodes; copy it before you write to it."""
+    folder = tmp_path_factory.mktemp("evaluated") / "run"
+    shutil.copytree(trained_run, folder)
+    evaluation = evaluate(folder, episodes=2, steps=5, simulation="kinematic")
+    Run.open(folder).write_evaluation(*evaluation.tree(Run.open(folder).config, "its name"))
+    return folder
 
 
 @pytest.fixture
-def keep(run, tmp_path) -> Callable[[], Path]:
-    """A function that gives a copy of the run folder with an evaluation of two episodes in it."""
-
-    def kept() -> Path:
-        folder = tmp_path / "run"
-        shutil.copytree(run, folder)
-        evaluation = evaluate(folder, episodes=2, steps=5, workers=1)
-        Run.open(folder).write_evaluation(*evaluation.tree(Run.open(folder).config, "its name"))
-        return folder
-
-    return kept
+def folder(evaluated, tmp_path) -> Path:
+    """A copy of this run folder."""
+    return shutil.copytree(evaluated, tmp_path / "evaluated")
 
 
-def changed(folder: Path, change: Callable[[dict], object]) -> None:
+def change(folder: Path, edit) -> None:
     tree = json.loads((folder / EVALUATION).read_text())
-    change(tree)
+    edit(tree)
     (folder / EVALUATION).write_text(json.dumps(tree))
 
 
-def put(*keys: str | int, value: object) -> Callable[[dict], None]:
-    """A change to a tree: this value at these keys."""
+def put(*keys: str | int, value: object):
+    """An edit that puts a value at these keys."""
 
-    def change(tree: dict) -> None:
+    def edit(tree: dict) -> None:
         part = tree
         for key in keys[:-1]:
             part = part[key]
         part[keys[-1]] = value
 
-    return change
+    return edit
 
 
 def assert_refused(folder: Path, *named: str) -> None:
@@ -151,12 +142,11 @@ def assert_refused(folder: Path, *named: str) -> None:
     assert [part for part in named if part not in message] == [], message
 
 
-def test_what_is_kept_is_read_back(keep, outcomes):
-    folder = keep()
+def test_an_evaluation_is_read_as_it_was_written(folder, outcomes):
     back = kept_evaluation(Run.open(folder))
-    assert outcomes(back) == outcomes(evaluate(folder, episodes=2, steps=5, workers=1))
+    assert outcomes(back) == outcomes(evaluate(folder, episodes=2, steps=5, simulation="kinematic"))
     assert [len(episode.actions) for episode in back.episodes] == [episode.length for episode in back.episodes]
-    assert (back.steps, back.task.episode_steps) == (5, 5)
+    assert (back.steps, back.task.episode_steps, back.simulation) == (5, 5, "kinematic")
     written = json.loads((folder / EVALUATION).read_text())
     assert json.loads(json.dumps(back.summary())).items() <= written.items()
     assert (written["policy"], written["config"]) == ("its name", Run.open(folder).config.to_dict())
@@ -164,32 +154,22 @@ def test_what_is_kept_is_read_back(keep, outcomes):
     assert [each["failed"] for each in written["each"]] == [episode.failed for episode in back.episodes]
 
 
-def test_an_evaluation_says_in_which_simulation_it_drove(keep, monkeypatch):
-    monkeypatch.setattr(
-        "tb2rl.evaluation.evaluator.default_simulator", lambda: "kinematic"
-    )  # as where PyBullet is missing
-    folder = keep()
-    assert json.loads((folder / EVALUATION).read_text())["simulation"] == "kinematic"
-    assert kept_evaluation(Run.open(folder)).simulation == "kinematic"
-    changed(folder, lambda tree: tree.pop("simulation"))
-    assert kept_evaluation(Run.open(folder)).simulation == "bullet", "when all were"
-    changed(folder, put("simulation", value="gazebo"))
-    assert_refused(folder, "simulation", "gazebo")
-
-
-def test_continuous_actions_are_read_back(cruise, tmp_path, outcomes):
+def test_continuous_actions_are_read_as_they_were_written(folder, cruise, tmp_path, outcomes):
     config = resolve("stable_baselines3:PPO", cruise)
     policy = make_baseline(resolve("random", cruise, settings={"task.observation": "raw"}))
-    evaluation = evaluate(policy, config, episodes=2, steps=9, workers=1)
+    evaluation = evaluate(policy, config, episodes=2, steps=9, simulation="kinematic")
     run = Run.create(tmp_path / "run", config)
     run.write_evaluation(*evaluation.tree(config, "random"))
     assert outcomes(kept_evaluation(Run.open(tmp_path / "run"))) == outcomes(evaluation)
+    tree, arrays = Run.open(folder).read_evaluation()
+    run.write_evaluation({**tree, "config": config.to_dict()}, arrays)
+    assert_refused(run.folder, "evaluation.json has other actions than the task")
 
 
-def test_episodes_in_many_worlds_are_read_back_with_theirs(tmp_path, outcomes):
+def test_episodes_in_many_worlds_are_read_with_theirs(tmp_path, outcomes):
     world = {"generator": "clutter", "worlds": 30, "difficulty": 0.0}
     config = resolve("random", settings={"task.world": world})
-    evaluation = evaluate(make_baseline(config), config, episodes=5, steps=3, workers=1)
+    evaluation = evaluate(make_baseline(config), config, episodes=5, steps=3, simulation="kinematic")
     folder = Run.create(tmp_path / "run", config).folder
     Run.open(folder).write_evaluation(*evaluation.tree(config, "random"))
     back = kept_evaluation(Run.open(folder))
@@ -198,42 +178,21 @@ def test_episodes_in_many_worlds_are_read_back_with_theirs(tmp_path, outcomes):
     assert len({each.world for each in back.episodes}) > 2
     names = [world.name for world in back.scene.spec.worlds]
     assert names == [world.name for world in evaluation.scene.spec.worlds] == [f"clutter {i} (test)" for i in range(30)]
-    changed(folder, put("each", 0, "world", value=30))
+    change(folder, put("each", 0, "world", value=30))
     assert_refused(folder, "evaluation.json has more worlds than the task")
-    changed(folder, put("each", 0, "world", value=-1))
-    assert_refused(folder, "evaluation.json is not an evaluation")
 
 
-def test_an_older_evaluation_says_no_world(keep):
-    folder = keep()
-    changed(folder, lambda tree: [each.pop("world") for each in tree["each"]])
-    assert [each.world for each in kept_evaluation(Run.open(folder)).episodes] == [0, 0]
-
-
-def test_actions_of_another_kind_than_the_tasks_are_refused(keep, cruise, tmp_path):
-    folder = keep()
-    other = Run.create(tmp_path / "other", resolve("stable_baselines3:PPO", cruise))
-    tree, arrays = Run.open(folder).read_evaluation()
-    other.write_evaluation({**tree, "config": other.config.to_dict()}, arrays)
-    assert_refused(other.folder, "evaluation.json has other actions than the task")
-
-
-@pytest.mark.parametrize("damage", ["{", "[]", '{"each": []}', None])
-def test_an_evaluation_that_is_damaged_is_refused_in_one_line(keep, damage):
-    folder = keep()
-    if damage is None:
-        changed(folder, put("each", value=[]))
-    else:
-        (folder / EVALUATION).write_text(damage)
+@pytest.mark.parametrize("damage", ["{", "[]", '{"each": []}'])
+def test_a_damaged_or_missing_evaluation_is_refused_in_one_line(folder, damage):
+    (folder / EVALUATION).write_text(damage)
     assert_refused(folder, "evaluation.json is not an evaluation")
     (folder / PATHS).unlink()
     assert_refused(folder, "no standard evaluation: run `python -m tb2rl.evaluate")
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("edit", "named"),
     [
-        (put("config", "task", "world", value="circuit"), "not of the task in config.yaml"),
         (put("config", "task", "collision_range", value=0.4), "not of the task in config.yaml"),
         (put("each", 0, "distance", value=None), "each.0.distance"),
         (put("each", 1, "ended", value=None), "each.1.ended"),
@@ -243,15 +202,15 @@ def test_an_evaluation_that_is_damaged_is_refused_in_one_line(keep, damage):
         (lambda tree: tree["each"].pop(), "not an evaluation"),
         (put("each", value=[]), "not an evaluation"),
         (put("steps", value="1500x"), "steps"),
+        (put("simulation", value="gazebo"), "gazebo"),
+        (put("each", 0, "world", value=-1), "not an evaluation"),
     ],
 )
-def test_an_evaluation_that_does_not_fit_is_refused(change, named, keep):
-    folder = keep()
-    changed(folder, change)
+def test_an_evaluation_that_does_not_fit_is_refused(edit, named, folder):
+    change(folder, edit)
     assert_refused(folder, "evaluation.json", named)
 
 
-def test_paths_without_their_end_are_refused(keep):
-    folder = keep()
+def test_paths_without_their_end_are_refused(folder):
     (folder / PATHS).write_bytes((folder / PATHS).read_bytes()[:-100])
     assert_refused(folder, PATHS, "damaged")

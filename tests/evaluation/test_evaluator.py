@@ -1,80 +1,133 @@
-"""Fair evaluations: start poses of their own, where the task says, and the same result on any machine."""
+"""Fair evaluations: an episode depends on its seed and number alone, and starts where the task says."""
 
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3 import A2C
 
-from tb2rl import evaluate, make_env
-from tb2rl.core.agent import find_agent
+from tb2rl import load, make_env
 from tb2rl.core.errors import InputError
-from tb2rl.core.plugins import agent_names
-from tb2rl.envs.scene import make_scene
-from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator
+from tb2rl.envs.scene import Scene, make_scene
+from tb2rl.evaluation.evaluation import Evaluation
+from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, TRAINING_SEED, Evaluator, random_initial_states
 from tb2rl.execution.local import LocalExecutor
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import Spaces, make_algorithm, make_baseline
+from tb2rl.runs.config import Config
 from tb2rl.runs.layers import resolve
+from tb2rl.simulation import InitialState
 from tb2rl.tasks.wander import Wander
 from tb2rl.worlds.registry import find_world
 
-GUIDED = {"dwa", "pursuit", "vfh"}  # only drive to a goal: tests/agents/test_guided.py
-BASELINES = [name for name in agent_names() if find_agent(name).algorithm is None and name not in GUIDED]
+# ---- the same episode anywhere
 
 
-# ---- on any machine
+def make_policy(config: Config):
+    """An untrained policy whose actions depend on what it observes."""
+    policy = make_algorithm(config, Spaces.vectorised(config)).policy
+    th.manual_seed(0)
+    if hasattr(policy, "q"):
+        policy.q[:] = th.rand(policy.q.shape, dtype=th.float64)
+        return policy
+    for parameter in policy.parameters():
+        th.nn.init.normal_(parameter, std=1.0)
+    return policy
 
 
-@pytest.mark.parametrize("name", BASELINES)
-def test_the_result_does_not_depend_on_the_number_of_processes(name, outcomes):
-    config = resolve(name, settings={"task.laser_noise": 0.01})
-    alone, shared = (
-        evaluate(make_baseline(config), config, episodes=5, steps=40, workers=workers) for workers in (1, 2)
-    )
-    assert outcomes(alone) == outcomes(shared)
+def make_evaluator(scene: Scene, episodes: int, steps: int, seed: int = SEED, **options) -> Evaluator:
+    return Evaluator(scene, random_initial_states(scene, episodes, seed), steps, seed, **{"workers": 1, **options})
+
+
+def run(config: Config, policy, episodes: int = 3, steps: int = 40, **options) -> Evaluation:
+    """An evaluation; kinematic unless the options say otherwise."""
+    with make_evaluator(config.scene, episodes, steps, **{"simulation": "kinematic", **options}) as evaluator:
+        return evaluator.run(policy)
+
+
+SMALL = {"agent.policy_kwargs.net_arch": [8]}
+POLICIES = {
+    "table": ("qlearn", "maze", {"task.laser_noise": 0.01}),
+    "recurrent": ("sb3_contrib:RecurrentPPO", "maze", {"agent.policy_kwargs.lstm_hidden_size": 8, "train.n_envs": 1}),
+    "velocities": ("stable_baselines3:SAC", "cruise", SMALL),
+    "many worlds": ("ppo", "wall", {**SMALL, "task.world": "cells", "task.start_clearance": 0.3}),
+    "images": ("stable_baselines3:A2C", "pictured", {"task.observation": "raw"}),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "simulation"),
+    [
+        ("table", "kinematic"),
+        ("table", "bullet"),
+        ("recurrent", "kinematic"),
+        pytest.param("recurrent", "bullet", marks=pytest.mark.slow),
+        ("velocities", "kinematic"),
+        ("many worlds", "kinematic"),
+        pytest.param("images", "kinematic", marks=pytest.mark.slow),
+    ],
+)
+def test_an_episode_among_others_is_the_same_as_alone(name, simulation, request, outcomes):
+    agent, task, settings = POLICIES[name]
+    task = request.getfixturevalue(task) if task in ("cruise", "pictured") else task
+    config = resolve(agent, task, settings=settings)
+    policy, count = make_policy(config), 30 if simulation == "bullet" else 12  # more than the slots of physics
+    with make_evaluator(config.scene, count, 40, seed=3, simulation=simulation) as evaluator:
+        together, again = evaluator.run(policy), evaluator.run(policy)
+    assert (together.simulation, together.seed, together.steps) == (simulation, 3, 40)
+    assert outcomes(together) == outcomes(again)
+    assert len({episode.start for episode in together.episodes}) == count
+    assert len({str(episode.actions) for episode in together.episodes}) > 1
+    for number in (0, 5, count - 1):
+        states = InitialState(random_initial_states(config.scene, count, 3).table[number : number + 1])
+        with Evaluator(config.scene, states, 40, 3 + number, workers=1, simulation=simulation) as evaluator:
+            assert outcomes(evaluator.run(policy)) == outcomes(together)[number : number + 1]
+
+
+@pytest.mark.parametrize(("agent", "simulation"), [("random", "bullet"), ("wallfollower", "kinematic")])
+def test_the_result_does_not_depend_on_the_number_of_processes(agent, simulation, outcomes):
+    config = resolve(agent, settings={"task.laser_noise": 0.01})
+    alone = run(config, make_baseline(config), 5, simulation=simulation)
+    with make_evaluator(config.scene, 5, 40, simulation=simulation, workers=2) as evaluator:
+        shared, again = (evaluator.run(make_baseline(config)) for _ in range(2))
+        rest = list(evaluator.drive(make_baseline(config), first=1))
+    assert outcomes(alone) == outcomes(shared) == outcomes(again)
     assert alone.summary() == shared.summary()
+    assert outcomes(replace(alone, episodes=rest)) == outcomes(alone)[1:]
 
 
-def test_jobs_elsewhere_drive_the_same_episodes_in_their_order():
+def test_an_executor_drives_the_same_episodes_in_their_order():
     config = resolve("random", settings={"task.laser_noise": 0.01})
     policy = make_baseline(config)
-    with Evaluator(config.scene, 5, 40, workers=1) as evaluator:
-        here, there = list(evaluator.drive(policy)), list(evaluator.drive(policy, 1, LocalExecutor(2)))
+    with make_evaluator(config.scene, 5, 40, simulation="kinematic") as evaluator, LocalExecutor(2) as executor:
+        here, there = list(evaluator.drive(policy)), list(evaluator.drive(policy, 1, executor))
     assert [episode.episode_return for episode in there] == [episode.episode_return for episode in here[1:]]
 
 
-def test_a_memory_is_kept_in_every_process(outcomes):
-    settings = {"task.observation": "raw", "train.n_envs": 1, "agent.policy_kwargs.lstm_hidden_size": 8}
-    config = resolve("sb3_contrib:RecurrentPPO", settings=settings)
-    policy = make_algorithm(config, Spaces.vectorised(config))
-    th.nn.init.normal_(policy.policy.action_net.weight)  # else it does the same everywhere
-    alone, shared = (evaluate(policy, config, episodes=3, steps=40, workers=workers) for workers in (1, 2))
-    assert outcomes(alone) == outcomes(shared)
+def test_the_moments_of_an_episode_are_those_of_its_record():
+    config = resolve("random", settings={"task.laser_noise": 0.01})
+    policy = make_baseline(config)
+    with make_evaluator(config.scene, 3, 40, simulation="kinematic") as evaluator:
+        episode, moments = evaluator.run(policy).episodes[2], evaluator.moments(policy, 2)
+    assert [int(moment.action) for moment in moments] == episode.actions.tolist()
+    assert moments[-1].after.pose[0, :2].astype(np.float32).tolist() == episode.path[-1].tolist()
+    assert moments[-1].info["ended"] == episode.ended
 
 
-def test_the_same_evaluation_twice_gives_the_same_result(run, outcomes):
-    twice = [evaluate(run, episodes=3, steps=30, workers=1) for _ in range(2)]
-    assert outcomes(twice[0]) == outcomes(twice[1])
-
-
-def test_a_part_of_an_evaluation_is_its_first_episodes(outcomes):
-    config = resolve("pursuit", "navigate", settings={"task.world": "mixed", "task.guide": "plan"})
-    whole, part = (evaluate(make_baseline(config), config, episodes=5, steps=20, workers=1, only=n) for n in (None, 2))
-    assert outcomes(part) == outcomes(whole)[:2]
-
-
-def test_an_evaluator_serves_several_policies(outcomes):
-    config = resolve("wallfollower")
-    with Evaluator(config.scene, episodes=2, steps=10, workers=2) as evaluator:
-        first, again = (evaluator.run(make_baseline(config)) for _ in range(2))
-    assert outcomes(first) == outcomes(again)
+def test_seeds_and_simulators_make_other_episodes_but_simulators_share_initial_states(outcomes):
+    config = resolve("qlearn", settings={"task.laser_noise": 0.01})
+    policy = make_policy(config)
+    first, other = (run(config, policy, 4, 20, seed=seed) for seed in (1, 2))
+    physics = run(config, policy, 4, 20, seed=1, simulation="bullet")
+    assert outcomes(first) != outcomes(other)
+    assert outcomes(first) != outcomes(physics)
+    starts = [[episode.start for episode in each.episodes] for each in (first, physics)]
+    np.testing.assert_allclose(*starts, atol=1e-12)
 
 
 @pytest.mark.parametrize("changed", [{"urdf": Path("missing.urdf")}, {"wheel_joints": ("wheel_left", "wheel_rite")}])
@@ -82,15 +135,41 @@ def test_a_robot_that_cannot_be_loaded_is_refused_before_processes_start(changed
     scene = resolve("wallfollower").scene
     unusable = replace(scene, spec=replace(scene.spec, robot=replace(ROBOT, **changed)))
     with pytest.raises(InputError, match=r"robot turtlebot2: .*(cannot load missing\.urdf|no joint 'wheel_rite')"):
-        Evaluator(unusable, episodes=2, steps=3, workers=2)
+        make_evaluator(unusable, 2, 3, workers=2, simulation="bullet")
 
 
-# ---- where episodes begin, and when they end
+# ---- initial states and endings
 
 
-def test_every_episode_has_a_start_of_its_own_and_the_time_limit_that_was_asked_for():
+def test_the_first_initial_states_do_not_depend_on_how_many_follow():
+    scene = resolve("pursuit", "navigate", settings={"task.world": "mixed"}).scene
+    few, many = (random_initial_states(scene, count, 1).table for count in (7, 130))
+    np.testing.assert_array_equal(many[:7], few)
+    assert len(np.unique(many, axis=0)) == 130
+
+
+def test_the_standard_initial_states_are_those_of_the_world_that_training_never_draws():
+    assert (EPISODES, STEPS) == (100, 1500)
+    clearance = Wander().start_clearance
+
+    def poses(seed: int) -> np.ndarray:
+        return find_world("loop").random_poses(np.random.default_rng(seed), EPISODES, clearance)
+
+    def rounded(rows) -> set[tuple]:
+        return {tuple(row.round(6)) for row in rows}
+
+    np.testing.assert_array_equal(random_initial_states(resolve().scene, EPISODES, SEED).pose, poses(SEED))
+    env = make_env("maze", simulation="kinematic")
+    training = rounded(env.reset(seed=seed)[1]["pose"] for seed in range(20))
+    env.close()
+    assert training & rounded(poses(0)), "an evaluation of seed 0 would start where a training of seed 0 does"
+    assert training.isdisjoint(rounded(poses(SEED)))
+    assert rounded(poses(TRAINING_SEED)).isdisjoint(rounded(poses(SEED)))
+
+
+def test_every_episode_has_its_own_start_and_the_time_limit_of_the_evaluation():
     config = resolve("wallfollower", settings={"task.start": "fixed", "task.episode_steps": 7})
-    evaluation = evaluate(make_baseline(config), config, episodes=4, steps=20, workers=1)
+    evaluation = run(config, make_baseline(config), 4, 20)
     assert (evaluation.steps, evaluation.task.episode_steps) == (20, 20)
     assert len({episode.start for episode in evaluation.episodes}) == 4
     assert [episode.length for episode in evaluation.episodes] == [20] * 4
@@ -100,201 +179,97 @@ def test_every_episode_has_a_start_of_its_own_and_the_time_limit_that_was_asked_
         assert np.linalg.norm(np.diff(episode.path, axis=0), axis=1).sum() == pytest.approx(episode.distance, rel=1e-3)
 
 
-def test_the_standard_evaluation_is_the_one_that_the_readme_tells_of():
-    assert (EPISODES, STEPS) == (100, 1500)
-
-
-def test_training_does_not_draw_the_standard_start_poses():
-    env, training = make_env("maze"), set()
-    for seed in range(20):
-        training |= {tuple(env.reset(seed=seed if first else None)[1]["pose"].round(6)) for first in (True, False)}
-    env.close()
-
-    def poses(seed: int) -> set[tuple]:
-        rng = np.random.default_rng(seed)
-        return {tuple(pose.round(6)) for pose in find_world("loop").random_poses(rng, 100, Wander().start_clearance)}
-
-    assert len(training) == 40
-    assert training & poses(0), "an evaluation of seed 0 would start where a training of seed 0 does"
-    assert training.isdisjoint(poses(SEED))
-    assert poses(TRAINING_SEED).isdisjoint(poses(SEED))
-
-
-def test_the_standard_start_poses_are_those_of_the_world_for_its_seed():
-    evaluator = Evaluator(resolve().scene, workers=1)
-    clearance = Wander().start_clearance
-    expected = find_world("loop").random_poses(np.random.default_rng(SEED), EPISODES, clearance)
-    np.testing.assert_array_equal([start.pose[0] for start in evaluator.starts], expected)
-
-
-def test_an_episode_leads_to_the_goal_that_was_drawn_with_its_start():
+def test_random_goals_are_farther_than_the_goal_radius():
     config = resolve("pursuit", "navigate", settings={"task.world": {"generator": "clutter", "worlds": 2}})
-    with Evaluator(config.scene, episodes=12, steps=1, workers=1) as evaluator:
-        episodes = evaluator.run(make_baseline(config)).episodes
-    assert [each.goal for each in episodes] == [tuple(start.goal[0].tolist()) for start in evaluator.starts]
+    with make_evaluator(config.scene, 12, 1, simulation="kinematic") as evaluator:
+        episodes, states = evaluator.run(make_baseline(config)).episodes, evaluator.initial_states
+    assert [each.goal for each in episodes] == [tuple(state.goal[0].tolist()) for state in states]
     assert len({(each.world, each.goal) for each in episodes}) > 4
-    ways = [
-        config.scene.spec.goal_paths.path_length(*np.stack([s.world, s.way]).astype(int), s.pose)
-        for s in evaluator.starts
-    ]
-    assert min(ways) > config.task.goal_radius, "of two random goals it is the farther one"
+    path_length = config.scene.spec.goal_paths.path_length
+    lengths = [path_length(*np.stack([s.world, s.goal_path]).astype(int), s.pose) for s in states]
+    assert min(lengths) > config.task.goal_radius, "of two random goals it is the farther one"
 
 
-def test_a_task_that_leads_to_the_goals_of_its_worlds_is_judged_by_them():
+def test_a_fixed_start_keeps_the_goals_of_the_worlds():
     settings = {"task.world": ["wall", {"generator": "clutter", "worlds": 2}], "task.start": "fixed"}
     config = resolve("pursuit", "navigate", settings=settings)
-    with Evaluator(config.scene, episodes=12, steps=1, workers=1) as evaluator:
-        episodes = evaluator.run(make_baseline(config)).episodes
-    worlds = config.scene.spec.worlds
+    episodes, worlds = run(config, make_baseline(config), 12, 1).episodes, config.scene.spec.worlds
     assert [each.goal for each in episodes] == [worlds[each.world].goal[:2] for each in episodes]
     assert len({each.world for each in episodes}) == 3
     assert len({each.start for each in episodes}) == 12
 
 
-def test_imperfect_robots_are_judged_from_the_same_starts(ahead):
+def test_variation_does_not_change_the_start_poses(forward):
     starts = []
     for variation in ("none", "strong"):
-        with Evaluator(make_scene(Wander(variation=variation), "raw"), episodes=4, steps=2, workers=1) as evaluator:
-            starts.append([episode.start for episode in evaluator.run(ahead).episodes])
+        with make_evaluator(make_scene(Wander(variation=variation), "raw"), 4, 2, simulation="kinematic") as evaluator:
+            starts.append([episode.start for episode in evaluator.run(forward).episodes])
     assert starts[0] == starts[1]
     assert len(set(starts[0])) == 4
 
 
-def test_a_task_says_itself_where_its_episodes_begin(northward, ahead):
-    episodes = evaluate(ahead, resolve("random", northward), episodes=4, steps=3, workers=1).episodes
+def test_a_task_with_initial_states_of_its_own_is_evaluated_from_them(northward, forward):
+    episodes = run(resolve("random", northward), forward, 4, 3).episodes
     assert [episode.start[2] for episode in episodes] == [math.pi / 2] * 4
     assert len({episode.start[:2] for episode in episodes}) == 4
     for episode in episodes:
-        ways = np.diff(episode.path, axis=0)
-        assert (np.abs(ways[:, 0]) < 0.01).all()
-        assert (ways[1:, 1] > 0.02).all(), "it drives along y"
+        steps = np.diff(episode.path, axis=0)
+        assert (np.abs(steps[:, 0]) < 0.01).all()
+        assert (steps[1:, 1] > 0.02).all(), "it drives along y"
 
 
-# ---- what drives
+# ---- policies
 
 
-def test_random_actions_crash():
-    config = resolve("random")
-    assert evaluate(make_baseline(config), config, episodes=30, workers=1).summary()["failure_free_rate"] < 0.05
-
-
-def test_the_wall_follower_does_not():
-    config = resolve("wallfollower")
-    evaluation = evaluate(make_baseline(config), config, episodes=6, steps=300, workers=1)
-    assert evaluation.summary()["failure_free_rate"] == 1.0
-    assert evaluation.summary()["mean_speed"] > 0.2, "nor does it stand still"
-
-
-@pytest.mark.slow
-def test_the_wall_follower_is_a_baseline_to_beat_in_the_standard_evaluation():
-    config = resolve("wallfollower")
-    assert evaluate(make_baseline(config), config).summary()["failure_free_rate"] > 0.9
-
-
-def test_anything_that_predicts_can_be_evaluated(ahead):
-    episodes = evaluate(ahead, resolve(), episodes=3, steps=200, workers=1).episodes
+def test_anything_that_predicts_is_evaluated(forward):
+    episodes = run(resolve(), forward, 3, 200, simulation="bullet").episodes
     assert [(episode.ended, episode.failed) for episode in episodes] == [("collision", True)] * 3
     assert [episode.episode_return for episode in episodes] == [5.0 * (e.length - 1) - 200.0 for e in episodes]
     assert [episode.actions.tolist() for episode in episodes] == [[0] * e.length for e in episodes]
     assert {episode.actions.dtype for episode in episodes} == {np.dtype(np.uint8)}
 
 
-def test_continuous_actions_are_evaluated_and_kept_as_they_were(cruise):
+def test_continuous_actions_are_recorded_as_given(cruise):
     config = resolve("random", cruise)
-    evaluation = evaluate(make_baseline(config), config, episodes=3, steps=40, workers=1)
-    for episode in evaluation.episodes:
+    episodes = run(config, make_baseline(config)).episodes
+    for episode in episodes:
         assert (episode.actions.shape, episode.actions.dtype) == ((episode.length, 2), np.float32)
         assert np.abs(episode.actions).max() <= 1.0
         assert len(np.unique(episode.actions, axis=0)) == episode.length
         assert 0.0 < episode.distance <= 0.5 * 0.2 * episode.length
-    assert len({tuple(episode.actions[0].tolist()) for episode in evaluation.episodes}) == 3
+    assert len({tuple(episode.actions[0].tolist()) for episode in episodes}) == 3
 
 
-def test_observations_may_be_mappings(pictured, ahead):
-    config = resolve("random", pictured, settings={"task.observation": "raw"})
-    evaluation = evaluate(ahead, config, episodes=1, steps=5, workers=1)
-    assert len(ahead.observations) == evaluation.episodes[0].length
-    for observation in ahead.observations:
-        assert {name: (values.shape, values.dtype) for name, values in observation.items()} == {
-            "picture": ((1, 36, 36), np.uint8),
-            "numbers": ((36,), np.float32),
-        }
-    policy = make_baseline(config)
-    assert evaluate(policy, config, episodes=2, steps=5, workers=1).summary()["episodes"] == 2
+def test_the_wall_follower_avoids_collisions_and_random_actions_do_not():
+    follower, random = resolve("wallfollower"), resolve("random")
+    summary = run(follower, make_baseline(follower), 6, 300, simulation="bullet").summary()
+    assert summary["failure_free_rate"] == 1.0
+    assert summary["mean_speed"] > 0.2, "nor does it stand still"
+    assert run(random, make_baseline(random), 30, STEPS).summary()["failure_free_rate"] < 0.05
 
 
-def test_a_policy_of_unknown_origin_needs_a_task():
-    with pytest.raises(InputError, match=r"object does not come from .*: name its task, such as task='maze'"):
-        evaluate(object())
+@pytest.mark.slow
+def test_the_wall_follower_is_a_baseline_to_beat_in_the_standard_evaluation():
+    config = resolve("wallfollower")
+    summary = run(config, make_baseline(config), EPISODES, STEPS, simulation="bullet", workers=None).summary()
+    assert summary["failure_free_rate"] > 0.9
 
 
-def test_settings_change_the_task(run):
-    evaluation = evaluate(run, settings={"world": "circuit", "laser_noise": 0.1}, episodes=1, steps=2, workers=1)
-    assert (evaluation.task.world, evaluation.scene.world.name, evaluation.task.laser_noise) == (
-        "circuit",
-        "circuit",
-        0.1,
-    )
-    with pytest.raises(InputError, match="did you mean 'world'"):
-        evaluate(run, settings={"wrld": "circuit"}, episodes=1, steps=2, workers=1)
+def test_a_trained_policy_is_as_good_in_the_kinematic_simulator():
+    policy = load("zoo:maze-loop-dqn")
+    summary = run(policy.trained_with, policy.policy, 50, 200, seed=5).summary()
+    assert summary["failure_free_rate"] >= 0.96
+    assert summary["mean_speed"] == pytest.approx(0.413, abs=0.02), "as its card says"
+    assert summary["median_squares"] > 5
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_the_simulation_can_be_chosen(simulation, run):
-    assert evaluate(run, simulation=simulation, episodes=1, steps=2, workers=1).simulation == simulation
-
-
-def test_an_unknown_simulation_is_refused(run):
-    with pytest.raises(InputError, match=r"simulation takes .*'kinematic'.* got 'gazebo'"):
-        evaluate(run, simulation="gazebo", episodes=1, steps=2)
-
-
-def test_the_time_limit_can_be_a_setting(run):
-    assert evaluate(run, settings={"episode_steps": 3}, episodes=1, workers=1).steps == 3
-    with pytest.raises(InputError, match=r"steps=.* and task\.episode_steps set the same time limit"):
-        evaluate(run, settings={"episode_steps": 3}, episodes=1, steps=2)
-
-
-# ---- models that were trained without tb2rl
-
-
-@pytest.fixture
-def own():
-    """A function that makes an untrained model of Stable-Baselines3 for an environment of Gymnasium's."""
-    return lambda **arguments: A2C("MlpPolicy", gym.make("tb2rl:TurtleBot2Maze-v0", **arguments))
-
-
-@pytest.mark.parametrize("observation", ["raw", "discrete"])
-@pytest.mark.parametrize("task", ["maze", Wander, Wander(start_clearance=1.0)], ids=["name", "class", "task"])
-def test_a_model_of_ones_own_is_evaluated_at_a_task(observation, task, own, outcomes):
-    model = own(observation=observation, simulation="kinematic")
-    config = resolve("random", settings={"task.observation": observation})
-    if isinstance(task, Wander):
-        config = config.with_task({"start_clearance": 1.0})
-    evaluation = evaluate(model, task=task, episodes=2, steps=10, workers=1)
-    assert outcomes(evaluation) == outcomes(evaluate(model, config, episodes=2, steps=10, workers=1))
-    assert evaluation.scene.observation == observation
-
-
-def test_the_task_of_a_model_of_ones_own_has_settings(own):
-    model = own(observation="raw", simulation="kinematic", beams=9)
-    evaluation = evaluate(model, task="maze", settings={"beams": 9, "world": "circuit"}, episodes=1, steps=3, workers=1)
-    assert (evaluation.task.world, evaluation.scene.laser.beams) == ("circuit", 9)
-    with pytest.raises(InputError, match="knows the observation Box"):
-        evaluate(model, task="maze", episodes=1, steps=3, workers=1)
-    with pytest.raises(InputError, match="knows the observation Box"):
-        evaluate(model, task="maze", observation="discrete", episodes=1, steps=3, workers=1)
-
-
-def test_a_policy_of_the_zoo_is_evaluated_at_another_task():
-    evaluation = evaluate("zoo:maze-loop-dqn", task="maze", settings={"world": "circuit"}, episodes=1, steps=3)
-    assert evaluation.task.world == "circuit"
-
-
-def test_what_a_model_of_ones_own_is_to_do_is_said_once(own, run):
-    with pytest.raises(InputError, match=r"A2C does not come from tb2rl.load or tb2rl.train: name its task"):
-        evaluate(own(observation="raw", simulation="kinematic"))
-    with pytest.raises(InputError, match="either a config or a task"):
-        evaluate(run, resolve(), task="maze")
-    with pytest.raises(InputError, match="observation= goes with task="):
-        evaluate(run, observation="raw")
+@pytest.mark.slow
+def test_a_thousand_episodes_of_a_table_take_less_than_two_seconds():
+    policy = load("zoo:maze-loop-qlearn")
+    seconds = []
+    with make_evaluator(policy.trained_with.scene, 1000, 1000, simulation="kinematic") as evaluator:
+        for _ in range(4):
+            started = time.process_time()
+            evaluator.run(policy.policy)
+            seconds.append(time.process_time() - started)
+    assert min(seconds) < 2.0

@@ -1,4 +1,4 @@
-"""The figures of a suite, by hand for a few episodes; and how a policy gets into its worlds."""
+"""The figures of a suite, by hand for a few episodes; and drives through its worlds."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ def test_the_score_of_barn_in_2024(time, score):
     assert barn_score(drive(ended="bump", moving=time), reference=10.0) == 0.0
 
 
-def test_the_clock_of_barn_begins_after_a_tenth_of_a_metre(make_episode):
+def test_the_clock_of_barn_starts_after_a_tenth_of_a_metre(make_episode):
     standing = make_episode("goal", True, 6, 1.0)
     path = np.array([[1.0, 1.0]] * 3 + [[1.0, 1.05], [1.0, 1.1001], [1.0, 1.2], [1.0, 1.3]], dtype=np.float32)
-    begun = Drive.of(replace(standing, path=path, closest=0.25), control_period=0.5)
-    assert (begun.time, begun.moving_time, begun.closest) == (3.0, 1.0, 0.25)
+    started = Drive.of(replace(standing, path=path, closest=0.25), control_period=0.5)
+    assert (started.time, started.moving_time, started.closest) == (3.0, 1.0, 0.25)
     assert Drive.of(replace(standing, ended="time limit", success=False), 0.5).moving_time == 0.0
     assert barn_score(Drive.of(standing, 0.5), 10.0) == 0.5, "at the goal without a move"
 
@@ -80,7 +80,7 @@ def test_the_clock_of_barn_begins_after_a_tenth_of_a_metre(make_episode):
 
 @pytest.fixture
 def evaluation(suite, task) -> SuiteEvaluation:
-    """A success along a detour, a crash, and a success after a way of 4 m that took 12 s."""
+    """A success along a detour, a collision, and a success after a path of 4 m that took 12 s."""
     drives = [
         drive(0, time=8.0, distance=2.5),
         drive(1, "bump", 1.0, 0.1),
@@ -96,17 +96,17 @@ def test_the_figures_of_three_drives(evaluation):
     assert figures.success_rate == pytest.approx(2 / 3)
     assert figures.success_interval == wilson_interval(2, 3)
     assert (figures.failed_rate, figures.time_limit_rate) == (pytest.approx(1 / 3), 0.0)
-    # The goal is reached at half a metre from it. A drive that is shorter than the way counts as the way.
+    # The goal is reached at half a metre from it. A drive that is shorter than the path counts as the path.
     assert figures.spl == pytest.approx((1.5 / 2.5 + 0.0 + 1.0) / 3)
     assert figures.time_ratio == pytest.approx((8.0 * speed / 1.5 + 12.0 * speed / 3.5) / 2)
     assert figures.mean_speed == pytest.approx(6.0 / 21.0)
     assert figures.mean_closest == pytest.approx(0.3)
-    assert figures.longest_tenth_success_rate == 1.0, "the third world has the longest way"
+    assert figures.longest_tenth_success_rate == 1.0, "the third world has the longest path"
     assert figures.endings == {"bump": 1, "goal": 2}
     assert figures.barn_score is None
 
 
-def test_the_worst_tenth_is_that_with_the_longest_ways(suite, evaluation):
+def test_the_longest_tenth_are_the_worlds_with_the_longest_paths(suite, evaluation):
     failed = [*evaluation.drives[:2], drive(2, "time limit")]
     figures = replace(evaluation, drives=failed).figures()
     assert (figures.longest_tenth_success_rate, figures.time_limit_rate) == (0.0, pytest.approx(1 / 3))
@@ -131,7 +131,7 @@ def test_a_score_stands_where_there_are_reference_paths(suite, evaluation):
     assert "2024" in figures.barn_formula
 
 
-def test_the_result_says_what_drove_where(evaluation):
+def test_the_result_names_policy_suite_and_worlds(evaluation):
     config = resolve("dwa", "navigate", settings={"task.world": "loop", "task.guide": "plan"})
     result = evaluation.result(config, "agent dwa", None)
     assert result.title == "agent dwa, guide plan (map known), turtlebot2, PyBullet: suite tiny"
@@ -150,18 +150,17 @@ def test_the_result_says_what_drove_where(evaluation):
 
 
 def test_a_result_is_driven_again_step_by_step(suite, monkeypatch, tmp_path):
-    """Of a policy that draws, which depends on the episodes that are driven together."""
     tiny = replace(suite, worlds=suite.worlds * 2, families=suite.families * 2, path_lengths=suite.path_lengths * 2)
     monkeypatch.setattr(suites, "find_suite", lambda name, path: tiny)
     config = resolve("random", "navigate", settings={"task.world": "loop", "task.laser_noise": 0.01})
     scene = suite_scene(config.scene, tiny)
-    with suite_evaluator(scene, workers=1) as evaluator:
+    with suite_evaluator(scene, 1, "kinematic") as evaluator:
         episodes = list(evaluator.drive(make_baseline(config)))
     drives = [Drive.of(episode, 0.1) for episode in episodes]
-    result = SuiteEvaluation(tiny, scene, drives, "bullet").result(config, "agent random", None)
+    result = SuiteEvaluation(tiny, scene, drives, "kinematic").result(config, "agent random", None)
     evaluator, policy = evaluator_of(result, tmp_path)
     for number in (4, 1, 5):
-        path = [moment.pose[:2] for moment in evaluator.moments(policy, number)]
+        path = [moment.after.pose[0, :2] for moment in evaluator.moments(policy, number)]
         np.testing.assert_array_equal(np.array(path, dtype=np.float32), episodes[number].path[1:])
 
 
@@ -191,8 +190,8 @@ def test_every_world_is_driven_once_from_its_start_to_its_goal(suite, task):
     assert [episode.world for episode in episodes] == [0, 1, 2]
     for episode, there in zip(episodes, suite.worlds, strict=True):
         assert (episode.ended, episode.success) == ("goal", True)
-        missing = np.hypot(*(episode.path[:, :2] - there.goal[:2]).T)
-        assert missing[-1] <= 0.8 < missing[-2]
+        distances = np.hypot(*(episode.path[:, :2] - there.goal[:2]).T)
+        assert distances[-1] <= 0.8 < distances[-2]
         gap = 3.4 - episode.path[:, 1].max() - 0.178  # to the wall in the north, which each drive runs along
         assert episode.closest == pytest.approx(gap, abs=1e-3)
     assert rest == [Drive.of(episode, 0.1) for episode in episodes[1:]]
@@ -207,7 +206,7 @@ class Straight:
 
 def test_the_time_limit_is_that_of_the_suite(suite, task):
     turned = replace(suite, worlds=tuple(world(y, yaw=3.1) for y in (-1.0, 0.0, 1.0)), time_limit=0.72)
-    with suite_evaluator(suite_scene(make_scene(task, "raw"), turned), workers=1) as evaluator:
+    with suite_evaluator(suite_scene(make_scene(task, "raw"), turned), 1, "kinematic") as evaluator:
         drives = list(drives_of(evaluator, Straight()))
     assert [(drive.ended, drive.time) for drive in drives] == [("time limit", pytest.approx(0.7))] * 3
 
@@ -215,11 +214,11 @@ def test_the_time_limit_is_that_of_the_suite(suite, task):
 def test_a_world_without_obstacles_has_no_gap(task):
     empty = World.from_shapes("empty", start=(0.0, 0.0, 0.0), goal=(3.0, 0.0, 0.0), bounds=BOUNDS)
     suite = Suite("empty", (empty,), ("a",), (3.0,), 1.0)
-    with suite_evaluator(suite_scene(make_scene(task, "raw"), suite), workers=1) as evaluator:
+    with suite_evaluator(suite_scene(make_scene(task, "raw"), suite), 1, "kinematic") as evaluator:
         assert [drive.closest for drive in drives_of(evaluator, Straight())] == [None]
 
 
-def test_tasks_that_lead_elsewhere_are_refused(suite, northward):
+def test_tasks_without_goals_of_the_worlds_are_refused(suite, northward):
     with pytest.raises(InputError, match="leads to the goals of its worlds, such as navigate"):
         suite_scene(make_scene(Wander(), "raw"), suite)
     with pytest.raises(InputError, match="leads to the goals"):
@@ -230,10 +229,3 @@ def test_tasks_that_lead_elsewhere_are_refused(suite, northward):
 
 def test_a_goal_of_the_tasks_own_gives_way_to_those_of_the_worlds(suite):
     assert suite_scene(make_scene(ReachGoal(goal=(1.0, 1.0)), "raw"), suite).goal_in(2) == (0.0, 1.0)
-
-
-def test_agents_that_do_not_learn_drive_suites(suite):
-    config = resolve("wallfollower", "navigate", settings={"task.world": "loop"})
-    with suite_evaluator(suite_scene(config.scene, suite), workers=1) as evaluator:
-        drives = list(drives_of(evaluator, make_baseline(config)))
-    assert [drive.world for drive in drives] == [0, 1, 2]

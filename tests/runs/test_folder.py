@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -80,6 +82,15 @@ def test_only_one_process_trains_in_a_folder(run, refused):
 
 def timesteps(run: Run) -> list[int]:
     return [json.loads(line)["timesteps"] for line in (run.folder / "evaluations.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.slow
+def test_a_process_that_dies_releases_its_lock(run):
+    program = "import os, sys; from pathlib import Path; from tb2rl.runs.folder import Run; "
+    program += "run = Run.open(Path(sys.argv[1])); run.lock().__enter__(); os._exit(3)"
+    assert subprocess.run([sys.executable, "-c", program, run.folder], check=False).returncode == 3
+    with run.lock():
+        pass
 
 
 def test_evaluations_while_training_are_appended_and_dropped(run):

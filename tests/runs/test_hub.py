@@ -12,6 +12,7 @@ from pathlib import PurePath
 import numpy as np
 import pytest
 
+from tb2rl import convert, report
 from tb2rl.core.errors import install_extra
 from tb2rl.core.files import top_folder
 from tb2rl.runs import hub as module
@@ -219,3 +220,13 @@ def test_a_command_reports_an_untrusted_module_in_one_line(arguments, hub, with_
     assert evil.exists()
     assert "Bearer hf_secret" in hub.authorisations
     assert "hf_secret" not in done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_a_report_and_an_archive_are_made_of_a_policy_of_the_hub(hub, shared, tmp_path, monkeypatch):
+    hub.put("ada/maze", shared)
+    monkeypatch.chdir(tmp_path)
+    report.main(["hf:ada/maze"])
+    assert "hf:ada/maze" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    convert.main(["hf:ada/maze", "policy.zip"])
+    assert (tmp_path / "policy.zip").is_file()

@@ -13,11 +13,11 @@ PERIOD = 0.2  # [s] of a command
 
 
 @pytest.fixture(params=("bullet", "kinematic"))
-def drive(request, make_setup):
+def drive(request, make_spec):
     """A function from a world, a pose and commands to the first robot state and those after each command."""
 
     def robot_states(world, pose, commands):
-        spec = make_setup(world, beams=3)
+        spec = make_spec(world, beams=3)
         initial_state = InitialState.default(spec, 1)
         initial_state.pose[:] = pose
         with closing(find_simulator(request.param).open(spec)) as simulator:

@@ -19,5 +19,5 @@ def test_it_fires_in_the_step_in_which_the_robot_meets_a_wall(drive):
     assert gaps[first] == pytest.approx(0.0, abs=0.005)
 
 
-def test_it_reads_0_or_1_in_each_environment(make_reading):
-    assert Bumper().read(make_reading(bumped=[True, False])).tolist() == [[1.0], [0.0]]
+def test_it_reads_0_or_1_in_each_environment(make_robot_state):
+    assert Bumper().read(make_robot_state(bumped=[True, False])).tolist() == [[1.0], [0.0]]

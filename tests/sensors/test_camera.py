@@ -30,15 +30,15 @@ def camera():
     return Painted(colours, depth)
 
 
-def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_was_hit(camera, make_reading):
-    images = Camera(ROBOT.camera, width=5, height=2).read(make_reading(pose=[(0, 0, 0)] * 2, camera=camera))
+def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_was_hit(camera, make_robot_state):
+    images = Camera(ROBOT.camera, width=5, height=2).read(make_robot_state(pose=[(0, 0, 0)] * 2, camera=camera))
     assert (images.dtype, images.shape) == (np.uint8, (2, 1, 2, 5))
     assert images[0, 0].tolist() == [[0, 64, 128, 255, 255]] * 2
     assert (images[1] == round(255 / RANGE)).all()
 
 
-def test_colours_come_first_and_depth_is_the_last_channel(camera, make_reading):
-    robot_state = make_reading(pose=[(0, 0, 0)] * 2, camera=camera)
+def test_colours_come_first_and_depth_is_the_last_channel(camera, make_robot_state):
+    robot_state = make_robot_state(pose=[(0, 0, 0)] * 2, camera=camera)
     colours = Camera(ROBOT.camera, colour=True, depth=False, width=5, height=2).read(robot_state)
     both = Camera(ROBOT.camera, colour=True, width=5, height=2).read(robot_state)
     np.testing.assert_array_equal(colours, camera.colours.transpose(0, 3, 1, 2))
@@ -46,17 +46,17 @@ def test_colours_come_first_and_depth_is_the_last_channel(camera, make_reading):
     assert (both[1, 3] == round(255 / RANGE)).all()
 
 
-def test_images_are_made_when_they_are_read_and_not_before(camera, make_reading):
-    robot_state = make_reading(pose=[(0, 0, 0)] * 2, camera=camera)
+def test_images_are_made_when_they_are_read_and_not_before(camera, make_robot_state):
+    robot_state = make_robot_state(pose=[(0, 0, 0)] * 2, camera=camera)
     robot_state.state()
     assert camera.rendered == 0
     Camera(ROBOT.camera, width=5, height=2).read(robot_state)
     assert camera.rendered == 1
 
 
-def test_a_robot_state_that_comes_from_no_simulator_has_no_images(make_reading):
+def test_a_robot_state_that_comes_from_no_simulator_has_no_images(make_robot_state):
     with pytest.raises(InputError, match="comes from no simulator"):
-        Camera(ROBOT.camera).read(make_reading())
+        Camera(ROBOT.camera).read(make_robot_state())
 
 
 def test_a_camera_that_sees_nothing_is_refused():

@@ -19,21 +19,21 @@ CASES = [  # odometry, distance [m], bearing [rad]
 ]
 
 
-def test_distance_and_bearing_are_those_from_the_odometry(make_reading):
+def test_distance_and_bearing_are_those_from_the_odometry(make_robot_state):
     odometry, distances, bearings = zip(*CASES, strict=True)
-    lost = make_reading(pose=[(-7, 8, 1)] * len(CASES), odometry=odometry, goal=(5.0, 0.0))
+    lost = make_robot_state(pose=[(-7, 8, 1)] * len(CASES), odometry=odometry, goal=(5.0, 0.0))
     assert GoalDistance().read(lost)[:, 0] == pytest.approx(distances)
     assert GoalBearing().read(lost)[:, 0] == pytest.approx(bearings)
 
 
-def test_each_environment_has_its_own_goal(make_reading):
-    robot_state = make_reading(pose=[(0, 0, 0), (0, 0, 0)], goal=[(3, 4), (0, -2)])
+def test_each_environment_has_its_own_goal(make_robot_state):
+    robot_state = make_robot_state(pose=[(0, 0, 0), (0, 0, 0)], goal=[(3, 4), (0, -2)])
     assert GoalDistance().read(robot_state).tolist() == [[5], [2]]
     assert GoalBearing().read(robot_state)[:, 0] == pytest.approx([math.atan2(4, 3), -math.pi / 2])
 
 
-def test_a_bearing_stays_within_its_limits(make_reading):
+def test_a_bearing_stays_within_its_limits(make_robot_state):
     yaws, sensor = np.linspace(-math.pi, math.pi, 1001), GoalBearing()
-    bearings = sensor.read(make_reading(pose=[(0, 0, yaw) for yaw in yaws], goal=(5.0, 0.0)))
+    bearings = sensor.read(make_robot_state(pose=[(0, 0, yaw) for yaw in yaws], goal=(5.0, 0.0)))
     assert bearings.shape == (1001, 1)
     assert ((bearings >= sensor.low) & (bearings <= sensor.high)).all()

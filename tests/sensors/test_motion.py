@@ -56,9 +56,12 @@ def test_against_a_wall_the_wheels_turn_on(drive):
     assert last.bumped[0]
 
 
-def test_the_last_actions_are_commands_as_shares_of_the_largest(make_reading):
+def test_the_last_actions_are_commands_as_shares_of_the_largest(make_robot_state):
     one, other, sensor = [(0.65, 0.0), (0.13, math.pi)], [(0.0, -math.pi), (-0.65, 0.0)], LastAction(ROBOT, count=3)
-    history, robot_state = CommandHistory(sensor.reads_commands, delayed=False), make_reading(twist=np.zeros((2, 2)))
+    history, robot_state = (
+        CommandHistory(sensor.reads_commands, delayed=False),
+        make_robot_state(twist=np.zeros((2, 2))),
+    )
     history.reset(robot_state)
     for commands in np.transpose([one, other], (1, 0, 2)):
         history.push(commands)
@@ -75,8 +78,8 @@ def test_bins_are_shares_of_the_largest_value():
     assert ForwardAcceleration(ROBOT).high == pytest.approx(2.999)
 
 
-def test_each_environment_has_its_own(make_reading):
-    robot_state = make_reading(
+def test_each_environment_has_its_own(make_robot_state):
+    robot_state = make_robot_state(
         odometry_twist=np.array([[0.1, 0.2], [0.3, 0.4]]),
         twist=[(0.0, 0.5), (0.0, 0.6)],
         acceleration=np.array([1.0, -2.0]),

@@ -20,12 +20,12 @@ def wall_with_a_door(laser, width):
     return ranges[None]
 
 
-def test_it_is_as_long_as_a_circle_can_drive_in_small_steps(make_reading):
+def test_it_is_as_long_as_a_circle_can_drive_in_small_steps(make_robot_state):
     laser = Laser(beams=40, field_of_view=math.tau)
     sensor = FreePaths(ROBOT, laser, count=9, spread=4.0, gap=0.05, bins=(0.5, 1.0))
     ranges = np.random.default_rng(0).uniform(0.23, 6.0, (50, 40))
     points = ranges[..., None] * np.stack([np.cos(laser.angles), np.sin(laser.angles)], axis=-1)
-    free = sensor.read(make_reading(ranges=ranges))
+    free = sensor.read(make_robot_state(ranges=ranges))
     assert free.shape == (50, *sensor.shape) == (50, 9)
     ways = np.arange(0.0, sensor.high, 0.002)
     for direction, heading in enumerate(np.linspace(-2.0, 2.0, 9)):
@@ -37,22 +37,23 @@ def test_it_is_as_long_as_a_circle_can_drive_in_small_steps(make_reading):
     assert 0.2 < (free < sensor.high).mean() < 0.8, "both kinds were tried"
 
 
-def test_a_door_is_free_if_the_robot_fits(make_reading):
+def test_a_door_is_free_if_the_robot_fits(make_robot_state):
     laser = Laser(beams=721)
     sensor = FreePaths(ROBOT, laser, count=3, gap=0.0, bins=(2.0,))
     narrow, wide = (
-        sensor.read(make_reading(ranges=wall_with_a_door(laser, 2 * ROBOT.radius + more)))[0] for more in (-0.04, 0.04)
+        sensor.read(make_robot_state(ranges=wall_with_a_door(laser, 2 * ROBOT.radius + more)))[0]
+        for more in (-0.04, 0.04)
     )
     assert wide[1] == 4.0, "twice the last border"
     assert 0.85 < narrow[1] < 1.0, "the front of the robot stands in the door"
     np.testing.assert_allclose(wide[[0, 2]], 2.0 - 2 * ROBOT.radius, atol=0.01)  # at 60 degrees
 
 
-def test_what_is_near_stops_it_and_what_is_behind_does_not(make_reading):
+def test_what_is_near_stops_it_and_what_is_behind_does_not(make_robot_state):
     laser = Laser(beams=4, field_of_view=math.tau)  # back, right, ahead, left
     sensor = FreePaths(ROBOT, laser, count=3, spread=1.0, bins=(1.0,))
     ranges = np.array([[np.inf] * 4, [0.1, np.inf, np.inf, np.inf], [np.inf, np.inf, 0.1, np.inf]])
-    assert sensor.read(make_reading(ranges=ranges)).tolist() == [[2.0] * 3, [2.0] * 3, [0.0] * 3]
+    assert sensor.read(make_robot_state(ranges=ranges)).tolist() == [[2.0] * 3, [2.0] * 3, [0.0] * 3]
 
 
 def test_it_looks_where_the_laser_looks():

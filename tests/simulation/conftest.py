@@ -111,12 +111,12 @@ def begin():
 
 
 @pytest.fixture
-def make_track(make_setup, make_bullet):
+def make_track(make_spec, make_bullet):
     """A function from a world file's content, the robot, and fields of its laser (else of one beam), to a `Track`."""
 
     def make(content=OPEN, robot=ROBOT, **laser) -> Track:
         world = world_from({"start": [-2, 0, 0], "bounds": [-5, -5, 5, 5], **content}, "test")
-        return Track(make_bullet(make_setup(world, robot=robot, **{"beams": 1, **laser})))
+        return Track(make_bullet(make_spec(world, robot=robot, **{"beams": 1, **laser})))
 
     return make
 

@@ -41,8 +41,8 @@ def assert_rays_fit(ray_ranges):
 
 
 @pytest.mark.parametrize("name", world_names())
-def test_the_rays_of_pybullet_and_the_exact_laser_hit_the_same_walls(name, make_setup, make_bullet, assert_rays_fit):
-    spec, rng = make_setup(name), np.random.default_rng(0)
+def test_the_rays_of_pybullet_and_the_exact_laser_hit_the_same_walls(name, make_spec, make_bullet, assert_rays_fit):
+    spec, rng = make_spec(name), np.random.default_rng(0)
     (world,) = spec.worlds
     poses, angles = world.random_poses(rng, 50, 0.05), rng.uniform(-math.pi, math.pi, 30)
     assert_rays_fit(make_bullet(spec), world, poses, angles)
@@ -62,9 +62,9 @@ def field(boxes, posts):
 
 @pytest.mark.parametrize("world", [field(16, 0), field(60, 60)], ids=lambda world: world.name)
 def test_an_episode_in_another_world_has_all_obstacles_of_it_and_no_others(
-    world, make_setup, make_bullet, open_simulator, start_at, begin, assert_rays_fit
+    world, make_spec, make_bullet, open_simulator, start_at, begin, assert_rays_fit
 ):
-    spec, rng = make_setup("loop", world, beams=90, max_range=12.0), np.random.default_rng(0)
+    spec, rng = make_spec("loop", world, beams=90, max_range=12.0), np.random.default_rng(0)
     simulation = make_bullet(spec)
     bodies = pybullet.getNumBodies(simulation._client)
     for number in (1, 0, 1):
@@ -79,9 +79,9 @@ def test_an_episode_in_another_world_has_all_obstacles_of_it_and_no_others(
     assert pybullet.getNumBodies(simulation._client) == bodies
 
 
-def test_the_robot_bumps_into_each_of_many_obstacles_and_not_into_the_floor(make_setup, make_bullet, start_at, begin):
+def test_the_robot_bumps_into_each_of_many_obstacles_and_not_into_the_floor(make_spec, make_bullet, start_at, begin):
     world = field(10, 10)
-    spec = make_setup("loop", world, beams=1)
+    spec = make_spec("loop", world, beams=1)
     simulation = make_bullet(spec)
     for x, y, *_ in [*world.boxes, *world.posts]:
         begin(simulation, start_at(spec, [(x - 0.5, y, 0.0)], world=1))
@@ -90,9 +90,9 @@ def test_the_robot_bumps_into_each_of_many_obstacles_and_not_into_the_floor(make
         assert any(bumps[2:])
 
 
-def test_each_of_many_obstacles_is_drawn(make_setup, make_bullet, open_simulator, start_at, begin):
+def test_each_of_many_obstacles_is_drawn(make_spec, make_bullet, open_simulator, start_at, begin):
     world = field(20, 20)
-    spec = make_setup(world, beams=1)
+    spec = make_spec(world, beams=1)
     poses = world.random_poses(np.random.default_rng(0), 30, 0.2)
     simulation, kinematic = make_bullet(spec), open_simulator("kinematic", spec, len(poses))
     expected = begin(kinematic, start_at(spec, poses)).render_camera(64, 64)[1]
@@ -117,23 +117,23 @@ def test_each_of_many_obstacles_is_drawn(make_setup, make_bullet, open_simulator
         ),
     ],
 )
-def test_a_robot_that_does_not_fit_its_urdf_is_refused(changed, words, make_setup, make_bullet):
+def test_a_robot_that_does_not_fit_its_urdf_is_refused(changed, words, make_spec, make_bullet):
     clients = list(filter(pybullet.isConnected, range(1000)))
     with pytest.raises(InputError) as error:
-        make_bullet(make_setup(robot=replace(ROBOT, **changed)))
+        make_bullet(make_spec(robot=replace(ROBOT, **changed)))
     for word in words:
         assert word in str(error.value)
     assert list(filter(pybullet.isConnected, range(1000))) == clients
 
 
-def test_the_radius_of_a_wheel_is_that_of_its_cylinder_and_unknown_for_a_box(make_setup, make_bullet, tmp_path):
+def test_the_radius_of_a_wheel_is_that_of_its_cylinder_and_unknown_for_a_box(make_spec, make_bullet, tmp_path):
     sphere = '<collision><geometry><sphere radius="0.035"/></geometry></collision>'
     for shape in ('cylinder radius="0.05" length="0.02"', 'box size="1 1 1"'):
         turned = f'<collision><origin rpy="1.5707963 0 0"/><geometry><{shape}/></geometry></collision>'
         (tmp_path / f"{shape[:3]}.urdf").write_text(ROBOT.urdf.read_text().replace(sphere, turned))
-    make_bullet(make_setup(robot=replace(ROBOT, wheel_separation=0.2305, wheel_radius=0.0351)))  # rounded numbers
-    make_bullet(make_setup(robot=replace(ROBOT, urdf=tmp_path / "box.urdf")))
+    make_bullet(make_spec(robot=replace(ROBOT, wheel_separation=0.2305, wheel_radius=0.0351)))  # rounded numbers
+    make_bullet(make_spec(robot=replace(ROBOT, urdf=tmp_path / "box.urdf")))
     cylinder = replace(ROBOT, urdf=tmp_path / "cyl.urdf")
-    make_bullet(make_setup(robot=replace(cylinder, wheel_radius=0.05)))
+    make_bullet(make_spec(robot=replace(cylinder, wheel_radius=0.05)))
     with pytest.raises(InputError, match=r"wheel_radius is 0\.035 m, but 0\.05 m in .*cyl\.urdf"):
-        make_bullet(make_setup(robot=cylinder))
+        make_bullet(make_spec(robot=cylinder))

@@ -44,10 +44,10 @@ def test_it_continues_exactly_from_a_restored_state(steps, noise, make_track):
 
 @pytest.mark.parametrize("used", ["reset", "restored", "copied"])
 def test_a_reset_a_restored_state_and_a_copy_drive_exactly_as_the_original(
-    used, make_setup, make_bullet, start_at, begin
+    used, make_spec, make_bullet, start_at, begin
 ):
     """A quarter of these drives differed in their last digits, and then in their ends, once a wall was touched."""
-    spec, rng, bumps = make_setup("loop", "maze", beams=9), np.random.default_rng(3), 0
+    spec, rng, bumps = make_spec("loop", "maze", beams=9), np.random.default_rng(3), 0
     old = make_bullet(spec)
     for number in range(12):
         initial_state = start_at(spec, spec.poses_from(number % 2, rng.random((1, 4)), 0.3), number % 2)

@@ -38,10 +38,10 @@ def heading_for_a_wall(world, rng):
     [*((world, "turtlebot2") for world in world_names()), ("loop", "turtlebot3"), ("maze", "jackal")],
 )
 def test_commands_into_walls_neither_tip_the_robot_nor_drive_it_through_nor_move_a_wall(
-    name, robot_name, make_setup, make_bullet, start_at, begin, ray_ranges
+    name, robot_name, make_spec, make_bullet, start_at, begin, ray_ranges
 ):
     robot, rng = find_robot(robot_name), np.random.default_rng(0)
-    spec = make_setup(name, robot=robot, beams=1)
+    spec = make_spec(name, robot=robot, beams=1)
     (world,) = spec.worlds
     limits = np.array([robot.max_speed, robot.max_turn_rate])
     probe, angles = world.random_poses(rng, 1, 0.0)[0], np.linspace(-3, 3, 50)

@@ -33,8 +33,8 @@ def agreement(kinematic, physics):
     ("name", "width", "height", "least"),
     [("loop", 64, 64, 0.999), ("round", 40, 24, 0.95)],  # boxes; and a pillar, which PyBullet draws with few corners
 )
-def test_random_views_agree_to_2_cm(name, width, height, least, make_setup, make_bullet, start_at):
-    spec = make_setup(name, beams=1)
+def test_random_views_agree_to_2_cm(name, width, height, least, make_spec, make_bullet, start_at):
+    spec = make_spec(name, beams=1)
     poses = spec.worlds[0].random_poses(np.random.default_rng(0), 100, ROBOT.radius)
     kinematic = depth_images(KinematicSimulator(spec, 100), start_at(spec, poses), width, height)
     bullet = make_bullet(spec)
@@ -43,17 +43,17 @@ def test_random_views_agree_to_2_cm(name, width, height, least, make_setup, make
     assert 0.1 < np.isinf(kinematic).mean() < 0.6
 
 
-def test_depth_is_along_the_optical_axis_and_ends_at_the_cameras_range(make_setup, start_at):
+def test_depth_is_along_the_optical_axis_and_ends_at_the_cameras_range(make_spec, start_at):
     near = replace(ROBOT, camera=replace(ROBOT.camera, range=(0.05, 0.97)))
     poses = [(0.0, 0.0, 0.0), (-0.05, 0.0, 0.0)]
     for robot, expected in ((ROBOT, (0.95, 1.0)), (near, (0.95, np.inf))):
-        spec = make_setup(ROOM, robot=robot, beams=1)
+        spec = make_spec(ROOM, robot=robot, beams=1)
         images = depth_images(KinematicSimulator(spec, 2), start_at(spec, poses))
         assert images[:, 30, [0, 32, 63]] == pytest.approx(np.array([[depth] * 3 for depth in expected]))
 
 
-def test_each_camera_sees_the_world_of_its_environment_also_after_a_reset_of_some(make_setup, start_at, begin):
-    spec = make_setup("loop", ROOM, beams=1)
+def test_each_camera_sees_the_world_of_its_environment_also_after_a_reset_of_some(make_spec, start_at, begin):
+    spec = make_spec("loop", ROOM, beams=1)
     poses, worlds = [(-3.75, -3.75, 0.0), (0.0, 0.0, 0.0), (-3.75, -3.75, 0.0)], np.array([0, 1, 0])
     simulation = KinematicSimulator(spec, 3)
     robot_state = begin(simulation, start_at(spec, poses, worlds))
@@ -65,15 +65,15 @@ def test_each_camera_sees_the_world_of_its_environment_also_after_a_reset_of_som
     np.testing.assert_array_equal(first.render_camera(16, 16)[1], images[1:2])
 
 
-def test_a_camera_beside_the_centre_sees_from_there_in_both(make_setup, make_bullet, start_at):
+def test_a_camera_beside_the_centre_sees_from_there_in_both(make_spec, make_bullet, start_at):
     aside = replace(ROBOT, camera=replace(ROBOT.camera, position=(0.12, 0.1, 0.2)))
-    spec = make_setup("loop", robot=aside, beams=1)
+    spec = make_spec("loop", robot=aside, beams=1)
     start = start_at(spec, [(-3.75, -3.75, 0.5)])
     assert agreement(depth_images(KinematicSimulator(spec), start), depth_images(make_bullet(spec), start)) > 0.99
 
 
-def test_only_pybullet_has_colours(make_setup, make_bullet, begin):
-    bullet = make_bullet(make_setup("loop", beams=1))
+def test_only_pybullet_has_colours(make_spec, make_bullet, begin):
+    bullet = make_bullet(make_spec("loop", beams=1))
     begin(bullet)
     robot_state = bullet.step(np.array([[0.5, 1.0]]), 1.0)
     for image, expected in zip(robot_state.render_camera(20, 16), bullet.camera(20, 16), strict=True):

@@ -37,12 +37,12 @@ def standing(x, radius=0.25):
 
 
 @pytest.fixture
-def on_floor(make_setup):
+def on_floor(make_spec):
     """A function from dynamic obstacles to a spec of a floor with walls; the laser measures all around."""
 
     def make(dynamic_obstacles, walls=(), beams=720):
         world = World.from_shapes("floor", walls, start=(0, 0, 0), bounds=(-9, -9, 9, 9))
-        return among(make_setup(world, beams=beams, field_of_view=math.tau, min_range=0.05), dynamic_obstacles)
+        return among(make_spec(world, beams=beams, field_of_view=math.tau, min_range=0.05), dynamic_obstacles)
 
     return make
 
@@ -81,8 +81,8 @@ def drive(simulation, commands):
 
 
 @pytest.mark.parametrize("dynamic_obstacles", [[{"people": 4}, *PATHS], {"people": 4, "avoid_robot": True}], ids=str)
-def test_both_simulators_agree_until_the_first_touch(dynamic_obstacles, make_setup, make_bullet, begin, ray_ranges):
-    spec = among(make_setup("loop", "maze", beams=36), dynamic_obstacles)
+def test_both_simulators_agree_until_the_first_touch(dynamic_obstacles, make_spec, make_bullet, begin, ray_ranges):
+    spec = among(make_spec("loop", "maze", beams=36), dynamic_obstacles)
     bullet, kinematic, rng = make_bullet(spec), KinematicSimulator(spec), np.random.default_rng(0)
     apart, rays, touches = [], [], []
     for _ in range(20):
@@ -110,26 +110,26 @@ def test_both_simulators_agree_until_the_first_touch(dynamic_obstacles, make_set
     assert any(real for real, _ in touches) or "avoid_robot" in str(dynamic_obstacles)
 
 
-def test_without_dynamic_obstacles_a_state_has_none(simulator, make_setup, open_simulator, begin):
-    robot_state = begin(open_simulator(simulator, make_setup("loop", beams=9)))
+def test_without_dynamic_obstacles_a_state_has_none(simulator, make_spec, open_simulator, begin):
+    robot_state = begin(open_simulator(simulator, make_spec("loop", beams=9)))
     assert robot_state.dynamic_obstacles is None
     assert robot_state.nearest_is_dynamic is None
     assert "dynamic_obstacles" not in robot_state.state()
 
 
-def test_a_world_has_its_own_dynamic_obstacles_beside_those_of_the_task(make_setup, begin):
+def test_a_world_has_its_own_dynamic_obstacles_beside_those_of_the_task(make_spec, begin):
     posts = find_dynamic_obstacles({"posts": 2}, "")
     own = World.from_shapes("own", start=(0, 0, 0), bounds=(-9, -9, 9, 9), dynamic_obstacles=posts)
     bare = World.from_shapes("bare", start=(0, 0, 0), bounds=(-9, -9, 9, 9))
-    spec = among(make_setup(bare, own), {"people": 1})
+    spec = among(make_spec(bare, own), {"people": 1})
     robot_state = begin(KinematicSimulator(spec, 2), InitialState.default(spec, 2, np.array([0, 1])))
     assert ((robot_state.dynamic_obstacles[..., LENGTH] > 0).sum(axis=1) == (1, 3)).all()
     assert (robot_state.dynamic_obstacles[0, 1:, [LENGTH, WIDTH]] == 0).all()
 
 
-def test_a_group_is_present_as_a_whole_in_its_share_of_the_episodes(make_setup, make_bullet, begin):
+def test_a_group_is_present_as_a_whole_in_its_share_of_the_episodes(make_spec, make_bullet, begin):
     groups = [{"people": 3, "presence": 0.25}, {"posts": 1}, {"boxes": 2, "presence": 0.8}]
-    spec = among(make_setup("loop", "maze", beams=9), groups)
+    spec = among(make_spec("loop", "maze", beams=9), groups)
     simulation, initial_state = KinematicSimulator(spec, 2000), random_starts(spec, np.random.default_rng(3), 2000)
     present = begin(simulation, initial_state).dynamic_obstacles[..., LENGTH] > 0
     assert ((present[:, :3] == present[:, [0]]).all(axis=1) & present[:, 3] & (present[:, 4] == present[:, 5])).all()
@@ -231,9 +231,9 @@ def test_the_nearest_along_the_beams_is_a_post_or_a_wall(
 
 @pytest.mark.parametrize(("world", "dynamic_obstacles"), [("loop", MIXED), ("floor", {"people": 2})])
 def test_states_and_copies_of_varied_robots_continue_exactly(
-    world, dynamic_obstacles, simulator, make_setup, on_floor, open_simulator, begin
+    world, dynamic_obstacles, simulator, make_spec, on_floor, open_simulator, begin
 ):
-    spec = among(make_setup("loop", beams=9, noise=0.01), MIXED) if world == "loop" else on_floor({"people": 2})
+    spec = among(make_spec("loop", beams=9, noise=0.01), MIXED) if world == "loop" else on_floor({"people": 2})
     rng, simulation = np.random.default_rng(1), open_simulator(simulator, spec)
     initial_state = random_starts(spec, rng)
     PRESETS["strong"].vary(initial_state, GeneratorDraws(rng))
@@ -254,10 +254,8 @@ def test_states_and_copies_of_varied_robots_continue_exactly(
         np.testing.assert_equal(drive(each, commands), expected)
 
 
-def test_the_same_initial_state_gives_the_same_episode_whatever_was_before(
-    simulator, make_setup, open_simulator, begin
-):
-    spec, rng = among(make_setup("loop", beams=9), [*MIXED, {"posts": 4}]), np.random.default_rng(0)
+def test_the_same_initial_state_gives_the_same_episode_whatever_was_before(simulator, make_spec, open_simulator, begin):
+    spec, rng = among(make_spec("loop", beams=9), [*MIXED, {"posts": 4}]), np.random.default_rng(0)
     initial_state, commands, episodes = random_starts(spec, rng), random_commands(rng, 40), []
     for before in range(3):
         simulation = open_simulator(simulator, spec)
@@ -269,8 +267,8 @@ def test_the_same_initial_state_gives_the_same_episode_whatever_was_before(
     np.testing.assert_equal(episodes[1:], episodes[:1] * 2)
 
 
-def test_a_reset_of_some_environments_leaves_the_obstacles_of_the_others_alone(make_setup, begin):
-    spec, rng = among(make_setup("loop", "maze", beams=9, noise=0.01), MIXED), np.random.default_rng(1)
+def test_a_reset_of_some_environments_leaves_the_obstacles_of_the_others_alone(make_spec, begin):
+    spec, rng = among(make_spec("loop", "maze", beams=9, noise=0.01), MIXED), np.random.default_rng(1)
     initial_state, fresh = random_starts(spec, rng, 20), random_starts(spec, rng, 3)
     indices, commands, drives = np.array([0, 3, 11]), rng.uniform((-0.1, -1), (0.6, 1), (20, 20, 2)), []
     for resets in (False, True):
@@ -288,8 +286,8 @@ def test_a_reset_of_some_environments_leaves_the_obstacles_of_the_others_alone(m
             np.testing.assert_array_equal(np.delete(state[name], indices, 0), np.delete(rows, indices, 0), name)
 
 
-def test_an_environment_does_not_depend_on_the_others(make_setup, begin):
-    spec, rng = among(make_setup("loop", "maze", beams=9), MIXED), np.random.default_rng(1)
+def test_an_environment_does_not_depend_on_the_others(make_spec, begin):
+    spec, rng = among(make_spec("loop", "maze", beams=9), MIXED), np.random.default_rng(1)
     initial_state, commands = random_starts(spec, rng, 256), rng.uniform((-0.1, -1), (0.6, 1), (20, 256, 2))
     initial_state.parameters[:] *= rng.uniform(0.8, 1.2, initial_state.parameters.shape)
     drives = []
@@ -305,8 +303,8 @@ def test_an_environment_does_not_depend_on_the_others(make_setup, begin):
     ("row", "field", "value"),
     [(0, "x", np.nan), (0, "length", 3.0), (0, "speed", 1e6), (3, "next", 1e9), (3, "next", -1.0), (3, "stride", 7.0)],
 )
-def test_a_state_of_other_obstacles_is_refused(row, field, value, make_setup, begin):
-    simulation = KinematicSimulator(among(make_setup("loop", beams=9), MIXED))
+def test_a_state_of_other_obstacles_is_refused(row, field, value, make_spec, begin):
+    simulation = KinematicSimulator(among(make_spec("loop", beams=9), MIXED))
     begin(simulation)
     state = simulation.state()
     forged = copy.deepcopy(state)

@@ -8,8 +8,8 @@ from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState
 
 
-def test_the_default_is_the_start_the_goal_and_the_bounds_of_each_world(make_setup):
-    spec, numbers = make_setup("loop", "maze", "wall"), np.array([2, 0, 1, 2])
+def test_the_default_is_the_start_the_goal_and_the_bounds_of_each_world(make_spec):
+    spec, numbers = make_spec("loop", "maze", "wall"), np.array([2, 0, 1, 2])
     initial_state = InitialState.default(spec, 4, numbers)
     assert initial_state.world.tolist() == numbers.tolist()
     for i, world in enumerate(spec.worlds[number] for number in numbers):
@@ -21,8 +21,8 @@ def test_the_default_is_the_start_the_goal_and_the_bounds_of_each_world(make_set
     assert InitialState.default(spec, 2, 1).pose.tolist() == [list(spec.worlds[1].start)] * 2
 
 
-def test_a_changed_initial_state_leaves_the_default_as_it_was(make_setup):
-    spec = make_setup("wall")
+def test_a_changed_initial_state_leaves_the_default_as_it_was(make_spec):
+    spec = make_spec("wall")
     initial_state = InitialState.default(spec, 2)
     before = initial_state.table.copy()
     initial_state.pose[:], initial_state.goal[:], initial_state.bounds[:] = 1.0, 2.0, 3.0
@@ -31,8 +31,8 @@ def test_a_changed_initial_state_leaves_the_default_as_it_was(make_setup):
     np.testing.assert_array_equal(InitialState.default(spec, 2).table, before)
 
 
-def test_every_simulator_starts_at_rest_at_the_initial_state(simulator, make_setup, open_simulator, start_at, begin):
-    spec = make_setup("loop", "maze", beams=3)
+def test_every_simulator_starts_at_rest_at_the_initial_state(simulator, make_spec, open_simulator, start_at, begin):
+    spec = make_spec("loop", "maze", beams=3)
     simulation = open_simulator(simulator, spec)
     robot_state = begin(simulation, start_at(spec, [(9.0, 1.0, 1.5)], world=1, goal_x=4.0, goal_y=2.0))
     assert simulation.num_envs == 1
@@ -46,22 +46,22 @@ def test_every_simulator_starts_at_rest_at_the_initial_state(simulator, make_set
     simulation.close()  # a second time does nothing
 
 
-def test_an_unknown_simulator_is_refused_with_the_known_ones(make_setup, open_simulator):
+def test_an_unknown_simulator_is_refused_with_the_known_ones(make_spec, open_simulator):
     with pytest.raises(InputError, match=r"unknown simulator 'bulet'; did you mean 'bullet'.* known: .*kinematic"):
-        open_simulator("bulet", make_setup())
+        open_simulator("bulet", make_spec())
 
 
-def test_the_kinematic_simulator_has_no_window(make_setup, open_simulator):
+def test_the_kinematic_simulator_has_no_window(make_spec, open_simulator):
     with pytest.raises(InputError, match="'kinematic' has no window"):
-        open_simulator("kinematic", make_setup(), 1, True)
+        open_simulator("kinematic", make_spec(), 1, True)
 
 
-def test_the_nearest_range_is_that_of_each_robot(make_reading):
-    assert make_reading(ranges=[[2.0, 1.0], [np.inf, 3.0], [np.inf, np.inf]]).nearest.tolist() == [1.0, 3.0, np.inf]
+def test_the_nearest_range_is_that_of_each_robot(make_robot_state):
+    assert make_robot_state(ranges=[[2.0, 1.0], [np.inf, 3.0], [np.inf, np.inf]]).nearest.tolist() == [1.0, 3.0, np.inf]
 
 
-def test_a_robot_state_is_restored_from_its_state_although_it_changed_since(make_reading):
-    robot_state = make_reading(nearest=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
+def test_a_robot_state_is_restored_from_its_state_although_it_changed_since(make_robot_state):
+    robot_state = make_robot_state(nearest=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
     state = robot_state.state()
     robot_state.initial_state.goal[:] = 0.0
     again = RobotState.from_state(state)

@@ -56,8 +56,8 @@ def exact_ranges(poses, world, laser):
         ((0.3, 0.6 / ROBOT.wheel_separation), (0, 1), (0, 0)),
     ],
 )
-def test_the_wheels_accelerate_as_the_numbers_say(command, alone, together, coupling, make_setup, begin):
-    simulation = KinematicSimulator(make_setup(OPEN, robot=replace(ROBOT, wheel_coupling=coupling), beams=1))
+def test_the_wheels_accelerate_as_the_numbers_say(command, alone, together, coupling, make_spec, begin):
+    simulation = KinematicSimulator(make_spec(OPEN, robot=replace(ROBOT, wheel_coupling=coupling), beams=1))
     begin(simulation)
     v, w = np.concatenate([simulation.step(np.array([command]), 1 / PHYSICS_RATE).twist for _ in range(6)]).T
     speeds = np.stack([v - w * ROBOT.wheel_separation / 2, v + w * ROBOT.wheel_separation / 2], axis=1)
@@ -72,10 +72,10 @@ def test_the_wheels_accelerate_as_the_numbers_say(command, alone, together, coup
         for pair in product(world_names(), robot_names())
     ],
 )
-def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_setup, make_bullet, start_at, begin):
+def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_spec, make_bullet, start_at, begin):
     """Sequences of 5 s in each world, a new command over the robot's whole range at each control step."""
     robot, rng, most = find_robot(robot_name), np.random.default_rng(1), 70
-    spec = make_setup(name, robot=robot, beams=2)
+    spec = make_spec(name, robot=robot, beams=2)
     count = most if robot.max_speed < 1.0 else 4 * most  # a fast one has met a wall by then in most of them
     (world,) = spec.worlds
     poses = world.random_poses(rng, count, 0.6)
@@ -97,8 +97,8 @@ def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_se
     assert math.degrees(np.percentile(turn, 99)) < 5.0
 
 
-def test_both_simulators_measure_the_same_ranges(make_setup, make_bullet, start_at, begin):
-    spec = make_setup("round", beams=36)
+def test_both_simulators_measure_the_same_ranges(make_spec, make_bullet, start_at, begin):
+    spec = make_spec("round", beams=36)
     (world,) = spec.worlds
     poses, physics = world.random_poses(np.random.default_rng(3), 20, 0.3), make_bullet(spec)
     measured = begin(KinematicSimulator(spec, 20), start_at(spec, poses)).ranges
@@ -111,8 +111,8 @@ def test_both_simulators_measure_the_same_ranges(make_setup, make_bullet, start_
 
 
 @pytest.mark.parametrize("name", world_names())
-def test_no_robot_enters_a_wall(name, make_setup, start_at):
-    spec, rng, num_envs = make_setup(name, beams=2), np.random.default_rng(2), 100
+def test_no_robot_enters_a_wall(name, make_spec, start_at):
+    spec, rng, num_envs = make_spec(name, beams=2), np.random.default_rng(2), 100
     (world,) = spec.worlds
     limits = np.array([ROBOT.max_speed, ROBOT.max_turn_rate])
     fast_turns = rng.uniform(-limits, limits, (1, num_envs, 2))
@@ -125,8 +125,8 @@ def test_no_robot_enters_a_wall(name, make_setup, start_at):
 
 
 @pytest.mark.parametrize("yaw", [0.0, -0.9])
-def test_a_robot_stops_at_a_wall_and_gets_away_backwards(yaw, make_setup, start_at):
-    spec = make_setup(ONE_WALL, beams=3)
+def test_a_robot_stops_at_a_wall_and_gets_away_backwards(yaw, make_spec, start_at):
+    spec = make_spec(ONE_WALL, beams=3)
     commands = [[(ROBOT.max_speed, 0.0)]] * 20 + [[(-ROBOT.max_speed, 0.0)]] * 5
     states = drive(spec, start_at(spec, [(0.0, 0.0, yaw)]), commands)
     assert states[20].bumped[0]
@@ -139,8 +139,8 @@ def test_a_robot_stops_at_a_wall_and_gets_away_backwards(yaw, make_setup, start_
 
 
 @pytest.mark.parametrize("num_envs", [30, 3000], ids=["one thread", "several threads"])
-def test_the_laser_measures_the_walls_of_each_environments_world(num_envs, make_setup, start_at):
-    spec, rng = make_setup("maze", "round", "wall", beams=9), np.random.default_rng(0)
+def test_the_laser_measures_the_walls_of_each_environments_world(num_envs, make_spec, start_at):
+    spec, rng = make_spec("maze", "round", "wall", beams=9), np.random.default_rng(0)
     worlds = rng.integers(3, size=num_envs)
     states = drive(spec, start_at(spec, poses_in(spec, worlds, rng), worlds), [np.full((num_envs, 2), 0.3)] * 2)
     for number, world in enumerate(spec.worlds):
@@ -151,8 +151,8 @@ def test_the_laser_measures_the_walls_of_each_environments_world(num_envs, make_
             np.testing.assert_allclose(state.ranges[here], np.where(exact > 30, np.inf, exact.clip(min=0.1)))
 
 
-def test_a_robot_bumps_into_the_walls_of_its_own_world(make_setup, start_at):
-    spec = make_setup(ONE_WALL, OPEN, beams=1)
+def test_a_robot_bumps_into_the_walls_of_its_own_world(make_spec, start_at):
+    spec = make_spec(ONE_WALL, OPEN, beams=1)
     start = start_at(spec, [(0.0, 0.0, 0.0)] * 4, np.array([0, 1, 0, 1]))
     last = drive(spec, start, [np.tile((ROBOT.max_speed, 0.0), (4, 1))] * 20)[-1]
     assert last.bumped.tolist() == [True, False, True, False]
@@ -163,8 +163,8 @@ def test_a_robot_bumps_into_the_walls_of_its_own_world(make_setup, start_at):
 # ---- each robot has parameters of its own
 
 
-def test_each_robot_has_its_own_parameters(make_setup):
-    spec = make_setup(ONE_WALL, beams=1)
+def test_each_robot_has_its_own_parameters(make_spec):
+    spec = make_spec(ONE_WALL, beams=1)
     initial_state = InitialState.default(spec, 5)
     for i, (column, factor) in enumerate(
         [(MAX_SPEED, 0.5), (WHEEL_ACCELERATION, 0.5), (WHEEL_SEPARATION, 2.0), (RADIUS, 2)], 1
@@ -181,8 +181,8 @@ def test_each_robot_has_its_own_parameters(make_setup):
     assert turning[-1] == pytest.approx(ROBOT.max_turn_rate)
 
 
-def test_the_travelled_distance_is_that_between_the_poses(make_setup, start_at, begin):
-    spec, rng = make_setup("loop"), np.random.default_rng(0)
+def test_the_travelled_distance_is_that_between_the_poses(make_spec, start_at, begin):
+    spec, rng = make_spec("loop"), np.random.default_rng(0)
     simulation = KinematicSimulator(spec, 100)
     before = begin(simulation, start_at(spec, spec.worlds[0].random_poses(rng, 100, 0.2))).pose
     for _ in range(5):

@@ -14,9 +14,9 @@ from tb2rl.simulation.spec import FIELDS
 PERIOD = 0.2  # [s]
 
 
-def test_noise_has_its_deviation_and_differs_between_environments(make_setup, begin):
-    simulation = KinematicSimulator(make_setup("loop", beams=200, noise=0.05), 50)
-    exact = begin(KinematicSimulator(make_setup("loop", beams=200))).ranges
+def test_noise_has_its_deviation_and_differs_between_environments(make_spec, begin):
+    simulation = KinematicSimulator(make_spec("loop", beams=200, noise=0.05), 50)
+    exact = begin(KinematicSimulator(make_spec("loop", beams=200))).ranges
     errors = begin(simulation).ranges - exact
     assert errors.std() == pytest.approx(0.05, rel=0.03)
     assert abs(errors.mean()) < 0.002
@@ -26,9 +26,9 @@ def test_noise_has_its_deviation_and_differs_between_environments(make_setup, be
 
 
 @pytest.fixture
-def driven(make_setup, start_at):
+def driven(make_spec, start_at):
     """A simulator amid 30 episodes in two worlds with slightly different robots, and commands to follow."""
-    spec, rng, num_envs = make_setup("maze", "loop", beams=9, noise=0.01), np.random.default_rng(4), 30
+    spec, rng, num_envs = make_spec("maze", "loop", beams=9, noise=0.01), np.random.default_rng(4), 30
     worlds = rng.integers(2, size=num_envs)
     start = start_at(spec, spec.poses_from(worlds, rng.random((num_envs, 4)), 0.3), worlds)
     start.parameters[:, MAX_SPEED] *= rng.uniform(0.5, 1.0, num_envs)
@@ -99,7 +99,7 @@ def test_a_state_from_which_a_step_would_not_end_is_refused(key, column, value, 
         simulation.restore(state)
 
 
-def test_a_robot_with_negative_coupling_has_states_too(make_setup):
-    simulation = KinematicSimulator(make_setup(robot=replace(ROBOT, wheel_coupling=-0.4), beams=1))
+def test_a_robot_with_negative_coupling_has_states_too(make_spec):
+    simulation = KinematicSimulator(make_spec(robot=replace(ROBOT, wheel_coupling=-0.4), beams=1))
     expected = simulation.step(np.array([[0.5, 0.5]]), PERIOD).pose
     assert simulation.restore(simulation.state()).pose == pytest.approx(expected)

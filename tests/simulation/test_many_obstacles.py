@@ -33,9 +33,9 @@ def least_seconds(functions, times=20):
     return taken[1:].min(axis=0)
 
 
-def step_in(worlds, make_setup):
+def step_in(worlds, make_spec):
     """A step of robots that turn on the spot at the starts of some worlds."""
-    spec, rng = make_setup(*worlds, beams=36), np.random.default_rng(0)
+    spec, rng = make_spec(*worlds, beams=36), np.random.default_rng(0)
     simulation = KinematicSimulator(spec, NUM_ENVS)
     start = InitialState.default(spec, NUM_ENVS, rng.integers(len(worlds), size=NUM_ENVS))
     start.pose[:, 2] = rng.uniform(-3, 3, NUM_ENVS)
@@ -44,21 +44,21 @@ def step_in(worlds, make_setup):
     return lambda: simulation.step(turns, 0.2)
 
 
-def test_512_worlds_are_nearly_as_fast_as_one(make_setup):
+def test_512_worlds_are_nearly_as_fast_as_one(make_spec):
     worlds = [square_of_posts(30, seed) for seed in range(512)]
-    one, many = least_seconds([step_in(worlds[:1], make_setup), step_in(worlds, make_setup)])
+    one, many = least_seconds([step_in(worlds[:1], make_spec), step_in(worlds, make_spec)])
     assert one > 0.8 * many
 
 
-def test_5000_obstacles_cost_a_few_times_as_much_as_30(make_setup):
-    few, many = least_seconds([step_in([square_of_posts(count, 0)], make_setup) for count in (30, 5000)])
+def test_5000_obstacles_cost_a_few_times_as_much_as_30(make_spec):
+    few, many = least_seconds([step_in([square_of_posts(count, 0)], make_spec) for count in (30, 5000)])
     assert many < 6 * few
 
 
-def test_a_step_of_pybullet_among_250_posts_costs_at_most_half_more_than_in_loop(make_setup, make_bullet, begin):
+def test_a_step_of_pybullet_among_250_posts_costs_at_most_half_more_than_in_loop(make_spec, make_bullet, begin):
     steps = []
     for world in (find_world("loop"), square_of_posts(250, 0)):
-        simulation = make_bullet(make_setup(world, beams=36))
+        simulation = make_bullet(make_spec(world, beams=36))
         begin(simulation)
         simulation.step(np.array([[0.0, 0.5]]), 0.2)
         steps.append(simulation.advance)

@@ -26,9 +26,9 @@ def test_the_accelerations_are_measured_and_not_copied():
 
 
 @pytest.mark.parametrize(("max_speed", "substeps"), [(0.7, 1), (0.71, 2), (5.0, 8)])
-def test_a_fast_robot_has_substeps_and_the_same_accelerations(max_speed, substeps, make_setup):
+def test_a_fast_robot_has_substeps_and_the_same_accelerations(max_speed, substeps, make_spec):
     robot = replace(ROBOT, max_speed=max_speed)
-    assert make_setup(robot=robot).substeps == substeps
+    assert make_spec(robot=robot).substeps == substeps
     assert measure_motors(robot) == pytest.approx(measure_motors(ROBOT), abs=0.03)
 
 

@@ -31,12 +31,12 @@ FORCES = [
 
 
 @pytest.fixture
-def walk(make_setup):
+def walk(make_spec):
     """A function from dynamic obstacles and worlds to their outlines over time, beside standing robots."""
 
     def walk(dynamic_obstacles, *worlds, steps=100, num_envs=1, seed=0):
         groups = find_dynamic_obstacles(dynamic_obstacles, "dynamic_obstacles")
-        spec = replace(make_setup(*worlds, beams=1), dynamic_obstacles=groups)
+        spec = replace(make_spec(*worlds, beams=1), dynamic_obstacles=groups)
         start = InitialState.default(spec, num_envs)
         start.rows["obstacle_seed"] = np.random.default_rng(seed).random(num_envs)
         simulation = KinematicSimulator(spec, num_envs)

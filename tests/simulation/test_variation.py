@@ -32,11 +32,11 @@ def varied(spec, num_envs=1, **ranges) -> InitialState:
 
 
 @pytest.fixture
-def make_varied(simulator, make_setup, open_simulator, begin):
+def make_varied(simulator, make_spec, open_simulator, begin):
     """A function from a world and a variation to each simulator in an episode, and its first state."""
 
     def make(world=None, beams=1, has_gyro=False, **ranges):
-        spec = make_setup(*([world] if world else []), beams=beams)
+        spec = make_spec(*([world] if world else []), beams=beams)
         spec = replace(spec, robot=replace(spec.robot, gyro=has_gyro))
         simulation = open_simulator(simulator, spec)
         return simulation, begin(simulation, varied(spec, **ranges))
@@ -121,9 +121,9 @@ def test_varied_noise_replaces_that_of_the_laser(make_varied):
     assert (noisy[hits] - exact[hits]).std() == pytest.approx(0.05, rel=0.15)
 
 
-def test_mass_slows_the_robot_and_wheels_without_friction_spin(make_setup, make_bullet, begin):
+def test_mass_slows_the_robot_and_wheels_without_friction_spin(make_spec, make_bullet, begin):
     def after(**ranges):
-        simulation = make_bullet(make_setup(beams=1))
+        simulation = make_bullet(make_spec(beams=1))
         begin(simulation, varied(simulation.spec, **ranges))
         return simulation.step(np.array([[0.6, 0.0]]), 0.15)
 
@@ -133,8 +133,8 @@ def test_mass_slows_the_robot_and_wheels_without_friction_spin(make_setup, make_
     assert own.twist[0, 0] == pytest.approx(own.odometry_twist[0, 0], rel=0.05)
 
 
-def test_the_robot_is_exactly_nominal_in_the_next_episode(make_setup, make_bullet, begin):
-    spec, command = make_setup(beams=3), np.array([[0.6, 1.0]])
+def test_the_robot_is_exactly_nominal_in_the_next_episode(make_spec, make_bullet, begin):
+    spec, command = make_spec(beams=3), np.array([[0.6, 1.0]])
     fresh, used = make_bullet(spec), make_bullet(spec)
     begin(used, varied(spec, mass=2.0, friction=0.3))
     used.step(command, 1.0)
@@ -146,9 +146,9 @@ def test_the_robot_is_exactly_nominal_in_the_next_episode(make_setup, make_bulle
 # ---- both simulators
 
 
-def test_varied_robots_end_where_they_do_in_pybullet(make_setup, make_bullet, start_at):
+def test_varied_robots_end_where_they_do_in_pybullet(make_spec, make_bullet, start_at):
     """Drives of 5 s at random commands, until the first touch, without the variation that only PyBullet has."""
-    spec, rng, num_envs = make_setup("maze", beams=1), np.random.default_rng(1), 60
+    spec, rng, num_envs = make_spec("maze", beams=1), np.random.default_rng(1), 60
     initial_state = start_at(spec, spec.worlds[0].random_poses(rng, num_envs, 0.3))
     replace(PRESETS["strong"], mass=(1.0, 1.0), friction=(1.0, 1.0)).vary(initial_state, GeneratorDraws(rng, num_envs))
     commands = rng.uniform((-ROBOT.max_speed, -2.0), (ROBOT.max_speed, 2.0), (25, num_envs, 2))
@@ -171,8 +171,8 @@ def test_varied_robots_end_where_they_do_in_pybullet(make_setup, make_bullet, st
         assert math.degrees(np.median(turned)) < 3.0
 
 
-def test_odometry_starts_anew_with_an_episode(make_setup, begin):
-    spec = make_setup("loop", beams=3)
+def test_odometry_starts_anew_with_an_episode(make_spec, begin):
+    spec = make_spec("loop", beams=3)
     simulation = KinematicSimulator(spec, 3)
     begin(simulation, varied(spec, 3, wheel_radius=[0.9, 1.1]))
     last = simulation.step(np.full((3, 2), 0.4), 1.0)
@@ -185,18 +185,18 @@ def test_odometry_starts_anew_with_an_episode(make_setup, begin):
 # ---- random draws
 
 
-def test_without_variation_nothing_is_drawn_or_changed(make_setup):
-    initial_state, draws = InitialState.default(make_setup("loop"), 5), streams(5)
+def test_without_variation_nothing_is_drawn_or_changed(make_spec):
+    initial_state, draws = InitialState.default(make_spec("loop"), 5), streams(5)
     table = initial_state.table.copy()
     NONE.vary(initial_state, draws)
     np.testing.assert_array_equal(initial_state.table, table)
     assert (draws.counts == 0).all()
 
 
-def test_each_parameter_lies_in_its_range_and_robots_differ(make_setup):
-    initial_state = InitialState.default(make_setup("loop"), 2000)
+def test_each_parameter_lies_in_its_range_and_robots_differ(make_spec):
+    initial_state = InitialState.default(make_spec("loop"), 2000)
     PRESETS["strong"].vary(initial_state, streams(2000))
-    make_setup("loop").check_table(initial_state.table)  # what a checkpoint may hold
+    make_spec("loop").check_table(initial_state.table)  # what a checkpoint may hold
     shares = initial_state.parameters / ROBOT.parameters
     assert (np.abs(shares[:, 1] - 1.0) <= 0.05).all()
     assert (np.abs(shares[:, 4] - 1.0) <= 0.2).all()
@@ -207,10 +207,10 @@ def test_each_parameter_lies_in_its_range_and_robots_differ(make_setup):
         assert set(latency) == {0, 1}
 
 
-def test_a_changed_range_changes_no_other_number(make_setup):
+def test_a_changed_range_changes_no_other_number(make_spec):
     tables = []
     for setting in ({"preset": "mild"}, {"preset": "mild", "bias": 0.2}):
-        initial_state = InitialState.default(make_setup("loop"), 50)
+        initial_state = InitialState.default(make_spec("loop"), 50)
         find_variation(setting).vary(initial_state, streams(50))
         tables.append(initial_state.table)
     differ = (tables[0] != tables[1]) & ~np.isnan(tables[0])

@@ -21,10 +21,10 @@ TASKS = (Wander(), Drive(), ReachGoal())
 
 
 @pytest.fixture
-def robot_state(make_reading):
+def robot_state(make_robot_state):
     """Far from everything, at a wall, near a dynamic obstacle, and touched by one."""
     moving = np.array([True, False, True, True])
-    return make_reading(
+    return make_robot_state(
         [3.0, 0.4, 0.4, 3.0], bumped=[False, False, False, True], nearest_is_dynamic=moving, goal=(5.0, 5.0)
     )
 
@@ -35,13 +35,13 @@ def first_actions(task, num_envs):
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: type(task).__name__)
-def test_an_ending_names_what_the_robot_touched(task, robot_state, make_reading):
+def test_an_ending_names_what_the_robot_touched(task, robot_state, make_robot_state):
     outcome = task.outcome(robot_state, first_actions(task, 4), robot_state)
     endings = [outcome.ending(i, timed_out=True) for i in range(4)]
     assert [ending.name for ending in endings] == ["time limit", COLLISION, OBSTACLE_COLLISION, OBSTACLE_COLLISION]
     assert all(ending.failed and not ending.success for ending in endings[1:])
     assert (outcome.reward[1:] == task.collision_reward).all()
-    static = make_reading([3.0, 0.1], goal=(5.0, 5.0))
+    static = make_robot_state([3.0, 0.1], goal=(5.0, 5.0))
     failed = task.outcome(static, first_actions(task, 2), static).failed
     assert OBSTACLE_COLLISION not in failed, "where nothing moves there is one kind"
     assert failed[COLLISION].tolist() == [False, True]
@@ -103,9 +103,9 @@ def test_a_goal_is_not_reached_while_a_dynamic_obstacle_touches_the_robot(driven
 
 
 @pytest.mark.parametrize(("kind", "earned"), [(Wander, 5.0), (Drive, 0.0)])
-def test_a_step_near_a_wall_costs_the_square_of_the_nearness(kind, earned, make_reading):
+def test_a_step_near_a_wall_costs_the_square_of_the_nearness(kind, earned, make_robot_state):
     radius = ROBOT.radius
-    after = make_reading([radius, radius + 0.1, radius + 0.2, 3.0, radius], bumped=[False] * 4 + [True])
+    after = make_robot_state([radius, radius + 0.1, radius + 0.2, 3.0, radius], bumped=[False] * 4 + [True])
     task = kind(collision_range=0.0, margin=0.2, margin_reward=-4.0, collision_reward=-9.0)
     action = first_actions(task, 5)
     rewards = task.outcome(after, action, after).reward

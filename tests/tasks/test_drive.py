@@ -23,22 +23,22 @@ def test_actions_span_all_speeds_and_turn_rates():
     assert other.commands(np.ones((1, 2))).tolist() == [[0.3, 1.0]]
 
 
-def test_a_step_is_rewarded_by_the_metres_driven_whatever_the_action(make_reading):
-    after = make_reading(twist=[(0.65, 0.0), (0.2, 0.0), (0.0, 0.0)])
+def test_a_step_is_rewarded_by_the_metres_driven_whatever_the_action(make_robot_state):
+    after = make_robot_state(twist=[(0.65, 0.0), (0.2, 0.0), (0.0, 0.0)])
     for action in (STAND, STAND + 1.0):
         assert reward(after, np.repeat(action, 3, axis=0)) == pytest.approx([0.13, 0.04, 0.0])
     assert reward(after, control_period=0.1) == pytest.approx([0.065, 0.02, 0.0])
 
 
-def test_a_circle_on_one_spot_earns_little_and_turning_fast_costs(make_reading):
-    straight, circle, spinning = reward(make_reading(twist=[(0.65, 0.0), (0.65, 1.3), (0.1, 2.0)]))
+def test_a_circle_on_one_spot_earns_little_and_turning_fast_costs(make_robot_state):
+    straight, circle, spinning = reward(make_robot_state(twist=[(0.65, 0.0), (0.65, 1.3), (0.1, 2.0)]))
     assert circle == pytest.approx(straight * math.cos(1.3))
     assert circle < 0.3 * straight
     assert spinning < 0 < circle
 
 
-def test_a_wide_circle_can_cost_more_than_a_sharp_turn_now_and_then(make_reading):
-    after = make_reading(twist=[(0.65, 0.0), (0.65, 0.2), (0.65, 1.0)])
+def test_a_wide_circle_can_cost_more_than_a_sharp_turn_now_and_then(make_robot_state):
+    after = make_robot_state(twist=[(0.65, 0.0), (0.65, 0.2), (0.65, 1.0)])
     for cost, better in ((0.0, False), (0.3, True)):
         straight, circle, sharp = reward(after, turn_cost=cost)
         assert straight == pytest.approx(0.13)
@@ -46,8 +46,8 @@ def test_a_wide_circle_can_cost_more_than_a_sharp_turn_now_and_then(make_reading
     assert sharp == pytest.approx(0.13 * (math.cos(1.0) - 0.3 / 1.3))
 
 
-def test_a_collision_is_that_of_wander(make_reading):
-    after = make_reading([0.49, 0.51, 3.0], bumped=[False, False, True], twist=[(0.5, 0.0)] * 3)
+def test_a_collision_is_that_of_wander(make_robot_state):
+    after = make_robot_state([0.49, 0.51, 3.0], bumped=[False, False, True], twist=[(0.5, 0.0)] * 3)
     mine, theirs = (task.outcome(after, np.zeros(3), after) for task in (Drive(), Wander()))
     assert mine.terminated.tolist() == theirs.terminated.tolist() == [True, False, True]
     assert mine.failed.keys() == theirs.failed.keys() == {"collision"}

@@ -13,9 +13,9 @@ FAR = 3.0
 SOURCE = Path(importlib.util.find_spec("tb2rl.tasks.my_turtlebot2_maze").origin)
 
 
-def test_my_turtlebot2_maze_has_a_fourth_action_that_costs(make_reading):
+def test_my_turtlebot2_maze_has_a_fourth_action_that_costs(make_robot_state):
     task = MyTurtleBot2Maze()
-    after = make_reading([FAR, FAR, FAR, FAR, 0.4])
+    after = make_robot_state([FAR, FAR, FAR, FAR, 0.4])
     outcome = task.outcome(after, np.array([0, 1, 2, 3, 3]), after)
     assert outcome.reward.tolist() == [5, 1, 1, -5, -200]
     assert outcome.failed["collision"].tolist() == [False] * 4 + [True]
@@ -23,10 +23,10 @@ def test_my_turtlebot2_maze_has_a_fourth_action_that_costs(make_reading):
     assert task.actions.table[3].tolist() == [-0.05, 0]
 
 
-def test_its_reverse_gear_is_a_setting(make_reading):
+def test_its_reverse_gear_is_a_setting(make_robot_state):
     task = MyTurtleBot2Maze(backward_speed=-0.3, backward_reward=-1.0, turn_rate=2.0)
     assert task.actions.table.tolist() == [[0.5, 0], [0.05, 2], [0.05, -2], [-0.3, 0]]
-    assert task.outcome(make_reading(), np.array([3]), make_reading()).reward.tolist() == [-1]
+    assert task.outcome(make_robot_state(), np.array([3]), make_robot_state()).reward.tolist() == [-1]
 
 
 def test_a_copy_of_the_file_is_a_task_of_ones_own(tmp_path, monkeypatch):

@@ -26,18 +26,18 @@ RULES = [  # place before and after a step, its reward, ending, and whether it i
 
 
 @pytest.fixture
-def initial_state_of(make_setup):
+def initial_state_of(make_spec):
     """A function from a task and a world to the initial states of two environments."""
 
     def initial_state(task, world):
-        return task.initial_state(make_setup(world), GeneratorDraws(np.random.default_rng(0), 2))
+        return task.initial_state(make_spec(world), GeneratorDraws(np.random.default_rng(0), 2))
 
     return initial_state
 
 
 @pytest.mark.parametrize(("before", "after", "reward", "ending", "success"), RULES)
-def test_rewards_and_endings_follow_the_tutorial(before, after, reward, ending, success, make_reading):
-    first, last = make_reading(pose=(*before, 0), **TUTORIAL), make_reading(pose=(*after, 0), **TUTORIAL)
+def test_rewards_and_endings_follow_the_tutorial(before, after, reward, ending, success, make_robot_state):
+    first, last = make_robot_state(pose=(*before, 0), **TUTORIAL), make_robot_state(pose=(*after, 0), **TUTORIAL)
     outcome = TASK.outcome(first, np.array([0]), last)
     assert outcome.reward == [reward]
     assert outcome.terminated == [ending is not None]
@@ -45,22 +45,22 @@ def test_rewards_and_endings_follow_the_tutorial(before, after, reward, ending, 
     assert (found and (found.name, found.success, found.failed)) == (ending and (ending, success, not success))
 
 
-def test_a_turn_that_comes_closer_is_rewarded_as_a_turn_and_as_progress(make_reading):
-    before, after = make_reading(pose=(0, 0, 0), **TUTORIAL), make_reading(pose=(0.1, 0, 0), **TUTORIAL)
+def test_a_turn_that_comes_closer_is_rewarded_as_a_turn_and_as_progress(make_robot_state):
+    before, after = make_robot_state(pose=(0, 0, 0), **TUTORIAL), make_robot_state(pose=(0.1, 0, 0), **TUTORIAL)
     assert TASK.outcome(before, np.array([TASK.actions.left]), after).reward == [1 + 5]
 
 
-def test_a_collision_at_the_goal_is_a_collision(make_reading):
-    after = make_reading([0.4, 3.0], bumped=[False, True], pose=(5, 0, 0), **TUTORIAL)
+def test_a_collision_at_the_goal_is_a_collision(make_robot_state):
+    after = make_robot_state([0.4, 3.0], bumped=[False, True], pose=(5, 0, 0), **TUTORIAL)
     outcome = TASK.outcome(after, np.array([0, 0]), after)
     assert outcome.reward.tolist() == [-200, -200]
     endings = [outcome.ending(i, timed_out=False) for i in (0, 1)]
     assert {(ending.name, ending.success, ending.failed) for ending in endings} == {("collision", False, True)}
 
 
-def test_each_environment_has_its_own_goal_and_bounds(make_reading):
+def test_each_environment_has_its_own_goal_and_bounds(make_robot_state):
     goals, bounds = [(1, 1), (5, 5), (5, 5)], [(0, 0, 9, 9), (0, 0, 9, 9), (2, 2, 9, 9)]
-    after = make_reading(pose=[(1, 1, 0)] * 3, goal=goals, bounds=bounds)
+    after = make_robot_state(pose=[(1, 1, 0)] * 3, goal=goals, bounds=bounds)
     endings = [TASK.outcome(after, np.zeros(3, int), after).ending(i, False) for i in range(3)]
     assert [ending and ending.name for ending in endings] == ["goal", None, "out of bounds"]
 
@@ -76,8 +76,8 @@ def test_goal_and_bounds_are_those_of_the_world_or_of_the_settings(initial_state
     assert initial_state_of(ReachGoal(), world).goal.tolist() == [[3, 1]] * 2
 
 
-def test_it_observes_laser_distance_and_bearing_in_its_own_classes(make_setup):
+def test_it_observes_laser_distance_and_bearing_in_its_own_classes(make_spec):
     task = ReachGoal(distance_bins=(1.0, 2.0), bearing_bins=(0.0,))
-    sensors = task.sensors(make_setup("wall", beams=4))
+    sensors = task.sensors(make_spec("wall", beams=4))
     assert [sensor.name for sensor in sensors] == ["laser", "goal distance", "goal bearing"]
     assert [sensor.bins for sensor in sensors] == [task.range_bins, (1.0, 2.0), (0.0,)]

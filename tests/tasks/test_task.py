@@ -43,23 +43,23 @@ def test_every_task_commands_what_its_robot_can_do(name):
 
 
 @pytest.mark.parametrize("name", task_names())
-def test_outcomes_of_several_environments_are_those_of_each_alone(name, make_reading, make_setup):
+def test_outcomes_of_several_environments_are_those_of_each_alone(name, make_robot_state, make_spec):
     task, rng, num_envs = find_task(name)(), np.random.default_rng(0), 60
-    spec = make_setup(world_of(name))
+    spec = make_spec(world_of(name))
     start = task.initial_state(spec.within(0), draws())
     aim = {"goal": start.goal[0], "bounds": start.bounds[0], "camera": SimpleNamespace(spec=spec)}
     poses = rng.uniform((-2, -4, -3), (7, 4, 3), (2, num_envs, 3))
     nearest, bumped = rng.uniform(0.1, 4, num_envs), rng.random(num_envs) < 0.2
     task.actions.space.seed(0)
     action = np.array([task.actions.space.sample() for _ in range(num_envs)])
-    before, after = (make_reading(nearest, bumped=bumped, pose=pose, **aim) for pose in poses)
+    before, after = (make_robot_state(nearest, bumped=bumped, pose=pose, **aim) for pose in poses)
     together = task.outcome(before, action, after)
     assert together.reward.shape == together.terminated.shape == (num_envs,)
     assert together.terminated.any()
     assert not together.terminated.all()
     assert (together.succeeded is not None) == task.goal_task
     for i in range(num_envs):
-        before, after = (make_reading(nearest[i], bumped=bumped[i], pose=pose[i], **aim) for pose in poses)
+        before, after = (make_robot_state(nearest[i], bumped=bumped[i], pose=pose[i], **aim) for pose in poses)
         alone = task.outcome(before, action[i : i + 1], after)
         assert alone.reward == together.reward[i]
         assert alone.terminated == together.terminated[i]
@@ -69,8 +69,8 @@ def test_outcomes_of_several_environments_are_those_of_each_alone(name, make_rea
 
 
 @pytest.mark.parametrize("name", task_names())
-def test_every_task_begins_anywhere_or_at_the_start_of_its_world(name, make_setup):
-    spec = make_setup(world_of(name))
+def test_every_task_begins_anywhere_or_at_the_start_of_its_world(name, make_spec):
+    spec = make_spec(world_of(name))
     (world,) = spec.worlds
     random = find_task(name)(start_clearance=0.5).initial_state(spec, draws(100))
     assert len(np.unique(random.pose, axis=0)) == 100
@@ -81,8 +81,8 @@ def test_every_task_begins_anywhere_or_at_the_start_of_its_world(name, make_setu
 
 
 @pytest.mark.parametrize("name", task_names())
-def test_an_initial_state_depends_on_its_own_stream_alone_and_variation_moves_nothing(name, make_setup):
-    spec, keys = make_setup(world_of(name)), np.arange(5, dtype=np.uint64)
+def test_an_initial_state_depends_on_its_own_stream_alone_and_variation_moves_nothing(name, make_spec):
+    spec, keys = make_spec(world_of(name)), np.arange(5, dtype=np.uint64)
 
     def draw(keys, **settings):
         task = find_task(name)(**settings)
@@ -97,8 +97,8 @@ def test_an_initial_state_depends_on_its_own_stream_alone_and_variation_moves_no
 
 
 @pytest.mark.parametrize("variation", ["none", "strong"])
-def test_dynamic_obstacles_change_nothing_that_was_drawn_before_them(variation, make_setup):
-    task, keys, bare = Wander(variation=variation), np.arange(5, dtype=np.uint64), make_setup("loop")
+def test_dynamic_obstacles_change_nothing_that_was_drawn_before_them(variation, make_spec):
+    task, keys, bare = Wander(variation=variation), np.arange(5, dtype=np.uint64), make_spec("loop")
     moving = replace(bare, dynamic_obstacles=find_dynamic_obstacles({"people": 1}, "dynamic_obstacles"))
     alone, among = (
         task.randomized_initial_state(spec, StreamDraws(keys, np.zeros(5, np.uint64))) for spec in (bare, moving)
@@ -109,10 +109,10 @@ def test_dynamic_obstacles_change_nothing_that_was_drawn_before_them(variation, 
     np.testing.assert_array_equal(among.table, alone.table)
 
 
-def test_every_task_observes_the_laser_first(make_setup):
+def test_every_task_observes_the_laser_first(make_spec):
     for name in task_names():
         task = find_task(name)()
-        first, *_ = task.sensors(make_setup(world_of(name), beams=5))
+        first, *_ = task.sensors(make_spec(world_of(name), beams=5))
         assert (first.name, first.unit, first.shape, first.bins) == ("laser", "m", (5,), task.range_bins)
 
 

@@ -17,7 +17,8 @@ import yaml
 
 from tb2rl.commands import tune as tune_command
 from tb2rl.core.errors import install_extra
-from tb2rl.evaluation.evaluator import Evaluator, evaluate
+from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluator import Evaluator
 from tb2rl.train import main as train
 from tb2rl.tune import main
 from tb2rl.tuning import selection
@@ -88,7 +89,7 @@ def test_what_set_fixes_is_not_searched(here, tiny):
         (["--agent", "stable_baselines3:PPO"], "no search space for stable_baselines3:PPO: name a file with --space"),
         (["--space", "qlern"], "unknown search space 'qlern'; did you mean 'qlearn'?"),
         (["--set", "agent.gama=1"], "unknown key of agent 'gama'"),
-        (["--simulation", "bulet"], "train.simulation: Input should be 'bullet' or 'kinematic'"),
+        (["--simulation", "bulet"], "train.simulation: unknown simulator 'bulet'; did you mean 'bullet'?"),
         (["--agent", "wallfollower", "--space", "qlearn"], "learn"),
     ],
 )

@@ -6,6 +6,7 @@ import re
 import shutil
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,11 +15,14 @@ import av
 import numpy as np
 import pytest
 import yaml
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from tb2rl import report, train
+from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.scene import Scene, make_scene
-from tb2rl.evaluation.evaluation import Episode, Evaluation
+from tb2rl.evaluation.episodes import Episode
+from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.evaluator import SEED
 from tb2rl.runs.config import Config
 from tb2rl.runs.folder import Run
@@ -26,7 +30,7 @@ from tb2rl.runs.layers import resolve
 from tb2rl.tasks import Outcome, Task, Velocities
 from tb2rl.tasks.wander import Wander
 from tb2rl.viz import run_views
-from tb2rl.viz.episodes import FilmOptions, load_policy, open_env, roll_out_episodes
+from tb2rl.viz.episodes import FilmOptions, load_policy, roll_out_episodes
 from tb2rl.viz.film_frames import FilmFrame, film_frames
 from tb2rl.viz.run_views import RunView, read_run_view
 
@@ -62,25 +66,19 @@ def _frames_of(policy, config: Config, steps: int = 1, rate: float = 10) -> tupl
     """The frames of one episode, and its scene."""
     options = FilmOptions(steps=steps)
     policy, scene = load_policy(policy, config, None, options)
-    with closing(open_env(scene, options)) as env:
-        (moments,) = map(list, roll_out_episodes(env, policy, options))
+    with closing(ControlLoop.open(scene, options.simulator)) as loop:
+        (moments,) = map(list, roll_out_episodes(loop, policy, options))
     return list(film_frames(moments, scene.task.control_period, rate)), scene
 
 
-def _pictures(path: Path) -> list[np.ndarray]:
+def _read_film(path: Path) -> tuple[list[np.ndarray], float]:
+    """The pictures of a film, each (height, width, 3), and its duration [s]."""
     if path.suffix == ".mp4":
         with av.open(str(path)) as container:
-            return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+            return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)], container.duration / 1e6
     with Image.open(path) as image:
-        return [np.asarray((image.seek(i), image.convert("RGB"))[1]) for i in range(image.n_frames)]
-
-
-def _seconds(path: Path) -> float:
-    if path.suffix == ".mp4":
-        with av.open(str(path)) as container:
-            return container.duration / av.time_base
-    with Image.open(path) as image:
-        return sum((image.seek(i), image.info["duration"])[1] for i in range(image.n_frames)) / 1000
+        frames = [(np.asarray(frame.convert("RGB")), frame.info["duration"]) for frame in ImageSequence.Iterator(image)]
+    return [picture for picture, _ in frames], sum(duration for _, duration in frames) / 1000
 
 
 def _episode(path, actions, ended="time limit", failed=None) -> Episode:
@@ -93,17 +91,16 @@ def _episode(path, actions, ended="time limit", failed=None) -> Episode:
 
 def _evaluation(episodes: list[Episode], task: Task | None = None, **settings) -> Evaluation:
     """An evaluation of made-up episodes, at `maze` unless a task is given."""
-    return Evaluation(episodes, make_scene(task or Wander(**settings), "discrete"), SEED)
+    return Evaluation(episodes, make_scene(task or Wander(**settings), "discrete"), SEED, "kinematic")
 
 
-def _store_evaluation(folder: Path, episodes: int, steps: int, ended: str = "time limit") -> None:
-    """Store an evaluation of random walks in a run folder."""
+def _store_evaluation(folder: Path, episodes: int, steps: int, ended: str) -> None:
+    """Store an evaluation of random paths in a run folder."""
     config, rng = Run.open(folder).config, np.random.default_rng(0)
     x0, y0, x1, y1 = config.scene.world.bounds
-    walks = rng.uniform((x0, y0), (x1, y1), (episodes, 1, 2)) + rng.normal(0, 0.1, (episodes, steps + 1, 2)).cumsum(1)
-    paths, actions = np.clip(walks, (x0, y0), (x1, y1)), rng.integers(3, size=(episodes, steps))
-    each = [_episode(path, taken, ended) for path, taken in zip(paths, actions, strict=True)]
-    evaluation = Evaluation(each, config.scene.changed(episode_steps=steps), SEED)
+    paths = rng.uniform((x0, y0), (x1, y1), (episodes, steps + 1, 2))
+    each = [_episode(path, rng.integers(3, size=steps), ended) for path in paths]
+    evaluation = Evaluation(each, config.scene.changed(episode_steps=steps), SEED, "kinematic")
     Run.open(folder).write_evaluation(*evaluation.tree(config, str(folder)))
 
 
@@ -117,7 +114,7 @@ def _copied(run: Path, folder: Path, part: str = "train", **settings) -> Path:
 
 
 class _Page(HTMLParser):
-    """The text, the elements and the links of a page."""
+    """The text and the elements of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -128,11 +125,10 @@ class _Page(HTMLParser):
         self.ids = [attributes["id"] for _, attributes in self.elements if attributes.get("id")]
 
     @classmethod
-    def of(cls, *arguments: object) -> _Page:
+    def of(cls, *references: Path, out: Path) -> _Page:
         """The page that the command `report` writes."""
-        report.main([*map(str, arguments)])
-        out = arguments[arguments.index("--out") + 1] if "--out" in arguments else Path(arguments[0]) / "report.html"
-        return cls(Path(out).read_text(encoding="utf-8"))
+        report.main([*map(str, references), "--out", str(out)])
+        return cls(out.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attributes) -> None:
         self.elements.append((tag, dict(attributes)))
@@ -144,9 +140,7 @@ class _Page(HTMLParser):
     def links(self) -> list[str]:
         """Its references: within itself ("#..."), embedded ("data:..."), or elsewhere."""
         links = [value or "" for _, attributes in self.elements for key, value in attributes.items() if key in LINKS]
-        return links + [
-            link for found in re.findall(r"url\(([^)]*)\)|@import\s*([^;]*)", self.source) for link in found
-        ]
+        return links + re.findall(r"(?:url\(|@import\s*)([^;)]*)", self.source)
 
     def count(self, tag: str) -> int:
         return sum(element == tag for element, _ in self.elements)
@@ -156,21 +150,14 @@ class _Page(HTMLParser):
 def make() -> SimpleNamespace:
     """The functions above that make something."""
     return SimpleNamespace(
-        config=_config, policy=_Constant, frames=_frames_of, episode=_episode, evaluation=_evaluation,
-        store_evaluation=_store_evaluation, copied=_copied,
+        config=_config, policy=_Constant, frames=_frames_of, episode=_episode, evaluation=_evaluation, copied=_copied
     )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
-def pictures():
-    """A function that reads the pictures of a film, each (height, width, 3)."""
-    return _pictures
-
-
-@pytest.fixture(scope="session")
-def seconds():
-    """A function that reads the duration of a film."""
-    return _seconds
+def read_film():
+    """The function `_read_film`."""
+    return _read_film
 
 
 @pytest.fixture(scope="session")
@@ -186,8 +173,9 @@ def cruise() -> type[Task]:
 
 @pytest.fixture
 def short_evaluations(monkeypatch) -> None:
-    """Evaluations that are made for a page: one episode."""
-    monkeypatch.setattr(run_views, "_EPISODES", 1)
+    """Evaluations that are made for a page: one short episode."""
+    short = partial(evaluate, steps=20, simulation="kinematic")
+    monkeypatch.setattr(run_views, "evaluate", lambda policy, episodes, progress: short(policy, episodes=1))
 
 
 @pytest.fixture(scope="session")

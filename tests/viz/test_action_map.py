@@ -12,13 +12,13 @@ import shapely
 import torch as th
 
 from tb2rl.envs.make import make_env
-from tb2rl.registry import find_world
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.config import config_from
 from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 from tb2rl.viz.action_map import ENDED, HEADINGS, UNVISITED, action_map
 from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
+from tb2rl.worlds.registry import find_world
 
 
 def poses(shown, count: int):
@@ -65,11 +65,13 @@ def test_the_map_ignores_dynamic_obstacles():
     policy, scene = make_algorithm(config, Spaces.vectorised(config)), config.scene
     policy.policy.visits[:] = 1
     policy.policy.q[:] = th.from_numpy(np.random.default_rng(0).random(policy.policy.q.shape))
-    shown = action_map(policy, scene).actions
     world = replace(scene.world, dynamic_obstacles=find_dynamic_obstacles({"posts": 9}, "dynamic_obstacles"))
     crowded = replace(scene, spec=replace(scene.spec, worlds=(world, *scene.spec.worlds[1:])))
-    for other in (crowded, scene.changed(dynamic_obstacles={"people": 9})):
-        np.testing.assert_array_equal(action_map(policy, other).actions, shown)
+    expected, *others = (
+        action_map(policy, each).actions for each in (scene, crowded, scene.changed(dynamic_obstacles={"people": 9}))
+    )
+    for shown in others:
+        np.testing.assert_array_equal(shown, expected)
 
 
 def test_a_sensor_that_the_kinematic_simulator_lacks_leaves_no_map(make):
@@ -97,20 +99,3 @@ def test_the_map_shows_the_kind_of_velocities(cruise):
             v, w = config.scene.actions.commands(policy.predict(observation, deterministic=True)[0][None])[0]
             expected = "left" if w > 0.25 else "right" if w < -0.25 else "forward" if v > 0.125 else "stand"
             assert not below[position] or config.scene.actions.names[shown.actions[heading, position]] == expected
-
-
-SLIT = """
-boxes: [{centre: [0, 0.58925], size: [10, 0.8215]}, {centre: [0, -0.58925], size: [10, 0.8215]}]
-start: [0, 0, 0]
-bounds: [-5, -1.002, 5, 1]
-"""  # 1 mm wider than the robot, and between two rows of squares
-
-
-def test_a_world_that_is_narrower_than_a_square_has_one_position(tmp_path):
-    (tmp_path / "slit.yaml").write_text(SLIT)
-    settings = {"task.world": str(tmp_path / "slit.yaml"), "task.start_clearance": 0.178, "task.collision_range": 0.0}
-    config = resolve("qlearn", settings=settings)
-    shown = action_map(make_algorithm(config, Spaces.vectorised(config)), config.scene)
-    assert shown.actions.shape == (HEADINGS, 1)
-    assert abs(shown.positions[0, 1]) <= 0.0005
-    assert len(shown.walls) == 2

@@ -9,20 +9,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tb2rl.registry import find_world
 from tb2rl.tasks.reach_goal import ReachGoal
-from tb2rl.viz.charts import (
-    ACTION_COLOURS,
-    GROUP_COLOURS,
-    MAX_WORLDS,
-    distinct_colours,
-    draw_curves,
-    draw_episodes,
-    with_unique_ids,
-)
-from tb2rl.viz.curves import Curve, SeedCurves
+from tb2rl.viz.charts import ACTION_COLOURS, GROUP_COLOURS, MAX_WORLDS, distinct_colours, draw_episodes
 from tb2rl.viz.page import learning_curves
 from tb2rl.viz.run_views import group_runs
+from tb2rl.worlds.registry import find_world
 
 
 def marks(picture: str, kind: str) -> np.ndarray:
@@ -34,11 +25,7 @@ def marks(picture: str, kind: str) -> np.ndarray:
 def lines_in(picture: str) -> dict[str, np.ndarray]:
     """The points of each curve in a picture."""
     found = re.findall(r'<g id="((?:mean|seed)[-\d]+)">\s*<path d="([^"]*)"', picture)
-    return {name: points_of(path) for name, path in found}
-
-
-def points_of(path: str) -> np.ndarray:
-    return np.array([(float(x), float(y)) for x, y in re.findall(r"[ML] (\S+) (\S+)", path)])
+    return {name: np.array(re.findall(r"[ML] (\S+) (\S+)", path), dtype=float) for name, path in found}
 
 
 def is_linear(values: np.ndarray, positions: np.ndarray) -> bool:
@@ -70,16 +57,6 @@ def test_curves_show_the_numbers_of_the_runs(views):
         assert is_linear(mean.steps, drawn["mean-0"][:, 0])
 
 
-def test_charts_on_one_page_do_not_share_ids():
-    steps = np.array([0.0, 1.0])
-    picture = draw_curves([SeedCurves("", "red", [Curve(steps, steps)])], "", is_rate=True)
-    first, second = (set(re.findall(r'\bid="([^"]*)"', with_unique_ids(picture, number))) for number in (1, 2))
-    assert first
-    assert first.isdisjoint(second)
-    used = re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', with_unique_ids(picture, 1))
-    assert {name for pair in used for name in pair if name} <= first
-
-
 @pytest.mark.parametrize("preferred", [GROUP_COLOURS, ACTION_COLOURS])
 def test_colours_are_distinct(preferred):
     for count in (1, len(preferred), len(preferred) + 1, 40):
@@ -91,19 +68,15 @@ def test_colours_are_distinct(preferred):
 # ---- episodes
 
 
-@pytest.mark.parametrize("failing", ["collision", "out of bounds"])
-def test_starts_failures_and_the_goal_are_marked(failing, make):
+def test_starts_failures_and_the_goal_are_marked(make):
     paths = [[(0, 0), (1, 2), (3, 1)], [(1, -2), (2, 2.5), (4, 2)], [(5, 1), (0, 1), (1, -1)]]
-    endings = [(failing, True), ("goal", False), (failing, True)]
+    endings = [("collision", True), ("goal", False), ("out of bounds", True)]
     episodes = [make.episode(path, [0, 0], *ending) for path, ending in zip(paths, endings, strict=True)]
     picture = draw_episodes(make.evaluation(episodes, ReachGoal()))
     drawn = [marks(picture, kind) for kind in ("starts", "failures", "goal")]
     assert [len(positions) for positions in drawn] == [3, 2, 1]
-    goal = find_world("wall").goal[:2]
-    (x, y), positions = (
-        np.array([*(path[0] for path in paths), paths[0][-1], paths[2][-1], goal]).T,
-        np.concatenate(drawn),
-    )
+    expected = [*(path[0] for path in paths), paths[0][-1], paths[2][-1], find_world("wall").goal[:2]]
+    (x, y), positions = np.array(expected).T, np.concatenate(drawn)
     assert is_linear(x, positions[:, 0])
     assert is_linear(y, positions[:, 1])
     assert (positions[y.argmax(), 1], positions[x.argmax(), 0]) == (positions[:, 1].min(), positions[:, 0].max())

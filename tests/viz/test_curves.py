@@ -11,6 +11,9 @@ from tb2rl.core.errors import InputError
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.viz.curves import POINTS, Curve, SeedCurves, read_curves
 
+NOT_FINITE = '{"timesteps": 1, "failure_free_rate": NaN, "success_rate": 1}'
+TOO_LARGE = f'{{"timesteps": 1{400 * "0"}, "failure_free_rate": 1, "success_rate": 1}}'
+
 
 def test_curves_come_from_the_files_of_the_run(seeds):
     curves = read_curves(seeds / "seed-0")
@@ -20,12 +23,6 @@ def test_curves_come_from_the_files_of_the_run(seeds):
     assert curves["rollout/ep_rew_mean"].steps[-1] == 24_000
     assert (np.diff(curves["rollout/ep_len_mean"].steps) > 0).all()
     assert ((curves["rollout/failure_rate"].values >= 0) & (curves["rollout/failure_rate"].values <= 1)).all()
-
-
-def test_a_run_without_files_has_no_curves(tmp_path):
-    assert read_curves(tmp_path) == {}
-    (tmp_path / "evaluations.jsonl").touch()
-    assert read_curves(tmp_path) == {}
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped"])
@@ -50,9 +47,11 @@ def test_an_event_file_is_read_up_to_its_first_damage(damage, seeds, make, tmp_p
     "content",
     [
         "{",
-        '{"timesteps": 1}',
         "[]",
+        '{"timesteps": 1}',
         '{"timesteps": "x", "failure_free_rate": 1, "success_rate": 1}',
+        NOT_FINITE,
+        TOO_LARGE,
     ],
 )
 def test_damaged_evaluations_are_refused_by_name(content, tmp_path):
@@ -61,7 +60,8 @@ def test_damaged_evaluations_are_refused_by_name(content, tmp_path):
         read_curves(tmp_path)
 
 
-def test_an_incomplete_last_evaluation_is_left_out(tmp_path):
+def test_an_incomplete_last_evaluation_is_left_out_and_a_run_without_files_has_no_curves(tmp_path):
+    assert read_curves(tmp_path) == {}
     line = '{"timesteps": 1, "failure_free_rate": 0.5, "success_rate": 0.25}\n'
     (tmp_path / "evaluations.jsonl").write_text(line + '{"timesteps": 2, "fail')
     assert read_curves(tmp_path)["success_rate"].values.tolist() == [0.25]

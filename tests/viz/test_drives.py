@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tb2rl.deploy.bags.drive import Drive
-from tb2rl.registry import find_world
 from tb2rl.viz.drives import drive_section
 from tb2rl.viz.page import page
 from tb2rl.worlds import World
+from tb2rl.worlds.registry import find_world
 
 STEPS = 50
 

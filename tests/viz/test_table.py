@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from io import BytesIO, TextIOWrapper
 
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.viz.table import print_evaluation
-
-
-def cells(text: str) -> list[str]:
-    return [" ".join(line.replace("│", " ").split()) for line in text.splitlines()]
 
 
 def test_the_table_has_the_metrics_of_the_evaluation(make, capsys):
@@ -17,15 +14,12 @@ def test_the_table_has_the_metrics_of_the_evaluation(make, capsys):
     episodes = [make.episode(path, [0, 0], "out of bounds", True), make.episode(path, [0, 0], "goal", False)]
     evaluation = make.evaluation(episodes, ReachGoal(episode_steps=7))
     assert print_evaluation(evaluation, "mine in wall") == evaluation.summary()
-    lines = cells(capsys.readouterr().out)
-    assert lines[0] == "mine in wall"
-    assert any(line.startswith("┃ 2 episodes of at most 7 steps") for line in lines)
+    title, _, *lines = [" ".join(re.split(r"[\s│┃]+", line)).strip() for line in capsys.readouterr().out.splitlines()]
+    assert title == "mine in wall"
     for line in (
         "failure-free 50.0 % 95 % interval 9.5 to 90.5 %",
         "goal reached 50.0 % 95 % interval 9.5 to 90.5 %",
         "distance 123.4 ± 0.0 m",
-        "return 5.0 ± 0.0",
-        "length 2.0 ± 0.0 steps",
         "visited 1 squares of 1 m (median)",
         "endings goal 1, out of bounds 1",
     ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import subprocess
 import sys
 import time
@@ -17,25 +18,15 @@ from tb2rl.robots import Laser
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.viz.teleop import ZERO, Teleop, changed_command, range_lines
 
-SLOW = replace(ROBOT, max_speed=0.15, max_turn_rate=0.7)
-
 
 @pytest.mark.parametrize(
-    ("robot", "keys", "command"),
-    [
-        (ROBOT, "wss", (-0.1, 0.0)),
-        (ROBOT, "waad", (0.1, 0.5)),
-        (ROBOT, "dx", (0.0, -0.5)),
-        (ROBOT, "wa ", (0.0, 0.0)),
-        (ROBOT, "w" * 20, (ROBOT.max_speed, 0.0)),
-        (ROBOT, "a" * 20, (0.0, ROBOT.max_turn_rate)),
-        (SLOW, "wwaa", (0.15, 0.7)),
-    ],
+    ("keys", "command"),
+    [("wss", (-0.1, 0.0)), ("dx", (0.0, -0.5)), ("wa ", (0.0, 0.0)), ("wwwaa", (0.15, 0.7)), ("sssdd", (-0.15, -0.7))],
 )
-def test_keys_change_the_command_within_the_robots_limits(robot, keys, command):
-    changed = ZERO
+def test_keys_change_the_command_within_the_robots_limits(keys, command):
+    slow, changed = replace(ROBOT, max_speed=0.15, max_turn_rate=0.7), ZERO
     for key in keys:
-        changed = changed_command(robot, changed, key)
+        changed = changed_command(slow, changed, key)
     assert changed == pytest.approx(command, abs=1e-3)
 
 
@@ -104,7 +95,6 @@ POST = {"posts": 1, "radius": 0.3, "path": [[-3.0, -3.751], [-3.0, -3.749]], "sp
             {"collision_range": 0.0, "dynamic_obstacles": POST},
             "COLLISION WITH A DYNAMIC OBSTACLE (touched a dynamic obstacle)",
         ),
-        ("wall", {"bounds": [-1.0, -3.0, 0.5, 3.0]}, "OUT OF BOUNDS (nearest "),
         ("wall", {"goal": [1.0, 0.0]}, "GOAL (nearest "),
     ],
 )
@@ -121,6 +111,7 @@ def test_an_ending_is_shown_and_a_new_episode_begins_at_rest(task, settings, mes
 @pytest.mark.slow
 @pytest.mark.flaky(reruns=1)
 def test_letters_and_arrows_drive_in_a_terminal_and_q_ends():
+    """It waits at most a minute for each text, because the process imports torch first."""
     pty = pytest.importorskip("pty")
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "LINES": "24", "COLUMNS": "100"}
@@ -129,25 +120,15 @@ def test_letters_and_arrows_drive_in_a_terminal_and_q_ends():
     process = subprocess.Popen(arguments, stdin=theirs, stdout=theirs, stderr=theirs, env=environment)
     os.close(theirs)
     try:
-        wait_for(ours, b"q ends")
-        os.write(ours, b"w\x1bOA")  # a letter, and the arrow up
-        wait_for(ours, b"forward")
-        os.write(ours, b"q")
+        for text, keys in ((b"q ends", b"w\x1bOA"), (b"forward", b"q")):  # a letter and the arrow up; the end
+            seen, until = b"", time.monotonic() + 60
+            while text not in seen:
+                assert select.select([ours], [], [], 60)[0], seen
+                assert time.monotonic() < until, seen
+                seen += os.read(ours, 65536)
+            os.write(ours, keys)
         assert process.wait(timeout=30) == 0
     finally:
         process.kill()
         process.wait()
         os.close(ours)
-
-
-def wait_for(terminal: int, text: bytes) -> None:
-    seen = b""
-    until = time.monotonic() + 60
-    os.set_blocking(terminal, False)
-    while text not in seen:
-        assert time.monotonic() < until, f"waited for {text!r}, but the terminal shows {seen!r}"
-        time.sleep(0.05)
-        try:
-            seen += os.read(terminal, 65536)
-        except BlockingIOError:
-            continue

@@ -28,17 +28,13 @@ def test_a_mapping_means_one_group_and_a_list_several():
         ({}, "x: must say how many people, posts or boxes"),
         ("people", "x: must be a group such as {people: 4}, or a list"),
         ({"peeple": 4}, "unknown key of x 'peeple'; did you mean 'people'"),
-        ({"people": 1.5}, "x.people: "),
         ([{"posts": 30}, {"people": 30}], "x: must be at most 50 dynamic obstacles, got 60"),
         ({"people": 1, "speed": [1, 0.5]}, "x.speed: must be a number, or the lowest and the highest"),
-        ({"posts": 1, "radius": 0}, "x.radius"),
-        ({"posts": 1, "path": [[0, 0], [1, 0]] * 501}, "x.path"),
         ({"posts": 1, "path": [[0, 0], [0, 0]]}, "x: a path must have two different points"),
         ({"people": 1, "path": [[0, 0], [1, 0]]}, "x: people follow no path"),
         ({"posts": 1, "closed": True}, "x: closed needs a path, and there is none"),
         ({"posts": 1, "avoid_robot": True}, "x: avoid_robot needs people, and there are none"),
     ],
-    ids=lambda value: str(value)[:60],
 )
 def test_a_mistake_is_one_line(setting, message):
     with pytest.raises(InputError) as caught:

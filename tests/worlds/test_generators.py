@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 import shapely
@@ -11,7 +9,7 @@ import shapely
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import build
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.worlds.floor import SIDE, Floor
+from tb2rl.worlds.floor import Floor
 from tb2rl.worlds.generators import FAMILIES, GENERATORS, GeneratorSettings, generate, solvable
 
 NAMES = [maker.__name__ for maker in FAMILIES]
@@ -30,7 +28,7 @@ def bits(worlds):
 # ---- every family
 
 
-@pytest.mark.parametrize(("difficulty", "size"), [(0.5, [10, 6]), (1.0, [6, 6]), (0.0, [4, 4])])
+@pytest.mark.parametrize(("difficulty", "size"), [(1.0, [10, 6]), (0.0, [4, 4])])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_robot_gets_from_the_start_to_a_third_of_the_enclosed_floor_and_to_the_goal(name, difficulty, size):
     for world in made(name, difficulty=difficulty, size=size, seed=7, worlds=1):
@@ -47,10 +45,8 @@ def test_a_robot_gets_from_the_start_to_a_third_of_the_enclosed_floor_and_to_the
 
 @pytest.mark.parametrize("name", NAMES)
 def test_there_is_less_room_at_a_higher_difficulty(name):
-    room = [
-        np.mean([(Floor.of(world, 1.5).clearance >= 0.3).mean() for world in made(name, difficulty=difficulty)])
-        for difficulty in (0.0, 1.0)
-    ]
+    easy, hard = (made(name, difficulty=difficulty, worlds=5) for difficulty in (0.0, 1.0))
+    room = [np.mean([(Floor.of(world, 1.5).clearance >= 0.3).mean() for world in worlds]) for worlds in (easy, hard)]
     assert room[1] < 0.9 * room[0]
 
 
@@ -108,9 +104,8 @@ def test_a_world_follows_from_its_purpose_seed_and_number_alone():
 @pytest.mark.parametrize("name", NAMES)
 def test_worlds_for_different_purposes_and_seeds_share_nothing(name):
     kinds = [("training", 0), ("training", 1), ("validation", 0), ("test", 0), ("search", 0), ("suite", 0)]
-    worlds = {kind: {entry[:2] for entry in bits(made(name, kind[0], seed=kind[1], worlds=3))} for kind in kinds}
-    for one, other in itertools.combinations(kinds, 2):
-        assert not worlds[one] & worlds[other], (one, other)
+    worlds = [entry[:2] for purpose, seed in kinds for entry in bits(made(name, purpose, seed=seed, worlds=2))]
+    assert len(set(worlds)) == len(worlds) == 12
 
 
 # ---- difficulty
@@ -134,34 +129,3 @@ def test_a_generator_that_finds_no_path_is_an_error():
 
     with pytest.raises(InputError, match=r"8 x 8 m with difficulty 0.50 a robot gets to less than a third"):
         solvable(blocked, np.random.default_rng(0), 0.5, (8.0, 8.0))
-
-
-def test_worlds_without_a_path_are_drawn_again():
-    """Walls that leave a quarter of the floor; then with doors too narrow; then with doors that are wide enough."""
-    left = [0.0, 0.3, 0.8]
-
-    def quarters(rng, difficulty, size):
-        long = 4.0 - left.pop(0) / 2
-        return [(x, y, 0.2, long, 0.0) for x in (2.0, 4.0, 6.0) for y in (long / 2, 8.0 - long / 2)], []
-
-    world = solvable(quarters, np.random.default_rng(0), 1.0, (8.0, 8.0))
-    assert left == []
-    assert world.free_space(0.3).area > 8.0 * 8.0 / 3
-
-
-# ---- the floor
-
-
-def test_the_floor_knows_the_clearance_of_each_square_and_the_steps_to_it():
-    (world,) = made("circuit", worlds=1)
-    floor = Floor.of(world, 0.5)
-    rows, columns = floor.clearance.shape
-    for row, column in itertools.product(range(0, rows, 7), range(0, columns, 7)):
-        x, y = floor.centre(row, column)
-        x0, y0, x1, y1 = world.bounds
-        exact = min(world.clearance(x, y), x - x0, x1 - x, y - y0, y1 - y, 0.5)
-        assert floor.clearance[row, column] == pytest.approx(exact)
-    steps = floor.steps_from(*world.start[:2], 0.3)
-    assert (steps == 0).sum() == 1
-    far = divmod(int(steps.argmax()), columns)
-    assert steps.max() > 1.5 * np.hypot(*(np.subtract(floor.centre(*far), world.start[:2]))) / SIDE

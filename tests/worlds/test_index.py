@@ -7,8 +7,8 @@ import pytest
 
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many, clearance_one
-from tb2rl.worlds.index import COLUMNS, GRID_ABOVE, ROWS, index_of, join
-from tb2rl.worlds.registry import find_world, world_names
+from tb2rl.worlds.index import index_of, join
+from tb2rl.worlds.registry import find_world
 
 BEAMS = np.cos(np.linspace(-3, 3, 60)), np.sin(np.linspace(-3, 3, 60))
 
@@ -67,62 +67,23 @@ def clearances(poses, index, world=0):
     return np.array([clearance_one(x, y, *index, world) for x, y, _ in poses])
 
 
-def assert_close(found, expected):
-    assert (np.isinf(found) == np.isinf(expected)).all()
-    seen = np.isfinite(expected)
-    assert np.abs(found[seen] - expected[seen]).max() < 1e-9
-
-
-def both(world):
-    """The index of a world with a grid, and without one."""
-    indices = index_of(world.boxes, world.posts, grid_above=0), index_of(world.boxes, world.posts, grid_above=10**9)
-    assert [index.parts[0, COLUMNS] > 0 for index in indices] == [True, False]
-    return indices
-
-
 @pytest.mark.parametrize("make", WORLDS)
-def test_a_grid_finds_what_the_plain_loops_find(make):
+def test_a_grid_finds_what_testing_every_obstacle_finds(make):
     rng = np.random.default_rng(0)
     world = make(rng)
-    grid, plain = both(world)
-    poses = poses_in(world, rng, 500)
-    expected, gaps = ranges_from(poses, plain), clearances(poses, plain)
-    assert np.isfinite(expected).mean() > 0.02
-    assert_close(ranges_from(poses, grid), expected)
-    assert_close(clearances(poses, grid), gaps)
-    inside = poses[gaps == 0.0]
-    assert len(inside) or make is around
-    assert (ranges_from(inside, grid) == 0.0).all()
-
-
-@pytest.mark.parametrize("make", WORLDS)
-def test_beams_along_the_lines_of_a_grid_find_what_the_plain_loops_find(make):
-    rng = np.random.default_rng(0)
-    world = make(rng)
-    grid, plain = both(world)
+    grid, plain = (index_of(world.boxes, world.posts, grid_above) for grid_above in (0, 10**9))
+    assert len(grid.lists) <= 40 * (len(world.boxes) + len(world.posts)), "it stays small where obstacles overlap"
     x0, y0, side, columns, rows = grid.parts[0, :5]
     lines = np.array([(x0 + side * i, y0 + side * j, 0.0) for i in range(int(columns)) for j in range(int(rows))])
-    poses = lines[rng.permutation(len(lines))[:500]]
-    quarters = np.array([1.0, 0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0, -1.0])
-    assert_close(ranges_from(poses, grid, quarters), ranges_from(poses, plain, quarters))
-    assert_close(clearances(poses, grid), clearances(poses, plain))
+    quarters = np.array([1.0, 0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0, -1.0])  # beams along the lines of the grid
+    for poses, beams in ((poses_in(world, rng, 500), BEAMS), (rng.permutation(lines)[:500], quarters)):
+        gaps = clearances(poses, plain)
+        np.testing.assert_allclose(ranges_from(poses, grid, beams), ranges_from(poses, plain, beams), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(clearances(poses, grid), gaps, rtol=0, atol=1e-9)
+        assert (ranges_from(poses[gaps == 0.0], grid, beams) == 0.0).all()
 
 
-def test_a_world_of_many_obstacles_has_a_grid_of_about_as_many_cells():
-    index = scattered(np.random.default_rng(0)).index
-    assert 150 <= index.parts[0, COLUMNS] * index.parts[0, ROWS] <= 600
-    assert scattered(np.random.default_rng(0), GRID_ABOVE, 0).index.parts[0, COLUMNS] == 0
-    assert not any(find_world(name).index.parts[0, COLUMNS] for name in world_names())
-
-
-def test_obstacles_that_cover_each_other_do_not_fill_the_memory():
-    rng = np.random.default_rng(0)
-    for make in (all_in_one_place, around, in_a_row):
-        world = make(rng)
-        assert len(world.index.lists) <= 40 * (len(world.boxes) + len(world.posts))
-
-
-def test_in_several_worlds_each_robot_sees_its_own():
+def test_each_environment_sees_its_own_world():
     rng = np.random.default_rng(0)
     worlds = [find_world("round"), scattered(rng), find_world("loop"), cells_of_a_map(rng), scattered(rng, 0, 200)]
     index, poses = join([world.index for world in worlds]), poses_in(worlds[1], rng, 300)

@@ -1,4 +1,4 @@
-"""Start poses in many worlds: reachable, with room around, and independent of other robots."""
+"""Start poses in many worlds: reachable, with room around, and independent of other environments."""
 
 import numpy as np
 import pytest
@@ -20,13 +20,12 @@ def poses_in(worlds, chosen, clearance=0.25):
     return Places(worlds, ROBOT.radius).poses_from(np.array(chosen), draws, clearance)
 
 
-@pytest.mark.parametrize("clearance", [ROBOT.radius, 0.5])
-def test_places_have_room_and_can_be_reached(clearance):
-    chosen = np.arange(500) % 5
-    poses = poses_in(WORLDS, chosen, clearance)
+def test_places_have_room_and_can_be_reached():
+    chosen = np.arange(300) % 5
+    poses = poses_in(WORLDS, chosen, 0.5)
     for number, world in enumerate(WORLDS):
         here = poses[chosen == number]
-        assert min(world.clearance(x, y) for x, y, _ in here) >= clearance - 1e-6
+        assert min(world.clearance(x, y) for x, y, _ in here) >= 0.5 - 1e-6
         assert world.free_space(0.17).covers(shapely.MultiPoint(here[:, :2]))
     assert (np.abs(poses[:, 2]) <= np.pi).all()
 

@@ -28,29 +28,21 @@ def test_wide_doors_let_the_robot_through():
     assert found.reached == pytest.approx(found.floor, rel=0.02)
 
 
-def test_a_narrow_door_is_named_with_its_width_and_the_region_behind_it():
+def test_every_narrow_door_is_named_with_its_width_and_the_region_behind_it():
     found = find_reachability(rooms(1.0, 0.3, goal=(8, 1, 0)), RADIUS)
     (door,), (region,) = found.doors, found.unreached
     assert door.width == pytest.approx(0.3, abs=0.002)
     assert door.place == pytest.approx((6, 1.5), abs=0.2)
     assert (region.area, region.closed) == (pytest.approx(8.7, rel=0.03), False)
-    assert 6 < region.place[0] < 9
     assert found.reached / found.floor == pytest.approx(2 / 3, abs=0.02)
     assert found.goal_reached is False
     assert find_reachability(rooms(1.0, 0.3), 0.149).doors == (), "it depends on the robot"
-
-
-def test_every_narrow_door_is_named():
-    found = find_reachability(rooms(0.2, 0.3, 0.35), RADIUS)
-    assert sorted(door.width for door in found.doors) == pytest.approx([0.2, 0.3, 0.35], abs=0.002)
-    assert len(found.unreached) == 3
+    doors = find_reachability(rooms(0.2, 0.3, 0.35), RADIUS).doors
+    assert sorted(door.width for door in doors) == pytest.approx([0.2, 0.3, 0.35], abs=0.002)
 
 
 def test_a_room_without_a_door_is_closed():
-    world = rooms(0.9)
-    found = find_reachability(
-        World.from_shapes("closed", [*world.box_shapes, (3, 1.5, 0.1, 1.0, 0)], start=world.start), RADIUS
-    )
+    found = find_reachability(rooms(0.0), RADIUS)
     assert found.doors == ()
     assert [region.closed for region in found.unreached] == [True]
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import math
-import shutil
-import zipfile
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -73,15 +70,10 @@ def tiny(**changed) -> Suite:
     return Suite("tiny", (replace(world, **changed),), ("one",), (2.0,), 10.0)
 
 
-def test_a_digest_sees_a_hundredth_of_a_millimetre_and_no_rounding():
+def test_a_digest_depends_on_a_hundredth_of_a_millimetre_and_not_on_rounding():
     world = tiny().worlds[0]
-    for changed in (
-        {"boxes": world.boxes + 1e-5},
-        {"posts": world.posts + 1e-5},
-        {"start": (1e-5, 0.0, 0.0)},
-        {"goal": (2.0, 1e-5, 0.0)},
-    ):
-        assert tiny(**changed).digest != tiny().digest
+    changes = {"boxes": world.boxes + 1e-5, "posts": world.posts + 1e-5, "start": (1e-5, 0, 0), "goal": (2, 1e-5, 0)}
+    assert len({tiny(**{name: value}).digest for name, value in changes.items()} | {tiny().digest}) == 5
     assert tiny(posts=world.posts + 1e-9, start=(-1e-9, 0.0, 0.0)).digest == tiny().digest
     assert replace(tiny(), references=(2.0,)).digest != replace(tiny(), references=(2.1,)).digest != tiny().digest
 
@@ -143,19 +135,14 @@ def test_a_copy_of_the_repository_has_the_same_worlds(place, worlds, tmp_path):
     (folder / "path_files" / "path_4.npy").unlink()
     with pytest.raises(InputError, match=r"cannot read .*path_4.npy"):
         barn(tmp_path / "copy")
-    shutil.rmtree(folder / "path_files")
-    with pytest.raises(InputError, match="no folder path_files"):
-        barn(tmp_path / "copy")
 
 
 BAD = {
     "no posts": ({"path_1": STRAIGHT}, "no worlds of BARN"),
     "no path": ({"posts_1": yard()}, "no path_1"),
     "posts of two columns": ({"posts_1": yard()[:, :2], "path_1": STRAIGHT}, "rows of 3 numbers"),
-    "words": ({"posts_1": yard(), "path_1": STRAIGHT.astype(str)}, "rows of 2 numbers"),
     "NaN": ({"posts_1": yard((np.nan, 6.0)), "path_1": STRAIGHT}, "posts_1 has a number that is NaN"),
     "objects": ({"posts_1": np.array([{}]), "path_1": STRAIGHT}, "not an .npz file of worlds: Object arrays"),
-    "a radius below 0": ({"posts_1": -yard(), "path_1": STRAIGHT}, "radius above 0"),
     "a post at the goal": ({"posts_1": yard((-2.25, 13.0)), "path_1": STRAIGHT}, "goal .* inside an obstacle"),
     "a closed yard": (
         {"posts_1": yard(*((-4.425 + 0.15 * k, 9.0) for k in range(30))), "path_1": STRAIGHT},
@@ -171,16 +158,15 @@ def test_a_bad_archive_is_refused_in_one_line(arrays, message, tmp_path):
     assert "\n" not in str(refused.value)
 
 
-def test_what_is_no_archive_is_refused(tmp_path):
+def test_a_file_that_is_no_archive_is_refused(tmp_path):
     np.save(tmp_path / "one.npy", STRAIGHT)
     whole = saved(tmp_path, **ARRAYS).read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
-    with zipfile.ZipFile(tmp_path / "other.npz", "w") as archive:
-        archive.writestr("posts_1.npy", b"no array")
-        archive.writestr("path_1.npy", io.BytesIO(b"\x93NUMPY\x01\x00").getvalue())
-    for name in ("one.npy", "half.npz", "other.npz", "missing.npz", 300 * "x"):
-        with pytest.raises(InputError, match=r"not an \.npz file|no worlds of BARN|rows of 3 numbers"):
+    for name in ("one.npy", "half.npz", "missing.npz", 300 * "x"):
+        with pytest.raises(InputError, match=r"not an \.npz file|no worlds of BARN"):
             barn(tmp_path / name)
+    with pytest.raises(InputError, match="no folder path_files"):
+        barn(tmp_path)
 
 
 def test_suites_are_found_by_their_names(tmp_path):

@@ -10,7 +10,6 @@ from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
 from tb2rl.worlds.registry import find_world, world_names
-from tb2rl.worlds.world import box_polygons, post_polygons
 
 START = (0.0, 0.0, 0.0)
 BOUNDS = (-5.0, -5.0, 5.0, 5.0)
@@ -50,10 +49,10 @@ def test_the_courses_are_closed_and_as_wide_and_long_as_documented(name, bounds,
 
 
 def test_random_poses_are_spread_evenly_over_the_free_space_and_all_headings():
-    world, count = find_world("maze"), 10_000
+    world, count = find_world("maze"), 5_000
     poses, free = world.random_poses(np.random.default_rng(0), count, 0.3), world.free_space(0.3)
-    for x, y in np.ndindex(4, 4):
-        square = shapely.box(2.5 * x, 2.5 * y, 2.5 * x + 2.5, 2.5 * y + 2.5)
+    for x, y in np.ndindex(2, 2):
+        square = shapely.box(5.0 * x, 5.0 * y, 5.0 * x + 5.0, 5.0 * y + 5.0)
         inside = shapely.contains_xy(square, poses[:, 0], poses[:, 1])
         assert inside.mean() == pytest.approx(free.intersection(square).area / free.area, abs=0.025)
     shares, _ = np.histogram(poses[:, 2], bins=8, range=(-math.pi, math.pi))
@@ -70,13 +69,12 @@ def test_every_pose_follows_from_four_numbers_of_its_own():
     assert (np.abs(together[:, 2]) <= math.pi).all()
 
 
-def test_random_poses_keep_their_clearance_to_open_bounds_and_can_be_reached():
-    poses = find_world("wall").random_poses(np.random.default_rng(0), 500, 0.6)
-    assert (poses[:, :2].min(axis=0) >= (-0.4, -2.4)).all()
-    assert (poses[:, :2].max(axis=0) <= (5.4, 2.4)).all()
+def test_random_poses_can_be_reached_from_the_start():
     world = World.from_shapes("two rooms", [(1.0, 0.0, 0.2, 12.0, 0.0)], start=START, bounds=BOUNDS)
     assert world.free_space(0.0).bounds == pytest.approx((-5, -5, 0.9, 5))
-    assert world.random_poses(np.random.default_rng(0), 200, 0.2)[:, 0].max() < 0.7
+    poses = world.random_poses(np.random.default_rng(0), 200, 0.6)
+    assert (poses[:, :2].min(axis=0) >= -4.4).all(), "off the open bounds"
+    assert (poses[:, :2].max(axis=0) <= (0.3, 4.4)).all()
 
 
 # ---- a world from shapes
@@ -88,19 +86,9 @@ def test_shapes_become_obstacles_within_bounds():
     turned = shapely.affinity.rotate(shapely.box(1.0, 0.8, 3.0, 1.2), 30)
     expected = shapely.union_all([turned, shapely.box(-3.5, -0.5, -2.5, 0.5), shapely.Point(0, 3).buffer(0.5, 32)])
     assert world.obstacles.symmetric_difference(expected).area == pytest.approx(0, abs=1e-6)
-    assert sum(box.area for box in box_polygons(world.boxes)) == pytest.approx(1.8)
-    assert post_polygons(world.posts)[0].area == pytest.approx(math.pi / 4, rel=1e-3)
     assert world.bounds == pytest.approx(expected.bounds)
     bounded = World.from_shapes("mine", boxes, posts, start=START, bounds=BOUNDS)
     assert (bounded.bounds, bounded.contains((5, 5)), bounded.contains((0, -5.01))) == (BOUNDS, True, False)
-
-
-def test_boxes_of_one_orientation_stand_together_because_the_laser_is_faster_then():
-    quarter = math.pi / 2
-    boxes = [(3, 0, 2, 1, 0.0), (0, 3, 2, 1, 0.3), (-3, 0, 2, 1, quarter), (0, -3, 2, 1, 0.3 - quarter)]
-    world = World.from_shapes("mine", boxes, start=START)
-    assert len({(cos, sin) for *_, cos, sin in world.boxes.round(9).tolist()}) == 2
-    assert (np.diff(world.boxes[:, 4].round(9)) != 0).sum() == 1
 
 
 @pytest.mark.parametrize(
@@ -111,7 +99,6 @@ def test_boxes_of_one_orientation_stand_together_because_the_laser_is_faster_the
         ({"boxes": [(0, 2, 1, -0.5, 0)]}, "box 1 .* must have a width above 0, got -0.5"),
         ({"posts": [(2, 2, "wide")]}, "post 1 .* must be 3 numbers, x, y, radius; got"),
         ({"start": (0, 0)}, r"the start must be 3 numbers, x, y, yaw; got \(0, 0\)"),
-        ({"bounds": (0, 0, 1)}, "bounds must be 4 numbers, x from, y from, x to, y to; got"),
         ({"bounds": (5, 5, -5, -5)}, "bounds must be x from"),
         ({"boxes": None, "posts": None, "bounds": None}, "without obstacles it needs `bounds:"),
         ({"goal": (-3, 0.4, 0)}, r"the goal \(-3, 0\.4\) is inside an obstacle"),

@@ -1,8 +1,7 @@
-"""Every policy of the zoo loads, drives and is what its card says."""
+"""Every policy of the zoo loads, drives and agrees with its card."""
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import partial
 from importlib import import_module
 
@@ -10,8 +9,8 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS, evaluate
-from tb2rl.evaluation.statistics import wilson_interval
+from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS
 from tb2rl.runs.config import config_from
 from tb2rl.zoo import checking
 from tb2rl.zoo.cards import card, overview, table
@@ -22,21 +21,19 @@ keeper = import_module("tb2rl.zoo.__main__")
 ENTRIES = entries()
 PLACES = ("maze-loop", "maze-circuit", "maze-round", "maze-maze", "my-maze-loop", "wall-wall")  # of every agent
 
-TURTLEBOT3 = "maze-loop-turtlebot3-ppo"
-
 
 def test_every_agent_has_a_policy_for_every_place():
     expected = {f"{place}-{agent}" for place in PLACES for agent in ("qlearn", "dqn", "ppo")}
     expected |= {f"drive-loop-{agent}" for agent in ("sac", "td3", "ppo")}
     expected |= {f"anywhere-{agent}" for agent in ("qlearn", "dqn", "ppo", "sac")}
     expected |= {f"navigate-{kind}-ppo" for kind in ("plan", "goal")}
-    assert {entry.name for entry in ENTRIES} == expected | {TURTLEBOT3}
+    assert {entry.name for entry in ENTRIES} == expected | {"maze-loop-turtlebot3-ppo"}
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
 def test_a_policy_drives_in_its_world(entry):
     policy = tb2rl.load(f"zoo:{entry.name}")
-    env = tb2rl.make_env(policy)
+    env = tb2rl.make_env(policy, simulation="kinematic")
     assert entry.world in (env.scene.world.name, "mixed")
     observation, _ = env.reset(seed=2)
     info = {"ended": ""}
@@ -52,44 +49,33 @@ def test_a_policy_drives_in_its_world(entry):
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
-def test_a_card_is_what_its_files_say_and_tells_what_falls_short(entry):
+def test_a_card_and_its_figures_agree_with_the_episodes(entry):
     text = (entry.folder / "README.md").read_text(encoding="utf-8")
     assert text == card(entry)
     short = entry.figures[f"{entry.good}_rate"] < entry.promised or entry.speed_share < entry.promised_speed
     assert ("Falls short" in text) == short
-    assert entry.figures["episodes"] == len(entry.figures["each"]) == 100
-    assert entry.config.to_dict() == entry.requested.to_dict(), "trained as its recipe says"
-    assert entry.is_as_requested
     assert all((entry.folder / name).is_file() for name in ("paths.png", "config.yaml", "best/policy.safetensors"))
-
-
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
-def test_its_figures_are_those_of_its_episodes(entry):
+    assert entry.is_as_requested, "trained as its recipe says"
     figures, each = entry.figures, entry.figures["each"]
     assert (figures["episodes"], figures["steps"], figures["seed"]) == (EPISODES, STEPS, SEED)
-    failed, success = ([episode[name] for episode in each] for name in ("failed", "success"))
-    assert figures["failure_free_rate"] == pytest.approx(1 - np.mean(failed))
-    assert figures["failure_free_interval"] == pytest.approx(wilson_interval(100 - sum(failed), 100))
-    assert figures["success_rate"] == pytest.approx(np.mean(success))
-    assert figures["success_interval"] == pytest.approx(wilson_interval(sum(success), 100))
-    assert figures["endings"] == Counter(episode["ended"] for episode in each)
+    assert len(each) == EPISODES
+    assert figures["success_rate"] == pytest.approx(np.mean([episode["success"] for episode in each]))
+    assert figures["failure_free_rate"] == pytest.approx(1 - np.mean([episode["failed"] for episode in each]))
     assert figures["mean_distance"] == pytest.approx(np.mean([episode["distance"] for episode in each]))
     assert [episode["failed"] for episode in each] == [e["ended"] in ("collision", "out of bounds") for e in each]
     assert config_from(figures["config"]).task == entry.config.task, "settings that came later have their default"
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
-def test_it_was_driven_in_every_world_that_it_never_saw_and_can_drive_in(entry):
+def test_a_policy_is_evaluated_in_every_unseen_world_that_fits_its_task(entry):
     expected = {"maze", "mixed"} if entry.good == "success" else set(WORLDS)  # only these have a goal
     assert set(entry.elsewhere) == (set() if entry.navigates else expected - {entry.world})
     assert entry.is_built
     for figures in entry.elsewhere.values():
         assert sum(figures["endings"].values()) == figures["episodes"] == EPISODES
-        failing = figures["endings"].get("collision", 0) + figures["endings"].get("out of bounds", 0)
-        assert figures["failure_free_rate"] == pytest.approx(1 - failing / EPISODES)
 
 
-def test_the_table_is_what_the_entries_say():
+def test_the_table_agrees_with_the_entries():
     assert (zoo_folder() / "README.md").read_text(encoding="utf-8") == table(ENTRIES)
 
 
@@ -108,7 +94,7 @@ def test_the_zoo_is_small():
 
 @pytest.mark.slow
 def test_the_cards_hold(capsys, monkeypatch):
-    # Four episodes are one group: processes would start for each policy, and one of them drive.
+    # Processes for four episodes would cost more than they save.
     monkeypatch.setattr(checking, "evaluate", partial(evaluate, workers=1))
     keeper.main(["check", "--episodes", "4"])
     assert f"{len(ENTRIES)} cards hold" in capsys.readouterr().out

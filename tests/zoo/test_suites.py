@@ -125,7 +125,7 @@ def test_an_interrupted_suite_goes_on_where_it_was(own_zoo, driven, monkeypatch,
     assert not (own_zoo / "suites").exists()
     keeper.main(["build"])
     assert driven == [0, 1, 2]
-    assert "going on where it was: 2 of 3 worlds" in capsys.readouterr().out
+    assert "continuing: 2 of 3 worlds" in capsys.readouterr().out
 
 
 def test_barn_has_a_table_of_its_own_with_a_score_whose_formula_is_named(own_zoo, small_suite, monkeypatch):

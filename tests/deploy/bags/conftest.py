@@ -11,34 +11,34 @@ import numpy as np
 import pytest
 
 from tb2rl.deploy.bags.messages import BagMessages
-from tb2rl.deploy.bags.recorded import RecordedEnv
 from tb2rl.deploy.bags.recorder import open_bag
 from tb2rl.deploy.ros.messages import LaserScan, Odometry, Twist
 from tb2rl.envs.make import make_env
+from tb2rl.envs.scene import Scene
 from tb2rl.simulation import RobotState
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """A recorded episode."""
+class RecordedEpisode:
+    """An episode, and the bag that holds it."""
 
     path: Path
-    env: RecordedEnv
+    scene: Scene
     robot_states: list[RobotState]
     commands: np.ndarray
     rewards: list[float]
     distance: float
 
 
-def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) -> Recorded:
-    """Record a random drive."""
-    scene = make_env(task, "raw", simulation="kinematic", **settings).scene
-    env = RecordedEnv(scene, simulation="kinematic")
+def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) -> RecordedEpisode:
+    """Record random actions."""
+    env = make_env(task, "raw", simulation="kinematic", **settings)
     commands, rewards, info = [], [], {}
-    with open_bag(path, scene) as env.recorder:
+    with open_bag(path, env.scene) as recorder:
         env.reset(seed=3)
         env.action_space.seed(3)
         robot_states = [env.robot_state]
+        recorder.reset(env.robot_state)
         for _ in range(steps):
             action = env.action_space.sample()
             _, reward, _, _, info = env.step(action)
@@ -46,7 +46,8 @@ def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) ->
             robot_states.append(env.robot_state)
             commands.append(env.scene.actions.commands(env.scene.actions.checked(action))[0])
             rewards.append(float(reward))
-    return Recorded(path, env, robot_states, np.array(commands), rewards, info["distance"])
+            recorder.step(commands[-1], rewards[-1], env.robot_state)
+    return RecordedEpisode(path, env.scene, robot_states, np.array(commands), rewards, info["distance"])
 
 
 class Messages(BagMessages):
@@ -90,13 +91,13 @@ def _write(path: Path, messages: Iterable[tuple[float, str, Any]], definitions: 
 
 
 @pytest.fixture
-def record() -> Callable[..., Recorded]:
+def record() -> Callable[..., RecordedEpisode]:
     """The function `_record`."""
     return _record
 
 
 @pytest.fixture(scope="session", params=["drive.bag", "drive"])
-def driven(request, tmp_path_factory) -> Recorded:
+def driven(request, tmp_path_factory) -> RecordedEpisode:
     """A drive whose odometry is not the truth, in each format."""
     return _record(tmp_path_factory.mktemp("bag") / request.param, variation="strong", laser_noise=0.01)
 

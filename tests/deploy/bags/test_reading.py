@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import random
-import shutil
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,6 +32,13 @@ def foreign(bag, write, messages) -> Path:
         ]
     content.append((time, "/robot/filtered", messages.odometry(7.0)))
     return write(bag, content)
+
+
+def refused(path: Path, words: str, topics=None) -> None:
+    with pytest.raises(InputError, match=words) as stopped:
+        read_drive(path, topics or {})
+    assert "\n" not in str(stopped.value)
+    assert str(path) in str(stopped.value)
 
 
 def test_an_episode_reads_back_as_it_was_driven(driven):
@@ -86,17 +92,10 @@ def test_a_usual_topic_name_is_preferred_and_stamped_commands_are_read(bag, writ
 
 
 def test_a_path_is_rotated_to_begin_at_a_pose():
-    rows = np.array([(0.0, 5.0, 5.0, math.pi / 2, 0.0, 0.0), (1.0, 5.0, 7.0, math.pi / 2, 0.0, 0.0)])
-    nothing = np.empty((0, 3))
+    rows, nothing = np.zeros((2, 6)), np.empty((0, 3))
+    rows[:, 1:4] = (5.0, 5.0, math.pi / 2), (5.0, 7.0, math.pi / 2)
     drive = Drive("it", {}, rows, nothing, nothing, nothing, nothing, nothing)
     assert drive.path_from((1.0, 2.0, math.pi)) == pytest.approx(np.array([(1.0, 2.0), (-1.0, 2.0)]))
-
-
-def refused(path: Path, words: str, topics=None) -> None:
-    with pytest.raises(InputError, match=words) as stopped:
-        read_drive(path, topics or {})
-    assert "\n" not in str(stopped.value)
-    assert str(path) in str(stopped.value)
 
 
 def test_a_bag_without_odometry_or_with_invalid_poses_is_refused(bag, write, messages):
@@ -109,12 +108,12 @@ def test_a_bag_without_odometry_or_with_invalid_poses_is_refused(bag, write, mes
 
 
 @pytest.mark.parametrize("text", ["float64 x\nfloat64 y\n", "string header\n" * 20_000, "$(rm -rf /)"])
-def test_another_definition_of_a_message_is_refused_and_not_used(text, bag, write, messages):
+def test_another_definition_of_a_message_is_refused_unless_the_message_is_not_read(text, bag, write, messages):
     content = [(1.0, "/odom", messages.odometry(1.0)), (1.0, "/other", messages("std_msgs/msg/Bool", data=True))]
     written = write(bag.with_name(f"other{bag.suffix}"), content, {"nav_msgs/msg/Odometry": text})
     refused(written, "nav_msgs/msg/Odometry on /odom is not the one of ROS|cannot|not a bag that can be read")
     written = write(bag, content, {"std_msgs/msg/Bool": "uint9 data"})
-    assert len(read_drive(written, {}).trajectory) == 1, "it does not matter for a message that is not read"
+    assert len(read_drive(written, {}).trajectory) == 1
 
 
 def test_a_bag_with_too_many_messages_is_refused(foreign, monkeypatch):
@@ -123,31 +122,27 @@ def test_a_bag_with_too_many_messages_is_refused(foreign, monkeypatch):
 
 
 def test_a_file_that_is_no_bag_or_ends_early_is_refused(foreign, tmp_path):
-    (tmp_path / "folder.bag").mkdir()
     for ending in ("bag", "mcap", "db3"):
         refused(tmp_path / f"missing.{ending}", "there is no bag")
         (tmp_path / f"text.{ending}").write_text("no bag\n" * 100)
         refused(tmp_path / f"text.{ending}", "is not a bag that can be read")
+    (tmp_path / "folder.bag").mkdir()
     refused(tmp_path / "folder.bag", "is not a bag that can be read")
     file = next(foreign.glob("*.mcap"), foreign)
     content = file.read_bytes()
-    for share in (0.999, 0.9, 0.3, 0.0):
+    for share in (0.999, 0.3, 0.0):
         file.write_bytes(content[: int(share * len(content))])
         refused(foreign, "is not a bag that can be read")
 
 
 @pytest.mark.fuzz
-def test_whatever_bytes_are_wrong_there_is_a_drive_or_one_line(foreign, tmp_path):
-    draw, name = random.Random(0), f"it{foreign.suffix}"
+def test_whatever_bytes_are_wrong_there_is_a_drive_or_one_line(foreign):
+    draw, file = random.Random(0), next(foreign.glob("*.mcap"), foreign)
+    original = file.read_bytes()
     for _ in range(60):
-        target = tmp_path / "damaged" / name
-        shutil.rmtree(target.parent, ignore_errors=True)
-        target.parent.mkdir()
-        (shutil.copytree if foreign.is_dir() else shutil.copy)(foreign, target)
-        file = draw.choice(sorted(target.iterdir())) if target.is_dir() else target
-        content = bytearray(file.read_bytes())
+        content = bytearray(original)
         for _ in range(draw.choice([1, 1, 10])):
             content[draw.randrange(min(len(content), 6000)) * draw.choice([1, -1])] = draw.choice([0, 255, 7, 61])
         file.write_bytes(content)
         with suppress(InputError):
-            read_drive(target, {})
+            read_drive(foreign, {})

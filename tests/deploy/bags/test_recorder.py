@@ -43,12 +43,12 @@ def test_the_librarys_own_reader_finds_the_episode_in_simulated_time(driven):
     for topic, poses, twists in (("/odom", "odometry", "odometry_twist"), ("/ground_truth", "pose", "twist")):
         messages = [message for _, message in found[topic]]
         assert_same_poses([pose_of(each.pose.pose) for each in messages], [getattr(s, poses)[0] for s in states])
-        moved = [(each.twist.twist.linear.x, each.twist.twist.angular.z) for each in messages]
-        assert moved == [tuple(getattr(each, twists)[0].tolist()) for each in states]
+        speeds = [[each.twist.twist.linear.x, each.twist.twist.angular.z] for each in messages]
+        assert speeds == [getattr(each, twists)[0].tolist() for each in states]
     scans = np.array([message.ranges for _, message in found["/kobuki/laser/scan"]])
     assert scans.tolist() == np.float32([each.ranges[0] for each in states]).tolist()
-    commands = [(message.linear.x, message.angular.z) for _, message in found["/cmd_vel"]]
-    assert commands == [tuple(command) for command in driven.commands.tolist()]
+    commands = [[message.linear.x, message.angular.z] for _, message in found["/cmd_vel"]]
+    assert commands == driven.commands.tolist()
     assert [message.data for _, message in found["/reward"]] == driven.rewards
     assert [message.data for _, message in found["/bumper"]] == [bool(each.bumped[0]) for each in states]
     poses = []
@@ -69,14 +69,12 @@ def test_the_librarys_own_reader_finds_the_episode_in_simulated_time(driven):
 
 
 def test_a_contact_is_an_event_of_the_pressed_bumper(driven, tmp_path):
-    bag = tmp_path / driven.path.name
-    first, nothing = driven.robot_states[0], np.zeros(2)
-    angles = driven.env.scene.laser.angles
-    left, middle = (np.where(np.isclose(angles, angles[np.abs(angles - a).argmin()]), 0.2, 3.0) for a in (1.0, 0.0))
-    with open_bag(bag, driven.env.scene) as recorder:
+    bag, first, angles = tmp_path / driven.path.name, driven.robot_states[0], driven.scene.laser.angles
+    left, middle = (np.where(np.abs(angles - a) == np.abs(angles - a).min(), 0.2, 3.0) for a in (1.0, 0.0))
+    with open_bag(bag, driven.scene) as recorder:
         recorder.reset(first)
         for ranges, bumped in ((left, True), (left, True), (middle, True), (middle, False)):
-            recorder.step(nothing, 0.0, replace(first, ranges=ranges[None], bumped=np.array([bumped])))
+            recorder.step(np.zeros(2), 0.0, replace(first, ranges=ranges[None], bumped=np.array([bumped])))
     events = read(bag)["/mobile_base/events/bumper" if bag.suffix else "/events/bumper"]
     assert [(event.bumper, event.state) for _, event in events] == [(0, 1), (0, 0), (1, 1), (1, 0)]
     assert [time for time, _ in events] == pytest.approx([1.2, 1.6, 1.6, 1.8])
@@ -97,9 +95,9 @@ def test_a_scan_has_the_angles_of_the_laser_and_nan_for_unused_beams(settings, u
     assert np.flatnonzero(~np.isnan(scan.ranges)).tolist() == list(used)
     assert scan.ranges[list(used)].tolist() == np.float32(driven.robot_states[0].ranges[0]).tolist()
     angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
-    assert angles[list(used)] == pytest.approx(driven.env.scene.laser.angles, abs=1e-6)
+    assert angles[list(used)] == pytest.approx(driven.scene.laser.angles, abs=1e-6)
     assert (scan.angle_increment, scan.angle_max) == pytest.approx((step, angles[-1]), abs=1e-6)
-    laser = driven.env.scene.robot.laser
+    laser = driven.scene.robot.laser
     assert (scan.range_min, scan.range_max) == pytest.approx((laser.min_range, laser.max_range))
 
 
@@ -111,29 +109,35 @@ def test_a_goal_is_on_the_usual_topic_of_each_ros(bag, record):
 
 
 def test_an_interrupted_bag_leaves_nothing_and_an_older_file_is_replaced(driven, tmp_path):
-    bag, other, scene = tmp_path / driven.path.name, tmp_path / "other.bag", driven.env.scene
+    bag, other = tmp_path / driven.path.name, tmp_path / "other.bag"
     other.write_text("older")
-    with open_bag(other, scene) as recorder:
+    with open_bag(other, driven.scene) as recorder:
         recorder.reset(driven.robot_states[0])
-    with pytest.raises(KeyboardInterrupt), open_bag(bag, scene):
+    with pytest.raises(KeyboardInterrupt), open_bag(bag, driven.scene):
         raise KeyboardInterrupt
-    with pytest.raises(InputError, match=r"cannot write .*drive.*: No space left"), open_bag(bag, scene):
+    with pytest.raises(InputError, match=r"cannot write .*drive.*: No space left"), open_bag(bag, driven.scene):
         raise OSError(28, "No space left on device")
     assert [file.name for file in bag.parent.iterdir()] == ["other.bag"]
     assert len(read(other)["/odom"]) == 1
 
 
-def test_an_invalid_path_is_refused_and_so_is_a_missing_library(tmp_path, monkeypatch):
-    (tmp_path / "there").mkdir()
-    (tmp_path / "there.bag").mkdir()
-    for name, words in (
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
         ("drive.mcap", "a bag is a file .bag"),
         ("there", "exists already"),
         ("there.bag", "exists already"),
         ("missing/drive", "its folder does not exist"),
-    ):
-        with pytest.raises(InputError, match=words):
-            check_bag(tmp_path / name)
+    ],
+)
+def test_an_invalid_path_is_refused(name, words, tmp_path):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there.bag").mkdir()
+    with pytest.raises(InputError, match=words):
+        check_bag(tmp_path / name)
+
+
+def test_without_the_library_a_line_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
     with pytest.raises(InputError, match=re.escape(install_extra("bags"))):
         check_bag(tmp_path / "drive.bag")

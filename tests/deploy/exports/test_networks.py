@@ -13,6 +13,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
 from tb2rl.deploy.graph import graph_of
 from tb2rl.deploy.network import OBSERVATION, network_of, parts_of
+from tb2rl.deploy.portable.network import Network
 from tb2rl.envs.encodings import stacked
 from tb2rl.runs.algorithm import Spaces, make_algorithm
 from tb2rl.runs.layers import resolve
@@ -43,10 +44,8 @@ AGENTS = {
     "TRPO": ("sb3_contrib:TRPO", "maze", INVERSE_RANGE),
 }
 CAMERA = {"camera": {"width": 36, "height": 36}}
-IMAGES = {
-    "two frames of an image": {"task.observe": [CAMERA], "task.frame_stack": 2},
-    "normalised beside an image": {"task.observe": ["laser", CAMERA], "train.norm_obs": True},
-}
+TWO_FRAMES = {"task.observe": [CAMERA], "task.frame_stack": 2}
+BESIDE_LASER = {"task.observe": ["laser", CAMERA], "train.norm_obs": True}
 NAMES = sorted(entry.parent.name for entry in top_folder("zoo").glob("*/config.yaml"))
 
 
@@ -78,6 +77,11 @@ def graph_session(algorithm, actions):
     return session(graph.SerializeToString())
 
 
+def numpy_network(algorithm):
+    """The exported network, run with numpy."""
+    return Network([(layer.kind, layer.arrays) for layer in network_of(algorithm).sequence()])
+
+
 def samples(algorithm, count):
     algorithm.observation_space.seed(0)
     return stacked([algorithm.observation_space.sample() for _ in range(count)])
@@ -90,7 +94,7 @@ def assert_same(got, expected):
 
 
 @pytest.mark.parametrize("kind", AGENTS)
-def test_an_exported_network_acts_the_same(kind, numpy_network):
+def test_an_exported_network_acts_the_same(kind):
     algorithm, actions = random_policy(*AGENTS[kind])
     observations = samples(algorithm, 300)
     expected, _ = algorithm.predict(observations, deterministic=True)
@@ -99,7 +103,7 @@ def test_an_exported_network_acts_the_same(kind, numpy_network):
     assert_same(numpy_network(algorithm)(observations), expected)
 
 
-def test_an_exported_lstm_keeps_the_same_state(numpy_network):
+def test_an_exported_lstm_keeps_the_same_state():
     sizes = {"agent.policy_kwargs.lstm_hidden_size": 8, "agent.policy_kwargs.n_lstm_layers": 2}
     algorithm, actions = random_policy("recurrent_ppo", "maze", sizes)
     steps = samples(algorithm, 1_000).reshape(20, 50, -1)  # of 50 robots
@@ -120,9 +124,9 @@ def test_an_exported_lstm_keeps_the_same_state(numpy_network):
     assert (fresh != actions_of_steps[-1]).any(), "the state matters"
 
 
-@pytest.mark.parametrize("kind", IMAGES)
-def test_a_graph_reads_images(kind):
-    algorithm, actions = random_policy("stable_baselines3:PPO", "maze", {**RAW, **IMAGES[kind]})
+@pytest.mark.parametrize("settings", [TWO_FRAMES, BESIDE_LASER], ids=["two frames", "beside a normalised laser"])
+def test_a_graph_reads_images(settings):
+    algorithm, actions = random_policy("stable_baselines3:PPO", "maze", {**RAW, **settings})
     observations = samples(algorithm, 20)
     expected, _ = algorithm.predict(observations, deterministic=True)
     given = observations if isinstance(observations, dict) else {OBSERVATION: observations}
@@ -163,9 +167,9 @@ def test_an_unknown_module_is_refused(agent, settings, words, tmp_path, monkeypa
         *[pytest.param(name, 10_000, marks=pytest.mark.slow) for name in NAMES],
     ],
 )
-def test_an_exported_policy_of_the_zoo_acts_the_same(name, count, observations_of, numpy_network, loaded, tmp_path):
+def test_an_exported_policy_of_the_zoo_acts_the_same(name, count, loaded, tmp_path):
     policy = loaded(f"zoo:{name}")
-    observations = observations_of(policy, count)
+    observations = samples(policy, count)
     expected, _ = policy.predict(observations, deterministic=True)
     export_onnx(f"zoo:{name}", tmp_path / "policy.onnx")
     action, command = session(tmp_path / "policy.onnx").run(["action", "command"], {OBSERVATION: observations})

@@ -1,13 +1,7 @@
 """Real graphs of ROS 1 and ROS 2, on this machine's loopback alone, and fakes of ROS and of wall-clock time.
 
-    def test_it(graph):                                     # once in ROS 1, once in ROS 2
-        with graph.start("simulate", "--rate", "5") as simulated, graph.probe() as probe:
-            probe.subscribe("/odom", "nav_msgs/Odometry")
-            (odometry,) = probe.take("/odom")
-
-`start` runs `python -m tb2rl.ros` in a process of its own and returns after its first line. ROS 1 is Debian's (see
-`.ci/run`), ROS 2 that of `make ros`, or of this Python. Without them the tests are skipped. Fast tests use `FakeNode`
-and `FakeClock`: a wait lets simulated time pass at once, and no test waits for real time.
+ROS 1 is Debian's (see `.ci/run`), ROS 2 that of `make ros`, or of this Python; without them the tests are skipped. Fast
+tests use `FakeNode` and `FakeClock`: a wait lets time pass at once, and no test waits for real time.
 """
 
 from __future__ import annotations
@@ -31,7 +25,7 @@ from typing import Any
 import pytest
 
 from tb2rl.deploy.ros.debian import PACKAGES
-from tb2rl.deploy.ros.protocols import IncomingMessage, OutgoingMessage
+from tb2rl.deploy.ros.protocols import OutgoingMessage
 
 CHECKOUT = Path(__file__).parents[3]
 DEBIANS_PYTHON = "/usr/bin/python3"
@@ -44,18 +38,14 @@ class Process:
     def __init__(self, command: list[str], env: dict[str, str], folder: Path) -> None:
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         self._process = subprocess.Popen(command, env=env, cwd=folder, text=True, bufsize=1, **pipes)
-        self.lines, self.errors, self._readers = list[str](), list[str](), list[threading.Thread]()
-        for stream, lines in ((self._process.stdout, self.lines), (self._process.stderr, self.errors)):
-            reader = threading.Thread(target=self._read, args=(stream, lines), daemon=True)
+        self.lines, self.errors = list[str](), list[str]()
+        streams = (self._process.stdout, self.lines), (self._process.stderr, self.errors)
+        self._readers = [threading.Thread(target=self._read, args=each, daemon=True) for each in streams]
+        for reader in self._readers:
             reader.start()
-            self._readers.append(reader)
 
     def _read(self, stream: Any, lines: list[str]) -> None:
         lines.extend(line.rstrip("\n") for line in stream)
-
-    def write(self, line: str) -> None:
-        """Write a line to its stdin."""
-        self._process.stdin.write(f"{line}\n")
 
     def wait_for_line(self, number: int) -> str:
         """Return line `number` of its stdout, once it is there."""
@@ -95,7 +85,7 @@ class Probe(Process):
 
     def ask(self, method: str, **arguments: Any) -> Any:
         """Call one of its methods."""
-        self.write(json.dumps([method, arguments]))
+        self._process.stdin.write(json.dumps([method, arguments]) + "\n")
         self._asked += 1
         return json.loads(self.wait_for_line(self._asked))
 
@@ -113,13 +103,7 @@ class Probe(Process):
 
 
 class RosGraph:
-    """A graph of ROS 1 or 2.
-
-    Args:
-        version: 1 or 2.
-        folder: Working folder of its processes, and for logs.
-        variables: Environment variables that join this graph.
-    """
+    """A graph of ROS 1 or 2; environment variables join it, and a folder is that of its processes and logs."""
 
     def __init__(self, version: int, folder: Path, variables: dict[str, str]) -> None:
         self.version, self.folder = version, folder
@@ -224,26 +208,18 @@ class FakeEndpoint:
 
 
 class FakeNode:
-    """A `tb2rl.deploy.ros.node.Node` without ROS.
-
-    Attributes:
-        topics: Endpoints by topic.
-        receive: Functions that deliver a message, by topic.
-        services: Our services, and those of others.
-    """
+    """A `tb2rl.deploy.ros.node.Node` without ROS: endpoints and callbacks by topic, and services, ours and others'."""
 
     def __init__(self) -> None:
         self.topics: dict[str, FakeEndpoint] = defaultdict(FakeEndpoint)
         self.receive: dict[str, Callable[[Any], None]] = {}
         self.services: dict[str, Callable[[], str | None]] = {}
-        self.over, self.time, self.sim_time = False, 0.0, False
+        self.over, self.time, self.sim_time, self.announced = False, 0.0, False, False
 
-    def create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> FakeEndpoint:
+    def create_publisher(self, topic: str, message_type: type) -> FakeEndpoint:
         return self.topics[topic]
 
-    def create_subscription(
-        self, topic: str, message_type: type[IncomingMessage], callback: Callable[[Any], None]
-    ) -> FakeEndpoint:
+    def create_subscription(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> FakeEndpoint:
         self.receive[topic] = callback
         return self.topics[topic]
 
@@ -308,11 +284,9 @@ class FakeClock:
 
 @pytest.fixture
 def node() -> FakeNode:
-    """A `FakeNode`."""
     return FakeNode()
 
 
 @pytest.fixture
 def clock() -> FakeClock:
-    """A `FakeClock`."""
     return FakeClock()

@@ -1,7 +1,4 @@
-"""A node of ROS that a test controls by lines of JSON; it imports nothing of ours.
-
-probe.py 1|2
-"""
+"""`probe.py 1|2`: a node of ROS that a test controls by lines of JSON; it imports nothing of ours."""
 
 from __future__ import annotations
 
@@ -33,6 +30,17 @@ def plain(value):
     if isinstance(value, str | int | float):
         return value
     return [plain(each) for each in value]
+
+
+def to_seconds(stamp):
+    return stamp["sec"] + 1e-9 * stamp["nanosec"]
+
+
+def wait_until(condition, message):
+    until = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < until, message
+        time.sleep(0.02)
 
 
 class Node1:
@@ -117,9 +125,9 @@ class Probe:
 
     def pass_time(self, seconds):
         """Wait until so many simulated seconds have passed: how many wall-clock seconds that took."""
-        began, (now,) = time.monotonic(), self.take("/clock")
-        until = now["clock"]["sec"] + 1e-9 * now["clock"]["nanosec"] + seconds
-        while now["clock"]["sec"] + 1e-9 * now["clock"]["nanosec"] < until:
+        began, (first,) = time.monotonic(), self.take("/clock")
+        now = first
+        while to_seconds(now["clock"]) < to_seconds(first["clock"]) + seconds:
             (now,) = self.take("/clock", fresh=False)
         return time.monotonic() - began
 
@@ -138,8 +146,8 @@ class Probe:
                 last["stop command"] = time.monotonic()
 
         def on_odometry(message):
-            stamp, twist = plain(message.header.stamp), message.twist.twist
-            stamps["now"] = stamp["sec"] + 1e-9 * stamp["nanosec"]
+            twist = message.twist.twist
+            stamps["now"] = to_seconds(plain(message.header.stamp))
             if abs(twist.linear.x) > 0.02 or abs(twist.angular.z) > 0.05:
                 last["moved"], last["went on"] = time.monotonic(), stamps["now"] - stamps["command"]
 
@@ -148,10 +156,8 @@ class Probe:
 
     def watched(self, until=None, seconds=0.0):
         """Return the record of `watch`, some seconds after a new event of a kind, or after now."""
-        began, patience = time.monotonic(), time.monotonic() + PATIENCE
-        while until and self.last[until] < began:
-            assert time.monotonic() < patience, self.last
-            time.sleep(0.01)
+        began = time.monotonic()
+        wait_until(lambda: until is None or self.last[until] >= began, self.last)
         time.sleep(seconds)
         return self.last
 
@@ -172,30 +178,15 @@ class Probe:
 
     def drive_until(self, topic, linear, angular, receives):
         """Publish a command again and again, until there is a message on another topic: that."""
-        send, until = self.velocity(topic), time.monotonic() + PATIENCE
-        while self.received[receives].empty():
-            assert time.monotonic() < until, f"nothing on {receives}"
-            send(linear, angular)
-            time.sleep(0.05)
-        return plain(self.received[receives].get())
-
-    def answer(self, topic, scans, commands):
-        """Answer each scan by the next command: the ranges of these scans, and of the one after them."""
         send = self.velocity(topic)
-        seen = []
-        for linear, angular in commands:
-            seen += self.take(scans, fresh=False)
-            send(linear, angular)
-        return [*seen, *self.take(scans, fresh=False)]
+        wait_until(lambda: send(linear, angular) or not self.received[receives].empty(), f"nothing on {receives}")
+        return plain(self.received[receives].get())
 
     def velocity(self, topic):
         if topic not in self.publishers:
             self.publishers[topic] = self.node.publisher(topic, "geometry_msgs/Twist")
         publish, listeners = self.publishers[topic]
-        until = time.monotonic() + PATIENCE
-        while not listeners():
-            assert time.monotonic() < until, f"no node subscribes to {topic}"
-            time.sleep(0.01)
+        wait_until(listeners, f"no node subscribes to {topic}")
 
         def send(linear, angular):
             message = find("geometry_msgs/Twist")()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import math
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -20,21 +19,14 @@ RATE = 2.0  # half the time, on a machine that may be busy
 
 
 @pytest.fixture(scope="module")
-def simulated(graph):
-    """A simulation for all tests of this module."""
+def connected(graph):
+    """A node that receives and publishes, beside a simulation for all tests of this module."""
     if graph.version == 1:
         definition = graph.folder / "interfaces" / "kobuki_msgs" / "msg" / "BumperEvent.msg"
         definition.parent.mkdir(parents=True)
         definition.write_text("uint8 bumper\nuint8 state\n")
         write_packages(graph.folder / "messages", graph.folder / "interfaces")
-    with graph.start("simulate", "--rate", str(RATE)) as process:
-        yield process
-
-
-@pytest.fixture(scope="module")
-def connected(simulated, graph):
-    """A node that receives and publishes."""
-    with graph.probe() as probe:
+    with graph.start("simulate", "--rate", str(RATE)), graph.probe() as probe:
         probe.subscribe("/clock", "rosgraph_msgs/Clock")
         probe.subscribe("/odom", "nav_msgs/Odometry")
         probe.subscribe(SCAN, SCANS)
@@ -46,9 +38,8 @@ def connected(simulated, graph):
 @pytest.fixture
 def probe(connected):
     """This node, with the robot at its start."""
-    connected.call("/gazebo/unpause_physics")
     connected.call("/gazebo/reset_world")
-    back_at_the_start(connected)
+    odometry_at_the_start(connected)
     return connected
 
 
@@ -56,9 +47,35 @@ def seconds(stamp):
     return stamp["sec"] + 1e-9 * stamp["nanosec"]
 
 
-def place(odometry):
+def pose(odometry):
     position, turn = odometry["pose"]["pose"]["position"], odometry["pose"]["pose"]["orientation"]
     return position["x"], position["y"], 2 * math.atan2(turn["z"], turn["w"])
+
+
+def speeds(odometry):
+    twist = odometry["twist"]["twist"]
+    return twist["linear"]["x"], twist["angular"]["z"]
+
+
+def odometry_at_the_start(probe):
+    """The first odometry message at the start."""
+    for fresh in (True, *[False] * 200):
+        (odometry,) = probe.take("/odom", fresh=fresh)
+        if pose(odometry) == pytest.approx(START, abs=0.01):
+            return odometry
+    raise AssertionError(odometry)
+
+
+def drive(probe, linear, angular, **topic):
+    """Odometry of every 0.025 s from before a command until the robot has executed it and stands again."""
+    received = probe.take("/odom")
+    probe.drive(linear, angular, **topic)
+    moved = False
+    while not moved or max(map(abs, speeds(received[-1]))) > 0.01:
+        received += probe.take("/odom", fresh=False)
+        moved |= max(map(abs, speeds(received[-1]))) > 0.01
+        assert len(received) < 2000, "it does not move, or does not stop after 0.6 s without a command"
+    return received
 
 
 def test_scans_are_those_of_the_tutorials_laser_ten_times_a_second(probe):
@@ -69,54 +86,22 @@ def test_scans_are_those_of_the_tutorials_laser_ten_times_a_second(probe):
     assert (first["range_min"], first["range_max"]) == pytest.approx((0.1, 30.0))
     assert first["header"]["frame_id"] == "laser_link"
     assert seconds(last["header"]["stamp"]) - seconds(first["header"]["stamp"]) == pytest.approx(0.4)
-    env = tb2rl.make_env("maze", "raw", start="fixed", beams=720)
-    env.reset(seed=0)
-    np.testing.assert_allclose(first["ranges"], env.unwrapped.robot_state.ranges[0], atol=0.002)
-
-
-def stands(odometry):
-    twist = odometry["twist"]["twist"]
-    return max(abs(twist["linear"]["x"]), abs(twist["angular"]["z"])) < 0.01
-
-
-def driven(probe, linear, angular, **topic):
-    """Odometry of every 0.025 s from before a command until the robot has executed it and stands again."""
-    received = probe.take("/odom")
-    probe.drive(linear, angular, **topic)
-    while stands(received[-1]):  # a busy machine is late
-        received += probe.take("/odom", fresh=False)
-        assert len(received) < 1000, "it stands"
-    while not stands(received[-1]):
-        received += probe.take("/odom", fresh=False)
-        assert len(received) < 2000, "it does not stop after 0.6 s without a command"
-    return received
-
-
-def back_at_the_start(probe):
-    """The first odometry message at the start."""
-    probe.take("/odom")
-    for _ in range(200):
-        (odometry,) = probe.take("/odom", fresh=False)
-        if place(odometry) == pytest.approx(START, abs=0.01):
-            return odometry
-    raise AssertionError(odometry)
 
 
 def test_odometry_follows_commands_until_they_stop_and_reset_world_puts_the_robot_back(probe):
-    odometry = back_at_the_start(probe)
+    odometry = odometry_at_the_start(probe)
     assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("odom", "base_footprint")
-    straight = driven(probe, 0.5, 0.0)
-    speeds = [each["twist"]["twist"]["linear"]["x"] for each in straight]
-    assert max(speeds) == pytest.approx(0.5, abs=0.03)
-    assert 0.25 < place(straight[-1])[0] - START[0] < 0.4
-    turned = driven(probe, 0.0, 1.0, topic="/cmd_vel_mux/input/navi")
-    assert max(each["twist"]["twist"]["angular"]["z"] for each in turned) == pytest.approx(1.0, abs=0.05)
-    assert 0.4 < place(turned[-1])[2] < 0.8
+    straight = drive(probe, 0.5, 0.0)
+    assert max(speeds(each)[0] for each in straight) == pytest.approx(0.5, abs=0.03)
+    assert 0.25 < pose(straight[-1])[0] - START[0] < 0.4
+    turned = drive(probe, 0.0, 1.0, topic="/cmd_vel_mux/input/navi")
+    assert max(speeds(each)[1] for each in turned) == pytest.approx(1.0, abs=0.05)
+    assert 0.4 < pose(turned[-1])[2] < 0.8
     probe.call("/gazebo/reset_world")
-    assert seconds(back_at_the_start(probe)["header"]["stamp"]) > seconds(turned[-1]["header"]["stamp"])
+    assert seconds(odometry_at_the_start(probe)["header"]["stamp"]) > seconds(turned[-1]["header"]["stamp"])
 
 
-def test_stamps_are_times_of_the_clock_which_a_pause_stops(probe):
+def test_stamps_are_times_of_the_clock_which_services_stop_and_set_back(probe):
     probe.take("/clock")
     odometry = [seconds(each["header"]["stamp"]) for each in probe.take("/odom", count=20)]
     clock = [0.0]
@@ -128,14 +113,8 @@ def test_stamps_are_times_of_the_clock_which_a_pause_stops(probe):
     assert probe.ask("count", topic="/clock", seconds=0.2) <= 2, "messages that were on their way"
     assert probe.ask("count", topic="/odom", seconds=0.5) == 0
     probe.call("/gazebo/unpause_physics")
-    assert probe.take("/clock", count=3)
-
-
-def test_reset_simulation_sets_the_clock_back(probe):
-    before = back_at_the_start(probe)
     probe.call("/gazebo/reset_simulation")
-    stamps = [seconds(each["header"]["stamp"]) for each in probe.take("/odom", count=40)]
-    assert stamps[-1] < seconds(before["header"]["stamp"])
+    assert seconds(probe.take("/clock", count=40)[-1]["clock"]) < clock[-1]
 
 
 def test_the_camera_has_colours_and_depths(probe):
@@ -149,13 +128,29 @@ def test_the_camera_has_colours_and_depths(probe):
     depths = np.frombuffer(base64.b64decode(depth["data"]), np.float32).reshape(240, 320)
     env = tb2rl.make_env("maze", "raw", start="fixed")
     env.reset(seed=0)
-    np.testing.assert_allclose(depths, env.unwrapped.camera()[1], atol=0.05, rtol=0.05)
+    np.testing.assert_allclose(depths, env.camera()[1], atol=0.05, rtol=0.05)
+
+
+def test_ros1_has_transforms_bumper_events_and_a_parameter_for_simulated_time(probe, graph):
+    if graph.version == 2:
+        pytest.skip("tf2_msgs and kobuki_ros_interfaces are on robots alone, and each node has its own use_sim_time")
+    assert probe.ask("parameter", name="/use_sim_time") is True
+    probe.subscribe("/tf", "tf2_msgs/TFMessage")
+    (message,) = probe.take("/tf")
+    frames = {each["child_frame_id"]: each["header"]["frame_id"] for each in message["transforms"]}
+    assert frames["base_footprint"] == "odom"
+    assert frames["laser_link"] == frames["camera_rgb_optical_frame"] == "base_footprint"
+    translation = message["transforms"][0]["transform"]["translation"]
+    assert (translation["x"], translation["y"]) == pytest.approx(START[:2], abs=0.01)
+    probe.subscribe("/mobile_base/events/bumper", "kobuki_msgs/BumperEvent")
+    event = probe.ask("drive_until", topic="/cmd_vel", linear=0.6, angular=0.0, receives="/mobile_base/events/bumper")
+    assert event == {"bumper": 1, "state": 1}
 
 
 CALLBACK = """
 import sys, threading
+from tb2rl.deploy.ros.connection import create_node
 from tb2rl.deploy.ros.messages import Odometry
-from tb2rl.deploy.ros.node import create_node
 
 node, received, again = create_node(int(sys.argv[1]), "listener"), [], threading.Event()
 
@@ -171,25 +166,10 @@ node.close()
 """
 
 
-def test_an_error_in_a_callback_does_not_end_the_thread_that_calls_it(simulated, graph):
-    command = [str(graph.python), "-c", CALLBACK, str(graph.version)]
-    env = {**graph.env, "PYTHONPATH": str(Path(tb2rl.__file__).parents[1])}
-    done = subprocess.run(command, env=env, cwd=graph.folder, capture_output=True, text=True, check=False)
-    assert done.stdout == "True\n", done.stderr
-    assert "a number is too large" in done.stderr
-
-
-def test_ros1_has_transforms_bumper_events_and_a_parameter_for_simulated_time(probe, graph):
-    if graph.version == 2:
-        pytest.skip("tf2_msgs and kobuki_ros_interfaces are on robots alone, and each node has its own use_sim_time")
-    assert probe.ask("parameter", name="/use_sim_time") is True
-    probe.subscribe("/tf", "tf2_msgs/TFMessage")
-    (message,) = probe.take("/tf")
-    frames = {each["child_frame_id"]: each["header"]["frame_id"] for each in message["transforms"]}
-    assert frames["base_footprint"] == "odom"
-    assert frames["laser_link"] == frames["camera_rgb_optical_frame"] == "base_footprint"
-    where = message["transforms"][0]["transform"]["translation"]
-    assert (where["x"], where["y"]) == pytest.approx(START[:2], abs=0.01)
-    probe.subscribe("/mobile_base/events/bumper", "kobuki_msgs/BumperEvent")
-    event = probe.ask("drive_until", topic="/cmd_vel", linear=0.6, angular=0.0, receives="/mobile_base/events/bumper")
-    assert event == {"bumper": 1, "state": 1}
+def test_an_error_in_a_callback_does_not_end_the_thread_that_calls_it(connected, graph):
+    with graph.process(
+        [graph.python, "-c", CALLBACK, str(graph.version)], str(Path(tb2rl.__file__).parents[1])
+    ) as listener:
+        assert listener.wait() == 0
+    assert listener.lines == ["True"]
+    assert "a number is too large" in "\n".join(listener.errors)

@@ -1,4 +1,4 @@
-"""A robot with ROS as an environment: on a fake node, with a robot that executes its commands."""
+"""Environments of a robot with ROS: on a fake node, with a robot that executes its commands."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 import tb2rl
 from tb2rl.core.errors import InputError
-from tb2rl.deploy import Limits, Mounting
+from tb2rl.deploy import Mounting, SpeedLimits
 from tb2rl.deploy.ros.messages import BILLION, BumperEvent, LaserScan, Odometry
 from tb2rl.deploy.ros.remote import PROMPT
 from tb2rl.deploy.ros.robot import RosRobot, robot_scene
@@ -20,6 +20,7 @@ from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.layers import resolve
+from tb2rl.viz.episodes import FilmOptions
 from tb2rl.viz.film import film
 
 TOPICS = TURTLEBOT2[1]
@@ -33,9 +34,8 @@ class Rover:
     def __init__(self, node, clock):
         self.node, self.clock, self.pose, self.ranges = node, clock, (3.0, 4.0, 1.2), np.full(361, 5.0)
         self.period = 0.1  # [s] from scan to scan
-        self.scans, self.counts, self.age, self.lockstep = True, True, 0.0, False
+        self.has_scans, self.has_odometry, self.age, self.lockstep = True, True, 0.0, False
         self._answered, self._due = 0, 0.0
-        self.joined = []
         clock.events.append(self._pass_time)
 
     @property
@@ -59,42 +59,47 @@ class Rover:
         x, y = x + v * self.period * math.cos(yaw), y + v * self.period * math.sin(yaw)
         self.pose = x, y, yaw + w * self.period
         stamp = round((self.node.time - self.age) * BILLION)
-        if self.counts and TOPICS.odometry in self.node.receive:
+        if self.has_odometry and TOPICS.odometry in self.node.receive:
             self.node.receive[TOPICS.odometry](Odometry(stamp, "odom", "base", self.pose, (v, w)))
-        if self.scans and TOPICS.scan in self.node.receive:
+        if self.has_scans and TOPICS.scan in self.node.receive:
             scan = LaserScan(stamp, "laser", -math.pi / 2, math.pi / 360, self.period, 0.1, 30.0, self.ranges)
             self.node.receive[TOPICS.scan](scan)
-
-    def bump(self, pressed):
-        self.node.receive[TOPICS.bumper](BumperEvent(1, pressed))
 
 
 @pytest.fixture
 def rover(node, clock, monkeypatch):
     """A `Rover` on the node that the next environment joins."""
-    rover = Rover(node, clock)
-    monkeypatch.setattr("tb2rl.deploy.ros.robot.create_node", lambda *arguments: rover.joined.append(arguments) or node)
+    monkeypatch.setattr("tb2rl.deploy.ros.robot.create_node", lambda *arguments: node)
     monkeypatch.setattr("tb2rl.deploy.ros.remote.WallClock", lambda: clock)
-    return rover
+    return Rover(node, clock)
 
 
 @pytest.fixture
-def env(rover):
-    """The environment of task maze on it."""
-    env = tb2rl.make_env("maze", simulation="ros")
-    yield env
-    env.close()
+def make(rover):
+    """A function that makes the environment of a task on it."""
+    envs = []
+
+    def make(robot="ros", **settings):
+        envs.append(tb2rl.make_env("maze", simulation=robot, **settings))
+        return envs[-1]
+
+    yield make
+    for env in envs:
+        env.close()
 
 
-def drive_on(env):
-    for _ in range(9):
-        env.step(FORWARD)
+@pytest.fixture
+def env(make):
+    """The environment of task maze on it, after a reset."""
+    env = make()
+    env.reset()
+    return env
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_an_episode_counts_from_its_start_and_steps_last_as_the_task_says(lockstep, node, rover):
+def test_an_episode_counts_from_its_start_and_steps_last_as_the_task_says(lockstep, node, rover, make):
     node.sim_time = rover.lockstep = lockstep
-    env = tb2rl.make_env("maze", simulation="ros")
+    env = make()
     observation, info = env.reset()
     assert (info["pose"].tolist(), observation.tolist()) == ([0.0, 0.0, 0.0], [3] * 7)
     for _ in range(4):
@@ -105,13 +110,10 @@ def test_an_episode_counts_from_its_start_and_steps_last_as_the_task_says(lockst
     for _ in range(5):
         *_, info = env.step(LEFT)
     assert info["pose"][2] - before == pytest.approx(1.0, abs=0.11)
-    assert rover.joined == [(1, "tb2rl_environment", ())]
-    env.close()
 
 
 def test_steps_have_the_right_mean_duration_however_rare_scans_are(env, rover):
     rover.period = 0.15
-    env.reset()
     began, (x, y, _) = rover.node.time, rover.pose
     for _ in range(30):
         env.step(FORWARD)
@@ -119,31 +121,21 @@ def test_steps_have_the_right_mean_duration_however_rare_scans_are(env, rover):
     assert math.hypot(rover.pose[0] - x, rover.pose[1] - y) == pytest.approx(30 * 0.2 * 0.5, abs=0.2)
 
 
-def test_observations_and_endings_are_those_of_the_task(env, rover):
-    rover.ranges = np.linspace(0.8, 3.0, 361)
-    observation, _ = env.reset()
-    assert observation.tolist() == [1, 2, 2, 3, 3, 3, 3], "right to left"
-    rover.ranges = np.full(361, 0.3)
-    observation, _, terminated, _, info = env.step(FORWARD)
-    assert (observation.tolist(), terminated, info["ended"]) == ([0] * 7, True, "collision")
-
-
 def test_a_contact_stops_the_wheels_and_is_in_the_robot_state(env, rover):
-    env.reset()
     env.step(FORWARD)
     assert rover.commands[-1][0] > 0.0
-    rover.bump(True)
+    rover.node.receive[TOPICS.bumper](BumperEvent(1, True))
     assert rover.commands[-1] == STILL
     assert env.step(FORWARD)[4]["bumped"], "while it is pressed"
-    rover.bump(False)
+    rover.node.receive[TOPICS.bumper](BumperEvent(1, False))
     assert not env.step(LEFT)[4]["bumped"]
 
 
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ({"scans": False}, "no scan on /scan$"),
-        ({"counts": False}, "no odometry on /odom$"),
+        ({"has_scans": False}, "no scan on /scan$"),
+        ({"has_odometry": False}, "no odometry on /odom$"),
         ({"ranges": np.full(361, np.nan)}, "no valid reading at all"),
         ({"age": 0.7}, "the last scan is 0.7 s old"),
         ({"age": 1.8e9}, "the time of another clock"),
@@ -151,36 +143,29 @@ def test_a_contact_stops_the_wheels_and_is_in_the_robot_state(env, rover):
     ids=["scans", "odometry", "empty", "old", "clock"],
 )
 def test_without_usable_sensors_it_stands_and_says_why(fault, message, env, rover):
-    env.reset()
     env.step(FORWARD)
     vars(rover).update(fault)
     began = rover.clock.time
     with pytest.raises(InputError, match=f"^the robot stands: .*{message}"):
-        drive_on(env)
+        [env.step(FORWARD) for _ in range(9)]
     assert rover.clock.time - began < 1.0
     assert rover.commands[-1] == STILL
 
 
-def test_a_robot_without_sensors_is_not_waited_for_for_ever(env, rover):
-    rover.scans = False
+def test_a_reset_without_sensors_fails_after_ten_seconds(make, rover):
+    rover.has_scans = False
     with pytest.raises(InputError, match="no scan on /scan"):
-        env.reset()
+        make().reset()
     assert rover.clock.time == pytest.approx(10.0, abs=0.1)
 
 
-def test_an_abandoned_robot_stops_and_drives_on_at_the_next_step(env, rover):
-    env.reset()
+def test_an_abandoned_robot_stops_drives_on_at_the_next_step_and_stops_when_closed(env, rover):
     env.step(FORWARD)
     assert rover.commands[-1] == (0.5, 0.0)
     rover.clock.sleep(0.8)
     assert rover.commands[-1] == STILL
     env.step(FORWARD)
     assert rover.commands[-1] == (0.5, 0.0)
-
-
-def test_closing_stops_the_wheels_and_leaves_ros(env, rover):
-    env.reset()
-    env.step(FORWARD)
     env.close()
     assert rover.commands[-5:] == [STILL] * 5
     assert rover.node.over
@@ -192,8 +177,6 @@ def test_closing_stops_the_wheels_and_leaves_ros(env, rover):
 def test_gazebo_resets_the_robot_or_else_the_user_at_a_terminal_is_asked(env, rover, monkeypatch):
     asked, called = [], []
     monkeypatch.setattr("builtins.input", asked.append)
-    env.reset()
-    assert asked == []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     env.reset()
     assert asked == [PROMPT]
@@ -203,40 +186,35 @@ def test_gazebo_resets_the_robot_or_else_the_user_at_a_terminal_is_asked(env, ro
     assert (len(called), len(asked)) == (1, 1)
 
 
-def test_there_are_no_copies_no_states_and_no_images(env, rover):
-    env.reset()
-    for forbidden in (lambda: deepcopy(env), env.state, lambda: env.robot_state.render_camera(8, 8), env.camera):
-        with pytest.raises(InputError):
+def test_there_are_no_copies_no_states_and_no_images(env):
+    for forbidden, message in ((lambda: deepcopy(env), "copied"), (env.state, "no state"), (env.camera, "no images")):
+        with pytest.raises(InputError, match=message):
             forbidden()
 
 
-def test_a_scanner_that_looks_aside_does_not_see_enough(rover):
-    env = RosRobot(mounting=Mounting(yaw=math.pi / 2)).env(make_scene(make_task("maze", {}), "discrete"))
+def test_a_scanner_that_looks_aside_does_not_see_enough(make):
     with pytest.raises(InputError, match="the scan covers 180 degrees"):
-        env.reset()
-    env.close()
+        make(RosRobot(mounting=Mounting(yaw=math.pi / 2))).reset()
 
 
-def test_limits_slow_commands_down_and_the_policy_observes_it(rover):
-    task = make_task("maze", {"observe": ["laser", {"last_action": {"count": 2}}]})
-    env = RosRobot(limits=Limits(speed=0.25)).env(make_scene(task, "raw"))
+def test_limits_slow_commands_down_and_the_policy_observes_it(make, rover):
+    observe = ["laser", {"last_action": {"count": 2}}]
+    env = make(RosRobot(limits=SpeedLimits(speed=0.25)), observation="raw", observe=observe)
     env.reset()
     for _ in range(2):
         observation, *_ = env.step(FORWARD)
     assert max(rover.commands) == (0.25, 0.0)
     assert env.robot_state.command.tolist() == [[0.25, 0.0]]
     assert observation[-4:] == pytest.approx([0.25 / 0.65, 0.0] * 2)
-    env.close()
 
 
-@pytest.fixture(scope="module")
 def wallfollower():
     config = resolve("wallfollower", "maze")
     return make_baseline(config), config
 
 
-def test_an_evaluation_is_by_odometry_and_laser(rover, wallfollower):
-    evaluation = tb2rl.evaluate(*wallfollower, simulation="ros", episodes=2, steps=4)
+def test_an_evaluation_is_by_odometry_and_laser(rover):
+    evaluation = tb2rl.evaluate(*wallfollower(), simulation="ros", episodes=2, steps=4)
     for episode in evaluation.episodes:
         assert episode.length == 4
         assert episode.path[0].tolist() == [0.0, 0.0]
@@ -248,44 +226,48 @@ def test_an_evaluation_is_by_odometry_and_laser(rover, wallfollower):
 
 
 @pytest.mark.slow
-def test_a_film_holds_all_frames(rover, tmp_path, wallfollower):
-    policy, config = wallfollower
+def test_a_film_holds_all_frames(rover, tmp_path):
+    policy, config = wallfollower()
     rover.ranges = np.full(361, 2.0)
-    path = film(policy, tmp_path / "drive.mp4", config, steps=10, simulation=RosRobot())
+    path = film(policy, tmp_path / "drive.mp4", config, options=FilmOptions(steps=10, simulation=RosRobot()))
     with av.open(str(path)) as file:
         assert sum(1 for _ in file.decode(video=0)) > 2.0 * 15
 
 
+def scene(task, **settings):
+    return make_scene(make_task(task, settings), "raw")
+
+
 def test_the_world_of_a_robot_has_no_walls_and_nothing_varies():
-    scene = make_scene(make_task("maze", {"variation": "strong", "dynamic_obstacles": {"people": 2}}), "discrete")
-    robot = robot_scene(scene)
+    robot = robot_scene(scene("maze", variation="strong", dynamic_obstacles={"people": 2}))
     assert len(robot.world.boxes) == len(robot.world.posts) == 0
     assert (robot.task.start, robot.task.variation, robot.spec.has_dynamic_obstacles) == ("fixed", "none", False)
 
 
 def test_goals_are_those_of_the_user_and_planning_policies_keep_their_map():
-    goal = make_scene(make_task("navigate", {"world": "loop"}), "raw")
-    with pytest.raises(InputError, match="such as --goal"):
-        robot_scene(goal)
-    assert robot_scene(goal, (2.0, -1.0)).goal == (2.0, -1.0)
-    plan = make_scene(make_task("navigate", {"world": "wall", "guide": "plan"}), "raw")
+    assert robot_scene(scene("navigate", world="loop"), (2.0, -1.0)).goal == (2.0, -1.0)
+    plan = scene("navigate", world="wall", guide="plan")
     assert robot_scene(plan, tuple(plan.world.start[:2])).world.name == "wall"
-    many = make_scene(make_task("navigate", {"world": ["loop", "wall"], "guide": "plan"}), "raw")
-    with pytest.raises(InputError, match="name yours"):
-        robot_scene(many)
-    online = make_scene(make_task("navigate", {"world": "loop", "guide": "plan", "map": "online"}), "raw")
+    online = scene("navigate", world="loop", guide="plan", map="online")
     assert robot_scene(online, (2.0, 0.0)).world.name == "floor"
-    with pytest.raises(InputError, match="such as navigate"):
-        robot_scene(make_scene(make_task("maze", {}), "discrete"), (1.0, 0.0))
+    several = scene("navigate", world=["loop", "wall"], guide="plan")
+    for refused, goal, message in (
+        (scene("navigate", world="loop"), None, "such as --goal"),
+        (several, None, "name yours"),
+        (scene("maze"), (1.0, 0.0), "such as navigate"),
+    ):
+        with pytest.raises(InputError, match=message):
+            robot_scene(refused, goal)
 
 
-def test_settings_that_do_not_fit_are_refused(wallfollower):
-    scene = make_scene(make_task("maze", {}), "discrete")
-    with pytest.raises(InputError, match="ROS 1 and ROS 2, got 3"):
-        RosRobot(3).env(scene)
-    with pytest.raises(InputError, match="--ros-args is for --ros 2"):
-        RosRobot(arguments=("-p", "use_sim_time:=true")).env(scene)
-    with pytest.raises(InputError, match="unknown key of topics 'lasers'"):
-        RosRobot(topics={"lasers": "/scan"}).env(scene)
-    with pytest.raises(InputError, match=r"simulation takes .*'kinematic', 'ros'"):
-        tb2rl.evaluate(*wallfollower, simulation="gazebo")
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        (RosRobot(3), "ROS 1 and ROS 2, got 3"),
+        (RosRobot(arguments=("-p", "use_sim_time:=true")), "--ros-args is for --ros 2"),
+        (RosRobot(topics={"lasers": "/scan"}), "unknown key of topics 'lasers'"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(robot, message):
+    with pytest.raises(InputError, match=message):
+        tb2rl.make_env("maze", simulation=robot)

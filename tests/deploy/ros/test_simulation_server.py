@@ -11,6 +11,7 @@ from tb2rl.deploy.ros.simulated_robot import SimulatedRobot
 from tb2rl.deploy.ros.simulation_server import SimulationServer
 from tb2rl.deploy.ros.topics import Topics
 from tb2rl.envs.scene import make_scene
+from tb2rl.simulation import find_simulator
 from tb2rl.tasks.wander import Wander
 
 SCAN, ODOMETRY, VELOCITY, NAVIGATION = "/kobuki/laser/scan", "/odom", "/cmd_vel", "/cmd_vel_mux/input/navi"
@@ -23,35 +24,36 @@ def simulate(node, clock):
     """A function that runs a server until `seconds` of wall-clock time have passed, or a program ends it."""
 
     def run(rate=0.0, lockstep=None, seconds=20.0, before=lambda: None):
-        robot = SimulatedRobot(make_scene(Wander(start="fixed"), "raw"), "kinematic", 0, 10.0, lockstep is not None)
+        scene, kinematic = make_scene(Wander(start="fixed"), "raw"), find_simulator("kinematic")
+        robot = SimulatedRobot(scene, kinematic, 0, 10.0, lockstep is not None)
         server = SimulationServer(robot, node, Topics(), rate, lockstep, clock)
+        clock.events.append(lambda: setattr(node, "over", node.over or clock.time >= seconds))
         before()
-
-        def end():
-            node.over |= clock.time >= seconds
-
-        clock.events.append(end)
         server.run()
         server.close()
-        return robot
 
     return run
 
 
-def answer(node, topic=VELOCITY, scans=6):
-    """A program that answers each scan; after so many it ends the node."""
+def answer_scans(node, scans=6):
+    """Answer each scan; end the node after so many."""
 
     def react(scan):
         if len(node.topics[SCAN].messages) == scans:
             node.over = True
         else:
-            node.receive[topic](FORWARD)
+            node.receive[VELOCITY](FORWARD)
 
     node.topics[SCAN].react = react
 
 
 def stamps(node, topic):
     return [message.stamp for message in node.topics[topic].messages]
+
+
+def unanswered_scans(capsys):
+    """The number in the last line."""
+    return int(capsys.readouterr().out.splitlines()[-1].removeprefix("scans that no command answered: "))
 
 
 def test_full_speed_publishes_odometry_and_transforms_each_tick_and_scans_at_their_rate(simulate, node):
@@ -80,17 +82,17 @@ def test_a_pause_stops_time_and_is_not_made_up_for(simulate, node, clock):
 
 
 def test_lockstep_waits_for_the_command_that_answers_a_scan(simulate, node, capsys):
-    answer(node)
+    answer_scans(node)
     simulate(lockstep=TIMEOUT)
     assert stamps(node, SCAN) == [number * 100_000_000 for number in range(6)]
-    assert capsys.readouterr().out.splitlines()[-1] == "scans that no command answered: 0"
+    assert unanswered_scans(capsys) == 0
 
 
 def test_lockstep_without_answers_repeats_the_scan_and_goes_on_after_the_timeout(simulate, node, capsys):
     simulate(lockstep=TIMEOUT, seconds=TIMEOUT + 5.0)
     assert stamps(node, SCAN)[:6] == [0] * 6, "every 5 s, because a program that has just joined can miss one"
     assert stamps(node, SCAN)[-1] == 100_000_000
-    assert capsys.readouterr().out.splitlines()[-1] == "scans that no command answered: 1"
+    assert unanswered_scans(capsys) == 1
 
 
 def test_in_lockstep_a_command_right_after_a_pause_answers_the_scan_before_it(simulate, node):
@@ -103,22 +105,22 @@ def test_in_lockstep_a_command_right_after_a_pause_answers_the_scan_before_it(si
     assert stamps(node, SCAN) == [0, 100_000_000], "one command, one scan"
 
 
-def test_lockstep_stands_still_until_programs_are_connected_and_publishes_the_present_instant(simulate, node, clock):
+def test_lockstep_stands_still_until_programs_are_connected(simulate, node, clock):
     for topic in (VELOCITY, NAVIGATION, SCAN):
         node.topics[topic].peers = False
 
     def connect():
         node.topics[SCAN].peers = clock.time >= 1.0
-        node.topics[VELOCITY].peers = clock.time >= 4.0
         if clock.time < 1.0:
             assert stamps(node, SCAN) == [], "no program receives it"
         if 3.5 < clock.time < 4.0:
             assert len(stamps(node, SCAN)) == 2, "one a second"
             assert len(stamps(node, "/tf")) == pytest.approx(5 * clock.time, abs=2)
+        if clock.time >= 4.0 and not node.topics[VELOCITY].peers:
+            node.topics[VELOCITY].peers = True
+            answer_scans(node, scans=8)
 
-    answer(node, scans=8)
-    node.topics[SCAN].react, react = lambda scan: None, node.topics[SCAN].react
-    clock.events += [connect, lambda: setattr(node.topics[SCAN], "react", react) if clock.time >= 4.0 else None]
+    clock.events.append(connect)
     simulate(lockstep=TIMEOUT)
     assert set(stamps(node, "/clock")[:15]) == {0}
     assert stamps(node, "/clock")[-1] > 0
@@ -128,7 +130,7 @@ def test_a_program_that_leaves_stops_the_lockstep_without_an_unanswered_scan(sim
     clock.events.append(lambda: setattr(node.topics[SCAN], "peers", clock.time < 1.0))
     simulate(lockstep=TIMEOUT, seconds=40.0)
     assert set(stamps(node, "/clock")) == {0}
-    assert capsys.readouterr().out.splitlines()[-1] == "scans that no command answered: 0"
+    assert unanswered_scans(capsys) == 0
 
 
 def test_resets_put_the_robot_back_print_a_record_and_publish_a_scan_again(simulate, node, capsys):
@@ -149,14 +151,12 @@ def test_resets_put_the_robot_back_print_a_record_and_publish_a_scan_again(simul
     assert odometry[6].pose == odometry[0].pose
     assert (scans[6].stamp, scans[6].ranges.tolist()) == (scans[5].stamp, scans[0].ranges.tolist())
     assert scans[7].stamp == 0
-    record, unanswered = capsys.readouterr().out.splitlines()
+    record, _ = capsys.readouterr().out.splitlines()
     assert record.startswith("from (-3.75, -3.75, 0.00): 0.5 s, 0.2 m, touched something 0 times, nearest range ")
-    assert unanswered == "scans that no command answered: 0"
 
 
 def test_images_are_rendered_only_for_subscribers(simulate, node, clock, monkeypatch):
-    rendered = []
-    images = SimulatedRobot.images
+    rendered, images = [], SimulatedRobot.images
     monkeypatch.setattr(SimulatedRobot, "images", lambda self: rendered.append(clock.time) or images(self))
     depth = node.topics["/camera/depth/image_raw"]
     clock.events.append(lambda: setattr(depth, "peers", 0.4 < clock.time < 0.6))

@@ -1,9 +1,7 @@
-"""A training as the 2018 tutorial's: its calls in its order, against a robot in Gazebo or a simulation in its place.
+"""`tutorial.py EPISODES STEPS SECONDS`: the calls of the 2018 tutorial's training in their order, with random actions.
 
-    tutorial.py EPISODES STEPS SECONDS    # wall-clock time of an action: 0.2 there
-
-It is written from the list of calls of the tutorial's programs and `openai_ros`, and imports nothing of ours. Its
-actions are random, because the learner makes no calls.
+It is written from the list of calls of the tutorial's programs and `openai_ros`, and imports nothing of ours; SECONDS
+is the wall-clock time of an action, 0.2 there.
 """
 
 from __future__ import annotations
@@ -20,11 +18,12 @@ from gazebo_msgs.srv import SetPhysicsProperties
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from openai_ros.msg import RLExperimentInfo
+from openai_ros.robot_gazebo_env import RobotGazeboEnv  # noqa: F401 (of the tutorial itself)
 from sensor_msgs.msg import LaserScan
 from std_srvs.srv import Empty
 
 ACTIONS = ((0.5, 0.0), (0.05, 0.3), (0.05, -0.3))  # forward, left, right: v [m/s], w [rad/s]
-KEPT, FARTHEST, COLLISION = 144, 6, 0.5  # every so many readings; [m]; [m]
+SERVICES = ("pause_physics", "unpause_physics", "reset_simulation", "reset_world")
 
 
 class Environment:
@@ -32,12 +31,11 @@ class Environment:
 
     def __init__(self, seconds):
         self.seconds = seconds
-        services = ("pause_physics", "unpause_physics", "reset_simulation", "reset_world")
-        proxies = [rospy.ServiceProxy(f"/gazebo/{service}", Empty) for service in services]
-        self.pause, self.unpause, self.reset_simulation, self.reset_world = proxies
+        proxies = [rospy.ServiceProxy(f"/gazebo/{service}", Empty) for service in SERVICES]
+        self.pause, self.unpause, _, self.reset_world = proxies
         rospy.wait_for_service("/gazebo/set_physics_properties")
-        self.set_physics = rospy.ServiceProxy("/gazebo/set_physics_properties", SetPhysicsProperties)
-        for service in services:
+        rospy.ServiceProxy("/gazebo/set_physics_properties", SetPhysicsProperties)
+        for service in SERVICES:
             rospy.wait_for_service(f"/gazebo/{service}")
         self.unpause()
         self.wait_for_sensors()
@@ -46,7 +44,6 @@ class Environment:
         self.velocity = rospy.Publisher("/cmd_vel", Twist, queue_size=1)
         while self.velocity.get_num_connections() == 0:
             time.sleep(0.1)
-        self.filtered = rospy.Publisher("/turtlebot2/laser/scan_filtered", LaserScan, queue_size=1)
         self.reward = rospy.Publisher("/openai/reward", RLExperimentInfo, queue_size=1)
         self.pause()
 
@@ -63,14 +60,11 @@ class Environment:
         self.pause()
 
     def step(self, action):
+        """Execute an action; return whether the robot has collided."""
         self.unpause()
         self.move(*ACTIONS[action])
         self.pause()
-        self.filtered.publish(self.scan)
-        ranges = self.scan.ranges[::KEPT]
-        state = [FARTHEST if each == float("inf") else min(int(each), FARTHEST) for each in ranges]
-        collided = any(0.0 < each < COLLISION for each in ranges)
-        return state, -200 if collided else 5 if action == 0 else 1, collided
+        return any(0.0 < each < 0.5 for each in self.scan.ranges[::144])
 
     def move(self, linear, angular):
         command = Twist()
@@ -79,22 +73,15 @@ class Environment:
         time.sleep(self.seconds)
 
 
-def train(episodes, steps, seconds):
-    """Drive at random, and print a line for each episode."""
-    environment = Environment(seconds)
-    for episode in range(episodes):
-        environment.reset()
-        rewards, done = [], False
-        while len(rewards) < steps and not done:
-            state, reward, done = environment.step(random.choice([0, 0, 1, 2]))
-            rewards.append(reward)
-        environment.reward.publish(RLExperimentInfo(episode_number=episode, episode_reward=sum(rewards)))
-        x = environment.odometry.pose.pose.position.x
-        line = {"steps": len(rewards), "reward": sum(rewards), "done": done, "x": x, "state": state}
-        print(json.dumps(line), flush=True)
-
-
-if __name__ == "__main__":
-    random.seed(0)
-    rospy.init_node("tutorial_training", anonymous=True)
-    train(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]))
+random.seed(0)
+rospy.init_node("tutorial_training", anonymous=True)
+environment = Environment(float(sys.argv[3]))
+for episode in range(int(sys.argv[1])):
+    environment.reset()
+    steps, collided = 0, False
+    while steps < int(sys.argv[2]) and not collided:
+        steps, collided = steps + 1, environment.step(random.choice([0, 0, 1, 2]))
+    environment.reward.publish(RLExperimentInfo(episode_number=episode, episode_reward=steps))
+    x, readings = environment.odometry.pose.pose.position.x, len(environment.scan.ranges)
+    print(json.dumps({"steps": steps, "collided": collided, "x": x, "readings": readings}), flush=True)
+print(SetPhysicsProperties._md5sum)

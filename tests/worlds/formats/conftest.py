@@ -11,41 +11,38 @@ from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.readers import read_world
 
 
-def _box(size="1 1 1"):
-    return f"<box><size>{size}</size></box>"
-
-
-def _cylinder(radius=0.2, length=1.0):
-    return f"<cylinder><radius>{radius}</radius><length>{length}</length></cylinder>"
-
-
-def _collision(shape, pose="0 0 0 0 0 0", name="c"):
-    return f"<collision name='{name}'><pose>{pose}</pose><geometry>{shape}</geometry></collision>"
-
-
-def _model(inside, pose="0 0 0 0 0 0", name="m"):
-    return f"<model name='{name}'><pose>{pose}</pose>{inside}</model>"
-
-
-def _link(inside, pose="0 0 0 0 0 0", name="link"):
-    return f"<link name='{name}'><pose>{pose}</pose>{inside}</link>"
-
-
-def _solid(shape, pose="0 0 0 0 0 0", name="m"):
-    """A model of one shape."""
-    return _model(_link(_collision(shape)), pose, name)
-
-
 class Sdf:
-    """What worlds are written of."""
+    """Elements of SDF as text."""
 
-    box, cylinder = staticmethod(_box), staticmethod(_cylinder)
-    collision, link, model, solid = map(staticmethod, (_collision, _link, _model, _solid))
+    @staticmethod
+    def box(size="1 1 1"):
+        return f"<box><size>{size}</size></box>"
+
+    @staticmethod
+    def cylinder(radius=0.2, length=1.0):
+        return f"<cylinder><radius>{radius}</radius><length>{length}</length></cylinder>"
+
+    @staticmethod
+    def collision(shape, pose="0 0 0 0 0 0"):
+        return f"<collision name='c'><pose>{pose}</pose><geometry>{shape}</geometry></collision>"
+
+    @staticmethod
+    def link(inside, pose="0 0 0 0 0 0"):
+        return f"<link name='link'><pose>{pose}</pose>{inside}</link>"
+
+    @staticmethod
+    def model(inside, pose="0 0 0 0 0 0", name="m"):
+        return f"<model name='{name}'><pose>{pose}</pose>{inside}</model>"
+
+    @classmethod
+    def solid(cls, shape, pose="0 0 0 0 0 0", name="m"):
+        """A model of one shape."""
+        return cls.model(cls.link(cls.collision(shape)), pose, name)
 
 
 @pytest.fixture
 def sdf():
-    """The parts of SDF as text."""
+    """The class `Sdf`."""
     return Sdf
 
 

@@ -141,8 +141,6 @@ FREE = b"P5\n4 4\n255\n" + b"\xfe" * 16
 GOOD = "image: map.pgm\nresolution: 0.5\n"
 MAPS = {
     "missing": ("image: no.pgm\nresolution: 0.5\n", b"", "there is no picture"),
-    "directory": ("image: .\nresolution: 0.5\n", b"", "there is no picture"),
-    "zero-resolution": ("image: map.pgm\nresolution: 0\n", FREE, "greater than 0"),
     "nan-origin": (GOOD + "origin: [0, .nan, 0]\n", FREE, "finite"),
     "mode": (GOOD + "mode: ternary\n", FREE, "'trinary', 'scale' or 'raw'"),
     "thresholds": (GOOD + "free_thresh: 0.8\n", FREE, "free_thresh must be at most"),

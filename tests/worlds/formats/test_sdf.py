@@ -7,7 +7,6 @@ import math
 import pytest
 import shapely
 
-from tb2rl.core.errors import InputError
 from tb2rl.worlds.formats.imports import ImportOptions
 from tb2rl.worlds.readers import read_world
 
@@ -26,16 +25,15 @@ def test_a_pose_is_composed_from_model_to_model_to_link_to_collision(read, sdf):
     assert warned == []
 
 
-@pytest.mark.parametrize(("height", "posts_there"), [(0.25, 1), (0.6, 0)])
-def test_the_height_of_the_laser_says_where_shapes_are_cut(height, posts_there, read, sdf):
-    world, warned = read(sdf.solid(sdf.cylinder(length=1.0)), laser_height=height)
-    assert len(world.posts) == posts_there
-    assert [f"left out, for they are below the laser (at {height:g} m): m/c" in text for text in warned] == [True] * (
-        1 - posts_there
-    )
+def test_shapes_are_cut_at_the_height_of_the_laser(read, sdf):
+    world, warned = read(sdf.solid(sdf.cylinder(length=1.0)), laser_height=0.25)
+    assert (len(world.posts), warned) == (1, [])
+    world, (warned,) = read(sdf.solid(sdf.cylinder(length=1.0)), laser_height=0.6)
+    assert len(world.posts) == 0
+    assert "left out, for they are below the laser (at 0.6 m): m/c" in warned
 
 
-def test_only_what_collides_is_an_obstacle_and_the_ground_is_none(read, sdf):
+def test_only_collision_shapes_except_the_ground_are_obstacles(read, sdf):
     plane = sdf.collision("<plane><normal>0 0 1</normal><size>100 100</size></plane>")
     visual = f"<visual name='v'><geometry>{sdf.box()}</geometry></visual>"
     world, warned = read(sdf.model(sdf.link(plane + visual)) + sdf.solid(sdf.cylinder()))
@@ -58,59 +56,44 @@ def test_a_polyline_within_another_is_a_hole_and_one_within_that_is_none(read, t
 
 
 def test_a_model_stands_where_the_frame_that_it_is_placed_by_is_put(read, write, sdf):
-    frames = (
-        "<frame name='door'><pose>5 0 0 0 0 0</pose></frame><frame name='wall'><pose>0 1 0 0 0 1.570796</pose></frame>"
-    )
+    frame = "<frame name='wall'><pose>0 1 0 0 0 1.570796</pose></frame>"
     post = sdf.link(sdf.collision(sdf.cylinder(0.1)))
-    write("models/hut/model.sdf", f"<sdf version='1.7'><model name='hut'>{frames}{post}</model></sdf>")
-    placed = (
+    write("models/hut/model.sdf", f"<sdf version='1.7'><model name='hut'>{frame}{post}</model></sdf>")
+    include = (
         "<include><name>{}</name><uri>model://hut</uri><placement_frame>{}</placement_frame><pose>{}</pose></include>"
     )
-    world, warned = read(
-        f"<model name='own' placement_frame='door'><pose>1 0 0 0 0 0</pose>{frames}{post}</model>"
-        + placed.format("a", "door", "2 1 0 0 0 0")
-        + placed.format("b", "wall", "0 9 0 0 0 0")
-        + placed.format("c", "gate", "7 7 0 0 0 0")
-        + state("<model name='d'><pose>8 8 0 0 0 0</pose></model>")
-        + placed.format("d", "door", "0 0 0 0 0 0")
+    world, (warned,) = read(
+        f"<model name='own' placement_frame='wall'><pose>1 0 0 0 0 0</pose>{frame}{post}</model>"
+        + include.format("a", "wall", "0 9 0 0 0 0")
+        + include.format("b", "gate", "7 7 0 0 0 0")
+        + state("<model name='c'><pose>8 8 0 0 0 0</pose></model>")
+        + include.format("c", "wall", "0 0 0 0 0 0")
     )
-    assert posts(world) == [(-4, 0, 0.1), (-3, 1, 0.1), (-1, 9, 0.1), (7, 7, 0.1), (8, 8, 0.1)]
-    assert len(warned) == 1
-    assert "gate (of c)" in warned[0]
+    assert posts(world) == [(-1, 9, 0.1), (0, 0, 0.1), (7, 7, 0.1), (8, 8, 0.1)]
+    assert "gate (of b)" in warned
 
 
 def state(*models):
     return f"<state world_name='default'><sim_time>1 0</sim_time>{''.join(models)}</state>"
 
 
-def test_a_state_overrides_the_poses_of_models_and_of_links_in_the_world(read, sdf):
+def test_a_state_moves_scales_inserts_and_deletes_models(read, sdf):
     link = "<link name='link'><pose>7 8 0 0 0 0</pose></link>"
     world, warned = read(
         sdf.solid(sdf.cylinder(0.1), "1 1 0 0 0 0", "moved")
         + sdf.solid(sdf.cylinder(0.2), "2 2 0 0 0 0", "linked")
-        + sdf.solid(sdf.cylinder(0.3), "3 3 0 0 0 0", "left")
-        + state("<model name='moved'><pose>4 5 0 0 0 0</pose></model>", f"<model name='linked'>{link}</model>")
-    )
-    assert posts(world) == [(3, 3, 0.3), (4, 5, 0.1), (7, 8, 0.2)]
-    assert warned == []
-
-
-def test_a_state_scales_inserts_and_deletes_models(read, sdf):
-    world, _ = read(
-        sdf.solid(sdf.cylinder(0.1), "1 1 0 0 0 0", "wide")
+        + sdf.solid(sdf.cylinder(0.3), "3 3 0 0 0 0", "wide")
         + sdf.solid(sdf.cylinder(0.2), "2 2 0 0 0 0", "gone")
         + state(
+            "<model name='moved'><pose>4 5 0 0 0 0</pose></model>",
+            f"<model name='linked'>{link}</model>",
             "<model name='wide'><scale>3 3 1</scale></model>",
             f"<insertions>{sdf.solid(sdf.cylinder(0.4), '9 9 0 0 0 0', 'new')}</insertions>",
             "<deletions><name>gone</name></deletions>",
         )
     )
-    assert posts(world) == [(1, 1, 0.3), (9, 9, 0.4)]
-
-
-def test_a_state_of_what_is_not_there_is_named(read, sdf):
-    _, (warned,) = read(sdf.solid(sdf.cylinder()) + state("<model name='ghost'><pose>1 1 0 0 0 0</pose></model>"))
-    assert "ghost" in warned
+    assert posts(world) == [(3, 3, 0.9), (4, 5, 0.1), (7, 8, 0.2), (9, 9, 0.4)]
+    assert warned == []
 
 
 @pytest.mark.parametrize("place", ["models", "../models", "variable", "setting"])
@@ -163,8 +146,8 @@ def test_poses_can_be_relative_to_frames_in_degrees_and_quaternions(read, sdf):
         ("<include><uri>https://fuel.gazebosim.org/1.0/OpenRobotics/models/Sun</uri></include>", "models/Sun"),
         ("<include><uri>model://missing</uri></include>", "model://missing"),
         ("<actor name='walker'/>", "walker (<actor>)"),
+        ("<state><model name='ghost'><pose>1 1 0 0 0 0</pose></model></state>", "ghost"),
         ("<model name='m'><plugin name='mover' filename='libmover.so'/></model>", "mover of m"),
-        ("<link name='alone'/>", "alone"),
         ("<model name='m'><link name='l'><collision name='c'><geometry><empty/></geometry><geometry/></collision>"
          "</link></model>", "only the first <geometry> of a <collision> is read: m/c"),
         ("<model name='m'><link name='l'><collision name='c'><geometry><heightmap/></geometry></collision></link>"
@@ -176,7 +159,7 @@ def test_poses_can_be_relative_to_frames_in_degrees_and_quaternions(read, sdf):
          "</collision></link></model>", "m/c (model://x/y.dae)"),
     ],
 )  # fmt: skip
-def test_what_is_not_understood_is_named(inside, named, read, sdf):
+def test_an_element_that_is_not_understood_is_named(inside, named, read, sdf):
     world, (warned,) = read(sdf.solid(sdf.cylinder(), name="known") + inside)
     assert posts(world) == [(0, 0, 0.2)]
     assert named in warned
@@ -189,11 +172,13 @@ def test_a_model_alone_is_a_world(write, sdf):
     assert posts(read_world(path, options=ImportOptions(start=(2, 0, 0)))) == [(0, 0, 0.2)]
 
 
-def test_a_start_and_a_goal_beyond_the_obstacles_are_within_the_world(read, sdf):
+def test_there_is_floor_around_the_obstacles_the_start_and_the_goal(read, sdf):
     world, _ = read(sdf.solid(sdf.cylinder()), start=(-3, 0, 0), goal=(0, 8, 0))
-    assert (world.start, world.goal) == ((-3, 0, 0), (0, 8, 0))
-    assert world.free_space(0.5).covers(shapely.Point(-3, 0))
-    assert world.free_space(0.5).covers(shapely.Point(0, 8))
+    assert world.free_space(0.5).covers(shapely.MultiPoint([(-3, 0), (0, 8)]))
+    alone, _ = read(sdf.solid(sdf.cylinder()), start=None)
+    assert alone.clearance(*alone.start[:2]) > 1
+    empty, _ = read("", start=None)
+    assert (empty.bounds, empty.start) == ((-5, -5, 5, 5), (0, 0, 0))
 
 
 def test_without_a_start_the_room_with_the_farthest_walls_is_taken_and_named(read, sdf):
@@ -208,19 +193,3 @@ def test_without_a_start_the_room_with_the_farthest_walls_is_taken_and_named(rea
     world, (warned,) = read(walls(2, 0) + walls(4, 20), start=None)  # and 16 m of floor between them, outside
     assert world.start == pytest.approx((20, 0, 0), abs=0.02)
     assert "no start is given, so it is [" in warned
-
-
-def test_around_a_lone_post_there_is_floor(read, sdf):
-    world, _ = read(sdf.solid(sdf.cylinder()), start=None)
-    assert world.clearance(*world.start[:2]) > 1
-    assert world.free_space(1.0).area > 50
-
-
-def test_a_world_in_which_nothing_stands_has_a_floor(read):
-    world, _ = read("", start=None)
-    assert (world.bounds, world.start) == ((-5, -5, 5, 5), (0, 0, 0))
-
-
-def test_errors_name_the_shape(read, sdf):
-    with pytest.raises(InputError, match=r"world mine: pole/c: <radius> of a <cylinder> must be above 0, got 0"):
-        read(sdf.solid(sdf.cylinder(0), name="pole"))

@@ -39,18 +39,14 @@ def misplaced(cut, at, inside):
 
 
 @pytest.mark.parametrize("turn", TURNS)
-def test_a_box_turned_in_any_way_is_its_cross_section(turn):
-    cut, at, half = Slice(0.25), pose(turn), np.array([0.8, 0.3, 0.5])
-    cut.add_box(at, half)
-    assert misplaced(cut, at, lambda own: (np.abs(own) <= half).all(axis=1)) < 0.006
-
-
-@pytest.mark.parametrize("turn", TURNS)
-def test_a_cylinder_turned_in_any_way_is_its_cross_section(turn):
-    cut, at = Slice(0.25), pose(turn)
-    cut.add_cylinder(at, 0.5, 1.2)
-    inside = lambda own: (np.hypot(own[:, 0], own[:, 1]) <= 0.5) & (np.abs(own[:, 2]) <= 0.6)  # noqa: E731
-    assert misplaced(cut, at, inside) < 0.006
+def test_a_box_and_a_cylinder_turned_in_any_way_are_their_cross_sections(turn):
+    at, half = pose(turn), np.array([0.8, 0.3, 0.5])
+    box, cylinder = Slice(0.25), Slice(0.25)
+    box.add_box(at, half)
+    cylinder.add_cylinder(at, 0.5, 1.2)
+    assert misplaced(box, at, lambda own: (np.abs(own) <= half).all(axis=1)) < 0.006
+    within = misplaced(cylinder, at, lambda own: (np.hypot(own[:, 0], own[:, 1]) <= 0.5) & (np.abs(own[:, 2]) <= 0.6))
+    assert within < 0.006
 
 
 @pytest.mark.parametrize(("z", "side"), [(1.0, "above"), (-0.5, "below")])
