@@ -58,7 +58,7 @@ def test_a_summary_names_no_path_and_is_read_as_it_was_written(tmp_path):
     ("changes", "named"),
     [
         ({"each": []}, "result.each"),
-        ({"each": [asdict(DRIVE) | {"world": 1}]}, "one world after the other"),
+        ({"each": [asdict(DRIVE) | {"world": 1}]}, "its worlds are not in order"),
         ({"each": [asdict(DRIVE) | {"time": "long"}]}, "result.each.0.time"),
         ({"figures": {"rooms": asdict(FIGURES)}}, "the figures of all worlds"),
         ({"figures": {"all": asdict(FIGURES) | {"spl": 7}}}, "result.figures.all.spl"),

@@ -171,7 +171,7 @@ def test_a_result_of_other_worlds_is_not_driven_again(evaluation, monkeypatch, t
         evaluator_of(result, tmp_path)
     other = replace(evaluation.suite, worlds=(*evaluation.suite.worlds[:2], world(2.0)))
     monkeypatch.setattr(suites, "find_suite", lambda name, path: other)
-    with pytest.raises(InputError, match="the worlds of suite tiny are not those that it drove in"):
+    with pytest.raises(InputError, match="the worlds of suite tiny have changed since"):
         evaluator_of(result, tmp_path)
 
 

@@ -131,7 +131,7 @@ def test_an_evaluation_has_fewer_episodes_if_a_step_takes_time(settings, simulat
 def test_evaluations_are_in_validation_worlds(small):
     world = {"task.world": {"generator": "rooms", "worlds": 4, "difficulty": 0.0}}
     config = small(settings=world, eval_episodes=2)
-    with make_evaluator(config.scene, config.train) as evaluator:
+    with make_evaluator(config.validation_scene, config.train) as evaluator:
         worlds = [world.name for world in evaluator.scene.spec.worlds]
     assert worlds == [f"rooms {i} (validation)" for i in range(4)]
 

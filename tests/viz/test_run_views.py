@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,12 +19,13 @@ from tb2rl.viz.run_views import RunView, display_names, group_runs, read_run_vie
 # ---- folders and names
 
 
-def test_a_folder_of_runs_stands_for_its_runs_and_each_run_counts_once(seeds, goal_run):
+def test_a_folder_of_runs_stands_for_its_runs_and_each_run_counts_once(seeds, goal_run, tmp_path):
     both = [seeds / "seed-0", seeds / "seed-1"]
     assert run_folders([str(seeds)]) == both
     assert run_folders([str(seeds / "seed-1"), str(seeds), str(goal_run)]) == [both[1], both[0], goal_run]
-    with pytest.raises(InputError, match=rf"neither a run folder nor a folder of them.*; use {seeds.parent}"):
-        run_folders([str(seeds.parent.parent)])
+    shutil.copytree(seeds / "seed-0", tmp_path / "parent" / "runs" / "a")
+    with pytest.raises(InputError, match=r"neither a run folder nor a folder of them.*; use .*/parent/runs"):
+        run_folders([str(tmp_path / "parent")])
 
 
 def test_names_are_paths_without_their_common_part(seeds, goal_run):

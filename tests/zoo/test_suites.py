@@ -14,6 +14,7 @@ import pytest
 from tb2rl.commands import seeds as training
 from tb2rl.commands import suite as command
 from tb2rl.core.agent import find_agent
+from tb2rl.evaluation import evaluator
 from tb2rl.evaluation.suite_result import kept_result, kept_summary
 from tb2rl.execution.local import LocalExecutor
 from tb2rl.runs import loading
@@ -46,6 +47,7 @@ def own_zoo(tmp_path, monkeypatch, small_suite):
         monkeypatch.setattr(module, "top_folder", lambda name: zoo)
     monkeypatch.setattr(training, "evaluate", partial(training.evaluate, episodes=2, steps=5, workers=1))
     monkeypatch.setattr(LocalExecutor, "as_completed", in_this_process)
+    monkeypatch.setattr(evaluator, "processors", lambda: 1)
     set_suite(monkeypatch, small_suite)
     monkeypatch.chdir(tmp_path)
     return zoo
