@@ -1,23 +1,21 @@
-"""Numba's `njit` with a cache wherever there can be one: every module that compiles imports it from here.
+"""Numba's `njit` with a more robust cache, which all compiled functions of tb2rl use.
 
 Numba caches in the first writable folder of NUMBA_CACHE_DIR, `__pycache__` beside the source, and the user's cache.
-Where none is writable it refuses to compile, and it never reads a folder without write permission, such as those of a
-container image. Here a private temporary folder stands in, and earlier caches are copied to where numba reads. Numba
-compares a cache with the function's own file only, although callees are compiled into it: here a cache must be younger
-than all files whose functions it may call.
-"""
+This module solves three problems:
 
-from __future__ import annotations
+- If no folder is writable, numba raises an error. Here, a temporary folder is used.
+- Numba does not read caches in read-only folders, such as those of a container image. Here, they are copied.
+- Numba does not notice changes in called functions. Here, caches older than a file with compiled functions are removed.
+"""
 
 import atexit
 import os
 import shutil
 import sys
 import tempfile
-import threading
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,127 +24,89 @@ import numba
 from numba.core import event
 from numba.core.options import DefaultOptions
 
-# For loops over environments that create no array: otherwise numba counts references to every array in every call, and
-# threads wait for each other at these counters. No public option does this; without the private one they are slower.
-UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+from tb2rl.core.files import atomic_write
 
-_VARIABLE = "TB2RL_PRIVATE_CACHE"  # tells child processes the private folder; "": there is none
-_inherited = os.environ.get(_VARIABLE)
-_lock = threading.Lock()
-_sources: dict[str, float] = {}  # modification times [s] of the files with functions decorated so far
+# Option for compiled loops that create no arrays. It disables reference counting, because threads wait for each other
+# at the counters. The option is private in numba; if it is missing, the loops are only slower.
+NO_REFCOUNT: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+
+_user_cache_dir = numba.config.CACHE_DIR  # NUMBA_CACHE_DIR of the user
+_source_times: dict[str, float] = {}  # modification times [s] of the files with decorated functions
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit(cache=True, ...)` that compiles without a cache where nothing can be written.
+    """Like `numba.njit`, but compiles without a cache if no folder is writable.
 
-    A function without `error_model`, `fastmath` or `forceinline` inherits those of the first caller, and keeps them in
-    the cache: name them where speed matters, or it depends on what ran first.
+    Set `error_model`, `fastmath` and `forceinline` explicitly where speed matters. Otherwise a function inherits them
+    from its first caller, and the cache keeps them.
     """
 
-    def decorated(function: Callable[..., Any]) -> Any:
+    def decorate(function: Callable[..., Any]) -> Any:
         file = Path(function.__code__.co_filename)
-        with suppress(OSError):  # a notebook's cell is no file
-            _sources[str(file)] = file.stat().st_mtime
-        named = numba.config.CACHE_DIR
-        readable = [file.parent / "__pycache__", *(Path(named).glob(f"{file.parent.name}_*") if named else ())]
+        with suppress(OSError):  # a cell of a notebook has no file
+            _source_times[str(file)] = file.stat().st_mtime
         with suppress(RuntimeError):  # numba finds no writable folder
-            return _with_cache(function, options, readable)
-        private = _private_folder()
-        if private is not None:
-            with suppress(RuntimeError, OSError), _caching_in(private):
-                return _with_cache(function, options, readable, warn=True)
-        _warn("compiled code is lost when this program ends, and compiled again by the next one")
+            return _compile_with_cache(function, file, options)
+        with suppress(RuntimeError, OSError):
+            _use_temporary_folder()
+            return _compile_with_cache(function, file, options)
+        _warn("compiled code is lost when this program ends, and the next program compiles again")
         return numba.njit(**{**options, "cache": False})(function)
 
-    return decorated
+    return decorate
 
 
 def announce_compiling() -> None:
-    """Print a line on stderr, if that is a terminal, before this process compiles the first function."""
+    """Print a line on stderr before the first compilation, if stderr is a terminal."""
     if sys.stderr is not None and sys.stderr.isatty():
         event.register("numba:compile", _Announcement())
 
 
 class _Announcement(event.Listener):
-    """Listener of numba's compilation events, which only occur if no cache has the code."""
+    """Listener for numba's compilation events, which do not occur for cached functions."""
 
-    printed = False
+    is_printed = False
 
     def on_start(self, _: event.Event) -> None:
-        if not self.printed:
+        if not self.is_printed:
             print("compiling the simulator, once: about 20 s", file=sys.stderr, flush=True)
-        self.printed = True
+        self.is_printed = True
 
     def on_end(self, _: event.Event) -> None:
         pass
 
 
-def _with_cache(function: Callable[..., Any], options: dict[str, Any], readable: list[Path], warn: bool = False) -> Any:
+def _compile_with_cache(function: Callable[..., Any], file: Path, options: dict[str, Any]) -> Any:
     compiled = numba.njit(**options)(function)
-    folder, name = Path(compiled.stats.cache_path), f"{Path(function.__code__.co_filename).stem}.*.nbi"
-    for index in folder.glob(name):
-        with suppress(FileNotFoundError):  # another process may be doing the same
-            if _is_stale(index):
-                index.unlink()
-    for place in readable:
-        if place != folder:
-            with suppress(OSError):
-                _copy_caches(place, folder, name)
-    if warn and not any(folder.glob(name)):
+    folder, pattern = Path(compiled.stats.cache_path), f"{file.stem}.*.nbi"
+    newest_source_time = max(_source_times.values(), default=0.0)
+    for index_file in folder.glob(pattern):
+        with suppress(FileNotFoundError):  # another process has removed the file
+            if index_file.stat().st_mtime < newest_source_time:
+                index_file.unlink()
+    user_folders = Path(_user_cache_dir).glob(f"{file.parent.name}_*") if _user_cache_dir else ()
+    other_folders = [other for other in (file.parent / "__pycache__", *user_folders) if other != folder]
+    for index_file in [file for other in other_folders for file in other.glob(pattern)]:
+        with suppress(OSError):
+            if index_file.stat().st_mtime >= newest_source_time and not (folder / index_file.name).exists():
+                # The index file is copied last, because numba reads the other files only if the index file exists.
+                for source in (*index_file.parent.glob(f"{index_file.stem}.*.nbc"), index_file):
+                    with atomic_write(folder / source.name) as temporary:
+                        shutil.copyfile(source, temporary)
+    if _use_temporary_folder.cache_info().currsize and not any(folder.glob(pattern)):  # it was called
         _warn("compiled code is kept only until this program ends")
     return compiled
 
 
-def _is_stale(index: Path) -> bool:
-    """Whether a file with functions that may be compiled into a cache is younger than its index."""
-    return index.stat().st_mtime < max(_sources.values(), default=0.0)
-
-
-def _copy_caches(place: Path, folder: Path, name: str) -> None:
-    """Copy the caches of a module to `folder`; numba itself compares them with the source.
-
-    The index is copied last, because nobody reads the other files while it is missing.
-    """
-    for index in place.glob(name):
-        if not (folder / index.name).exists() and not _is_stale(index):
-            for file in (*place.glob(f"{index.stem}.*.nbc"), index):
-                temporary = folder / f"{file.name}.{os.getpid()}"
-                shutil.copyfile(file, temporary)
-                temporary.replace(folder / file.name)
-
-
-@contextmanager
-def _caching_in(folder: str) -> Iterator[None]:
-    """Set numba's cache folder during the block only, because the importing program may compile, too."""
-    with _lock:
-        named, numba.config.CACHE_DIR = numba.config.CACHE_DIR, folder
-        try:
-            yield
-        finally:
-            numba.config.CACHE_DIR = named
+@cache
+def _use_temporary_folder() -> None:
+    """Set NUMBA_CACHE_DIR, also for child processes, to a new folder that is removed at exit."""
+    folder = tempfile.mkdtemp(prefix="tb2rl-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder
 
 
 @cache
-def _private_folder() -> str | None:
-    """A folder of this user alone, shared with child processes and removed at exit; None if there can be none."""
-    if _inherited is not None:
-        return _inherited or None
-    try:
-        folder = tempfile.mkdtemp(prefix="tb2rl-")
-        atexit.register(_remove, folder, os.getpid())
-    except OSError:
-        folder = ""
-    os.environ[_VARIABLE] = folder
-    return folder or None
-
-
-def _remove(folder: str, maker: int) -> None:
-    if os.getpid() == maker:  # and not a fork of it
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-@cache
-def _warn(what: str) -> None:
-    if _inherited is None:  # else the parent process has warned
-        line = f"tb2rl: {what}; set the variable NUMBA_CACHE_DIR to a folder that can be written"
-        warnings.warn(line, RuntimeWarning, stacklevel=2)
+def _warn(problem: str) -> None:
+    message = f"tb2rl: {problem}; set the variable NUMBA_CACHE_DIR to a writable folder"
+    warnings.warn(message, RuntimeWarning, stacklevel=2)

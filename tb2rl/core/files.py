@@ -1,7 +1,6 @@
-"""Files: found by name, read as text or YAML, replaced atomically."""
+"""Finds files by name, reads text and YAML, and writes files atomically."""
 
-from __future__ import annotations
-
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,30 +12,32 @@ import yaml
 import tb2rl
 from tb2rl.core.errors import InputError, one_line, unknown
 
-_DEEPEST = 100  # levels of nested lists and mappings
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # compiled if available: three times as fast
+_MAX_DEPTH = 100  # levels of nested lists and mappings
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the compiled loader is three times as fast
 
 
 def top_folder(name: str) -> Path:
-    """The folder `agents`, `configs` or `zoo`: beside the package in a checkout, inside it when installed."""
-    return next(folder for place in tb2rl.__path__ if (folder := Path(place, name)).is_dir())
+    """The folder `agents`, `configs` or `zoo`, beside the package in a checkout, or inside the installed package."""
+    return next(folder for parent in tb2rl.__path__ if (folder := Path(parent, name)).is_dir())
 
 
 def is_path(name: str) -> bool:
-    """Whether a name is a path, with an ending or a folder, and not the name of a built-in file."""
+    """Whether a name has a suffix or a folder, and is therefore a path, not the name of a built-in file."""
     path = Path(name)
     return path.suffix != "" or path.parent != Path()
 
 
 def find_file(name: str, folder: Path, kind: str) -> Path:
-    """The file of a path (see `is_path`), or of the name of a built-in YAML file in `folder`.
+    """Find a file by path, or a built-in YAML file in `folder` by name, see `is_path`.
+
+    `kind` is the kind of file for messages, such as "world".
 
     Raises:
-        InputError: If there is no such file; the message names its `kind`, such as "world".
+        InputError: If the file does not exist.
     """
     path = Path(name)
     if is_path(name):
-        if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+        if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises an error for a long name)
             raise InputError(one_line(f"there is no {kind} file {name}"))
         return path
     built_in = {file.stem: file for file in folder.glob("*.yaml")}
@@ -46,7 +47,11 @@ def find_file(name: str, folder: Path, kind: str) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """The content of a UTF-8 file without a byte order mark."""
+    """Read a UTF-8 file, with or without a byte order mark.
+
+    Raises:
+        InputError: If the file cannot be read, or is not UTF-8.
+    """
     try:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -54,55 +59,69 @@ def read_text(path: Path) -> str:
 
 
 def read_yaml(path: Path) -> Any:
-    """The content of a YAML file; an empty file is an empty mapping."""
+    """Read a YAML file; the content of an empty file is an empty mapping."""
     content = parse_yaml(read_text(path), str(path))
     return {} if content is None else content
 
 
-def parse_yaml(text: str, where: str) -> Any:
-    """The plain value of a YAML text.
-
-    Aliases are refused because they can expand a few lines to gigabytes, deep nesting because it can crash the parser.
+def parse_yaml(text: str, source: str) -> Any:
+    """Parse YAML into plain Python values; `source` is the origin of the text, for messages.
 
     Raises:
-        InputError: If it is not YAML; the message begins with `where`.
+        InputError: If the text is not YAML. Aliases, which can expand a few lines to gigabytes, and deep nesting, which
+            can crash the parser, are also rejected.
     """
     try:
-        _check_events(text)
+        _check_structure(text)
         return yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError) as error:
-        raise InputError(one_line(f"{where} is not YAML: {error}")) from None
-    except (AttributeError, ArithmeticError, LookupError, TypeError) as error:  # KeyError for "!!bool maybe"
-        raise InputError(one_line(f"{where} is not YAML: a value does not fit its tag: {error}")) from None
+    except Exception as error:  # also errors of invalid tagged values, such as the KeyError of "!!bool maybe"
+        raise InputError(one_line(f"{source} is not YAML: {error}")) from None
 
 
-def _check_events(text: str) -> None:
+def _check_structure(text: str) -> None:
+    """Raise a `YAMLError` for an alias or for deep nesting."""
     depth = 0
     for event in yaml.parse(text, _Loader):
         if isinstance(event, yaml.AliasEvent):
             raise yaml.YAMLError("it uses an alias (*name); write the value out")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST:
-            raise yaml.YAMLError(f"it is nested more than {_DEEPEST} deep")
+        if depth > _MAX_DEPTH:
+            raise yaml.YAMLError(f"it is nested more than {_MAX_DEPTH} levels deep")
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path that replaces `path` if the block succeeds, and is removed if it fails."""
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path, whose file replaces `path` at the end of the block, or is removed after an error."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         yield temporary
         temporary.replace(path)
+    except OSError as error:
+        if error.filename in (None, str(temporary)):
+            error.filename = str(path)  # for the message that commands print
+        raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_output(file: Path) -> None:
+    """Raise an `InputError` if a file cannot be written, to be called before long work."""
+    folder = file.absolute().parent
+    if file.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(f"cannot write {file}: choose a file in a writable folder")
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 file atomically.
 
     Raises:
-        OSError: If it cannot be written; the old file stays.
+        OSError: If the file cannot be written; an old file is kept.
     """
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, tree: Any) -> None:
+    """Write plain values as JSON, atomically."""
+    write_text(path, json.dumps(tree, indent=1) + "\n")

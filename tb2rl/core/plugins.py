@@ -1,31 +1,30 @@
-"""Plugins by name: built-in objects, those of other packages, and references such as "module:Name".
+"""Finds plugins by name, or by a reference "module:Name".
 
-A name is a built-in one or an entry point of the group `tb2rl.agents`, `tb2rl.simulators` and so on.
-Built-in names win. Listing names imports nothing.
+A name is built in, or an entry point of another package in the group `tb2rl.agents`, `tb2rl.simulators` and so on.
+Built-in names have priority. Listing names imports no plugins.
 """
-
-from __future__ import annotations
 
 import inspect
 import pkgutil
 import sys
 from collections.abc import Mapping
-from dataclasses import is_dataclass
+from dataclasses import MISSING, field, is_dataclass, make_dataclass
+from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, Literal, TypeVar, get_type_hints
 
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.files import top_folder
-from tb2rl.core.trust import check_module
+from tb2rl.core.trust import check_module_allowed
 
 Kind = Literal["agent", "filter", "robot", "simulator", "task", "world"]
 
 T = TypeVar("T")
-_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)  # *args and **kwargs
 
 FILTERS = {"speed_limits": "tb2rl.envs.filters:SpeedLimits"}
-ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("turtlebot2", "turtlebot3", "jackal")}
+ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("jackal", "turtlebot2", "turtlebot3")}
 SIMULATORS = {  # in the order of preference for evaluations
     "bullet": "tb2rl.simulation.bullet:SIMULATOR",
     "kinematic": "tb2rl.simulation.kinematic:SIMULATOR",
@@ -34,107 +33,93 @@ SIMULATORS = {  # in the order of preference for evaluations
 TASKS = {
     "drive": "tb2rl.tasks.drive:Drive",
     "maze": "tb2rl.tasks.wander:Wander",
-    "navigate": "tb2rl.tasks.navigate:Navigate",
     "my-maze": "tb2rl.tasks.my_turtlebot2_maze:MyTurtleBot2Maze",
+    "navigate": "tb2rl.tasks.navigate:Navigate",
     "wall": "tb2rl.tasks.reach_goal:ReachGoal",
 }
 
 
-def agent_names() -> list[str]:
-    """Names of all agents: the files of `agents/` and entry points."""
-    return sorted(_references("agent"))
+def plugin_names(kind: Kind) -> list[str]:
+    """Names of all plugins of a kind, first built-in ones, then entry points."""
+    built_in = _built_in(kind)
+    return [*built_in, *sorted(entry_point_references(kind).keys() - built_in.keys())]
 
 
-def robot_names() -> list[str]:
-    """Names of all robots, built-in ones and entry points."""
-    return sorted(_references("robot"))
-
-
-def simulator_names() -> list[str]:
-    """Names of all simulators, in the order of preference: built-in ones, then entry points."""
-    return [*SIMULATORS, *sorted(entry_point_references("simulator").keys() - SIMULATORS.keys())]
-
-
-def task_names() -> list[str]:
-    """Names of all tasks, built-in ones and entry points."""
-    return sorted(_references("task"))
+agent_names = partial(plugin_names, "agent")
+robot_names = partial(plugin_names, "robot")
+simulator_names = partial(plugin_names, "simulator")
+task_names = partial(plugin_names, "task")
 
 
 def find_plugin(kind: Kind, name: str) -> Any:
-    """The object of a name or of a reference "module:Name".
+    """Find a plugin by name, or by a reference "module:Name".
 
     Raises:
-        InputError: If there is none; the message lists the known names.
+        InputError: If the plugin does not exist; the message lists the known names.
     """
     if ":" in name:
-        check_module(name)  # its message begins with the untrusted source, not with the kind
+        check_module_allowed(name)  # here, because its message should not begin with the kind
         try:
             return import_object(name)
         except InputError as error:
             raise InputError(f"{kind}: {error}") from None
-    references = _references(kind)
+    references = _built_in(kind)
+    if name not in references:
+        references = entry_point_references(kind) | references
     if name not in references:
         raise unknown(kind, name, references)
     return import_object(references[name])
 
 
-def make_part(cls: type[T], arguments: Mapping[str, Any], where: str, given: Mapping[str, Any] | None = None) -> T:
-    """Make a sensor or a filter from the arguments of a config.
+def make_part(cls: type[T], arguments: Mapping[str, Any], where: str, extra: Mapping[str, Any] | None = None) -> T:
+    """Make a sensor or a filter from arguments of a config, which are checked against the annotations of `cls`.
 
-    Args:
-        cls: Its class.
-        arguments: Checked against the annotations of `cls`.
-        where: The setting, for messages.
-        given: Further arguments, which a config cannot set.
+    `where` is the setting, for messages, and `extra` are arguments that a config cannot set.
 
     Raises:
-        InputError: If an argument is unknown, missing or does not fit.
+        InputError: If an argument is unknown, missing or invalid.
     """
-    from tb2rl.core.values import checked  # imports pydantic, which listing names must not
+    from tb2rl.core.values import build  # here, because it imports pydantic, which listing names does not need
 
-    given, taken = given or {}, inspect.signature(cls).parameters
-    for key in arguments:
-        if key not in taken or key in given:
-            raise unknown(f"argument of {where}:", key, taken.keys() - given.keys())
-    needed = [key for key, one in taken.items() if one.default is one.empty and one.kind not in _ANY_NUMBER]
-    missing = [key for key in needed if key not in {*given, *arguments}]
-    if missing:
-        raise InputError(f"{where}: it needs {', '.join(missing)}; give the arguments as {{{missing[0]}: ...}}")
+    extra, fields = extra or {}, []
     try:
         hints = get_type_hints(cls.__init__, include_extras=True) if arguments else {}
-        fitting = {key: checked(hints.get(key, Any), value, f"{where}.{key}") for key, value in arguments.items()}
-        return cls(**given, **fitting)
+        for name, parameter in inspect.signature(cls).parameters.items():
+            if name not in extra and parameter.kind not in _VARIADIC:
+                is_required = parameter.default is parameter.empty
+                fields.append((name, hints.get(name, Any), field(default=MISSING if is_required else None)))
+        checked: Any = build(make_dataclass("Arguments", fields, kw_only=True), arguments, where)
+        return cls(**extra, **{name: getattr(checked, name) for name in arguments})
     except InputError:
         raise
-    except Exception as error:  # of a user's own class
+    except Exception as error:  # errors in a user's own class
         raise InputError(one_line(f"{where}: {type(error).__name__}: {error}")) from error
 
 
 def entry_point_references(kind: Kind) -> dict[str, str]:
     """References of the entry points of one kind, by name."""
-    return {point.name: point.value for point in entry_points(group=f"tb2rl.{kind}s")}
+    return _entry_points(f"tb2rl.{kind}s", tuple(sys.path))
 
 
 def import_object(reference: str) -> Any:
-    """The object of a reference "module:Name".
+    """Import the object of a reference "module:Name".
 
     Raises:
-        InputError: If the module or the name does not exist, or an untrusted config names it (`tb2rl.core.trust`).
-            Errors inside the module pass unchanged.
+        InputError: If the object does not exist, or `tb2rl.core.trust` forbids the import. Errors inside the module
+            pass unchanged.
     """
-    check_module(reference)
+    check_module_allowed(reference)
     module_name, _, attribute = reference.partition(":")
     if module_name == "__main__":
-        return _from_main(attribute)
-    if module_name.endswith(".py") and module_name[:-3].isidentifier():
-        hint = f"a module has no .py; write {module_name[:-3]}:{attribute}"
-        raise InputError(f"cannot import {reference!r}: {hint}")
-    if not all(part.isidentifier() and part != "__main__" for part in module_name.split(".")):
-        raise InputError(f"cannot import {reference!r}: it should read module:Class")
+        return _find_in_main(attribute)
+    parts = module_name.split(".")
+    # A module `__main__` is rejected, because its import would run a program.
+    if parts[-1] == "py" or not all(part.isidentifier() and part != "__main__" for part in parts):
+        raise InputError(f"cannot import {reference!r}: it should read module:Class, without .py")
     try:
         module = import_module(module_name)
     except ModuleNotFoundError as error:
-        if error.name and not (module_name + ".").startswith(error.name + "."):
+        if error.name and not (module_name + ".").startswith(error.name + "."):  # another module is missing
             raise
         hint = "; pip install sb3-contrib brings it" if error.name == "sb3_contrib" else ""
         raise InputError(f"cannot import {reference!r}: there is no module {error.name!r}{hint}") from None
@@ -144,31 +129,33 @@ def import_object(reference: str) -> Any:
 
 
 def reference_to(cls: type) -> str:
-    """The reference "module:Class" of a class, by which a run finds it again.
+    """The reference "module:Class" of a class.
 
     Raises:
-        InputError: If the reference means another class.
+        InputError: If the reference now belongs to another class, because the class was defined again.
     """
     reference = f"{cls.__module__}:{cls.__qualname__}"
     if import_object(reference) is not cls:
-        raise InputError(f"{reference} means another class by now; give that one, or define this one again")
+        raise InputError(f"{reference} means another class by now; use that class, or define this class again")
     return reference
 
 
-def _from_main(name: str) -> Any:
-    """A class or a dataclass (agent, robot, world) of the running script or notebook; functions are refused."""
-    found = vars(sys.modules["__main__"]).get(name)
-    if not is_dataclass(found) and not isinstance(found, type):
-        where = f"it was made in another script or notebook; save __main__:{name} in a file, and name it module:{name}"
-        raise InputError(one_line(f"cannot import '__main__:{name}': {where}"))
-    return found
+def _find_in_main(name: str) -> Any:
+    """Find a class or a dataclass object (agent, robot, world) of the running script or notebook; no functions."""
+    value = vars(sys.modules["__main__"]).get(name)
+    if not is_dataclass(value) and not isinstance(value, type):
+        hint = f"save {name} of the script or notebook in a file, and use the reference module:{name}"
+        raise InputError(one_line(f"cannot import '__main__:{name}': it is from another script or notebook; {hint}"))
+    return value
 
 
-def _references(kind: Kind) -> Mapping[str, str]:
-    built_in = {"agent": _agent_files(), "filter": FILTERS, "robot": ROBOTS, "simulator": SIMULATORS, "task": TASKS}
-    return {**entry_point_references(kind), **built_in[kind]}
+@cache  # for each `sys.path`, because a search takes 8 ms
+def _entry_points(group: str, _path: tuple[str, ...]) -> dict[str, str]:
+    return {point.name: point.value for point in entry_points(group=group)}
 
 
-def _agent_files() -> dict[str, str]:
-    files = [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))])]
-    return {name: f"tb2rl.agents.{name}:AGENT" for name in files if not name.startswith("_")}
+def _built_in(kind: Kind) -> dict[str, str]:
+    if kind == "agent":
+        files = [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))])]
+        return {name: f"tb2rl.agents.{name}:AGENT" for name in files if not name.startswith("_")}
+    return {"filter": FILTERS, "robot": ROBOTS, "simulator": SIMULATORS, "task": TASKS}.get(kind, {})

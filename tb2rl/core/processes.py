@@ -1,94 +1,74 @@
-"""Start of worker processes: from a clean server, without the user's script."""
-
-from __future__ import annotations
+"""Starts worker processes from a fork server, without the user's script."""
 
 import multiprocessing
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from multiprocessing import connection, forkserver, resource_tracker, spawn
 from typing import Any
 
-# Imported once, by the fork server.
+# Modules that the fork server imports once for all workers.
 PRELOADED = ["tb2rl.envs.turtlebot2_env", "tb2rl.simulation.bullet.batch", "cloudpickle"]
-# A helping process and its children use one thread each, because others run beside it.
+# Environment variables that limit a worker and its children to one thread each, because workers run in parallel.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "TB2RL_PROCESSORS": "1"}
 
 
 def process_context() -> Any:
-    """The fork server of `multiprocessing` on Linux (a plain fork would copy torch's threads), elsewhere "spawn".
+    """The context of `multiprocessing`: the fork server on Linux, elsewhere "spawn".
 
-    macOS has a fork server, too, but its libraries do not survive a fork.
+    A plain fork does not work with torch's threads. The fork server of macOS does not work with its system libraries.
     """
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
-    resource_tracker.ensure_running()  # the server would start it, and that unblocks SIGINT
-    with _blocked(signal.SIGINT, signal.SIGHUP), _environment(ONE_THREAD):
+    resource_tracker.ensure_running()  # before the signals are blocked, because its start unblocks SIGINT
+    # A terminal sends these signals to all processes. The server blocks them, because its parent handles them.
+    old_mask, environment = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP}), dict(os.environ)
+    os.environ.update(ONE_THREAD)
+    try:
         forkserver.ensure_running()
+    finally:
+        os.environ.clear()
+        os.environ.update(environment)
+        signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
     return context
 
 
 @contextmanager
-def _blocked(*numbers: int) -> Iterator[None]:
-    """Block signals in this thread, and permanently in processes that start during the block.
+def hide_main_script() -> Iterator[None]:
+    """During the block, processes that this thread starts do not import the user's script.
 
-    A terminal sends them to every process; the parent decides what they mean.
+    A script without `if __name__ == "__main__"` would run again in each process. Processes of other threads import it.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    token = _is_main_hidden.set(True)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        _is_main_hidden.reset(token)
 
 
-@contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables of processes that start during the block."""
-    before = dict(os.environ)
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+_is_main_hidden = ContextVar("_is_main_hidden", default=False)
+_original_preparation_data = spawn.get_preparation_data
 
 
-@contextmanager
-def main_hidden() -> Iterator[None]:
-    """Start processes in this thread without the user's script, because a script without a guard would run again.
-
-    Other threads and the module `__main__` itself are unaffected.
-    """
-    before = getattr(_hidden, "main", False)
-    _hidden.main = True
-    try:
-        yield
-    finally:
-        _hidden.main = before
+def _preparation_data(name: str) -> dict[str, Any]:
+    """Preparation data of a new process, without the parent's `__main__` while `hide_main_script` is active."""
+    items = _original_preparation_data(name).items()
+    return {key: value for key, value in items if not (_is_main_hidden.get() and key.startswith("init_main_from_"))}
 
 
-_hidden = threading.local()
-_preparation_data = spawn.get_preparation_data
-
-
-def _data_without_main(name: str) -> dict[str, Any]:
-    """Preparation data of a new process without the parent's `__main__` while `main_hidden` is active."""
-    data = _preparation_data(name)
-    return {k: v for k, v in data.items() if not (getattr(_hidden, "main", False) and k.startswith("init_main_from_"))}
-
-
-# Every start method calls this function and none has an option to leave the script out; changing `__main__` instead,
-# the only other way, would be seen by the user's other threads.
-spawn.get_preparation_data = _data_without_main
+# `multiprocessing` has no option to exclude the script. The only other way, changing the module `__main__` temporarily,
+# would affect the user's other threads.
+spawn.get_preparation_data = _preparation_data
 
 
 def end_with_parent() -> None:
-    """End this process when its parent ends in whatever way, because a pool's process would wait forever."""
+    """End this process when its parent ends, even if the parent is killed. Otherwise a worker would wait forever."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -100,7 +80,7 @@ def end_with_parent() -> None:
 
 
 def processors() -> int:
-    """Number of processors that this process may use, at most the environment variable TB2RL_PROCESSORS."""
+    """Number of processors for this process; the environment variable TB2RL_PROCESSORS is an upper limit."""
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     limit = os.environ.get("TB2RL_PROCESSORS", "")
     return min(available, max(1, int(limit))) if limit.isdigit() else available

@@ -1,62 +1,58 @@
-"""Signals that ask a program to end: Ctrl-C, `kill`, a closed terminal."""
-
-from __future__ import annotations
+"""Handles termination signals: Ctrl-C, `kill`, a closed terminal."""
 
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import NoReturn
 
-ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows: two
+# Windows has no SIGHUP.
+_TERMINATION_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @contextmanager
-def ending_signals(handler: Callable[[int], None]) -> Iterator[None]:
-    """Call `handler` with the number of each such signal during the block.
+def handle_termination_signals(handler: Callable[[int], None]) -> Iterator[None]:
+    """Call `handler` with the signal number of each termination signal during the block.
 
-    An ignored hangup stays ignored, as `nohup` arranges. Does nothing outside the main thread, which receives signals.
+    Ignored signals except SIGINT stay ignored, such as SIGHUP under `nohup`. Only the main thread receives signals; in
+    other threads, the block runs without a handler.
     """
 
     def handle(number: int, _frame: object) -> None:
-        _drop_lost_terminal()
+        _discard_output_of_closed_terminal()
         handler(number)
 
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in ENDING:
-            if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
-                before[number] = signal.signal(number, handle)
-    try:
+    with ExitStack() as restore:
+        if threading.current_thread() is threading.main_thread():
+            for number in _TERMINATION_SIGNALS:
+                if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
+                    restore.callback(signal.signal, number, signal.signal(number, handle))
         yield
-    finally:
-        for number, previous in before.items():
-            signal.signal(number, previous)
 
 
-def end_program(number: int) -> NoReturn:
-    """End this program like the signal does, but run its `finally` blocks: a handler for `ending_signals`.
+def exit_by_signal(number: int) -> NoReturn:
+    """A handler for `handle_termination_signals` that ends the program, but runs its `finally` blocks.
 
     Raises:
-        KeyboardInterrupt: At Ctrl-C.
-        SystemExit: At another signal, with the status that a shell reports for it.
+        KeyboardInterrupt: For SIGINT.
+        SystemExit: For other signals, with the status that a shell reports.
     """
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)
 
 
-def ignore_ending_signals() -> None:
-    """Ignore such signals in a helper process, because its parent receives them too and decides."""
-    for number in ENDING:
+def ignore_termination_signals() -> None:
+    """Ignore termination signals in a worker process, because its parent receives and handles them."""
+    for number in _TERMINATION_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _drop_lost_terminal() -> None:
-    """Redirect stdout and stderr to nowhere if their terminal is gone, because writing would raise an OSError."""
-    for stream in (1, 2):
+def _discard_output_of_closed_terminal() -> None:
+    """Redirect stdout and stderr to the null device if their terminal is closed, because printing would fail."""
+    for descriptor in (1, 2):
         try:
-            os.write(stream, b"")
+            os.write(descriptor, b"")
         except OSError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)

@@ -1,28 +1,24 @@
-"""One pool of worker processes for all independent work: seeds, evaluations, trials of a study, the zoo.
+"""Executors: run independent jobs on worker processes, such as trainings, evaluations and trials.
 
-The interface follows `concurrent.futures`. An executor runs jobs on processes of this machine (`LocalExecutor`) or on
-Ray, here or on a cluster (`RayExecutor`); a command line chooses one (`make_executor`).
+The interface follows `concurrent.futures`. `LocalExecutor` runs jobs on processes of this machine, and `RayExecutor` on
+Ray, either on this machine or on a cluster. `make_executor` makes the executor that a command line selects.
 
     with LocalExecutor(max_workers=4) as executor:
-        # In the order of `groups`, each by a call drive(environments, policy, group):
+        # Calls drive(environments, policy, group) for each group; results are in the order of `groups`.
         for episodes in executor.map(drive, groups, shared=(environments, policy)):
             ...
-        # In the order in which they end, each by a call train(config, seed, folder):
+        # Calls train(config, seed, folder) for each job; results are in the order of completion.
         jobs = [Job(f"seed {seed}", (config, seed), folder / f"seed-{seed}") for seed in seeds]
         for job, summary in executor.as_completed(train, jobs, timeout=3600):
             ...
 
-- **Workers stay alive between calls**, until `close`. They start when they are first needed, with one thread each, and
-  in a session of their own, so that Ctrl-C reaches only the process that started them. They end with that process,
-  however it ends.
-- **Shared objects** are sent once to each worker, which keeps an object as long as each call shares it unchanged.
-  Environments that open lazily therefore open once in each process; what they hold open must not be part of their
-  pickle. An object that has changed, such as a policy that goes on learning, is sent again.
-- **Errors**: an `InputError` of a job is raised with its name, any other exception as a `RuntimeError` with its
-  traceback. A job whose worker dies is run again, in an empty folder.
-- **Leaving the loop early**, by an exception, Ctrl-C or `close` of the iterator, terminates the jobs that still run.
-- The folder of a job on another machine is copied back, and user-written modules are sent along.
+- **Workers stay alive between calls**, until `close`. Each worker has one thread and its own session, so that Ctrl-C
+  reaches only the parent process. Workers end when the parent ends, even if it is killed.
+- **Shared objects** are sent to each worker once, and again only after they have changed. Environments that open lazily
+  therefore open once per worker; their pickle must exclude open resources.
+- **Errors**: an `InputError` of a job is raised with the job's name, any other exception as a `RuntimeError` with its
+  traceback. If a worker dies, its job is run again in an empty folder.
+- **Leaving the loop early**, by an exception, Ctrl-C or `close` of the iterator, terminates the running jobs.
 
-`executor.py` is the place to begin. This room imports `core` alone, and nothing slow, because a worker sets its number
-of threads before that.
+This room imports only `core` and no slow packages, because a worker must first limit the threads of such packages.
 """

@@ -1,29 +1,25 @@
-"""The executor that a command line chooses: `--on ray`, `--on ray:ADDRESS`, `--workers 4`."""
-
-from __future__ import annotations
+"""Command-line arguments that select an executor: `--on ray`, `--on ray:ADDRESS`, `--workers 4`."""
 
 import argparse
 
+from tb2rl.core.command import between
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.execution.executor import Executor
-
-_MAX_WORKERS = 10_000
 
 
 def add_executor_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that `make_executor` reads."""
     parser.add_argument("--on", metavar="ray[:ADDRESS]", help="run on Ray: on this machine, or on a cluster's address")
-    parser.add_argument("--workers", type=int, help="parallel processes (default: one for each processor)")
+    workers_help = "parallel processes (default: one for each processor)"
+    parser.add_argument("--workers", type=between(1, 10_000), help=workers_help)
 
 
 def make_executor(options: argparse.Namespace) -> Executor:
-    """The executor of a command line; it starts its workers when they are first needed.
+    """Make the executor that a command line selects; the executor starts workers when they are first needed.
 
     Raises:
-        InputError: If an argument does not fit.
+        InputError: If `--on` is invalid.
     """
-    if options.workers is not None and not 1 <= options.workers <= _MAX_WORKERS:
-        raise InputError(f"--workers must be from 1 to {_MAX_WORKERS}, got {options.workers}")
     if options.on is None:
         from tb2rl.execution.local import LocalExecutor
 
@@ -34,9 +30,3 @@ def make_executor(options: argparse.Namespace) -> Executor:
     from tb2rl.execution.cluster import RayExecutor
 
     return RayExecutor(address or None, options.workers)
-
-
-def executor_arguments(options: argparse.Namespace) -> list[str]:
-    """The words of a command line that choose the same executor."""
-    on = [] if options.on is None else ["--on", options.on]
-    return on if options.workers is None else [*on, "--workers", str(options.workers)]

@@ -1,15 +1,15 @@
-"""An executor on Ray, on this machine or on the nodes of a cluster; it uses tasks of Ray's core alone.
+"""Executor on Ray, either on this machine or on the nodes of a cluster.
 
-Nodes share no disk: everything that a job needs travels with it, and its folder comes back as bytes. When a worker or
-its node dies, Ray runs the job again elsewhere; each result comes once.
+Nodes share no disk, so a job is sent with everything that it needs, and its folder is returned as bytes. If a worker or
+its node dies, Ray runs the job again elsewhere.
 """
-
-from __future__ import annotations
 
 import os
 import pickle
 import socket
-from collections.abc import Mapping, Sequence
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -18,32 +18,35 @@ from typing import Any, ClassVar
 
 import cloudpickle
 
+import tb2rl
 from tb2rl.core.errors import InputError, install_extra, one_line
 from tb2rl.core.processes import ONE_THREAD, processors
 from tb2rl.execution.executor import Executor
-from tb2rl.execution.job import RETRIES, Job, Result, read_files, run_job, write_files
-from tb2rl.execution.modules import UserModules
-from tb2rl.execution.payload import Payload, deserialize, serialize
+from tb2rl.execution.job import RETRIES, Job, Result, deserialize, read_files, run_job, serialize, write_files
 
-_OBJECT_STORE = 2**28  # [bytes] of a Ray that is started here; more spills to the disk
+_OBJECT_STORE_SIZE = 2**28  # [bytes] size of the shared memory of a local Ray; larger objects are moved to the disk
 _CONNECT_TIMEOUT = 10  # [s]
-_QUIET = {"RAY_USAGE_STATS_ENABLED": "0"}
-# Ray binds to 127.0.0.1 only, and its workers have the priority of other processes.
+_NO_TELEMETRY = {"RAY_USAGE_STATS_ENABLED": "0"}
+# These variables let a local Ray listen only on 127.0.0.1, and give its workers the normal priority.
 _LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
 
-# Environment variables that workers take over; those with secrets are set on each machine.
-_FORWARDED = ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME", "WANDB_MODE", "WANDB_PROJECT")
+# Environment variables that are copied to workers. Variables with secrets must be set on each machine.
+_FORWARDED_VARIABLES = ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME", "WANDB_MODE", "WANDB_PROJECT")
+
+_LIBRARY_FOLDERS = {"site-packages", "dist-packages"}
+_DATA_SUFFIXES = (".urdf", ".yaml", ".yml", ".json", ".obj", ".stl", ".dae", ".txt")  # files that modules may read
+_module_folders: list[TemporaryDirectory[str]] = []  # in a worker: the user's modules
 
 
 class RayExecutor(Executor):
     """Runs jobs on Ray.
 
     Args:
-        address: HOST:PORT of a cluster; None: starts Ray on this machine, until this process ends.
-        max_workers: Parallel jobs; None: one for each processor of the cluster, nodes that join later included.
+        address: HOST:PORT of a cluster; None: a Ray on this machine, which ends with this process.
+        max_workers: Maximum number of parallel jobs; None: the present number of processors of the cluster.
 
     Raises:
-        InputError: When it is first used, if Ray is not installed or there is no cluster at the address.
+        InputError: At the first use, if Ray is not installed or there is no cluster at the address.
     """
 
     remote: ClassVar[bool] = True
@@ -51,7 +54,7 @@ class RayExecutor(Executor):
     def __init__(self, address: str | None = None, max_workers: int | None = None) -> None:
         self._address, self._max_workers = address, max_workers
         self._running: dict[Any, Job] = {}
-        self._references: dict[str, Any] = {}  # of payloads in Ray's object store, by digest
+        self._references: dict[str, Any] = {}  # Ray's references to the user's modules and to payloads, by digest
 
     @cached_property
     def _ray(self) -> Any:
@@ -66,33 +69,26 @@ class RayExecutor(Executor):
         available = int(self._ray.cluster_resources().get("CPU", 1))
         return max(1, min(available, self._max_workers or available))
 
-    def start(self, job: Job, payloads: Sequence[Payload]) -> None:
-        if {payload.digest for payload in payloads} - set(self._references):
-            self._modules = serialize(UserModules())
-            sent = (self._modules, *payloads)
-            self._references = {payload.digest: self._ray.put(payload.content) for payload in sent}
-        environment = {name: os.environ[name] for name in _FORWARDED if name in os.environ}
-        digests = [self._modules.digest, *(payload.digest for payload in payloads)]  # other objects import the modules
-        self._running[self._task.remote(cloudpickle.dumps(job), digests, self._references, environment)] = job
+    def start(self, job: Job, payloads: Mapping[str, bytes]) -> None:
+        if list(self._references)[1:] != list(payloads):  # the first reference is that of `UserModules`
+            contents = serialize([UserModules()]) | dict(payloads)  # modules first, because other objects need them
+            self._references = {digest: self._ray.put(content) for digest, content in contents.items()}
+        environment = {name: os.environ[name] for name in _FORWARDED_VARIABLES if name in os.environ}
+        self._running[self._task.remote(cloudpickle.dumps(job), self._references, environment)] = job
 
     def wait(self, seconds: float) -> list[tuple[Job, Result]]:
-        """The jobs that ended: returns when there are some, or after so many seconds.
-
-        Raises:
-            InputError: If the workers of a job died too often, or the cluster is gone.
-        """
         ready, _ = self._ray.wait(list(self._running), num_returns=1, timeout=seconds)
-        ended = []
+        results = []
         for reference in ready:
             job = self._running.pop(reference)
             try:
                 result, files = self._ray.get(reference)
             except self._ray.exceptions.RayError as error:
-                raise InputError(one_line(f"{job.name}: Ray gave it up: {error}")) from None
+                raise InputError(one_line(f"{job.name}: Ray could not run the job: {error}")) from None
             if files is not None and job.folder is not None:
                 write_files(files, job.folder)
-            ended.append((job, result))
-        return ended
+            results.append((job, result))
+        return results
 
     def cancel(self) -> None:
         if self._running and self._ray.is_initialized():
@@ -101,56 +97,94 @@ class RayExecutor(Executor):
         self._running.clear()
 
     def close(self) -> None:
-        """End the running jobs; Ray itself ends with this process, because it takes long to start."""
+        """Cancel the running jobs; Ray itself runs until this process ends, because its start takes seconds."""
         self.cancel()
         self._references.clear()
 
 
 def _connect(address: str | None, max_workers: int | None) -> Any:
-    """The module `ray`, connected."""
-    is_local = address is None or _split(address)[0] in ("localhost", "127.0.0.1")
-    os.environ.update(_QUIET | (_LOOPBACK if is_local else {}))  # read when Ray is imported
+    """Start Ray, or connect to a cluster; return the module `ray`."""
+    host, _, port = (address or "localhost:0").rpartition(":")
+    if not host or not port.isdigit():
+        raise InputError(f"the address of a Ray cluster is HOST:PORT, as `ray start` prints it, got {address!r}")
+    is_local = host in ("localhost", "127.0.0.1")
+    os.environ.update(_NO_TELEMETRY | (_LOOPBACK if is_local else {}))  # before Ray reads these variables on import
     try:
         import ray
     except ModuleNotFoundError:
         raise InputError(f"--on ray needs Ray: {install_extra('ray')}") from None
     if ray.is_initialized():
         return ray
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    log_options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address is None:
         cpus = max_workers or processors()
-        ray.init("local", num_cpus=cpus, object_store_memory=_OBJECT_STORE, include_dashboard=False, **quiet)
+        ray.init("local", num_cpus=cpus, object_store_memory=_OBJECT_STORE_SIZE, include_dashboard=False, **log_options)
         return ray
     try:
-        socket.create_connection(_split(address), _CONNECT_TIMEOUT).close()  # Ray itself would try for minutes
-        ray.init(address, **quiet)
-    except (OSError, RuntimeError, ValueError) as error:  # nothing listens, or its version of Ray or Python differs
+        socket.create_connection((host, int(port)), _CONNECT_TIMEOUT).close()  # because Ray's own timeout is minutes
+        ray.init(address, **log_options)
+    except (OSError, RuntimeError, ValueError) as error:  # no server, or another version of Ray or Python
         raise InputError(one_line(f"no usable Ray cluster at {address}: {error}")) from None
     return ray
 
 
-def _split(address: str) -> tuple[str, int]:
-    host, _, port = address.rpartition(":")
-    if not host or not port.isdigit():
-        raise InputError(f"the address of a Ray cluster is HOST:PORT, as `ray start` prints it, got {address!r}")
-    return host, int(port)
-
-
 def _run_remote(
-    call: bytes, digests: Sequence[str], references: Mapping[str, Any], environment: Mapping[str, str]
+    pickled_job: bytes, references: Mapping[str, Any], environment: Mapping[str, str]
 ) -> tuple[Result, Mapping[str, bytes] | None]:
-    """Run a job in a worker of Ray: its result and the files of its folder."""
-    os.environ.update({**ONE_THREAD, **environment})  # before anything large is imported
+    """Run a job in a worker of Ray; return its result and the files of its folder."""
+    os.environ.update({**ONE_THREAD, **environment})  # before libraries read the number of threads
     import ray
 
     def load() -> Sequence[Any]:
-        return deserialize(digests, lambda digest: ray.get(references[digest]))[1:]
+        return deserialize(references, lambda digest: ray.get(references[digest]))[1:]  # without `UserModules`
 
-    load()  # before the job is unpickled, which may need the user's modules
-    job: Job = pickle.loads(call)
-    if job.folder is None:
-        return run_job(load, job), None
+    load()  # first, because unpickling the job may need the user's modules
+    job: Job = pickle.loads(pickled_job)
     with TemporaryDirectory(prefix="tb2rl-job-") as parent:
         folder = Path(parent, "folder")
-        result = run_job(load, replace(job, folder=folder))
+        result = run_job(load, replace(job, folder=job.folder and folder))
         return result, read_files(folder) if folder.is_dir() else None
+
+
+class UserModules:
+    """The user's modules; unpickling this object makes them importable in another process."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _install, (user_files(),)
+
+
+def _install(files: Mapping[str, bytes]) -> None:
+    if files:
+        _module_folders.append(TemporaryDirectory(prefix="tb2rl-modules-"))
+        write_files(files, Path(_module_folders[-1].name, "modules"))
+        sys.path.insert(0, str(Path(_module_folders[-1].name, "modules")))
+
+
+def user_files() -> dict[str, bytes]:
+    """The source and data files of the user's imported modules, by path relative to a folder on `sys.path`."""
+    files: dict[str, bytes] = {}
+    for name, file in _user_modules():
+        if file.name != "__init__.py":
+            files[f"{name}{file.suffix}"] = file.read_bytes()
+            data = [path for path in file.parent.glob("*") if path.suffix in _DATA_SUFFIXES]
+            files |= {path.name: path.read_bytes() for path in data}
+        else:
+            files |= {
+                f"{name}/{path}": content
+                for path, content in read_files(file.parent).items()
+                if not any(part.startswith((".", "__pycache__")) for part in path.split("/"))
+            }
+    return files
+
+
+def _user_modules() -> Iterator[tuple[str, Path]]:
+    """Yield name and file of each imported top-level module that is neither installed nor part of tb2rl."""
+    libraries = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), *tb2rl.__path__)
+    folders = [Path(folder).resolve() for folder in libraries]
+    for name, module in list(sys.modules.items()):
+        path = getattr(module, "__file__", None)
+        if not path or not path.endswith(".py") or "." in name or name in ("__main__", "__mp_main__"):
+            continue
+        file = Path(path).resolve()
+        if not _LIBRARY_FOLDERS & set(file.parts) and not any(file.is_relative_to(folder) for folder in folders):
+            yield name, file

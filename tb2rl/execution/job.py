@@ -1,19 +1,24 @@
-"""A job: one independent part of the work, its call as a worker runs it, and its result."""
+"""Jobs, their serialization, and their execution in a worker."""
 
-from __future__ import annotations
-
+import hashlib
+import pickle
 import platform
 import shutil
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import cloudpickle
+
 from tb2rl.core.errors import InputError
 
-RETRIES = 3  # of a job whose worker died
+RETRIES = 3  # number of retries of a job whose worker died
+Result = tuple[Any, Exception | None]  # return value of a job, or the error to raise
+
+_cache: dict[str, Any] = {}  # deserialized objects in this worker, by digest
 
 
 @dataclass(frozen=True)
@@ -21,9 +26,9 @@ class Job:
     """One call of a function.
 
     Attributes:
-        name: For messages and the progress table; unique.
-        arguments: Of the function, after the shared objects.
-        folder: The folder that the function makes, its last argument; None: it makes none and takes none.
+        name: Unique name, for messages and the progress table.
+        arguments: Arguments of the function, after the shared ones.
+        folder: Folder that the function creates, passed as the last argument. None: no folder, and no such argument.
     """
 
     name: str
@@ -31,44 +36,51 @@ class Job:
     folder: Path | None = None
 
 
-@dataclass(frozen=True)
-class Result:
-    """What a job returned or raised.
-
-    Attributes:
-        value: The return value.
-        input_error: The message of an `InputError`.
-        traceback: Of any other exception.
-        host: Name of the machine that ran it.
-    """
-
-    value: Any = None
-    input_error: str | None = None
-    traceback: str | None = None
-    host: str = ""
-
-
-def run_job(load: Callable[[], Sequence[Any]], job: Job) -> Result:
-    """Run a job in this process; `load` returns its function and the shared objects."""
-    host = platform.node()
+def run_job(load: Callable[[], Iterable[Any]], job: Job) -> Result:
+    """Run a job in this process; `load` returns the function and the shared arguments."""
     folder = () if job.folder is None else (job.folder,)
     try:
         function, *shared = load()
-        return Result(function(*shared, *job.arguments, *folder), host=host)
+        return function(*shared, *job.arguments, *folder), None
     except InputError as error:
-        return Result(input_error=str(error), host=host)
+        return None, InputError(f"{job.name}: {error}")
     except Exception:
-        return Result(traceback=traceback.format_exc(), host=host)
+        return None, RuntimeError(f"{job.name} failed on {platform.node()}:\n{traceback.format_exc()}")
+
+
+def serialize(values: Iterable[Any]) -> dict[str, bytes]:
+    """Serialize objects by value, including classes and functions of the main script.
+
+    Returns:
+        The serialized objects in the same order, by a digest of position and content.
+    """
+    contents = [cloudpickle.dumps(value) for value in values]
+    return {f"{i} {hashlib.sha256(content).hexdigest()}": content for i, content in enumerate(contents)}
+
+
+def deserialize(digests: Iterable[str], fetch: Callable[[str], bytes]) -> list[Any]:
+    """Deserialize objects, or get them from the cache; objects with other digests are removed from the cache.
+
+    Args:
+        digests: Digests of all objects.
+        fetch: Function that returns a serialized object by its digest.
+    """
+    for digest in _cache.keys() - set(digests):
+        del _cache[digest]
+    for digest in digests:
+        if digest not in _cache:
+            _cache[digest] = pickle.loads(fetch(digest))
+    return [_cache[digest] for digest in digests]
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
-    """The content of all files in a folder, by relative path."""
+    """Read all files in a folder; returns their contents by relative path."""
     files = [path for path in folder.rglob("*") if path.is_file()]
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def write_files(files: Mapping[str, bytes], folder: Path) -> None:
-    """Make a folder with these files atomically; it replaces an existing one."""
+    """Write files into a temporary folder, then replace `folder` by it."""
     folder = folder.absolute()
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as parent:

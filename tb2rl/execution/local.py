@@ -1,4 +1,4 @@
-"""An executor on processes of this machine; a process that dies is replaced."""
+"""Executor on local processes, which replaces processes that die."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import pickle
 import shutil
 import threading
 import time
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from multiprocessing import connection
@@ -19,74 +18,66 @@ import cloudpickle
 from tqdm import tqdm  # type: ignore[import-untyped]
 
 from tb2rl.core.errors import InputError
-from tb2rl.core.processes import ONE_THREAD, end_with_parent, main_hidden, process_context, processors
+from tb2rl.core.processes import ONE_THREAD, end_with_parent, hide_main_script, process_context, processors
 from tb2rl.execution.executor import Executor
-from tb2rl.execution.job import RETRIES, Job, Result, run_job
-from tb2rl.execution.payload import Payload, deserialize
+from tb2rl.execution.job import RETRIES, Job, Result, deserialize, run_job
 
-_GRACE = 30.0  # [s] for terminated jobs to end: a training may save a checkpoint, and a rollout can be long
+_TERMINATION_TIMEOUT = 30.0  # [s] time for a training to finish its rollout and save a checkpoint
 
 
 class LocalExecutor(Executor):
-    """Runs jobs on processes of this machine.
+    """Runs jobs on local processes.
 
     Args:
-        max_workers: Processes; None: one for each processor.
+        max_workers: Maximum number of processes; None: one for each processor.
     """
 
     def __init__(self, max_workers: int | None = None) -> None:
         self._max_workers = max_workers or processors()
         self._idle: list[_Worker] = []
-        self._busy: dict[Connection, tuple[_Worker, Job, Sequence[Payload]]] = {}
-        self._deaths: Counter[str] = Counter()
-        atexit.register(self.close)  # before `multiprocessing` waits for the processes
+        self._busy: dict[Connection, _Worker] = {}
+        atexit.register(self.close)  # runs before the exit handler of `multiprocessing`, which joins all processes
 
     @property
     def num_workers(self) -> int:
         return self._max_workers
 
-    def start(self, job: Job, payloads: Sequence[Payload]) -> None:
+    def start(self, job: Job, payloads: Mapping[str, bytes], num_deaths: int = 0) -> None:
         worker = self._idle.pop() if self._idle else _Worker()
-        self._busy[worker.connection] = (worker, job, payloads)
-        with suppress(BrokenPipeError, ConnectionResetError):  # a worker that died meanwhile: `wait` notices
-            worker.send(job, payloads)
+        self._busy[worker.connection] = worker
+        worker.send(job, payloads, num_deaths)
 
     def wait(self, seconds: float) -> list[tuple[Job, Result]]:
-        """The jobs that ended: returns when there are some, or after so many seconds.
-
-        Raises:
-            InputError: If the processes of a job died too often.
-        """
-        ended = []
-        for ready in connection.wait(list(self._busy), seconds):
-            assert isinstance(ready, Connection)
-            worker, job, payloads = self._busy[ready]
+        results = []
+        for pipe in connection.wait(list(self._busy), seconds):
+            assert isinstance(pipe, Connection)
+            worker = self._busy[pipe]
             try:
-                result = ready.recv()
+                result = pipe.recv()
             except (EOFError, ConnectionResetError):
-                self._retry(worker, job, payloads)
+                self._retry(worker)
                 continue
-            del self._busy[ready]
+            del self._busy[pipe]
             self._idle.append(worker)
-            self._deaths.pop(job.name, None)
-            ended.append((job, result))
-        return ended
+            results.append((worker.job, result))
+        return results
 
-    def _retry(self, worker: _Worker, job: Job, payloads: Sequence[Payload]) -> None:
+    def _retry(self, worker: _Worker) -> None:
         del self._busy[worker.connection]
-        worker.end()
-        self._deaths[job.name] += 1
-        if self._deaths[job.name] > RETRIES:
-            raise InputError(f"{job.name}: its process died {RETRIES + 1} times ({worker.cause_of_death})")
+        worker.kill()
+        job, num_deaths = worker.job, worker.num_deaths + 1
+        if num_deaths > RETRIES:
+            code = worker.process.exitcode or 0
+            reason = f"by signal {-code}" if code < 0 else f"with status {code}"
+            raise InputError(f"{job.name}: its process died {num_deaths} times ({reason})")
         if job.folder is not None:
             shutil.rmtree(job.folder, ignore_errors=True)
-        self.start(job, payloads)
+        self.start(job, worker.payloads, num_deaths)
 
     def cancel(self) -> None:
-        """Terminate the processes of the running jobs; a training in one may save a checkpoint first."""
-        busy = [worker for worker, *_ in self._busy.values()]
+        """Terminate the running jobs; a training has time to save a checkpoint."""
+        busy = list(self._busy.values())
         self._busy.clear()
-        self._deaths.clear()
         _terminate(busy)
 
     def close(self) -> None:
@@ -97,54 +88,51 @@ class LocalExecutor(Executor):
 
 
 class _Worker:
-    """A process and the pipe to it."""
+    """A worker process, the pipe to it, and its present job."""
+
+    job: Job
+    num_deaths: int
 
     def __init__(self) -> None:
         context = process_context()
-        self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, {**os.environ, **ONE_THREAD}))
-        self._sent: set[str] = set()  # digests of the payloads that it keeps
-        with main_hidden():
+        self.connection, worker_end = context.Pipe()
+        self.process = context.Process(target=_run_jobs, args=(worker_end, {**os.environ, **ONE_THREAD}))
+        self.payloads: Mapping[str, bytes] = {}  # payloads of the present job, which the process has cached
+        with hide_main_script():
             self.process.start()
-        theirs.close()  # so that the pipe ends with the process
+        worker_end.close()  # so that the pipe closes when the process dies
 
-    def send(self, job: Job, payloads: Sequence[Payload]) -> None:
-        """Send a job, and the payloads that the worker lacks."""
-        digests = [payload.digest for payload in payloads]
-        missing = {payload.digest: payload.content for payload in payloads if payload.digest not in self._sent}
-        self._sent = set(digests)
-        self.connection.send_bytes(cloudpickle.dumps((job, digests, missing)))
+    def send(self, job: Job, payloads: Mapping[str, bytes], num_deaths: int) -> None:
+        """Send a job with the payloads that the process has not cached; `num_deaths` of its workers have died."""
+        missing = {digest: payloads[digest] for digest in payloads.keys() - self.payloads.keys()}
+        self.job, self.payloads, self.num_deaths = job, payloads, num_deaths
+        with suppress(BrokenPipeError, ConnectionResetError):  # the process has died, and `wait` will retry the job
+            self.connection.send_bytes(cloudpickle.dumps((job, list(payloads), missing)))
 
-    @property
-    def cause_of_death(self) -> str:
-        """Signal or exit status that ended the process."""
-        code = self.process.exitcode or 0
-        return f"by signal {-code}" if code < 0 else f"with status {code}"
-
-    def end(self) -> None:
+    def kill(self) -> None:
         self.process.kill()
         self.process.join()
         self.connection.close()
 
 
 def _terminate(workers: Iterable[_Worker]) -> None:
-    deadline = time.monotonic() + _GRACE
+    deadline = time.monotonic() + _TERMINATION_TIMEOUT
     for worker in workers:
         worker.process.terminate()
     for worker in workers:
         worker.process.join(max(0.0, deadline - time.monotonic()))
-        worker.end()
+        worker.kill()
 
 
-def _serve(jobs: Connection, environment: Mapping[str, str]) -> None:
-    """Run jobs until the pipe ends."""
+def _run_jobs(pipe: Connection, environment: Mapping[str, str]) -> None:
+    """Run jobs in a worker process until the pipe is closed."""
     end_with_parent()
     if hasattr(os, "setsid"):
-        os.setsid()  # a session of its own: Ctrl-C reaches the process that started it alone
-    os.environ.clear()  # a process of the fork server has the environment of its server
+        os.setsid()  # new session, so that Ctrl-C interrupts only the main process
+    os.environ.clear()  # because the process has inherited the environment of the fork server
     os.environ.update(environment)
-    tqdm.set_lock(threading.RLock())  # instead of a semaphore, which a process that is killed would leave behind
-    with suppress(EOFError, KeyboardInterrupt):  # no more jobs; a training that was terminated
+    tqdm.set_lock(threading.RLock())  # because a killed process would leak tqdm's default lock, a semaphore
+    with suppress(EOFError, KeyboardInterrupt):  # the pipe was closed, or a training was terminated
         while True:
-            job, digests, contents = pickle.loads(jobs.recv_bytes())
-            jobs.send(run_job(partial(deserialize, digests, contents.__getitem__), job))
+            job, digests, contents = pickle.loads(pipe.recv_bytes())
+            pipe.send(run_job(partial(deserialize, digests, contents.__getitem__), job))

@@ -1,5 +1,13 @@
 """Runs: configs, run folders, checkpoints, loading of policies.
 
-`folder.py` has every file name of a run folder; other rooms hand over plain values and arrays. Imports environments and
-the rooms below.
+`folder.py` lists the files of a run folder. This room imports environments and the rooms below them.
 """
+
+from tb2rl.runs.algorithm import driving_policy, make_algorithm, make_baseline, settings_error
+from tb2rl.runs.arguments import LIBRARY_ERRORS
+from tb2rl.runs.checkpoint import SUFFIX, is_saveable, read_checkpoint, restore_into, write_checkpoint
+from tb2rl.runs.config import Config, TrainSettings, as_preset, config_from, flatten, parse_settings, resolve
+from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run, config_file, read_config, restrict_imports, versions
+from tb2rl.runs.hub import HUB, cached_reference
+from tb2rl.runs.journal import Journal, read_lines
+from tb2rl.runs.loading import checkpoint_file, config_of, load, load_parameters, parameters_of, policy_digest

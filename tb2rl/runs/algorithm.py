@@ -1,169 +1,205 @@
-"""The untrained algorithm of a config, or the policy of an agent that does not learn."""
+"""Makes the untrained algorithm of a config, or the policy of an agent that does not learn.
 
-from __future__ import annotations
+During training, the wrapper `VecNormalize` of Stable-Baselines3 normalizes observations and rewards. A loaded policy
+normalizes observations itself, with the statistics of its checkpoint.
+"""
 
 import inspect
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping
 from copy import copy
 from functools import partial
+from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.utils import get_device
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
-from torch.nn.modules.module import register_module_parameter_registration_hook
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
-from tb2rl.core.agent import find_agent
 from tb2rl.core.errors import InputError, one_line
-from tb2rl.core.plugins import import_object
-from tb2rl.envs.scene import Scene
+from tb2rl.envs.encodings import NUMBERS
+from tb2rl.envs.features import InverseRange
 from tb2rl.robots.vehicle import Vehicle
-from tb2rl.runs.arguments import LIBRARY_ERRORS, agent_for, algorithm_arguments
+from tb2rl.runs.arguments import LIBRARY_ERRORS
+from tb2rl.runs.checkpoint import restore_into
 from tb2rl.runs.config import Config
-from tb2rl.runs.normalisation import check_features, normalize, sync_gamma
 from tb2rl.tasks.actions import Velocities
 
-MOST_WEIGHTS = 100_000_000  # in all networks of an algorithm; 400 MB
-MOST_LAYERS = 2_000  # parameter arrays in all networks of an algorithm
 
+def make_algorithm(config: Config, env: VecEnv | None = None) -> BaseAlgorithm:
+    """Make the untrained algorithm of a config.
 
-def make_algorithm(config: Config, env: VecEnv) -> BaseAlgorithm:
-    """The untrained algorithm of a config, in environments that it normalizes if the config says so.
+    Args:
+        config: Config of the training.
+        env: Environments, to which normalization is added; None: environments that have spaces but no simulation.
 
     Raises:
-        InputError: If its agent does not learn, its arguments do not fit together, or its policy has no parameters
-            that a checkpoint can hold.
+        InputError: If the agent does not learn, its arguments are invalid, or its policy cannot be saved.
     """
     check_trainable(config)
-    agent, train = agent_for(config.agent_name, config.scene.observation_space), config.train
-    device = _parse_device(train.device)
+    agent, train = config.agent, config.train
+    env = DummyVecEnv([partial(_SpacesOnlyEnv, config)] * train.n_envs) if env is None else env
     env = normalize(env, train.norm_obs, train.norm_reward)
     try:
-        with _limited_networks():
-            algorithm = import_object(str(agent.algorithm))(
-                agent.policy,
-                env,
-                seed=train.seed,
-                device=device if _is_available(device) else "cpu",  # a policy drives on any machine
-                **algorithm_arguments(config.agent_arguments, config.scene.action_space),
-            )
+        algorithm = agent.load()(
+            agent.policy,
+            env,
+            seed=train.seed,
+            device=train.device if _has_device(train.device) else "cpu",  # so that policies load on any machine
+            **config.algorithm_arguments,
+        )
     except LIBRARY_ERRORS as error:
         raise settings_error(config, str(error)) from None
     if not isinstance(algorithm.policy, th.nn.Module) or not algorithm.policy.state_dict():
         raise InputError(
             f"agent {config.agent_name} cannot be saved: its {type(algorithm.policy).__name__} has no torch parameters "
-            "(those of SBX are JAX's); take an algorithm of Stable-Baselines3 or sb3-contrib"
+            "(SBX uses JAX); take an algorithm of Stable-Baselines3 or sb3-contrib"
         )
-    check_features(algorithm)
-    sync_gamma(algorithm)
+    adapt_normalization(algorithm)
     return algorithm
 
 
 def check_trainable(config: Config) -> None:
-    """Raise an `InputError` if the agent does not learn, or not with the task's actions, or needs action masks."""
-    name, agent = config.agent_name, find_agent(config.agent_name)
+    """Raise an `InputError` if the agent does not learn, needs other actions than the task's, or needs action masks."""
+    name, agent = config.agent_name, config.agent
     if agent.algorithm is None:
         raise InputError(f"agent {name} does not learn; try it with `python -m tb2rl.evaluate --agent {name}`")
     actions = "named" if isinstance(config.scene.action_space, spaces.Discrete) else "continuous"
     if agent.actions not in (None, actions):
         raise InputError(f"agent {name} learns {agent.actions} actions; those of task {config.task_name} are {actions}")
-    if "action_masks" in inspect.signature(import_object(agent.algorithm).predict).parameters:
-        raise InputError(f"agent {name} needs masks of the actions that are allowed, and here all of them always are")
+    if "action_masks" in inspect.signature(agent.load().predict).parameters:
+        raise InputError(f"agent {name} needs action masks, which tasks do not have; use its unmasked variant")
 
 
 def settings_error(config: Config, reason: str) -> InputError:
-    """The error for an algorithm that refuses its settings; it names them all, because libraries rarely say which."""
-    given = ", ".join(config.agent_arguments) or "all as they are by default"
+    """Make the error for rejected settings; it lists all settings, because libraries rarely tell the invalid one."""
+    settings = ", ".join(config.agent_arguments) or "all default"
     agent = f"agent {config.agent_name} with {config.observation} observations"
-    return InputError(one_line(f"{agent} refuses its settings ({given}): {reason}"))
-
-
-@contextmanager
-def _limited_networks() -> Iterator[None]:
-    """Refuse huge networks, from a typing error or an untrusted file, before their layers take up memory.
-
-    Raises:
-        InputError: For a layer without units, or too many weights or layers.
-    """
-    weights = layers = 0
-
-    def count(_module: th.nn.Module, name: str, parameter: th.nn.Parameter | None) -> None:
-        nonlocal weights, layers
-        if parameter is None:
-            return
-        weights, layers = weights + parameter.numel(), layers + 1
-        if parameter.numel() == 0:
-            raise InputError(f"a layer has no units (its {name} is empty)")
-        if weights > MOST_WEIGHTS or layers > MOST_LAYERS:
-            raise InputError(f"its networks have more than {MOST_WEIGHTS} weights, or {MOST_LAYERS} arrays of them")
-
-    hook = register_module_parameter_registration_hook(count)
-    try:
-        yield
-    finally:
-        hook.remove()
+    return InputError(one_line(f"{agent} rejects its settings ({settings}): {reason}"))
 
 
 def check_device(name: str) -> None:
-    """Raise an `InputError` if a training's device is missing, because training on another one would take longer."""
-    if not _is_available(_parse_device(name)):
-        raise InputError(f"train.device {name!r} cannot be used: torch finds none on this machine; take cpu or auto")
+    """Raise an `InputError` if torch does not find a device."""
+    if not _has_device(name):
+        raise InputError(f"train.device is {name!r}, but torch finds no such device; take cpu or auto")
 
 
-def _parse_device(name: str) -> th.device:
-    """Parse and validate a device name, even of a device that this machine lacks."""
-    try:
-        device = get_device(name) if name == "auto" else th.device(name)
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise InputError(one_line(f"train.device {name!r} cannot be used: {error}")) from None
-    if device.type not in ("cpu", "cuda", "mps"):
-        raise InputError(f"train.device {name!r} cannot be used: take cpu, cuda or auto")
-    return device
-
-
-def _is_available(device: th.device) -> bool:
-    if device.type == "cuda":
-        return (device.index or 0) < th.cuda.device_count()
-    return device.type != "mps" or th.backends.mps.is_available()
+def _has_device(name: str) -> bool:
+    device_type, _, index = name.partition(":")
+    if device_type == "cuda":
+        return int(index or 0) < th.cuda.device_count()
+    return device_type != "mps" or th.backends.mps.is_available()
 
 
 def make_baseline(config: Config) -> BasePolicy:
-    """The policy of an agent that does not learn.
-
-    Raises:
-        InputError: If the agent learns.
-    """
-    agent = find_agent(config.agent_name)
+    """Make the policy of an agent that does not learn; raises an `InputError` for an agent that learns."""
+    name, agent = config.agent_name, config.agent
     if agent.algorithm is not None:
-        name = config.agent_name
         raise InputError(f"agent {name} learns; train it with `python -m tb2rl.train --agent {name}`")
-    scene, policy = config.scene, import_object(agent.policy)
-    needs_vehicle = "vehicle" in inspect.signature(policy).parameters
-    vehicle = {"vehicle": _vehicle(scene)} if needs_vehicle else {}
-    return policy(scene.observation_space, scene.action_space, **vehicle, **config.agent_arguments)
+    scene, policy_class, arguments = config.scene, agent.load(), dict(config.agent_arguments)
+    if "vehicle" in inspect.signature(policy_class).parameters:
+        actions, robot = scene.actions, scene.robot
+        angles = tuple(scene.laser.angles.tolist())
+        v, w = actions.high if isinstance(actions, Velocities) else (actions.max_speed, robot.max_turn_rate)
+        arguments["vehicle"] = Vehicle(robot.radius, float(v), float(w), scene.task.control_period, angles)
+    return policy_class(scene.observation_space, scene.action_space, **arguments)
 
 
-def _vehicle(scene: Scene) -> Vehicle:
-    actions, robot = scene.actions, scene.robot
-    max_speed, turn_rate = actions.max_speed, robot.max_turn_rate
-    if isinstance(actions, Velocities):
-        max_speed, turn_rate = actions.high.tolist()
-    return Vehicle(robot.radius, max_speed, turn_rate, scene.task.control_period, tuple(scene.laser.angles.tolist()))
-
-
-class Spaces(gym.Env):
-    """The spaces of a config without a simulation: enough to rebuild an algorithm."""
+class _SpacesOnlyEnv(gym.Env):
+    """An environment that has the spaces of a config, but no simulation."""
 
     def __init__(self, config: Config) -> None:
-        self.observation_space = config.scene.observation_space
-        self.action_space = config.scene.action_space
+        self.observation_space, self.action_space = config.scene.observation_space, config.scene.action_space
 
-    @classmethod
-    def vectorised(cls, config: Config) -> VecEnv:
-        """As many of them as the config has environments."""
-        one = cls(config)
-        return DummyVecEnv([partial(copy, one)] * config.train.n_envs)
+
+def normalize(env: VecEnv, norm_obs: bool, norm_reward: bool) -> VecEnv:
+    """Wrap environments in `VecNormalize` if observations or rewards are to be normalized."""
+    if not norm_obs and not norm_reward:
+        return env
+    space = env.observation_space
+    parts = space.spaces if isinstance(space, spaces.Dict) else {NUMBERS: space}
+    keys = [key for key, part in parts.items() if isinstance(part, spaces.Box) and not is_image_space(part)]
+    if norm_obs and not keys:
+        raise InputError("train.norm_obs normalises numbers, but the observations are classes or images; omit it")
+    norm_obs_keys = keys if isinstance(space, spaces.Dict) else None
+    return VecNormalize(env, norm_obs=norm_obs, norm_reward=norm_reward, norm_obs_keys=norm_obs_keys)
+
+
+def adapt_normalization(algorithm: BaseAlgorithm) -> None:
+    """Use the agent's gamma in `VecNormalize`.
+
+    Raises:
+        InputError: If observations are normalized, but a features extractor needs ranges in metres.
+    """
+    env = algorithm.get_vec_normalize_env()
+    if env is None:
+        return
+    env.gamma = getattr(algorithm, "gamma", env.gamma)
+    if env.norm_obs and any(isinstance(module, InverseRange) for module in algorithm.policy.modules()):
+        raise InputError(
+            "train.norm_obs does not work with InverseRange, which needs ranges in metres; set "
+            "agent.policy_kwargs.features_extractor_class=stable_baselines3.common.torch_layers:FlattenExtractor "
+            "and agent.policy_kwargs.features_extractor_kwargs=null"
+        )
+
+
+def statistics_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
+    """The running statistics of observations and rewards, for a checkpoint; empty without normalization."""
+    env = algorithm.get_vec_normalize_env()
+    if env is None:
+        return {}
+    observations = {key: _statistics_tree(statistics) for key, statistics in _observation_statistics(env).items()}
+    return {"observations": observations, "rewards": _statistics_tree(env.ret_rms)}
+
+
+def load_statistics(algorithm: BaseAlgorithm, tree: Any) -> None:
+    """Restore the statistics of a checkpoint; raises a ValueError if their names, shapes or types differ."""
+    env = algorithm.get_vec_normalize_env()
+    if env is None:
+        return
+    restored = restore_into(statistics_of(algorithm), tree, "normalisation")
+    current = [*_observation_statistics(env).values(), env.ret_rms]
+    for statistics, values in zip(current, [*restored["observations"].values(), restored["rewards"]], strict=True):
+        vars(statistics).update(values)
+
+
+def _observation_statistics(env: VecNormalize) -> dict[str, RunningMeanStd]:
+    """Running statistics, by observation key."""
+    if not env.norm_obs:
+        return {}
+    return env.obs_rms if isinstance(env.obs_rms, dict) else {NUMBERS: env.obs_rms}
+
+
+def _statistics_tree(statistics: RunningMeanStd) -> dict[str, Any]:
+    count = float(statistics.count)
+    return {"mean": np.array(statistics.mean), "var": np.array(statistics.var), "count": count}
+
+
+def driving_policy(algorithm: BaseAlgorithm) -> BasePolicy:
+    """A policy for observations that are not normalized; it shares the networks of the algorithm's policy."""
+    env = algorithm.get_vec_normalize_env()
+    if env is None or not env.norm_obs:
+        return algorithm.policy
+    policy = copy(algorithm.policy)
+    policy.obs_to_tensor = partial(  # type: ignore[method-assign]
+        _normalized_to_tensor, algorithm.policy, _observation_statistics(env), env.epsilon, env.clip_obs
+    )
+    return policy
+
+
+def _normalized_to_tensor(
+    policy: BasePolicy, statistics: Mapping[str, RunningMeanStd], epsilon: float, clip: float, observation: Any
+) -> tuple[Any, bool]:
+    """Normalize an observation like `VecNormalize.normalize_obs`, then call the policy's `obs_to_tensor`.
+
+    The method itself is not used, because a copied or unpickled `VecNormalize` cannot be copied or pickled again.
+    """
+    parts = dict(observation) if isinstance(observation, dict) else {NUMBERS: observation}
+    for key, moments in statistics.items():
+        scaled = (parts[key] - moments.mean) / np.sqrt(moments.var + epsilon)
+        parts[key] = np.clip(scaled, -clip, clip).astype(np.float32)
+    return policy.obs_to_tensor(parts if isinstance(observation, dict) else parts[NUMBERS])

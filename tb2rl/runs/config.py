@@ -1,135 +1,255 @@
-"""The config of a training: agent, task and training settings, as plain values that a run folder keeps.
+"""The config of a training: its form as a tree of plain values, and the layers that are merged into it.
 
-A config is a tree of three mappings, `agent`, `task` and `train`. `tb2rl.runs.layers` merges its values.
+The tree has three sections, which are mappings: `agent`, `task` and `train`. `resolve` merges these layers; each layer
+overrides the earlier layers:
+
+1. The defaults of the signatures.
+2. `configs/tasks/TASK.yaml`.
+3. `configs/agents/AGENT.yaml`.
+4. `configs/kinematic/AGENT.yaml`, if the user chooses the kinematic simulator.
+5. `configs/tasks/TASK-AGENT.yaml`.
+6. `Robot.task_settings`, if the user chooses a robot.
+7. The user's preset.
+8. The user's settings, such as `agent.gamma=0.9`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
+from pydantic_core import to_jsonable_python
 
-from tb2rl.core.agent import find_agent
-from tb2rl.core.errors import InputError
-from tb2rl.core.trust import check_file
+from tb2rl.core import (
+    Agent,
+    InputError,
+    check_file_allowed,
+    find_agent,
+    find_file,
+    one_line,
+    read_yaml,
+    reference_to,
+    top_folder,
+)
+from tb2rl.core.files import parse_yaml
 from tb2rl.core.values import Count, CountOrZero, Fraction, Names, build
-from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
-from tb2rl.envs.worlds import absolute_worlds, files_named
-from tb2rl.runs.arguments import agent_for, check_arguments
-from tb2rl.runs.plain_values import check_plain, check_sections, to_plain
-from tb2rl.simulation import batch_simulator, default_physics, find_simulator
+from tb2rl.envs.scene import Scene, add_robot_defaults, make_scene
+from tb2rl.envs.worlds import absolute_worlds, paths_in
+from tb2rl.runs.arguments import algorithm_arguments, checked_arguments, is_schedule, with_policy
+from tb2rl.simulation.simulator import batch_simulator, default_physics, find_simulator
 from tb2rl.tasks import Task
-from tb2rl.tasks.registry import find_task
+from tb2rl.tasks.task import find_task
 
 
-def _simulator(name: str) -> str:
+def _checked_simulator_name(name: str) -> str:
     simulator = find_simulator(name)
-    if simulator.is_robot:
-        raise ValueError(f"cannot be {name!r}: a training needs a simulator")
+    if simulator.is_external:
+        raise ValueError(f"cannot be {name!r}, because a training needs a simulator of tb2rl")
     return simulator.name
 
 
-Simulation = Annotated[str, AfterValidator(_simulator)]  # a name that `find_simulator` takes
+SimulatorName = Annotated[str, AfterValidator(_checked_simulator_name)]
 
 
 @dataclass(frozen=True)
 class TrainSettings:
     """Length, environments, evaluations and checkpoints of a training."""
 
-    total_timesteps: Count = 500_000  # control steps, over all environments
-    episodes: Count | None = None  # stop after so many, over all environments, if that comes first
-    episode_steps: Count | None = None  # time limit while training; a short one gives more starts; None: the task's
+    total_timesteps: Count = 500_000  # control steps in all environments
+    episodes: Count | None = None  # maximum number of episodes in all environments; None: no limit
+    episode_steps: Count | None = None  # [control steps] time limit of training episodes; None: the task's time limit
     seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
-    simulation: Simulation = field(default_factory=lambda: default_physics().name)  # simulator to train in
-    n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # environments, divided among parallel processes
-    device: str = "cpu"
-    torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # 2: 15 % faster for ppo in the kinematic simulator
-    reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # of the rewards that the agent sees; logs are unscaled
-    norm_obs: bool = False  # normalise observations by their running mean and deviation (SB3's VecNormalize)
-    norm_reward: bool = False  # normalise rewards by the deviation of discounted returns, whatever the reward_scale
-    eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: none
-    eval_simulation: Simulation = field(
-        default_factory=lambda: batch_simulator().name
-    )  # simulator of these evaluations
-    eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000; 20 in PyBullet and for images
-    eval_steps: Count = 1000  # time limit of their episodes, in control steps
-    best_by: Literal["success", "return"] = "success"  # the best policy has most successful episodes or the best return
-    stop_score: Fraction | None = None  # stop once evaluations reach this share of successful episodes; None: never
-    stop_evaluations: Count = 2  # consecutive evaluations that must reach stop_score
+    simulation: SimulatorName = field(default_factory=lambda: default_physics().name)  # simulator to train in
+    n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # number of environments, divided among parallel processes
+    device: Annotated[str, Field(pattern=r"^(auto|cpu|mps|cuda(:\d{1,2})?)$")] = "cpu"
+    torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # ppo in the kinematic simulator is 15 % faster with 2 threads
+    reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # factor for rewards in training; logs are unscaled
+    norm_obs: bool = False  # normalise observations by running mean and standard deviation (SB3's VecNormalize)
+    norm_reward: bool = False  # normalise rewards by the standard deviation of returns, which cancels reward_scale
+    eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
+    eval_simulation: SimulatorName = field(default_factory=lambda: batch_simulator().name)  # simulator of evaluations
+    eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in PyBullet or with images
+    eval_steps: Count = 1000  # [control steps] time limit of evaluation episodes
+    best_by: Literal["success", "return"] = "success"  # metric of the best policy: success rate or mean return
+    stop_score: Fraction | None = None  # success rate of evaluations at which to stop; None: never stop
+    stop_evaluations: Count = 2  # number of consecutive evaluations that must reach stop_score
     save_freq: CountOrZero = 50_000  # control steps between checkpoints; 0: only the last
-    keep: Count = 2  # checkpoints to keep, the latest
-    track: Names = ()  # where metrics go beside TensorBoard: mlflow, wandb, module:Class
+    keep: Count = 2  # number of latest checkpoints to keep
+    track: Names = ()  # trackers beside TensorBoard: mlflow, wandb or module:Class
 
 
 @dataclass(frozen=True)
 class Config:
-    """A resolved training.
+    """The complete, checked config of a training."""
 
-    Attributes:
-        agent_name: A name or a reference, see `tb2rl.core.agent`.
-        agent_arguments: Arguments of the agent's algorithm, by name.
-        task_name: A name or a reference, see `tb2rl.tasks.registry`.
-        task: The task itself.
-        observation: "discrete" or "raw".
-        train: Settings of the training.
-    """
-
-    agent_name: str
-    agent_arguments: Mapping[str, Any]
-    task_name: str
+    agent_name: str  # name or reference, see `tb2rl.core.agent.find_agent`
+    agent_arguments: Mapping[str, Any]  # arguments of the agent's algorithm, or of its policy if it does not learn
+    task_name: str  # name or reference, see `tb2rl.tasks.task.find_task`
     task: Task
-    observation: str
-    train: TrainSettings = field(default_factory=TrainSettings)
+    observation: str  # observation mode, "discrete" or "raw"
+    train: TrainSettings
+    agent: Agent = field(compare=False, repr=False)  # the agent of this name, with the policy for these observations
+    scene: Scene = field(compare=False, repr=False)  # the environment that the task's settings describe
 
-    @cached_property
-    def scene(self) -> Scene:
-        """The scene that the task's settings describe."""
-        return make_scene(self.task, self.observation)
+    @property
+    def algorithm_arguments(self) -> dict[str, Any]:
+        """The agent's arguments, converted for its algorithm, for example schedules to functions."""
+        return algorithm_arguments(self.agent_arguments, self.scene.action_space)
 
-    @cached_property
+    @property
     def validation_scene(self) -> Scene:
-        """The scene in the worlds that decide which policy of a training is the best."""
-        return self.scene.worlds_for("validation")
+        """The scene in the worlds in which a training is evaluated."""
+        return self.scene.for_purpose("validation")
 
     def to_dict(self) -> dict[str, Any]:
-        """The tree of plain values that `config_from` reads back."""
+        """The tree of plain values, which `config_from` converts back."""
         task = {"name": self.task_name, "observation": self.observation, **dataclasses.asdict(self.task)}
         agent = {"name": self.agent_name, **self.agent_arguments}
-        return to_plain({"agent": agent, "task": task, "train": dataclasses.asdict(self.train)})
+        return to_jsonable_python({"agent": agent, "task": task, "train": dataclasses.asdict(self.train)})
 
     def with_task(self, settings: Mapping[str, Any]) -> Config:
-        """The config with some settings of its task changed, for example {"world": "circuit"}."""
+        """A copy with changed task settings, such as {"world": "circuit"}."""
         if not settings:
             return self
         tree = self.to_dict()
-        tree["task"].update(with_robots_settings(settings, type(self.task), self.task))
+        tree["task"].update(add_robot_defaults(settings, type(self.task), self.task))
         return config_from(tree)
 
 
 def config_from(tree: Mapping[str, Any]) -> Config:
-    """The checked config of a tree from `Config.to_dict`."""
-    check_plain(tree, "")
-    sections = {name: dict(values) for name, values in check_sections(tree, "config").items()}
+    """Make a config from a tree like that of `Config.to_dict`, and check it."""
+    sections = checked_sections(tree, "config")
     for name in ("agent", "task"):
-        if "name" not in sections.get(name, {}):
-            raise InputError(f"the config does not say {name}.name")
+        if "name" not in sections[name]:
+            raise InputError(f"the config has no {name}.name")
     agent_name, task_name = str(sections["agent"].pop("name")), str(sections["task"].pop("name"))
     agent = find_agent(agent_name)
     observation = str(sections["task"].pop("observation", agent.observation))
-    if agent.only and observation != agent.observation:
+    if agent.fixed_observation and observation != agent.observation:
         raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
     task = build(find_task(task_name), sections["task"], "task")
-    for file in files_named(task.world):
-        check_file(file)
-    task = dataclasses.replace(task, world=absolute_worlds(task.world))  # a run is loaded from other folders, too
-    scene = make_scene(task, observation)  # checks that the task's settings fit together
-    arguments = check_arguments(agent_for(agent_name, scene.observation_space), sections["agent"])
-    train = build(TrainSettings, sections.get("train", {}), "train")
-    config = Config(agent_name, arguments, task_name, task, observation, train)
-    vars(config)["scene"] = scene  # where cached_property keeps its value, so that worlds are not loaded twice
-    return config
+    for file in paths_in(task.world):
+        check_file_allowed(file)
+    # Paths become absolute, because the run may be loaded from another working directory.
+    task = dataclasses.replace(task, world=absolute_worlds(task.world))
+    scene = make_scene(task, observation)  # raises an InputError if settings of the task contradict each other
+    agent = with_policy(agent, scene.observation_space)
+    arguments = checked_arguments(agent, sections["agent"])
+    train = build(TrainSettings, sections["train"], "train")
+    return Config(agent_name, arguments, task_name, task, observation, train, agent, scene)
+
+
+@dataclass(frozen=True)
+class _Sections:
+    agent: dict[str, Any] = field(default_factory=dict)
+    task: dict[str, Any] = field(default_factory=dict)
+    train: dict[str, Any] = field(default_factory=dict)
+
+
+def checked_sections(tree: Any, where: str) -> dict[str, dict[str, Any]]:
+    """The sections of a tree as new mappings; raises an `InputError` unless they are mappings with text keys."""
+    return vars(build(_Sections, tree, where))
+
+
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The leaves of a tree by dotted key, such as "agent.gamma"."""
+    leaves: dict[str, Any] = {}
+    for key, value in tree.items():
+        leaves |= flatten(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return leaves
+
+
+DEFAULTS = {"agent": "qlearn", "task": "maze"}  # names of the default agent and task
+Layer = Mapping[str, Any]  # nested values by section
+
+
+def resolve(
+    agent: str | type | None = None,
+    task: str | type[Task] | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Config:
+    """Merge the layers into a checked config.
+
+    Args:
+        agent: Name or algorithm class; None: the agent of the preset, or the default one.
+        task: Name or task class; None: the task of the preset, or the default one.
+        preset: Name of a file in `configs`, or a path.
+        settings: Values by dotted key, such as {"agent.gamma": 0.9}.
+
+    Raises:
+        InputError: If a name, key or value is invalid.
+    """
+    chosen = as_preset(agent, task, preset, settings)
+    agent_name, task_name, robot = chosen["agent"]["name"], chosen["task"]["name"], chosen["task"].get("robot")
+    _, task_class = find_agent(agent_name), find_task(task_name)  # unknown names raise an error
+    kinematic_layers = [f"kinematic/{agent_name}"] if chosen["train"].get("simulation") == "kinematic" else []
+    layers = [f"tasks/{task_name}", f"agents/{agent_name}", *kinematic_layers, f"tasks/{task_name}-{agent_name}"]
+    robot_layer = {"task": add_robot_defaults({"robot": robot}, task_class)} if robot else {}
+    return config_from(_merge(*map(_read_layer, layers), robot_layer, chosen))
+
+
+def as_preset(
+    agent: str | type | None = None,
+    task: str | type[Task] | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Combine the arguments of `resolve` into one preset that resolves to the same config."""
+    file = find_file(preset, top_folder("configs"), "preset") if preset else None
+    preset_layer = checked_sections(read_yaml(file), f"preset {preset}") if file else {}
+    tree = _merge(preset_layer, _nest(settings or {}))
+    for section, name_or_class in (("agent", agent), ("task", task)):
+        name = reference_to(name_or_class) if isinstance(name_or_class, type) else name_or_class
+        tree[section]["name"] = str(name or tree[section].get("name") or DEFAULTS[section])
+    return tree
+
+
+def parse_settings(pairs: Iterable[str]) -> dict[str, Any]:
+    """Parse KEY=VALUE pairs of a command line, whose values are YAML.
+
+    For example, "agent.gamma=0.9" becomes {"agent.gamma": 0.9}.
+    """
+    settings = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise InputError(f"--set takes KEY=VALUE, for example task.world=circuit, got {pair!r}")
+        settings[key.strip()] = parse_yaml(value, one_line(f"--set {key}: {value!r}", 100))
+    return settings
+
+
+def _nest(settings: Mapping[str, Any]) -> Layer:
+    """Convert dotted keys to nested mappings, such as {"agent.gamma": 0.9} to {"agent": {"gamma": 0.9}}."""
+    tree: dict[str, Any] = {}
+    for dotted, value in settings.items():
+        *parents, key = dotted.split(".")
+        if not parents:
+            raise InputError(f"setting {key!r} needs its section, one of agent.{key}, task.{key}, train.{key}")
+        branch = tree
+        for name in parents:
+            branch = branch.setdefault(name, {})
+            if not isinstance(branch, dict):
+                raise InputError(f"settings {dotted!r} and {'.'.join(parents)!r} contradict each other; keep only one")
+        branch[key] = value
+    return checked_sections(tree, "the settings")
+
+
+def _read_layer(name: str) -> Layer:
+    file = top_folder("configs") / f"{name}.yaml"
+    return checked_sections(read_yaml(file), f"preset {file.name}") if file.is_file() else {}
+
+
+def _merge(*layers: Layer) -> dict[str, Any]:
+    """Merge layers key by key; schedules, and mappings that describe a world, are replaced, not merged."""
+    tree: dict[str, Any] = {}
+    for layer in layers:
+        for key, value in layer.items():
+            old_value = tree.get(key)
+            is_leaf = not isinstance(value, Mapping) or is_schedule(value) or "file" in value or "generator" in value
+            tree[key] = _merge(old_value, value) if isinstance(old_value, Mapping) and not is_leaf else value
+    return tree

@@ -1,65 +1,56 @@
-"""Loading of policies from a run folder, a checkpoint, the zoo or the hub.
+"""Loads policies from a run folder, a checkpoint, the zoo or the hub.
 
-A checkpoint holds only arrays and plain values: the algorithm is created from its config, which names modules to import
-(see `tb2rl.core.trust` for configs that somebody shared).
+A checkpoint contains only arrays and plain values. The algorithm is created from the config in the checkpoint. A config
+refers to modules to import; `tb2rl.core.trust` restricts these modules for shared configs.
 """
-
-from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
 from contextlib import nullcontext
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.core.errors import InputError, one_line, unknown
-from tb2rl.core.files import top_folder
-from tb2rl.core.trust import untrusted_source
-from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.core import InputError, one_line, top_folder, unknown, untrusted_source
+from tb2rl.core.values import CountOrZero, checked
+from tb2rl.runs.algorithm import driving_policy, load_statistics, make_algorithm
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import Config, config_from
-from tb2rl.runs.folder import CONFIG, SHARED, Run, is_shared, read_config, restrict_imports
+from tb2rl.runs.folder import CONFIG, SHARED_CONFIG, Run, is_shared, restrict_imports
 from tb2rl.runs.hub import HUB, POLICY, cached_reference, download
-from tb2rl.runs.normalisation import driving_policy
-from tb2rl.runs.parameters import load_parameters
 
 
 def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
-    """A trained agent, ready to `predict`; `make_env` of it gives the environment that it was trained in.
+    """Load a trained agent, ready to `predict`; `make_env` makes the environment of its training.
 
-    With `train.norm_obs` it normalises its observations itself: to train it further, resume its run.
+    A policy trained with `train.norm_obs` normalises its observations itself. To continue its training, resume its run.
 
     Args:
-        reference: A run folder (its best policy), a checkpoint in it, "zoo:NAME", or "hf:user/repository", which is
-            downloaded ("hf:user/repository@revision" for one revision).
-        trust: Whether to import any module that a shared policy names, instead of only modules of tb2rl,
-            Stable-Baselines3, sb3-contrib, torch and installed plugins.
+        reference: A run folder (its best policy is loaded), a checkpoint, "zoo:NAME", or a policy on the hub,
+            "hf:user/repository" or "hf:user/repository@revision".
+        trust: Whether a shared policy may import any module, instead of only modules of tb2rl, Stable-Baselines3,
+            sb3-contrib, torch and installed plugins.
 
     Raises:
-        InputError: If there is no such policy, or it is damaged.
+        InputError: If the policy does not exist or is damaged.
     """
-    file = checkpoint_file(reference, trust)
-    name = str(reference)  # names the origin in messages
-    with untrusted_source(name) if name.startswith(HUB) and not trust else nullcontext():
-        return _load_file(file, trust)
-
-
-def _load_file(file: Path, trust: bool) -> BaseAlgorithm:
-    content = read_checkpoint(file)
-    config = content_config(content, file, trust)
-    folder = run_folder(file)
-    if folder and is_shared(folder):  # the config that people read must be the one that is used
-        shown = {key: value for key, value in read_config(folder).items() if key != "versions"}
-        if shown != content["config"]:
-            raise InputError(f"{folder}: {SHARED} is not what its policy was trained with")
-    try:
-        algorithm = make_algorithm(config, Spaces.vectorised(config))
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
-    load_parameters(algorithm, {**content, "training": None}, file)
+    file, source = checkpoint_file(reference, trust), str(reference)
+    with untrusted_source(source) if source.startswith(HUB) and not trust else nullcontext():
+        content, folder = read_checkpoint(file), run_folder(file)
+        config = checkpoint_config(content, file, trust)
+        # People review only the config file, so it must equal the config in the checkpoint.
+        if folder and is_shared(folder) and Run.open(folder, trust).config != config:
+            raise InputError(f"{folder}: {SHARED_CONFIG} differs from the config that its policy was trained with")
+        try:
+            algorithm = make_algorithm(config)
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
+    load_parameters(algorithm, {**content, "training": None}, file)  # without the state to resume from
     algorithm.policy = driving_policy(algorithm)
     if env := algorithm.get_vec_normalize_env():
         env.training = False
@@ -68,7 +59,7 @@ def _load_file(file: Path, trust: bool) -> BaseAlgorithm:
 
 
 def checkpoint_file(reference: str | Path, trust: bool = False) -> Path:
-    """The checkpoint of a reference, see `load`."""
+    """Find or download the checkpoint of a reference, see `load`."""
     name = str(reference)
     if name.startswith("zoo:"):
         entries = {entry.name: entry for entry in top_folder("zoo").iterdir() if (entry / CONFIG).is_file()}
@@ -86,9 +77,9 @@ def checkpoint_file(reference: str | Path, trust: bool = False) -> Path:
 
 
 def run_folder(file: Path) -> Path | None:
-    """The run folder of a checkpoint; None if it lies elsewhere."""
+    """The run folder of a checkpoint; None for a checkpoint outside a run folder."""
     folder = file.absolute().parent.parent
-    return folder if any((folder / name).is_file() for name in (CONFIG, SHARED)) else None
+    return folder if any((folder / name).is_file() for name in (CONFIG, SHARED_CONFIG)) else None
 
 
 def policy_digest(reference: str | Path, trust: bool = False) -> str:
@@ -96,31 +87,78 @@ def policy_digest(reference: str | Path, trust: bool = False) -> str:
     return hashlib.sha256(checkpoint_file(reference, trust).read_bytes()).hexdigest()
 
 
-def content_config(content: Mapping[str, Any], file: Path, trust: bool = False) -> Config:
-    """The config in the content of a checkpoint file, which must also have its number of timesteps.
-
-    Raises:
-        InputError: If one of these is missing or does not fit.
-    """
+def checkpoint_config(content: Mapping[str, Any], file: Path, trust: bool = False) -> Config:
+    """The config in the content of a checkpoint file; raises an `InputError` if config or timesteps are invalid."""
     folder = run_folder(file)
-    where = (folder and cached_reference(folder)) or file
+    source = (folder and cached_reference(folder)) or file
     try:
-        timesteps = content["timesteps"]
-        if type(timesteps) is not int or timesteps < 0:
-            raise InputError(f"timesteps is {timesteps!r}")
+        checked(CountOrZero, content["timesteps"], "timesteps")
         with restrict_imports(folder, trust):
             return config_from(content["config"])
-    except (*LIBRARY_ERRORS, ImportError) as error:  # an InputError is a ValueError
-        raise InputError(one_line(f"{where} does not hold a config that fits: {error}")) from None
+    except (*LIBRARY_ERRORS, ImportError) as error:
+        raise InputError(one_line(f"{source} has an invalid config: {error}")) from None
 
 
 def config_of(policy: Any) -> Config:
-    """The config of a policy from `load` or `train`.
-
-    Raises:
-        InputError: If it comes from elsewhere.
-    """
+    """The config of a policy from `load` or `train`; raises an `InputError` for any other policy."""
     config = getattr(policy, "trained_with", None)
     if not isinstance(config, Config):
         raise InputError(f"{type(policy).__name__} does not come from tb2rl.load or tb2rl.train, so it has no config")
     return config
+
+
+# ---- learned parameters: weights of the policy, states of optimisers, and further tensors
+
+
+def parameters_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
+    """The learned parameters outside the policy, as a tree for `write_checkpoint`.
+
+    "others" are the states of optimisers and other parts that Stable-Baselines3 saves. "tensors" are single tensors,
+    such as the entropy coefficient of SAC.
+    """
+    others = {name: state for name, state in algorithm.get_parameters().items() if name != "policy"}
+    return {"others": others, "tensors": _single_tensors(algorithm)}
+
+
+def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: Path) -> None:
+    """Load the parameters and the number of timesteps of a checkpoint into the algorithm of its config.
+
+    Args:
+        algorithm: Algorithm to change.
+        content: Content of the checkpoint; "training" and "normalisation" are optional.
+        file: The checkpoint, for messages.
+    """
+    try:
+        algorithm.num_timesteps = int(content["timesteps"])
+        algorithm.policy.load_state_dict(_tensors(content["policy"]))
+        load_statistics(algorithm, content.get("normalisation"))
+        if training := content.get("training"):
+            for name in algorithm.get_parameters().keys() - {"policy"}:
+                part, saved_state = attrgetter(name)(algorithm), training["others"][name]
+                is_optimizer = isinstance(part, th.optim.Optimizer)
+                part.load_state_dict(_optimizer_state(part, saved_state) if is_optimizer else _tensors(saved_state))
+            for name, tensor in _single_tensors(algorithm).items():
+                with th.no_grad():  # in place, because the optimiser refers to this tensor
+                    tensor.copy_(th.from_numpy(training["tensors"][name]))
+    except LIBRARY_ERRORS as error:
+        raise InputError(one_line(f"{file} contradicts its config: {error or type(error).__name__}")) from None
+
+
+def _single_tensors(algorithm: BaseAlgorithm) -> dict[str, th.Tensor]:
+    """The tensors outside the policy, by name; Stable-Baselines3 has no public function for them."""
+    return {name: attrgetter(name)(algorithm) for name in algorithm._get_torch_save_params()[1]}
+
+
+def _optimizer_state(optimizer: th.optim.Optimizer, saved: Mapping[str, Any]) -> dict[str, Any]:
+    """The saved state and learning rates, with the other options of the present optimiser."""
+    weights = [weight for group in optimizer.param_groups for weight in group["params"]]
+    state = {int(index): _tensors(values) for index, values in saved["state"].items()}
+    for index, values in state.items():
+        if not set(map(np.shape, values.values())) <= {(), weights[index].shape}:  # torch does not check the shapes
+            raise ValueError("the shapes of an optimiser's state and its weights differ")
+    pairs = zip(optimizer.state_dict()["param_groups"], saved["param_groups"], strict=True)
+    return {"state": state, "param_groups": [present | {"lr": float(old["lr"])} for present, old in pairs]}
+
+
+def _tensors(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: th.from_numpy(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}

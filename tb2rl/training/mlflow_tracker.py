@@ -1,20 +1,18 @@
-"""MLflow as a tracker: settings are parameters, figures are metrics by control step, pictures are images."""
-
-from __future__ import annotations
+"""MLflow as a tracker: logs settings as parameters, scalars as metrics by control step, and pictures as images."""
 
 import os
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from collections.abc import Mapping
+from contextlib import nullcontext
+from functools import partial
 
 import numpy as np
 from filelock import FileLock
 
-from tb2rl.training.trackers import MLFLOW_STORE, Tracked, Tracker, runs_folder, translate_tracker_errors
+from tb2rl.training.trackers import MLFLOW_URI, TrackedRun, Tracker, runs_folder, translate_tracker_errors
 
-# MLflow reads these on import: no telemetry, no message for each new table, and 15 seconds instead of minutes for a
-# server that does not answer.
+# MLflow reads these variables on import. They disable telemetry and messages about new tables, and shorten the timeout
+# for an unreachable server from minutes to 15 s.
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "3")
@@ -23,56 +21,51 @@ from mlflow import MlflowClient, MlflowException
 from mlflow.entities import Metric, Param
 from sqlalchemy.exc import SQLAlchemyError
 
-_WRITE_PERIOD = 1.0  # [s] between writes, because one takes the time of many control steps
-_MOST = 100  # parameters or metrics in a call
-_LONGEST = 6000  # characters of a parameter
+_WRITE_PERIOD = 1.0  # [s] between writes, because a write takes as long as many control steps
+_MAX_PARAMETER_LENGTH = 6000  # characters, MLflow's limit
+# ImportError is for a missing database driver.
+_translate = partial(translate_tracker_errors, "mlflow", OSError, ImportError, MlflowException, SQLAlchemyError)
 _STATUS = {"finished": "FINISHED", "interrupted": "KILLED", "failed": "FAILED"}
 
 
 class Mlflow(Tracker):
-    """Writes to the store of `MLFLOW_TRACKING_URI`, else to a database beside the runs.
+    """Writes to the store at `MLFLOW_TRACKING_URI`, by default a database in the folder `runs/mlflow`.
 
-    The experiment is that of `MLFLOW_EXPERIMENT_NAME`, else "tb2rl". MLflow changes no parameters: a resumed training
-    keeps those that it began with.
+    `MLFLOW_EXPERIMENT_NAME` is the name of the experiment, by default "tb2rl". A resumed training keeps its first
+    parameters, because MLflow cannot change them.
     """
 
-    def __init__(self, training: Tracked) -> None:
+    @_translate()
+    def __init__(self, training: TrackedRun) -> None:
         super().__init__(training)
-        self._waiting: list[Metric] = []
-        self._written = time.monotonic()
-        with self._translated():
-            self._open()
-
-    def _open(self) -> None:
-        """Continue the run of a resumed training, or begin one."""
-        uri, artifacts = os.environ.get(MLFLOW_STORE), None
-        lock: AbstractContextManager[Any] = nullcontext()
+        self._buffer: list[Metric] = []
+        self._last_write_time = time.monotonic()
+        uri, artifact_uri = os.environ.get(MLFLOW_URI), None
+        folder = runs_folder(training.folder) / "mlflow"
         if not uri:
-            folder = runs_folder(self.training.folder) / "mlflow"
             folder.mkdir(exist_ok=True)
-            uri, artifacts = f"sqlite:///{folder / 'mlflow.db'}?timeout=60", (folder / "artifacts").as_uri()
-            lock = FileLock(folder / ".lock")  # two processes cannot make the tables at once
-        with lock:
-            self._client = MlflowClient(uri)
-            experiment = self._experiment(artifacts)
+            artifact_uri = (folder / "artifacts").as_uri()
+        # The lock is needed because two processes cannot create the tables at the same time.
+        with nullcontext() if uri else FileLock(folder / ".lock"):
+            self._client = MlflowClient(uri or f"sqlite:///{folder / 'mlflow.db'}?timeout=60")
+            experiment_id = self._experiment_id(artifact_uri)
         if not self._continue_run():
-            settings = [Param(key, str(value)[:_LONGEST]) for key, value in self.training.settings.items()]
-            self.remember(self._client.create_run(experiment, run_name=self.training.name).info.run_id, step=0)
-            self._log(params=settings)
+            settings = [Param(key, str(value)[:_MAX_PARAMETER_LENGTH]) for key, value in training.settings.items()]
+            self.remember(self._client.create_run(experiment_id, run_name=training.name).info.run_id, step=0)
+            self._client.log_batch(self.id, params=settings)
 
-    def _experiment(self, artifacts: str | None) -> str:
-        """The id of the experiment, which another training may make at the same time."""
+    def _experiment_id(self, artifact_uri: str | None) -> str:
+        """Create the experiment, or find an existing one; return its id."""
         name = os.environ.get("MLFLOW_EXPERIMENT_NAME") or "tb2rl"
         try:
-            return self._client.create_experiment(name, artifacts)
+            return self._client.create_experiment(name, artifact_uri)
         except MlflowException:
-            found = self._client.get_experiment_by_name(name)
-            if found is None:
-                raise
-            return found.experiment_id
+            if existing := self._client.get_experiment_by_name(name):
+                return existing.experiment_id
+            raise
 
     def _continue_run(self) -> bool:
-        """Mark the run of a resumed training as running; False: this store has none."""
+        """Mark the run of a resumed training as running; return whether the store has such a run."""
         try:
             if self.id is not None:
                 self._client.update_run(self.id, status="RUNNING")
@@ -82,31 +75,23 @@ class Mlflow(Tracker):
             self.id, self._tracked_until = None, 0
         return self.id is not None
 
+    @_translate()
     def track(self, step: int, figures: Mapping[str, float], pictures: Mapping[str, np.ndarray]) -> None:
-        now = int(1000 * time.time())
-        self._waiting += [Metric(key, value, now, step) for key, value in figures.items()]
-        if pictures or time.monotonic() - self._written > _WRITE_PERIOD:
-            with self._translated():
-                for key, picture in pictures.items():
-                    self._client.log_image(self.id, picture, key=key, step=step, synchronous=True)
-                self._flush()
-
-    def close(self) -> None:
-        with self._translated():
+        milliseconds = int(1000 * time.time())
+        self._buffer += [Metric(key, value, milliseconds, step) for key, value in figures.items()]
+        for key, picture in pictures.items():
+            self._client.log_image(self.id, picture, key=key, step=step, synchronous=True)
+        if pictures or time.monotonic() - self._last_write_time > _WRITE_PERIOD:
             self._flush()
-            self._client.set_terminated(self.id, _STATUS[self.ended])
+
+    @_translate()
+    def close(self) -> None:
+        self._flush()
+        self._client.set_terminated(self.id, _STATUS[self.ended])
 
     def _flush(self) -> None:
-        if self._waiting:
-            waiting, self._waiting = self._waiting, []
-            self._log(metrics=waiting)
-            self.remember(str(self.id), waiting[-1].step)
-        self._written = time.monotonic()
-
-    def _log(self, **values: Sequence[Any]) -> None:
-        for kind, each in values.items():
-            for i in range(0, len(each), _MOST):
-                self._client.log_batch(self.id, **{kind: each[i : i + _MOST]})
-
-    def _translated(self) -> AbstractContextManager[None]:
-        return translate_tracker_errors("mlflow", MlflowException, SQLAlchemyError)
+        self._last_write_time = time.monotonic()
+        if self._buffer:
+            metrics, self._buffer = self._buffer, []
+            self._client.log_batch(self.id, metrics)
+            self.remember(str(self.id), metrics[-1].step)

@@ -1,192 +1,229 @@
-"""Capture and restore the state of a training, so that a resumed one continues bit by bit.
+"""Capture and restore the state of a training, so that a resumed training is identical to the last bit.
 
-A state is captured where a rollout starts: there an on-policy buffer is empty, and all collected data is learned.
-Stable-Baselines3 has no public access to the state of a learner, so this module uses its private attributes.
+The state is captured at the start of a rollout, when the on-policy buffer is empty. This module uses private attributes
+of Stable-Baselines3, which has no public interface to the state of an algorithm.
 """
 
-from __future__ import annotations
-
-from collections import deque
-from collections.abc import Mapping, Sequence
+import random
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import BaseBuffer
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.distributions import StateDependentNoiseDistribution
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import unwrap_vec_normalize
 
 from tb2rl.core.errors import InputError, one_line
-from tb2rl.envs.encodings import rows
-from tb2rl.runs.arguments import LIBRARY_ERRORS
-from tb2rl.runs.parameters import parameters_of
-from tb2rl.training.random_state import RestoreRandomState, exploration_matrices, generators_state, restore_generators
-from tb2rl.training.saved_values import is_saved, restore_into
+from tb2rl.envs.encodings import take_rows
+from tb2rl.runs import LIBRARY_ERRORS, is_saveable, parameters_of, restore_into
 
-_NOT_SAVED = {  # of the process, not of the training; the last two are saved elsewhere, and set before they are read
+_NOT_SAVED = {  # attributes of this process, or set by `tb2rl.runs.loading.load_parameters` or by `restore`
     "verbose", "start_time", "_total_timesteps", "_num_timesteps_at_start", "tensorboard_log", "n_envs",
     "num_timesteps", "_last_original_obs",
 }  # fmt: skip
+_MERSENNE_TWISTER_WORDS = 624  # size of the state of numpy's legacy generator
+_EXPLORATION_MATRICES = ("exploration_mat", "exploration_matrices")  # attributes of StateDependentNoiseDistribution
 
 
 class StatefulCallback(BaseCallback):
-    """A callback whose attributes in `saved` belong to a checkpoint: numbers, and tuples or deques of numbers."""
+    """A callback with attributes that are part of a checkpoint.
 
-    saved: ClassVar[tuple[str, ...]]
+    Attributes:
+        saved_attributes: Names of these attributes. Their values are numbers, or collections of numbers.
+    """
+
+    saved_attributes: ClassVar[tuple[str, ...]]
 
     def state(self) -> dict[str, Any]:
-        """The saved attributes."""
-        return {name.lstrip("_"): getattr(self, name) for name in self.saved}
+        """The values of the saved attributes, by name without leading underscores."""
+        return {name.lstrip("_"): getattr(self, name) for name in self.saved_attributes}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue with saved attributes."""
+        """Restore the saved attributes."""
         values = restore_into(self.state(), state, type(self).__name__)
-        for name in self.saved:
+        for name in self.saved_attributes:
             setattr(self, name, values[name.lstrip("_")])
 
-    def _on_step(self) -> bool:
-        return True
 
+def capture(algorithm: BaseAlgorithm, callbacks: CallbackList, at_rollout_start: bool) -> dict[str, Any]:
+    """Capture the state of a training, except the policy's parameters, as a tree for `write_checkpoint`.
 
-def capture(algorithm: BaseAlgorithm, callbacks: Sequence[StatefulCallback], in_rollout: bool) -> dict[str, Any]:
-    """The state of a training as a tree for `write_checkpoint`, without the policy's parameters.
-
-    Args:
-        algorithm: The learner.
-        callbacks: Callbacks with a state, always in the same order.
-        in_rollout: Whether a rollout has just started, so that its exploration noise may be drawn already.
+    If a rollout has just started (`at_rollout_start`), the state includes the sampled exploration noise.
     """
     assert algorithm.env is not None
-    parameters = parameters_of(algorithm)
     buffer = getattr(algorithm, "replay_buffer", None)
+    matrices = [{name: getattr(noise, name) for name in _EXPLORATION_MATRICES} for noise in _distributions(algorithm)]
     return {
-        "others": parameters["others"],
-        "tensors": parameters["tensors"],
+        **parameters_of(algorithm),
         "algorithm": _attributes(algorithm),
-        "replay_buffer": None if buffer is None else _first_rows(_attributes(buffer), buffer, buffer.size()),
-        "generators": generators_state(algorithm),
-        "noise": exploration_matrices(algorithm) if in_rollout else None,
+        "replay_buffer": None if buffer is None else _slice_slots(_attributes(buffer), buffer, buffer.size()),
+        "generators": _generators_state(algorithm),
+        "noise": matrices if at_rollout_start else None,
         "environments": _environments_state(algorithm.env),
-        "callbacks": [callback.state() for callback in callbacks],
+        "callbacks": [callback.state() for callback in _stateful_callbacks(callbacks)],
     }
 
 
-def restore(
-    state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Sequence[StatefulCallback]
-) -> RestoreRandomState:
-    """Restore a captured state into a training that has not begun; `load_parameters` restores the parameters.
+def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: CallbackList, file: Path) -> None:
+    """Restore a captured state into a new training; `load_parameters` restores the policy's parameters.
 
-    Returns:
-        A callback that the training has to call before all others.
+    A new callback is inserted before the others; it restores random states again at the start of the first rollout.
 
     Raises:
-        InputError: If names, shapes or types of the state do not fit this training.
+        InputError: If the names, shapes or types of the state in `file` differ from those of this training.
     """
     assert algorithm.env is not None
     try:
-        _set_up(algorithm)
-        for name, value in _restored(algorithm, state["algorithm"], _attributes(algorithm)).items():
+        _reset(algorithm)
+        for name, value in restore_into(_attributes(algorithm), state["algorithm"], "algorithm").items():
             setattr(algorithm, name, value)
         if state["replay_buffer"] is not None:
             _refill(algorithm.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]
         _restore_environments(algorithm.env, state["environments"])
-        last = algorithm._last_obs
-        if (normalized := algorithm.get_vec_normalize_env()) is not None:
-            last = algorithm._last_original_obs = normalized.get_original_obs()
-            algorithm._last_obs = normalized.normalize_obs(last)
+        last_obs = algorithm._last_obs
+        if (vec_normalize := algorithm.get_vec_normalize_env()) is not None:
+            last_obs = algorithm._last_original_obs = vec_normalize.get_original_obs()
+            algorithm._last_obs = vec_normalize.normalize_obs(last_obs)
         for i in range(algorithm.env.num_envs):
-            if not algorithm.observation_space.contains(rows(last, i)):
+            if not algorithm.observation_space.contains(take_rows(last_obs, i)):
                 raise ValueError("the last observation lies outside the observation space")
-        for callback, saved in zip(callbacks, state["callbacks"], strict=True):
+        for callback, saved in zip(_stateful_callbacks(callbacks), state["callbacks"], strict=True):
             callback.restore(saved)
-        restore_generators(algorithm, state["generators"])
-        return RestoreRandomState(algorithm, state["generators"], state["noise"])
+        _restore_generators(algorithm, state["generators"])
+        callbacks.callbacks.insert(0, _RestoreRandomState(algorithm, state["generators"], state["noise"]))
     except LIBRARY_ERRORS as error:
-        raise InputError(one_line(f"the state does not fit this training ({type(error).__name__}: {error})")) from None
+        raise InputError(one_line(f"{file}: the state of the training is damaged: {error!r}")) from None
+
+
+def _stateful_callbacks(callbacks: CallbackList) -> list[StatefulCallback]:
+    return [callback for callback in callbacks.callbacks if isinstance(callback, StatefulCallback)]
 
 
 # ---- the algorithm
 
 
-def _set_up(algorithm: BaseAlgorithm) -> None:
-    """Set up what `learn` would, had nothing been learned yet."""
-    assert algorithm.env is not None
-    normalized = algorithm.get_vec_normalize_env()
-    if normalized is not None:
-        normalized.training = False  # its statistics are restored already, and this reset must not count
-    algorithm._last_obs = algorithm.env.reset()  # type: ignore[assignment]
-    if normalized is not None:
-        normalized.training = True
-    algorithm._last_episode_starts = np.ones(algorithm.env.num_envs, dtype=bool)
-    algorithm.ep_info_buffer = deque(maxlen=algorithm._stats_window_size)
-    algorithm.ep_success_buffer = deque(maxlen=algorithm._stats_window_size)
+def _reset(algorithm: BaseAlgorithm) -> None:
+    """Initialize an algorithm as `learn` would, so that it has all attributes to restore."""
+    algorithm.set_logger(Logger(None, []))  # else Stable-Baselines3 creates a temporary folder for a logger
+    vec_normalize = algorithm.get_vec_normalize_env()
+    if vec_normalize is not None:
+        vec_normalize.training = False  # because the reset must not update the restored statistics
+    algorithm._setup_learn(0, reset_num_timesteps=False)
+    if vec_normalize is not None:
+        vec_normalize.training = True
 
 
 def _attributes(owner: Any) -> dict[str, Any]:
-    """The attributes of an algorithm or a buffer that a checkpoint holds: all values except trained parameters.
+    """The attributes of an algorithm or a buffer that belong in a checkpoint, found by their types.
 
-    They are found by `vars`, because the algorithm may be any class of any package.
+    There is no fixed list, because the algorithm may be a class of any package.
     """
     return {
         name: value
         for name, value in vars(owner).items()
-        if is_saved(value) and name not in _NOT_SAVED and not getattr(value, "requires_grad", False)
+        if is_saveable(value) and name not in _NOT_SAVED and not getattr(value, "requires_grad", False)
     }
 
 
-def _restored(owner: Any, saved: Mapping[str, Any], present: Mapping[str, Any]) -> dict[str, Any]:
-    """Saved attributes in the form of the present ones, see `restore_into`.
-
-    Raises:
-        ValueError: If they do not fit, or a number contradicts the config.
-    """
-    if saved.keys() != present.keys():
-        raise ValueError(f"other attributes: {', '.join(sorted(saved.keys() ^ present.keys()))}")
-    classes: tuple[Any, ...] = type(owner).__mro__
-    arguments = {name for each in classes for name in getattr(each.__init__, "__annotations__", ())}
-    for name in arguments & present.keys():
-        if isinstance(present[name], int | float) and saved[name] != present[name]:
-            raise ValueError(f"{name} is {saved[name]!r}, and the config says {present[name]!r}")
-    return {name: restore_into(value, saved[name], name) for name, value in present.items()}
+# ---- the replay buffer, of which a checkpoint contains only the filled slots
 
 
-# ---- the replay buffer: only its filled rows
-
-
-def _first_rows(value: Any, buffer: BaseBuffer, count: int) -> Any:
-    """Views of the first rows of all arrays in a tree that have a row for each place of the buffer."""
+def _slice_slots(value: Any, buffer: BaseBuffer, num_slots: int) -> Any:
+    """Slice the arrays of a buffer's attributes to the first `num_slots` slots; other values are unchanged."""
     if isinstance(value, Mapping):
-        return {name: _first_rows(part, buffer, count) for name, part in value.items()}
-    is_table = isinstance(value, np.ndarray) and value.ndim > 0 and len(value) == buffer.buffer_size
-    return value[:count] if is_table else value
+        return {name: _slice_slots(part, buffer, num_slots) for name, part in value.items()}
+    has_slots = isinstance(value, np.ndarray) and value.ndim > 0 and len(value) == buffer.buffer_size
+    return value[:num_slots] if has_slots else value
 
 
 def _refill(buffer: BaseBuffer, saved: Mapping[str, Any]) -> None:
-    present = _first_rows(_attributes(buffer), buffer, buffer.buffer_size if saved["full"] else saved["pos"])
-    for name, value in _restored(buffer, saved, present).items():
-        if not isinstance(value, np.ndarray | Mapping):  # arrays are written in place
+    present = _slice_slots(_attributes(buffer), buffer, buffer.buffer_size if saved["full"] else saved["pos"])
+    for name, value in restore_into(present, saved, "replay_buffer").items():
+        if not isinstance(value, np.ndarray | Mapping):  # arrays were restored in place
             setattr(buffer, name, value)
 
 
 # ---- the environments
 
 
-def _environments_state(env: VecEnv) -> Any:
-    """The state of all environments; with `VecNormalize`, a tree with its own state too, except its statistics."""
-    batch: Any = env.unwrapped  # a `BatchVecEnv`
-    normalized = unwrap_vec_normalize(env)
-    if normalized is None:
-        return batch.state()
-    observations = normalized.get_original_obs()
-    return {"inner": batch.state(), "returns": normalized.returns.copy(), "observations": observations}
+def _environments_state(env: Any) -> dict[str, Any]:
+    """The state of all environments, and the returns and last observations of `VecNormalize`."""
+    state = {"loop": env.unwrapped.loop.state()}
+    if (vec_normalize := unwrap_vec_normalize(env)) is not None:
+        state |= {"returns": vec_normalize.returns.copy(), "old_obs": vec_normalize.get_original_obs()}
+    return state
 
 
-def _restore_environments(env: VecEnv, saved: Any) -> None:
+def _restore_environments(env: Any, saved: Any) -> None:
     state = restore_into(_environments_state(env), saved, "environments")
-    normalized = unwrap_vec_normalize(env)
-    if normalized is not None:
-        normalized.returns, normalized.old_obs, state = state["returns"], state["observations"], state["inner"]
-        if not np.isfinite(normalized.returns).all():
-            raise ValueError("environments.returns are not finite")
-    batch: Any = env.unwrapped
-    batch.restore(state)
+    env.unwrapped.loop.restore(state.pop("loop"))
+    if state:
+        vars(unwrap_vec_normalize(env)).update(state)
+
+
+# ---- random generators, and exploration noise that is sampled once per rollout
+
+
+def _generators_state(algorithm: BaseAlgorithm) -> dict[str, Any]:
+    """The states of all random generators of a training in this process."""
+    return {
+        "python": random.getstate(),
+        "numpy": np.random.get_state(legacy=False),  # noqa: NPY002 (Stable-Baselines3 draws from it)
+        "torch": th.get_rng_state(),
+        "own": {name: generator.bit_generator.state for name, generator in _own_generators(algorithm).items()},
+    }
+
+
+def _restore_generators(algorithm: BaseAlgorithm, states: Mapping[str, Any]) -> None:
+    """Restore the states of all random generators; raises one of `LIBRARY_ERRORS` if a state is invalid."""
+    version, words, gauss = states["python"]
+    if not 0 <= states["numpy"]["state"]["pos"] <= _MERSENNE_TWISTER_WORDS:  # numpy does not check the range
+        raise ValueError("the position of numpy's generator is out of range")
+    random.setstate((version, tuple(words), gauss))
+    np.random.set_state(states["numpy"])  # noqa: NPY002
+    th.set_rng_state(th.from_numpy(states["torch"]))
+    for name, generator in _own_generators(algorithm).items():
+        generator.bit_generator.state = states["own"][name]
+
+
+def _own_generators(algorithm: BaseAlgorithm) -> dict[str, np.random.Generator]:
+    candidates = {"actions": algorithm.action_space.np_random, **vars(algorithm)}
+    return {name: value for name, value in candidates.items() if isinstance(value, np.random.Generator)}
+
+
+def _distributions(algorithm: BaseAlgorithm) -> list[StateDependentNoiseDistribution]:
+    """The distributions of generalized state-dependent exploration (Raffin et al. 2022), if the algorithm uses this."""
+    distributions = (getattr(module, "action_dist", None) for module in algorithm.policy.modules())
+    return [noise for noise in distributions if isinstance(noise, StateDependentNoiseDistribution)]
+
+
+class _RestoreRandomState(BaseCallback):
+    """Restores generators and exploration matrices at the start of the first rollout.
+
+    Checkpoints are saved in `on_rollout_start`, just after Stable-Baselines3 has sampled the matrices. A resumed
+    training starts this rollout again, and samples them a second time. A checkpoint from the end of a training has
+    no matrices; then this callback does nothing.
+    """
+
+    def __init__(self, algorithm: BaseAlgorithm, generators: Mapping[str, Any], matrices: Any) -> None:
+        super().__init__()
+        self._generators, self._pending = generators, matrices is not None
+        self._matrices = [
+            (noise, {name: th.from_numpy(saved[name]).to(algorithm.device) for name in _EXPLORATION_MATRICES})
+            for noise, saved in zip(_distributions(algorithm), matrices or [], strict=self._pending)
+        ]
+
+    def _on_rollout_start(self) -> None:
+        if self._pending:
+            self._pending = False
+            _restore_generators(self.model, self._generators)
+            for noise, matrices in self._matrices:
+                vars(noise).update(matrices)
+
+    def _on_step(self) -> bool:
+        return True

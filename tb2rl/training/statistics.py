@@ -1,15 +1,13 @@
-"""Episode statistics of a training: for TensorBoard, and as the lines that the ROS tutorial prints."""
-
-from __future__ import annotations
+"""Episode statistics of a training, for TensorBoard and for printed lines in the format of the ROS tutorial."""
 
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
@@ -17,101 +15,80 @@ from torch.utils.tensorboard.summary import hparams
 from tb2rl.core.errors import InputError
 from tb2rl.training.state import StatefulCallback
 
-_WINDOW = 100  # episodes in a running mean
+_WINDOW = 100  # number of latest episodes for running statistics and diagnostics
 
 
 class EpisodeStatistics(StatefulCallback):
-    """Logs running failure rate and distance of episodes.
+    """Logs running failure rate and distance of episodes, and stops the training after `max_episodes`.
+
+    Args:
+        max_episodes: Number of episodes in all environments after which to stop; None: no limit.
+        verbose: 1 prints the tutorial's line for each episode.
 
     Attributes:
+        latest: The latest episodes as tuples: return, control steps, distance [m], whether it failed.
         lengths: Control steps of each episode so far.
     """
 
-    saved = ("_failed", "_distances", "lengths")
+    saved_attributes = ("latest", "lengths")
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._failed: deque[bool] = deque(maxlen=_WINDOW)
-        self._distances: deque[float] = deque(maxlen=_WINDOW)
+    def __init__(self, max_episodes: int | None, verbose: int) -> None:
+        super().__init__(verbose)
+        self.latest: deque[tuple[float, int, float, bool]] = deque(maxlen=_WINDOW)
         self.lengths: deque[int] = deque()
+        self._max_episodes, self._start_time = max_episodes, time.monotonic()
 
     def _on_step(self) -> bool:
-        if "dones" not in self.locals:  # ARS, which rates whole policies, or a user's algorithm
+        if "dones" not in self.locals:  # such as ARS, which evaluates whole policies
             name = type(self.model).__name__
-            raise InputError(f"{name} does not tell its callbacks of every step (rewards, dones, infos), as others do")
-        ended = np.flatnonzero(self.locals["dones"])
-        for i in ended:
+            raise InputError(f"{name} does not pass rewards, dones and infos to callbacks; choose another algorithm")
+        done_envs = np.flatnonzero(self.locals["dones"])
+        for i in done_envs:
             info = self.locals["infos"][i]
-            self._failed.append(info["failed"])
-            self._distances.append(info["distance"])
-            self.lengths.append(info["episode"]["l"])
-        if ended.size:
-            self.logger.record("rollout/failure_rate", sum(self._failed) / len(self._failed))
-            self.logger.record("rollout/distance_mean", float(np.mean(self._distances)))
-        return True
+            episode = info["episode"]
+            self.latest.append((episode["r"], episode["l"], info["distance"], info["failed"]))
+            self.lengths.append(episode["l"])
+            if self.verbose:
+                print(self._tutorial_line(episode), flush=True)
+        if done_envs.size:
+            _, _, distance, failure_rate = np.mean(self.latest, axis=0)
+            self.logger.record("rollout/failure_rate", float(failure_rate))
+            self.logger.record("rollout/distance_mean", float(distance))
+        return self._max_episodes is None or len(self.lengths) < self._max_episodes
 
-
-class EpisodeLines(BaseCallback):
-    """Prints the tutorial's line for each episode."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._episodes = 0
-        self._started = time.monotonic()
-
-    def _on_step(self) -> bool:
-        for i in np.flatnonzero(self.locals["dones"]):
-            self._episodes += 1
-            print(self._line(self.locals["infos"][i]["episode"]), flush=True)
-        return True
-
-    def _line(self, episode: Mapping[str, float]) -> str:
+    def _tutorial_line(self, episode: Mapping[str, float]) -> str:
         schedule = getattr(self.model, "lr_schedule", None)
-        alpha = schedule(self.model._current_progress_remaining) if schedule else float("nan")  # there is no public one
-        numbers = [("alpha", alpha), ("gamma", getattr(self.model, "gamma", None))]
-        numbers.append(("epsilon", getattr(self.model, "exploration_rate", None)))
-        shown = " - ".join(f"{name}: {value:.4g}" for name, value in numbers if value is not None)
-        minutes, seconds = divmod(int(time.monotonic() - self._started), 60)
-        return (
-            f"EP: {self._episodes} - [{shown}] - Reward: {episode['r']:.0f} - Steps: {episode['l']} - "
-            f"Time: {minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
-        )
+        alpha = schedule(self.model._current_progress_remaining) if schedule else float("nan")
+        gamma, epsilon = getattr(self.model, "gamma", None), getattr(self.model, "exploration_rate", None)
+        numbers = {"alpha": alpha, "gamma": gamma, "epsilon": epsilon}
+        shown = " - ".join(f"{name}: {value:.4g}" for name, value in numbers.items() if value is not None)
+        elapsed = timedelta(seconds=int(time.monotonic() - self._start_time))
+        reward = f"Reward: {episode['r']:.0f} - Steps: {episode['l']}"
+        return f"EP: {len(self.lengths)} - [{shown}] - {reward} - Time: {elapsed}"
 
 
 def tutorial_scores(lengths: Sequence[int]) -> str:
-    """The tutorial's final scores: mean length of all episodes, and of the 100 longest."""
+    """Describe the tutorial's final scores: mean length of all episodes, and of the 100 longest."""
     if not lengths:
         return "no episode ended"
-    best = sorted(lengths, reverse=True)[:100]
-    return f"overall score: {np.mean(lengths):.1f} steps, best {len(best)} score: {np.mean(best):.1f} steps"
+    longest = sorted(lengths, reverse=True)[:100]
+    return f"overall score: {np.mean(lengths):.1f} steps, best {len(longest)} score: {np.mean(longest):.1f} steps"
 
 
 class TensorBoard(TensorBoardOutputFormat):
-    """Stable-Baselines3's event files; those of a resumed training replace events that a killed one wrote later.
+    """Writes Stable-Baselines3's event files; a resumed training replaces events after its checkpoint.
 
     Args:
-        folder: Of the event files.
-        timesteps: Control steps before this training was resumed, or 0.
+        folder: Folder for the event files.
+        timesteps: Control steps at the checkpoint of a resumed training, else 0.
         hyperparameters: Plain values by dotted key, for the table of all runs.
     """
 
     def __init__(self, folder: Path, timesteps: int, hyperparameters: Mapping[str, Any]) -> None:
         self.writer = SummaryWriter(log_dir=str(folder), purge_step=timesteps + 1 if timesteps else None)
         self._is_closed = False
-        # The first summary, a list of columns, is left out: TensorBoard would use one run's list for all runs, without
-        # the columns of other agents. If there is no list, it collects the columns of all runs.
-        _columns, *values = hparams(dict(hyperparameters), {})
-        for summary in values:  # `SummaryWriter` has no public method for a single summary
+        # The first summary lists the columns of the table, and TensorBoard would use the list of one run for all runs.
+        # Without a list, TensorBoard collects the columns of all runs.
+        _columns, *summaries = hparams(dict(hyperparameters), {})
+        for summary in summaries:  # `SummaryWriter` has no public method for a single summary
             self.writer._get_file_writer().add_summary(summary)
-
-
-def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The leaves of a tree by dotted key, as numbers and text."""
-    leaves: dict[str, Any] = {}
-    for key, value in tree.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            leaves.update(flat(value, f"{name}."))
-        elif value is not None:
-            leaves[name] = value if isinstance(value, bool | int | float | str) else str(value)
-    return leaves

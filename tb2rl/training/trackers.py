@@ -1,14 +1,11 @@
-"""Trackers: destinations of a training's figures beside TensorBoard, named by `train.track`.
+"""Trackers: further destinations of a training's metrics beside TensorBoard, selected by `train.track`.
 
-A name is `mlflow`, `wandb`, or "module:Class" of a user's own class.
+A tracker is selected by name (`mlflow`, `wandb`), or as "module:Class" of a user's own class.
 """
-
-from __future__ import annotations
 
 import inspect
 import json
 import os
-import re
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,188 +15,160 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.logger import Image, KVWriter, Logger
+from stable_baselines3.common.logger import Image, KVWriter, Logger, filter_excluded_keys
 
+from tb2rl.core import import_object, read_text, write_text
 from tb2rl.core.errors import InputError, UnwritableError, install_extra, one_line, unknown
-from tb2rl.core.files import read_text, write_text
-from tb2rl.core.plugins import import_object
-from tb2rl.runs.folder import restrict_imports
-from tb2rl.training.callbacks import StopOnSignal
+from tb2rl.runs import LIBRARY_ERRORS, restrict_imports
+from tb2rl.training.callbacks import CheckpointCallback
 
 TRACKERS = {"mlflow": "tb2rl.training.mlflow_tracker:Mlflow", "wandb": "tb2rl.training.wandb_tracker:Wandb"}
-_LIBRARIES = {"mlflow": "MLflow", "wandb": "Weights & Biases"}
-MLFLOW_STORE = "MLFLOW_TRACKING_URI"  # the variable that MLflow itself reads
+MLFLOW_URI = "MLFLOW_TRACKING_URI"  # environment variable with the address of the store
 _LOCAL_STORES = ("sqlite:", "file:", "/", ".")  # prefixes of stores that other machines cannot reach
-_ID = re.compile(r"[\w-]{1,64}")
 
 
 @dataclass(frozen=True)
-class Tracked:
-    """A training as a tracker sees it.
-
-    Attributes:
-        folder: Its run folder.
-        name: TASK/AGENT/NAME.
-        settings: The config, numbers and text by dotted key.
-    """
+class TrackedRun:
+    """Description of a training for trackers."""
 
     folder: Path
-    name: str
-    settings: Mapping[str, Any]
+    name: str  # see `run_name`
+    settings: Mapping[str, Any]  # the config as numbers and text, by dotted key
 
 
 class Tracker(KVWriter, ABC):
-    """A writer of Stable-Baselines3's logger that sends the figures of one training elsewhere.
+    """Base class of trackers: output formats of Stable-Baselines3's logger for one training.
 
     Attributes:
         training: The training.
-        id: The name given to `remember` before the training was resumed; None: there is none.
-        ended: How the training ended, once `close` is called: "finished", "interrupted" or "failed".
+        id: Id of the tracked run, from the last call of `remember`; None for a new training.
+        ended: How the training ended: "finished", "interrupted" or "failed". It is set before `close` is called.
     """
 
     ended = "failed"
 
-    def __init__(self, training: Tracked) -> None:
-        self.training = training
-        kind = type(self)
-        self._memory = training.folder / f"tracker-{kind.__module__}.{kind.__qualname__}.json"
-        self.id, self._tracked_until = self._read_memory()
+    def __init__(self, training: TrackedRun) -> None:
+        self.training, self.id, self._tracked_until = training, None, 0
         self._can_write = True
+        cls = type(self)
+        self._state_file = training.folder / f"tracker-{cls.__module__}.{cls.__qualname__}.json"
+        if self._state_file.is_file():
+            try:
+                state = json.loads(read_text(self._state_file))
+                self.id, self._tracked_until = str(state["id"]), int(state["step"])
+            except LIBRARY_ERRORS:
+                raise InputError(f"{self._state_file} is damaged; remove it to start a new tracked run") from None
 
     @abstractmethod
     def track(self, step: int, figures: Mapping[str, float], pictures: Mapping[str, np.ndarray]) -> None:
-        """Send what the logger holds at a control step; there can be several calls for one step.
+        """Send the logged values of a control step; there can be several calls for the same step.
 
         Args:
             step: Control steps so far, over all environments.
-            figures: TensorBoard's scalars.
-            pictures: Arrays of bytes, shape (height, width, 3).
+            figures: Scalars, by TensorBoard's names.
+            pictures: Images as arrays of bytes, shape (height, width, 3), by TensorBoard's names.
         """
 
     def write(self, key_values: Mapping[str, Any], key_excluded: Mapping[str, tuple[str, ...]], step: int = 0) -> None:
-        """Called by the logger; skips steps that were tracked before the training was resumed."""
-        shown = {key: value for key, value in key_values.items() if "tensorboard" not in (key_excluded.get(key) or ())}
+        """Track the values of the logger, except those of steps that were tracked before the training was resumed."""
+        shown = filter_excluded_keys(dict(key_values), dict(key_excluded), "tensorboard")
         figures = {key: float(value) for key, value in shown.items() if isinstance(value, int | float | np.number)}
-        pictures = {
-            key: value.image
-            for key, value in shown.items()
-            if isinstance(value, Image) and isinstance(value.image, np.ndarray) and value.dataformats == "HWC"
-        }
+        images = {key: value for key, value in shown.items() if isinstance(value, Image) and value.dataformats == "HWC"}
+        pictures = {key: value.image for key, value in images.items() if isinstance(value.image, np.ndarray)}
         if step > self._tracked_until and self._can_write:
-            with self.dropping():
+            with self.disable_on_write_error():
                 self.track(step, figures, pictures)
 
     def close(self) -> None:
-        """Called when the training is over."""
+        """Finish the tracked run at the end of the training."""
 
     @contextmanager
-    def dropping(self) -> Iterator[None]:
-        """Stop tracking with a warning if the block cannot write, because the training is worth no less."""
+    def disable_on_write_error(self) -> Iterator[None]:
+        """Disable tracking with a warning if the block cannot write; the training continues."""
         try:
             yield
         except UnwritableError as error:
             if self._can_write:
-                print(f"warning: {error}; the training goes on without it", file=sys.stderr, flush=True)
+                print(f"warning: {error}; the training continues without it", file=sys.stderr, flush=True)
             self._can_write = False
 
-    def remember(self, name: str, step: int) -> None:
-        """Note in the run folder, for a resumed training, the name of the tracked run and the last step sent.
-
-        Args:
-            name: Letters, digits, "-" and "_"; the `id` from then on.
-            step: Control steps that are not tracked again.
-        """
-        self.id = name
-        write_text(self._memory, json.dumps({"id": name, "step": step}) + "\n")
-
-    def _read_memory(self) -> tuple[str | None, int]:
-        if not self._memory.is_file():
-            return None, 0
-        try:
-            memory = json.loads(read_text(self._memory))
-            if _ID.fullmatch(memory["id"]):
-                return memory["id"], int(memory["step"])
-        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
-            pass
-        raise InputError(f"{self._memory} is damaged: remove it, and the tracker begins a new run")
+    def remember(self, run_id: str, step: int) -> None:
+        """Save the id of the tracked run and its last step in the run folder, for a resumed training."""
+        self.id = run_id
+        write_text(self._state_file, json.dumps({"id": run_id, "step": step}) + "\n")
 
 
 def _find_tracker(name: str) -> type[Tracker]:
     if name not in TRACKERS and ":" not in name:
         raise unknown("tracker in train.track:", name, TRACKERS)
     try:
-        found = import_object(TRACKERS.get(name, name))
+        cls = import_object(TRACKERS.get(name, name))
     except InputError as error:
         raise InputError(f"train.track: {error}") from None
     except ModuleNotFoundError as error:
         if name not in TRACKERS:
             raise
-        missing = "" if error.name == name else f" (there is no {error.name})"
-        raise InputError(f"train.track: {name} needs {_LIBRARIES[name]}{missing}: {install_extra(name)}") from None
-    if not (isinstance(found, type) and issubclass(found, Tracker)) or inspect.isabstract(found):
-        raise InputError(f"train.track: {name} is not a class derived from tb2rl.training.trackers.Tracker with track")
-    return found
+        raise InputError(f"train.track: {name} needs the package {error.name}: {install_extra(name)}") from None
+    if not (isinstance(cls, type) and issubclass(cls, Tracker)) or inspect.isabstract(cls):
+        raise InputError(f"train.track: {name} is not a class derived from {Tracker.__module__}.Tracker with track()")
+    return cls
 
 
-def find_trackers(names: Sequence[str], folder: Path | None = None) -> list[type[Tracker]]:
-    """The tracker classes of some names; a run `folder` that names them limits imports, see `core.trust`.
-
-    Raises:
-        InputError: If there is no such tracker, or its library is not installed.
-    """
-    with restrict_imports(folder, trust=False):
+def find_trackers(names: Sequence[str], untrusted_folder: Path | None = None) -> list[type[Tracker]]:
+    """Find tracker classes by name; `restrict_imports` restricts names from an `untrusted_folder`."""
+    with restrict_imports(untrusted_folder, trust=False):
         return [_find_tracker(name) for name in names]
 
 
 def check_trackers(names: Sequence[str], on_cluster: bool) -> None:
-    """Raise an `InputError` if trainings cannot be tracked by these names, by Ray on a cluster or on this machine."""
+    """Raise an `InputError` if a tracker does not exist, or cannot be reached from a cluster."""
     find_trackers(names)
-    store = os.environ.get(MLFLOW_STORE, "")
+    store = os.environ.get(MLFLOW_URI, "")
     if on_cluster and "mlflow" in names and (not store or store.startswith(_LOCAL_STORES)):
-        raise InputError(f"train.track: with --on ray, mlflow needs a server for all machines: set {MLFLOW_STORE}")
+        raise InputError(f"train.track: with --on ray, mlflow needs a server for all machines: set {MLFLOW_URI}")
 
 
 @contextmanager
-def tracking(
-    logger: Logger, trackers: Sequence[type[Tracker]], training: Tracked, stop: StopOnSignal
+def attach_trackers(
+    logger: Logger, classes: Sequence[type[Tracker]], training: TrackedRun, checkpoint_callback: CheckpointCallback
 ) -> Iterator[None]:
-    """Send a logger's output to trackers during the block, and tell them how it ended."""
-    ended, begun = "failed", list[Tracker]()
+    """Attach trackers to a logger during the block, and close them with the outcome of the block."""
+    ended, trackers = "failed", list[Tracker]()
     try:
-        for tracker in trackers:
-            begun.append(tracker(training))
-            logger.output_formats.append(begun[-1])
+        for cls in classes:
+            trackers.append(cls(training))
+            logger.output_formats.append(trackers[-1])
         yield
-        ended = "interrupted" if stop.received else "finished"
+        ended = "interrupted" if checkpoint_callback.signal_number else "finished"
     except KeyboardInterrupt:
         ended = "interrupted"
         raise
     finally:
-        for each in begun:
-            logger.output_formats.remove(each)
-            each.ended = ended
-            with each.dropping():
-                each.close()
+        for tracker in trackers:
+            logger.output_formats.remove(tracker)
+            tracker.ended = ended
+            with tracker.disable_on_write_error():
+                tracker.close()
 
 
 @contextmanager
 def translate_tracker_errors(name: str, *errors: type[Exception]) -> Iterator[None]:
     """Translate the errors of a tracker's library into an `UnwritableError`."""
-    translated: tuple[type[Exception], ...] = (OSError, ImportError, *errors)  # a store may need a driver
     try:
         yield
-    except translated as error:
+    except errors as error:
         raise UnwritableError(one_line(f"train.track: {name} cannot write: {error}")) from None
 
 
 def runs_folder(folder: Path) -> Path:
-    """The folder `runs` around a run folder, at any depth, else its parent."""
-    return next((each for each in folder.absolute().parents if each.name == "runs"), folder.absolute().parent)
+    """The nearest folder named `runs` that contains a run folder, or the parent of the run folder."""
+    parents = folder.absolute().parents
+    return next((parent for parent in parents if parent.name == "runs"), parents[0])
 
 
 def run_name(task_name: str, agent_name: str, folder: Path) -> str:
-    """TASK/AGENT/NAME: a run folder's path within `runs`, or else made of its parts."""
-    place = folder.absolute()
-    if runs_folder(folder).name == "runs":
-        return place.relative_to(runs_folder(folder)).as_posix()
-    return "/".join([*(each.rpartition(":")[2] for each in (task_name, agent_name)), place.name])
+    """The path of a run folder relative to `runs`, or TASK/AGENT/NAME for a folder elsewhere."""
+    runs = runs_folder(folder)
+    if runs.name == "runs":
+        return folder.absolute().relative_to(runs).as_posix()
+    return "/".join([task_name.rpartition(":")[2], agent_name.rpartition(":")[2], folder.absolute().name])

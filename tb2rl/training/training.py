@@ -1,13 +1,12 @@
 """One training, from a config to a run folder."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +14,24 @@ import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger
 
-from tb2rl.core.errors import InputError
-from tb2rl.core.signals import ending_signals
+from tb2rl.core import InputError, handle_termination_signals
+from tb2rl.envs.scene import Scene
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.evaluation.evaluate import VALIDATION_SEED, Evaluator, random_initial_states
 from tb2rl.evaluation.evaluation import Evaluation
+from tb2rl.runs import Config, Run, TrainSettings, flatten, read_checkpoint, resolve
 from tb2rl.runs.algorithm import check_device, check_trainable, make_algorithm
-from tb2rl.runs.checkpoint import read_checkpoint
-from tb2rl.runs.config import Config, TrainSettings
-from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
-from tb2rl.runs.loading import content_config, load
-from tb2rl.runs.parameters import load_parameters
+from tb2rl.runs.loading import checkpoint_config, load, load_parameters
+from tb2rl.simulation.simulator import default_simulator, find_simulator
 from tb2rl.tasks import Task
 from tb2rl.training import state
-from tb2rl.training.callbacks import StopOnSignal, TrainingCallbacks
-from tb2rl.training.environments import make_evaluator, make_vec_env
-from tb2rl.training.error_translation import translate_learning_errors, translate_machine_errors
-from tb2rl.training.statistics import TensorBoard, flat
-from tb2rl.training.trackers import Tracked, Tracker, find_trackers, run_name, tracking
+from tb2rl.training.callbacks import TrainingCallbacks
+from tb2rl.training.error_translation import translate_learning_errors, translate_resource_errors
+from tb2rl.training.statistics import TensorBoard
+from tb2rl.training.trackers import TrackedRun, Tracker, attach_trackers, find_trackers, run_name
 
-_ADVICE = "raise --total-timesteps to go on"
+_FAST_EPISODES, _SLOW_EPISODES = 1000, 20  # default numbers of evaluation episodes: kinematic, other or with images
+_EXTEND_HINT = "raise --total-timesteps to continue"
 
 
 def train(
@@ -50,47 +48,39 @@ def train(
     """Train an agent and leave a run folder.
 
     Args:
-        agent: Its name in the registry, "module:Class", or the class of its algorithm.
-        task: The task's name, "module:Class", or its class. A class of a notebook or script can be loaded there only;
-            for a run that is to be loaded anywhere else, save the class in a file.
-        preset: The name of a file in `configs`, or the path of one.
+        agent: Name of an agent, "module:Class", or an algorithm class.
+        task: Name of a task, "module:Class", or a task class. Save your own classes in a file: a policy trained with
+            a class of a notebook or script can only be loaded in that notebook or script.
+        preset: Name of a file in `configs`, or a path.
         settings: Single settings by dotted key, such as {"task.world": "circuit"}.
-        folder: The run folder; None: `runs/<task>/<agent>/<name>`.
-        name: Of the run folder in `runs`; None: date and time.
+        folder: Path of the run folder; None: `runs/<task>/<agent>/<name>`.
+        name: Name of the run folder in `runs/<task>/<agent>`; None: the date and time.
         progress_bar: Whether to show the rate and the remaining time.
         train_settings: Fields of `tb2rl.runs.config.TrainSettings`, such as total_timesteps, seed or n_envs.
 
     Returns:
-        The run's best policy, as `load` gives it.
+        The best policy of the run, loaded by `load`.
 
     Raises:
-        InputError: For any argument that does not fit.
+        InputError: If an argument is invalid.
     """
     if folder is not None and name is not None:
-        raise InputError("name= is for a run folder in runs/TASK/AGENT; give either it or folder=")
-    given = {f"train.{key}": value for key, value in train_settings.items()}
-    config = resolve(agent, task, preset, {**(settings or {}), **given})
+        raise InputError("folder= and name= exclude each other; give only one of them")
+    dotted_settings = {f"train.{key}": value for key, value in train_settings.items()}
+    config = resolve(agent, task, preset, {**(settings or {}), **dotted_settings})
     return load(train_config(config, folder or default_folder(config, name), progress_bar).run.folder)
 
 
 @dataclass(frozen=True)
-class Training:
-    """The result of a training.
-
-    Attributes:
-        timesteps: Control steps; of a resumed training, since it was resumed.
-        seconds: Of learning them, evaluations included.
-        lengths: Control steps of each episode.
-        interrupted: The number of the signal that ended it; 0: none.
-        stopped_after: Control steps since it began, if evaluations stopped it early.
-    """
+class FinishedTraining:
+    """The result of a training."""
 
     run: Run
-    timesteps: int
-    seconds: float
-    lengths: Sequence[int]
-    interrupted: int
-    stopped_after: int | None
+    timesteps: int  # control steps since the start or the last resume
+    seconds: float  # wall-clock time of these steps, including evaluations
+    episode_lengths: Sequence[int]  # control steps of each episode
+    signal_number: int  # signal that interrupted the training; 0: none
+    early_stop_timesteps: int | None  # all control steps of the run, if evaluations stopped the training early
 
 
 def train_config(
@@ -100,19 +90,123 @@ def train_config(
     verbose: int = 0,
     on_start: Callable[[Path], object] | None = None,
     on_evaluation: Callable[[Evaluation], object] | None = None,
-    tracked_folder: Path | None = None,
-) -> Training:
-    """Train a resolved config in a run folder.
+    final_folder: Path | None = None,
+    checkpoint: Mapping[str, Any] | None = None,
+) -> FinishedTraining:
+    """Train with a config in a run folder.
 
     Args:
-        config, folder, progress_bar: See `train`.
-        verbose: 1: a line for each episode.
-        on_start: Called with the run folder once nothing was refused.
-        on_evaluation: Called with each evaluation during training; an exception from it ends the training.
-        tracked_folder: The final place of a run folder that is made elsewhere, as on another machine, for trackers.
+        config: The config, see `resolve`.
+        folder: Path of the run folder.
+        progress_bar: Whether to show the rate and the remaining time.
+        verbose: 1 prints a line for each episode.
+        on_start: Callback that gets the run folder when learning begins.
+        on_evaluation: Callback that gets each evaluation during training; its exceptions end the training.
+        final_folder: Path to which the run folder will be moved, for the run's name in trackers; None: `folder`.
+        checkpoint: Content of the checkpoint to resume from; None: a new training.
     """
-    trainer = Trainer(config, Path(folder), None, verbose, on_start, on_evaluation, tracked_folder)
-    return trainer.train(progress_bar)
+    folder, settings = Path(folder), config.train
+    check_trainable(config)
+    check_device(settings.device)
+    trackers = find_trackers(settings.track, untrusted_folder=folder if checkpoint else None)
+    with translate_resource_errors(folder), ExitStack() as resources:
+        resources.callback(th.set_num_threads, th.get_num_threads())  # restored because the setting is global
+        th.set_num_threads(settings.torch_threads)
+        scene = config.scene.with_time_limit(settings.episode_steps) if settings.episode_steps else config.scene
+        simulator = find_simulator(settings.simulation)
+        simulator.check(f"a training in simulation {settings.simulation!r}")
+        env = TurtleBot2VecEnv(scene, settings.n_envs, settings.reward_scale, simulator)
+        resources.callback(env.close)
+        algorithm = make_algorithm(config, env)
+        evaluator = make_evaluator(config.validation_scene, settings) if settings.eval_freq else None
+        resources.enter_context(evaluator or nullcontext())
+        run = Run(folder, config) if checkpoint else Run.create(folder, config)
+        cleanup_on_failure = resources.enter_context(ExitStack())  # removes a new folder if a tracker fails to start
+        if not checkpoint:
+            cleanup_on_failure.callback(shutil.rmtree, folder, ignore_errors=True)
+        resources.enter_context(run.lock())
+        learner = _Learner(run, algorithm, TrainingCallbacks(run, evaluator, on_evaluation, verbose))
+        if checkpoint:
+            learner.restore(checkpoint)
+        resources.enter_context(learner.logging(trackers, final_folder or folder))
+        cleanup_on_failure.pop_all()
+        if on_start:
+            on_start(folder)
+        return learner.learn(progress_bar, is_new=checkpoint is None)
+
+
+@dataclass(frozen=True)
+class _Learner:
+    """The parts of a training that is ready to learn."""
+
+    run: Run
+    algorithm: BaseAlgorithm
+    callbacks: TrainingCallbacks
+
+    def restore(self, content: Mapping[str, Any]) -> None:
+        """Restore a checkpoint into the new algorithm and callbacks."""
+        run, evaluations = self.run, self.callbacks.evaluation
+        file, settings = run.checkpoints[0], run.config.train
+        load_parameters(self.algorithm, content, file)
+        state.restore(content["training"], self.algorithm, self.callbacks, file)
+        timesteps = self.algorithm.num_timesteps
+        if evaluations and evaluations.stopped:
+            if settings.total_timesteps == content["config"]["train"]["total_timesteps"]:
+                raise InputError(f"{run.folder} has {describe_early_stop(settings, timesteps)}; {_EXTEND_HINT}")
+            evaluations.clear_early_stop()
+        run.drop_evaluations(after=timesteps)
+        run.write_config()
+
+    @contextmanager
+    def logging(self, trackers: Sequence[type[Tracker]], final_folder: Path) -> Iterator[None]:
+        """Log to TensorBoard and to trackers, which name the run after its final folder."""
+        run, config = self.run, self.run.config
+        leaves = {key: value for key, value in flatten(config.to_dict()).items() if value is not None}
+        hyperparameters = {key: str(value) if isinstance(value, list) else value for key, value in leaves.items()}
+        tensorboard = TensorBoard(run.folder / "tensorboard", self.algorithm.num_timesteps, hyperparameters)
+        name = run_name(config.task_name, config.agent_name, final_folder)
+        tracked_run = TrackedRun(run.folder, name, hyperparameters)
+        with closing(Logger(str(run.folder), [tensorboard])) as logger:
+            self.algorithm.set_logger(logger)
+            with attach_trackers(logger, trackers, tracked_run, self.callbacks.checkpoint):
+                yield
+
+    def learn(self, progress_bar: bool, is_new: bool) -> FinishedTraining:
+        """Learn, then save and evaluate the final policy."""
+        run, algorithm = self.run, self.algorithm
+        start_time, start_timesteps = time.monotonic(), algorithm.num_timesteps
+        evaluations, checkpoints = self.callbacks.evaluation, self.callbacks.checkpoint
+        with handle_termination_signals(checkpoints.handle_signal):
+            with translate_learning_errors(algorithm, run):
+                remaining = run.config.train.total_timesteps - start_timesteps
+                algorithm.learn(remaining, self.callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
+            run.save(algorithm, "final/policy")
+            if not checkpoints.stopped:
+                if evaluations and not evaluations.stopped:
+                    evaluations.evaluate(progress_bar)
+                checkpoints.save()  # after the evaluation, because its score is part of the checkpoint
+        return FinishedTraining(
+            run,
+            timesteps=algorithm.num_timesteps - start_timesteps,
+            seconds=time.monotonic() - start_time,
+            episode_lengths=list(self.callbacks.statistics.lengths),
+            signal_number=checkpoints.signal_number,
+            early_stop_timesteps=algorithm.num_timesteps if evaluations and evaluations.stopped else None,
+        )
+
+
+def make_evaluator(scene: Scene, settings: TrainSettings, seed: int = VALIDATION_SEED) -> Evaluator:
+    """Make the evaluator of a training; `seed` determines initial states and noise."""
+    simulator = find_simulator(settings.eval_simulation)
+    try:
+        scene.check(simulator)
+    except InputError as error:
+        simulator = default_simulator()
+        print(f"evaluations during training use {simulator.title}, and are slower: {error}", flush=True)
+    is_slow = simulator.in_processes or scene.has_images
+    num_episodes = settings.eval_episodes or (_SLOW_EPISODES if is_slow else _FAST_EPISODES)
+    states = random_initial_states(scene, num_episodes, seed)
+    return Evaluator(scene, states, settings.eval_steps, seed, simulation=simulator)
 
 
 def resume(
@@ -121,139 +215,39 @@ def resume(
     progress_bar: bool = False,
     verbose: int = 0,
     on_start: Callable[[Path], object] | None = None,
-) -> Training:
-    """Continue the training of a run folder from its last checkpoint, as if it had not been interrupted.
+) -> FinishedTraining:
+    """Resume the training of a run folder from its last checkpoint, as if it had not been interrupted.
 
     Args:
-        folder: The run folder.
-        total_timesteps: A larger total than the run began with; schedules then stretch over it.
-        progress_bar, verbose, on_start: As in `train_config`.
-
-    Raises:
-        InputError: If there is nothing to resume, or it does not fit.
+        folder: Path of the run folder.
+        total_timesteps: New total, not less than the present total; schedules end at the new total. None: no change.
+        progress_bar: See `train_config`.
+        verbose: See `train_config`.
+        on_start: See `train_config`.
     """
     run = Run.open(Path(folder))
     if not run.checkpoints:
-        raise InputError(f"{folder} has no checkpoint of its training to go on from")
-    file = run.checkpoints[0]
+        raise InputError(f"{folder} has no checkpoint to resume from")
+    file, old_total = run.checkpoints[0], run.config.train.total_timesteps
     content = read_checkpoint(file)
-    config = run.config
-    saved = content_config(content, file)
-    # The folder may say more steps, if an earlier resume ended before its first checkpoint.
-    longer = replace(saved, train=replace(saved.train, total_timesteps=config.train.total_timesteps))
-    if longer != config or "training" not in content:
-        raise InputError(f"{file} is not a checkpoint of the training that {folder} describes")
-    if total_timesteps is not None:
-        if total_timesteps < config.train.total_timesteps:
-            raise InputError(f"the run was begun with {config.train.total_timesteps} steps; ask for more, not for less")
-        config = replace(config, train=replace(config.train, total_timesteps=total_timesteps))
-    if content["timesteps"] >= config.train.total_timesteps:
-        raise InputError(f"{folder} has all its {config.train.total_timesteps} steps; {_ADVICE}")
-    checkpoint = _Checkpoint(file, content, saved.train.total_timesteps)
-    return Trainer(config, run.folder, checkpoint, verbose, on_start).train(progress_bar)
+    # The totals differ if an earlier resume raised the total, but ended before its first checkpoint.
+    if _with_total(checkpoint_config(content, file), old_total) != run.config or "training" not in content:
+        raise InputError(f"{file} does not belong to the training of {folder}")
+    new_total = old_total if total_timesteps is None else total_timesteps
+    if new_total < old_total:
+        raise InputError(f"the total is {old_total} steps already; give this number or a larger one, not {new_total}")
+    if content["timesteps"] >= new_total:
+        raise InputError(f"{folder} has all its {new_total} steps; {_EXTEND_HINT}")
+    config = _with_total(run.config, new_total)
+    return train_config(config, run.folder, progress_bar, verbose, on_start, checkpoint=content)
 
 
-@dataclass(frozen=True)
-class _Checkpoint:
-    """The checkpoint from which a training continues, and the total of control steps that it was saved with."""
-
-    file: Path
-    content: Mapping[str, Any]
-    total_timesteps: int
+def _with_total(config: Config, total_timesteps: int) -> Config:
+    return replace(config, train=replace(config.train, total_timesteps=total_timesteps))
 
 
-@dataclass(frozen=True)
-class Trainer:
-    """Trains one config in its run folder; see `train_config` for its attributes.
-
-    Attributes:
-        checkpoint: The checkpoint to continue from; None: a new training.
-    """
-
-    config: Config
-    folder: Path
-    checkpoint: _Checkpoint | None = None
-    verbose: int = 0
-    on_start: Callable[[Path], object] | None = None
-    on_evaluation: Callable[[Evaluation], object] | None = None
-    tracked_folder: Path | None = None
-
-    def train(self, progress_bar: bool) -> Training:
-        """Check the config, open everything that the training needs, and learn."""
-        settings, scene = self.config.train, self.config.scene
-        check_trainable(self.config)
-        check_device(settings.device)
-        trackers = find_trackers(settings.track, self.folder if self.checkpoint else None)
-        with translate_machine_errors(self.folder), ExitStack() as resources:
-            resources.callback(th.set_num_threads, th.get_num_threads())  # they are the whole program's
-            th.set_num_threads(settings.torch_threads)
-            env = resources.enter_context(closing(make_vec_env(scene, settings)))
-            algorithm = make_algorithm(self.config, env)
-            evaluator = make_evaluator(self.config.validation_scene, settings) if settings.eval_freq else None
-            resources.enter_context(evaluator or nullcontext())
-            run = Run(self.folder, self.config) if self.checkpoint else Run.create(self.folder, self.config)
-            refused = resources.enter_context(ExitStack())  # leaves no new folder behind if a tracker cannot begin
-            if not self.checkpoint:
-                refused.callback(shutil.rmtree, run.folder, ignore_errors=True)
-            resources.enter_context(run.lock())
-            callbacks = TrainingCallbacks(run, evaluator, self.on_evaluation, self.verbose)
-            if self.checkpoint:
-                self._restore(self.checkpoint, algorithm, callbacks)
-                run.drop_evaluations(after=algorithm.num_timesteps)
-                run.write_config()
-            resources.enter_context(self._logging(algorithm, trackers, callbacks.stop))
-            refused.pop_all()
-            if self.on_start:
-                self.on_start(run.folder)
-            return self._learn(run, algorithm, callbacks, progress_bar)
-
-    def _restore(self, checkpoint: _Checkpoint, algorithm: BaseAlgorithm, callbacks: TrainingCallbacks) -> None:
-        load_parameters(algorithm, checkpoint.content, checkpoint.file)
-        try:
-            first = state.restore(checkpoint.content["training"], algorithm, callbacks.stateful)
-        except InputError as error:
-            raise InputError(f"{checkpoint.file}: {error}") from None
-        callbacks.callbacks.insert(0, first)
-        if callbacks.evaluation and callbacks.evaluation.stopped:
-            if self.config.train.total_timesteps == checkpoint.total_timesteps:
-                reason = early_stop(self.config.train, algorithm.num_timesteps)
-                raise InputError(f"{self.folder} has {reason}; {_ADVICE}")
-            callbacks.evaluation.restart()
-
-    @contextmanager
-    def _logging(
-        self, algorithm: BaseAlgorithm, trackers: Sequence[type[Tracker]], stop: StopOnSignal
-    ) -> Iterator[None]:
-        """Log to TensorBoard and to trackers."""
-        hyperparameters = flat(self.config.to_dict())
-        tensorboard = TensorBoard(self.folder / "tensorboard", algorithm.num_timesteps, hyperparameters)
-        algorithm.set_logger(Logger(str(self.folder), [tensorboard]))
-        name = run_name(self.config.task_name, self.config.agent_name, self.tracked_folder or self.folder)
-        tracked = Tracked(self.folder, name, hyperparameters)
-        with closing(algorithm.logger), tracking(algorithm.logger, trackers, tracked, stop):
-            yield
-
-    def _learn(self, run: Run, algorithm: BaseAlgorithm, callbacks: TrainingCallbacks, progress_bar: bool) -> Training:
-        """Learn, then save and evaluate the final policy."""
-        started, before = time.monotonic(), algorithm.num_timesteps
-        left, is_new = self.config.train.total_timesteps - before, self.checkpoint is None
-        evaluation, stop = callbacks.evaluation, callbacks.stop
-        with ending_signals(stop.receive):
-            with translate_learning_errors(algorithm, run):
-                algorithm.learn(left, callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
-            run.save(algorithm, "final/policy")
-            if not stop.stopped:
-                if evaluation and not evaluation.stopped:
-                    evaluation.evaluate(progress_bar)
-                callbacks.checkpoints.save()  # holds the best score, in case the training is resumed
-        seconds, timesteps = time.monotonic() - started, algorithm.num_timesteps
-        stopped_after = timesteps if evaluation and evaluation.stopped else None
-        lengths = list(callbacks.statistics.lengths)
-        return Training(run, timesteps - before, seconds, lengths, stop.received, stopped_after)
-
-
-def early_stop(settings: TrainSettings, timesteps: int) -> str:
-    """The reason of an early stop, in a line."""
+def describe_early_stop(settings: TrainSettings, timesteps: int) -> str:
+    """Describe in one line why evaluations stopped a training."""
     return (
         f"stopped after {timesteps} of {settings.total_timesteps} steps: {settings.stop_evaluations} evaluations in a "
         f"row reached {100 * (settings.stop_score or 0.0):g} %"
@@ -261,16 +255,15 @@ def early_stop(settings: TrainSettings, timesteps: int) -> str:
 
 
 def default_folder(config: Config, name: str | None = None) -> Path:
-    """`runs/<task>/<agent>/<name>`; without a name date and time, and a number if that exists.
+    """The path `runs/<task>/<agent>/<name>`.
 
-    Raises:
-        InputError: If the name is a path, or not printable.
+    Without a name, the date and time are used, and a number is appended if that folder exists.
     """
-    folder = Path("runs", *(each.rpartition(":")[2] for each in (config.task_name, config.agent_name)))
+    parent = Path("runs", config.task_name.rpartition(":")[2], config.agent_name.rpartition(":")[2])
     if name:
         if Path(name).name != name or name == ".." or not name.isprintable():
-            raise InputError(f"--name (name=) is the name of a folder, of printable text without a path, got {name!r}")
-        return folder / name
-    name = datetime.now().strftime("%Y%m%d-%H%M%S")
-    names = [name, *(f"{name}-{i}" for i in range(2, 1000))]
-    return next(folder / name for name in names if not (folder / name).exists())
+            raise InputError(f"--name is {name!r}; give a folder name of printable characters, without a path")
+        return parent / name
+    timestamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    names = chain([timestamp], (f"{timestamp}-{number}" for number in count(2)))
+    return next(parent / name for name in names if not (parent / name).exists())

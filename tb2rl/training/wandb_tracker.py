@@ -1,37 +1,37 @@
-"""Weights & Biases as a tracker: offline, in the run folder, unless `WANDB_MODE` says otherwise."""
-
-from __future__ import annotations
+"""Weights & Biases as a tracker; `WANDB_MODE` is "offline" by default, which writes into the run folder."""
 
 import os
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from functools import partial
 from uuid import uuid4
 
 import numpy as np
 
-from tb2rl.training.trackers import Tracked, Tracker, translate_tracker_errors
+from tb2rl.training.trackers import TrackedRun, Tracker, translate_tracker_errors
 
-os.environ.setdefault("WANDB_ERROR_REPORTING", "false")  # read on import: sends no error reports
+os.environ.setdefault("WANDB_ERROR_REPORTING", "false")  # set first, because wandb reads it on import
 
 import wandb
 
-# Figures only: nothing of the terminal, the code, the machine and its installed packages.
-_QUIET = {
+# Settings that send only metrics and images: no terminal output, code, machine statistics or installed packages.
+_PRIVACY_SETTINGS = {
     "silent": True, "console": "off", "disable_git": True, "disable_code": True, "disable_job_creation": True,
     "x_disable_meta": True, "x_disable_stats": True, "x_disable_machine_info": True, "x_save_requirements": False,
 }  # fmt: skip
-_EXIT = {"finished": 0, "interrupted": 255, "failed": 1}  # 255: Weights & Biases calls the run killed
+# ValueError is for invalid settings.
+_translate = partial(translate_tracker_errors, "wandb", OSError, wandb.Error, ValueError)
+_EXIT_CODE = {"finished": 0, "interrupted": 255, "failed": 1}  # Weights & Biases shows 255 as "killed"
 
 
 class Wandb(Tracker):
-    """Writes a folder `wandb/offline-run-*` for each part of a resumed training, all with the id of one run.
+    """Writes to one run; offline, each resumed training adds a folder `wandb/offline-run-*` with the same id.
 
-    The project is that of `WANDB_PROJECT`, else "tb2rl".
+    `WANDB_PROJECT` is the name of the project, by default "tb2rl".
     """
 
-    def __init__(self, training: Tracked) -> None:
+    def __init__(self, training: TrackedRun) -> None:
         super().__init__(training)
-        with self._translated():
+        with _translate():
             self._run = wandb.init(
                 project=os.environ.get("WANDB_PROJECT") or "tb2rl",
                 dir=training.folder,
@@ -39,20 +39,17 @@ class Wandb(Tracker):
                 name=training.name,
                 config=dict(training.settings),
                 resume="allow",
-                reinit="create_new",  # beside others in this process
-                settings=wandb.Settings(mode=os.environ.get("WANDB_MODE") or "offline", **_QUIET),
+                reinit="create_new",  # because other runs of this process may be active
+                settings=wandb.Settings(mode=os.environ.get("WANDB_MODE") or "offline", **_PRIVACY_SETTINGS),
             )
         self.remember(self._run.id, self._tracked_until)
 
+    @_translate()
     def track(self, step: int, figures: Mapping[str, float], pictures: Mapping[str, np.ndarray]) -> None:
-        with self._translated():
-            images = {key: wandb.Image(picture) for key, picture in pictures.items()}
-            self._run.log({**figures, **images}, step=step)
+        images = {key: wandb.Image(picture) for key, picture in pictures.items()}
+        self._run.log({**figures, **images}, step=step)
         self.remember(self._run.id, step)
 
+    @_translate()
     def close(self) -> None:
-        with self._translated():
-            self._run.finish(_EXIT[self.ended])
-
-    def _translated(self) -> AbstractContextManager[None]:
-        return translate_tracker_errors("wandb", wandb.Error, ValueError)  # ValueError: an unknown setting
+        self._run.finish(_EXIT_CODE[self.ended])

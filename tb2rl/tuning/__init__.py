@@ -1,5 +1,5 @@
-"""Hyperparameter search with Optuna: trials of settings, selection of the best ones in PyBullet, and a page.
+"""Hyperparameter search with Optuna: trials of settings, selection of the best trial in PyBullet, and a report page.
 
-`study.py` is the place to begin. This room imports training and what lies below it. Only the command `tune` imports
-this room, because it needs Optuna, the extra `tune`.
+Read `study.py` first. This room imports training and the rooms below it. Only the command `tune` imports this room,
+because it needs Optuna (the extra `tune`).
 """

@@ -1,47 +1,37 @@
-"""The results of a study as files: the best settings as a preset, and the page."""
-
-from __future__ import annotations
+"""Writes the results of a study: a preset with the best settings, and a page with Optuna's charts."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import yaml
-from optuna import Study
+from markupsafe import Markup
+from matplotlib import pyplot as plt
+from optuna import Study, importance
 from optuna.trial import FrozenTrial
+from optuna.visualization.matplotlib import plot_optimization_history, plot_parallel_coordinate, plot_param_importances
+from pydantic_core import to_jsonable_python
 
 from tb2rl.core.files import write_text
-from tb2rl.runs.plain_values import to_plain
-from tb2rl.tuning.charts import draw_charts, importances
 from tb2rl.tuning.selection import Comparison, TrialEvaluation
 from tb2rl.tuning.study import BEST, PAGE, StudyFolder
 from tb2rl.tuning.trials import best_trials, count_trials
+from tb2rl.viz.charts import STYLE, WIDTH, svg
 from tb2rl.viz.page import template
 
-_LISTED = 20  # trials
+_LISTED_TRIALS = 20  # number of trials in the table of the page
 
 
-@dataclass(frozen=True)
-class Setting:
-    """A row of the table of settings."""
-
-    key: str
-    searched: str
-    default: str
-    best: str
-    importance: float | None
-
-
-def write_preset(folder: StudyFolder, trial: FrozenTrial, evaluation: TrialEvaluation, trials: int) -> Path:
-    """Write the preset with the settings of a trial."""
+def write_preset(folder: StudyFolder, trial: FrozenTrial, evaluation: TrialEvaluation, num_trials: int) -> Path:
+    """Write a preset with the settings of a trial."""
     low, high = evaluation.interval
     lines = (
-        f"# Found by tb2rl.tune: trial {trial.number} of {trials}, which began with {folder.path}/default.yaml.",
+        f"# Found by tb2rl.tune: trial {trial.number} of {num_trials}, starting from {folder.path}/default.yaml.",
         f"# In {evaluation.simulator} {100 * evaluation.good_rate:.1f} % of {evaluation.episodes} episodes are good "
         f"(95 % interval {100 * low:.1f} to {100 * high:.1f} %).",
     )
-    tree = to_plain(folder.preset(folder.settings(trial.params)))
+    tree = to_jsonable_python(folder.preset(folder.settings(trial.params)))
     file = folder.path / BEST
     write_text(file, "\n".join(lines) + "\n" + yaml.safe_dump(tree, sort_keys=False))
     return file
@@ -54,47 +44,37 @@ def write_page(
     best: FrozenTrial,
     comparisons: Sequence[Comparison] = (),
 ) -> Path:
-    """Write the page.
+    """Write the page of a study.
 
     Args:
-        folder: Of the study.
+        folder: Folder of the study.
         study: The study.
-        evaluations: Of the selected trials.
-        best: The best of these.
-        comparisons: Of the best and the default settings.
+        evaluations: Evaluations of the trials with the highest scores, in PyBullet.
+        best: The trial with the best evaluation.
+        comparisons: Trainings with the best and with the default settings.
     """
-    config = folder.default
+    config, importances = folder.default, _importances(study)
     text = template("study.html", Path(__file__).parent).render(
-        title=f"Search: {config.agent_name} at {config.task_name} in {config.scene.place}",
+        title=f"Search: {config.agent_name} at {config.task_name} in {config.scene.worlds_title}",
         counts=count_trials(study),
-        options=folder.options,
-        config=config,
-        settings=_settings_table(folder, study, best),
+        folder=folder,
+        default=config.to_dict(),
+        shares=importances,
         evaluations=evaluations,
         best=best,
         comparisons=comparisons,
-        charts=draw_charts(study),
-        trials=[(trial, _format_settings(folder, trial)) for trial in best_trials(study, _LISTED)],
+        charts=_draw_charts(study, len(importances)),
+        trials=best_trials(study, _LISTED_TRIALS),
+        value_at=_value_at,
+        short=_format,
     )
     file = folder.path / PAGE
     write_text(file, text)
     return file
 
 
-def _settings_table(folder: StudyFolder, study: Study, best: FrozenTrial) -> list[Setting]:
-    shares, found, tree = importances(study), folder.settings(best.params), folder.default.to_dict()
-    return [
-        Setting(key, str(entry), _format(_value_at(tree, key)), _format(found[key]), shares.get(key))
-        for key, entry in folder.space.items()
-    ]
-
-
-def _format_settings(folder: StudyFolder, trial: FrozenTrial) -> list[str]:
-    return [_format(value) for value in folder.settings(trial.params).values()]
-
-
 def _value_at(tree: Any, key: str) -> Any:
-    """The value at a dotted key; None if the tree has none."""
+    """The value at a dotted key of a tree, or None."""
     for name in key.split("."):
         tree = tree.get(name) if isinstance(tree, Mapping) else None
     return tree
@@ -102,3 +82,33 @@ def _value_at(tree: Any, key: str) -> Any:
 
 def _format(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
+
+
+def _importances(study: Study) -> dict[str, float]:
+    """Importances of parameters by PED-ANOVA (Watanabe et al. 2023), largest first; their sum is 1.
+
+    The result is empty if there are too few trials, or all scores are equal.
+    """
+    if len({trial.value for trial in best_trials(study)}) < 2:
+        return {}
+    return importance.get_param_importances(study)
+
+
+def _draw_charts(study: Study, num_importances: int) -> dict[str, Markup]:
+    """Draw Optuna's charts as SVG, by title; charts of parameters need enough trials and parameters."""
+    plots: dict[str, Any] = {"Scores": plot_optimization_history}
+    if num_importances:
+        plots["Importance of the settings"] = plot_param_importances
+    if num_importances > 1:
+        plots["Settings of each trial"] = plot_parallel_coordinate
+    matplotlib.use("agg")  # because Optuna uses pyplot, which would open a window
+    charts = {}
+    with matplotlib.rc_context(STYLE | {"savefig.bbox": "tight", "text.parse_math": True}):
+        for title, plot in plots.items():
+            axes = plot(study, target_name="score")
+            axes.set_title("", loc="left")
+            axes.set_title("")
+            axes.figure.set_size_inches(2.2 * WIDTH if plot is plot_parallel_coordinate else WIDTH, 0.8 * WIDTH)
+            charts[title] = svg(axes.figure)
+            plt.close(axes.figure)
+    return charts

@@ -1,10 +1,8 @@
-"""Selection of the best trial in PyBullet, and a comparison of its settings with the default ones.
+"""Selects the best trial in PyBullet, and compares its settings with the default settings.
 
-Selection and report use different episodes: the selection has start poses, and worlds if they are generated, that no
-report uses. The comparison trains with seeds that no trial had, and uses the standard evaluation.
+To avoid selection bias, the episodes of the selection differ from those of all reports: they have other start poses
+and, if worlds are generated, other worlds. The comparison trains with fresh seeds, and uses the standard evaluation.
 """
-
-from __future__ import annotations
 
 import json
 import shutil
@@ -16,125 +14,110 @@ from typing import Any
 from optuna.trial import FrozenTrial
 
 from tb2rl.core.files import read_text, write_text
-from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluation import kept_evaluation
-from tb2rl.evaluation.evaluator import Evaluator, random_initial_states
+from tb2rl.evaluation.evaluate import Evaluator, evaluate, random_initial_states
+from tb2rl.evaluation.evaluation import load_evaluation
 from tb2rl.evaluation.statistics import bootstrap_interval, wilson_interval
-from tb2rl.runs.config import Config
-from tb2rl.runs.folder import Run
-from tb2rl.runs.loading import load
+from tb2rl.runs import Config, Run, load
 from tb2rl.simulation import find_simulator
 from tb2rl.training.training import train_config
 from tb2rl.tuning.study import FRESH_SEED, StudyFolder
 
-SELECTED = 3  # trials of the highest scores
-_EPISODES = 100  # of a trial, shared by the policies of its seeds
-_SEED = 20_210_000  # of their start poses
+NUM_SELECTED = 3  # number of trials with the highest scores that are evaluated in PyBullet
+_EPISODES = 100  # number of episodes per trial, divided among the policies of the trial's seeds
+_SEED = 20_210_000  # seed of the episodes of a trial's first policy
 
 
 @dataclass(frozen=True)
 class TrialEvaluation:
-    """Evaluation of a trial's policies in PyBullet, or in the kinematic simulator if PyBullet is missing."""
+    """Evaluation of the policies of a trial in PyBullet, or in the kinematic simulator if PyBullet is missing."""
 
-    trial: int
-    good: int  # episodes
+    trial: int  # number of the trial
+    good: int  # number of good episodes
     episodes: int
     mean_return: float
     simulation: str
 
     @property
     def good_rate(self) -> float:
-        """Share of good episodes."""
+        """Rate of good episodes."""
         return self.good / self.episodes
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the share."""
+        """95 % confidence interval of the rate."""
         return wilson_interval(self.good, self.episodes)
 
     @property
     def simulator(self) -> str:
-        """Name of the simulator in a sentence."""
+        """Title of the simulator."""
         return find_simulator(self.simulation).title
 
 
 def evaluate_trial(folder: StudyFolder, trial: FrozenTrial) -> TrialEvaluation:
-    """Evaluate the policies of a trial, or read the evaluation if it exists."""
-    file = folder.trial_folder(trial.number) / "evaluation.json"
+    """Evaluate the policies of a trial, or read the existing evaluation."""
+    trial_folder = folder.trial_folder(trial.number)
+    file, evaluations = trial_folder / "evaluation.json", []
     if file.is_file():
         return TrialEvaluation(**json.loads(read_text(file)))
     config = folder.config(folder.settings(trial.params))
-    scene, each = config.scene.worlds_for("search"), -(-_EPISODES // len(folder.seeds))
-    good, total = 0, 0.0
-    for number, seed in enumerate(folder.seeds):
-        first = _SEED + number * each
-        states = random_initial_states(scene, each, first)
-        with Evaluator(scene, states, config.train.eval_steps, first) as evaluator:
-            evaluation = evaluator.run(load(folder.run_folder(trial.number, seed)).policy, progress=True)
-        good += round(each * evaluation.good_rate)
-        total += evaluation.score[1]
-    episodes = each * len(folder.seeds)
-    result = TrialEvaluation(trial.number, good, episodes, total / len(folder.seeds), evaluator.simulator.name)
+    scene, num_episodes = config.scene.for_purpose("search"), -(-_EPISODES // len(folder.seeds))
+    for i, training_seed in enumerate(folder.seeds):
+        seed = _SEED + i * num_episodes
+        states = random_initial_states(scene, num_episodes, seed)
+        with Evaluator(scene, states, config.train.eval_steps, seed) as evaluator:
+            evaluations.append(evaluator.run(load(trial_folder / f"seed-{training_seed}").policy, progress=True))
+    good = sum(round(num_episodes * evaluation.good_rate) for evaluation in evaluations)
+    mean_return = sum(evaluation.score[1] for evaluation in evaluations) / len(evaluations)
+    total = num_episodes * len(evaluations)
+    result = TrialEvaluation(trial.number, good, total, mean_return, evaluator.simulator.name)
     write_text(file, json.dumps(asdict(result)) + "\n")
     return result
 
 
 def select_best(evaluations: Sequence[TrialEvaluation], best_by: str) -> TrialEvaluation:
-    """The best evaluation; of equal ones the first, whose trial has the higher score."""
-    return max(evaluations, key=lambda each: each.mean_return if best_by == "return" else each.good_rate)
-
-
-@dataclass(frozen=True)
-class FreshRun:
-    """The standard evaluation of a training with a fresh seed."""
-
-    seed: int
-    rate: float  # share of good episodes
-    interval: tuple[float, float]
-    distance: float  # [m] mean of an episode
-    speed: float  # [m/s]
+    """Select the best evaluation; the first one wins a tie, because evaluations are sorted by score."""
+    return max(evaluations, key=lambda result: result.mean_return if best_by == "return" else result.good_rate)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Trainings with the same settings and fresh seeds."""
+    """Results of trainings with the same settings and fresh seeds.
+
+    Attributes:
+        name: Name of the settings.
+        rates: Rate of good episodes of each training.
+        summaries: Summaries of the standard evaluations, by seed.
+    """
 
     name: str
-    runs: Sequence[FreshRun]
-
-    @property
-    def rates(self) -> list[float]:
-        """Share of good episodes of each."""
-        return [run.rate for run in self.runs]
+    rates: Sequence[float]
+    summaries: Mapping[int, Mapping[str, Any]]
 
     @property
     def mean(self) -> float:
-        """Mean share of good episodes."""
+        """Mean rate of good episodes."""
         return sum(self.rates) / len(self.rates)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % bootstrap interval of the mean, over the trainings."""
+        """95 % bootstrap interval of the mean over trainings."""
         return bootstrap_interval(self.rates)
 
 
-def compare(folder: StudyFolder, name: str, settings: Mapping[str, Any], seeds: int) -> Comparison:
-    """Train with fresh seeds and evaluate, or read the runs that exist.
+def compare(folder: StudyFolder, name: str, settings: Mapping[str, Any], num_seeds: int) -> Comparison:
+    """Train and evaluate with fresh seeds, or read the runs that exist.
 
     Args:
-        folder: Of the study; it gets the run folders.
-        name: Of the settings.
-        settings: By dotted key, over the default ones.
-        seeds: How many.
+        folder: Folder of the study, which will contain the run folders.
+        name: Name of the settings.
+        settings: Settings by dotted key that override the default ones.
+        num_seeds: Number of trainings.
     """
-    runs = []
-    for seed in range(FRESH_SEED, FRESH_SEED + seeds):
-        run = _train(folder.config(settings, seed), folder.path / "fresh" / name.replace(" ", "-") / f"seed-{seed}")
-        evaluation = kept_evaluation(run)
-        rate, episodes, summary = evaluation.good_rate, len(evaluation.episodes), evaluation.summary()
-        interval = wilson_interval(round(rate * episodes), episodes)
-        runs.append(FreshRun(seed, rate, interval, summary["mean_distance"], summary["mean_speed"]))
-    return Comparison(name, runs)
+    parent, evaluations = folder.path / "fresh" / name.replace(" ", "-"), {}
+    for seed in range(FRESH_SEED, FRESH_SEED + num_seeds):
+        evaluations[seed] = load_evaluation(_train(folder.config(settings, seed), parent / f"seed-{seed}"))
+    rates = [evaluation.good_rate for evaluation in evaluations.values()]
+    return Comparison(name, rates, {seed: evaluation.summary() for seed, evaluation in evaluations.items()})
 
 
 def _train(config: Config, folder: Path) -> Run:
@@ -142,8 +125,8 @@ def _train(config: Config, folder: Path) -> Run:
         return run
     shutil.rmtree(folder, ignore_errors=True)
     training = train_config(config, folder)
-    if training.interrupted:
+    if training.signal_number:
         raise KeyboardInterrupt
     evaluation = evaluate(load(folder), progress=True)
-    training.run.write_evaluation(*evaluation.tree(config, str(folder)))
+    training.run.write_evaluation(*evaluation.serialize(config, str(folder)))
     return training.run

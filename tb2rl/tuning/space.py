@@ -1,6 +1,4 @@
-"""Search spaces: ranges and choices of settings, as in the files of `configs/tuning`."""
-
-from __future__ import annotations
+"""Search spaces: ranges and choices of settings, such as those in `configs/tuning`."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -8,22 +6,15 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from annotated_types import Len
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalChoiceType,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 
-from tb2rl.core.errors import InputError, one_line
-from tb2rl.core.files import find_file, read_yaml, top_folder
+from tb2rl.core import InputError, find_file, one_line, read_yaml, top_folder
 from tb2rl.core.values import build
 
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from `low` to `high`; integers if both are."""
+    """Numbers from `low` to `high`, which are integers if both limits are integers."""
 
     low: int | float
     high: int | float
@@ -31,12 +22,7 @@ class Range:
 
     def __post_init__(self) -> None:
         if not self.low < self.high or (self.log and self.low <= 0):
-            raise ValueError("low must be less than high, and greater than 0 where log is true")
-
-    @property
-    def extremes(self) -> tuple[Any, ...]:
-        """The values to check."""
-        return self.low, self.high
+            raise ValueError("low must be less than high, and greater than 0 if log is true")
 
     @property
     def distribution(self) -> BaseDistribution:
@@ -46,7 +32,7 @@ class Range:
         return FloatDistribution(self.low, self.high, log=self.log)
 
     def decode(self, param: Any) -> Any:
-        """The setting of Optuna's parameter."""
+        """Convert the value of Optuna's parameter to a setting."""
         return param
 
     def __str__(self) -> str:
@@ -60,91 +46,77 @@ class Choices:
     choices: Annotated[tuple[Any, ...], Len(2, 1000)]
 
     def __post_init__(self) -> None:
-        if len({*map(_encode, self.choices)}) < len(self.choices):
+        if len(self._by_param) < len(self.choices):
             raise ValueError("the choices must differ")
 
     @property
-    def extremes(self) -> tuple[Any, ...]:
-        """The values to check."""
-        return self.choices
+    def _by_param(self) -> dict[bool | int | float | str | None, Any]:
+        """The choices by Optuna's parameter, which is JSON for lists and mappings."""
+        plain_types = bool | int | float | str | None
+        return {choice if isinstance(choice, plain_types) else json.dumps(choice): choice for choice in self.choices}
 
     @property
     def distribution(self) -> BaseDistribution:
         """Optuna's distribution."""
-        return CategoricalDistribution([_encode(choice) for choice in self.choices])
+        return CategoricalDistribution(list(self._by_param))
 
     def decode(self, param: Any) -> Any:
-        """The setting of Optuna's parameter."""
-        return next(choice for choice in self.choices if _encode(choice) == param)
+        """Convert the value of Optuna's parameter to a setting."""
+        return self._by_param[param]
 
     def __str__(self) -> str:
-        return ", ".join(map(str, map(_encode, self.choices)))
+        return ", ".join(map(str, self._by_param))
 
 
-Space = Mapping[str, Range | Choices]  # by dotted key of a config, such as "agent.gamma"
-
-
-def _encode(choice: Any) -> CategoricalChoiceType:
-    """A choice that Optuna can store: lists and mappings as JSON."""
-    return choice if isinstance(choice, bool | int | float | str | None) else json.dumps(choice)
+Space = Mapping[str, Range | Choices]  # entries by dotted key of a setting, such as "agent.gamma"
 
 
 def parse_space(tree: Any, source: str) -> Space:
-    """Parse a search space; `check_space` compares its keys with a config.
+    """Parse a search space.
 
     Args:
         tree: Content of a file.
-        source: The file, for the message.
+        source: Name of the file, for messages.
 
     Raises:
-        InputError: If an entry does not fit.
+        InputError: If an entry is invalid.
     """
     if not isinstance(tree, Mapping) or not tree:
         raise InputError(f"{source}: expected settings to search, such as agent.gamma: {{low: 0.9, high: 1}}")
     space: dict[str, Range | Choices] = {}
     for key, entry in tree.items():
-        kind: Any = Choices if isinstance(entry, Mapping) and "choices" in entry else Range
-        space[str(key)] = build(kind, entry, f"{source}: {key}")
+        entry_type: Any = Choices if isinstance(entry, Mapping) and "choices" in entry else Range
+        space[str(key)] = build(entry_type, entry, f"{source}: {key}")
     return space
 
 
-def find_space(name: str) -> tuple[dict[str, Any], str]:
-    """Content and name of a search space's file.
+def read_space(name: str, fixed: Mapping[str, Any], resolve: Callable[[Mapping[str, Any]], object]) -> dict[str, Any]:
+    """Read the file of a search space, and check every choice and the limits of every range.
 
     Args:
-        name: A path, or the name of a file in `configs/tuning`, such as "ppo".
+        name: Name of a file in `configs/tuning`, such as "ppo", or a path.
+        fixed: Fixed settings by dotted key; these settings, their parts and their parents are not searched.
+        resolve: Function that checks settings by dotted key, and raises an `InputError` if they are invalid.
+
+    Returns:
+        The content of the file, without the fixed settings.
 
     Raises:
-        InputError: If there is no such file, or it is not YAML.
+        InputError: If the file is missing, or a key or a value is invalid.
     """
     file = find_file(name, top_folder("configs") / "tuning", "search space")
-    return read_yaml(file), file.name
-
-
-def check_space(space: Space, source: str, resolve: Callable[[Mapping[str, Any]], object]) -> None:
-    """Check the ends of every range, and every choice.
-
-    Args:
-        space: The search space.
-        source: Its file, for the message.
-        resolve: Makes a config of settings by dotted key, or raises an `InputError`.
-
-    Raises:
-        InputError: If a config has no such key, or refuses a value.
-    """
-    for key, entry in space.items():
-        for value in entry.extremes:
+    tree = read_yaml(file)
+    if isinstance(tree, Mapping):
+        tree = {key: entry for key, entry in tree.items() if not any(_overlap(key, other) for other in fixed)}
+    for key, entry in parse_space(tree, file.name).items():
+        for value in entry.choices if isinstance(entry, Choices) else (entry.low, entry.high):
             try:
                 resolve({key: value})
             except InputError as error:
-                raise InputError(one_line(f"{source}: {key}: {error}", 600)) from None
+                raise InputError(one_line(f"{file.name}: {key}: {error}", 600)) from None
+    return tree
 
 
-def without_fixed(tree: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
-    """A search space without fixed settings: these keys, and the keys inside and around them."""
-    prefixes = [f"{key}." for key in fixed]
-    return {
-        key: entry
-        for key, entry in tree.items()
-        if not any(f"{key}.".startswith(prefix) or prefix.startswith(f"{key}.") for prefix in prefixes)
-    }
+def _overlap(key: str, other: str) -> bool:
+    """Whether two dotted keys are equal, or one is a prefix of the other."""
+    return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")

@@ -1,11 +1,9 @@
-"""Optuna's study in its database, with heartbeats of its running trials; its sampler and its pruner."""
-
-from __future__ import annotations
+"""Optuna's objects of a study: database, heartbeats of running trials, sampler and pruner."""
 
 import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 
 import optuna
 from optuna.exceptions import ExperimentalWarning, StorageInternalError
@@ -18,9 +16,9 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.training.error_translation import DISK_ERRORS
 from tb2rl.tuning.study import DATABASE, StudyFolder, StudyOptions
 
-SQLITE_TIMEOUT = 60  # [s] for which SQLite waits while another process writes
-HEARTBEAT = 10  # [s] between heartbeats of a running trial
-GRACE_PERIOD = 60  # [s] after the last heartbeat until a running trial counts as stale
+SQLITE_TIMEOUT = 60  # [s] maximum wait for another process that writes
+HEARTBEAT_PERIOD = 10  # [s] period of heartbeats of a running trial
+GRACE_PERIOD = 60  # [s] time after the last heartbeat until a running trial is stale
 
 
 @contextmanager
@@ -28,16 +26,15 @@ def open_study(folder: StudyFolder) -> Iterator[optuna.Study]:
     """Open the study in its database, or create it.
 
     Raises:
-        InputError: If the database cannot be read or written, now or later in the block: it is locked, or the disk is
-            full. Finished trials stay.
+        InputError: If the database cannot be read or written, also during the block. Finished trials are kept.
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings(), _translate_errors(folder):
         warnings.simplefilter("ignore", ExperimentalWarning)
-        # Optuna records heartbeats in `optimize` alone; `Heartbeats` does the same for `ask` and `tell`.
+        # Optuna warns, because only its `optimize` records heartbeats; here, the function `heartbeats` does.
         warnings.filterwarnings("ignore", "Heartbeat of storage", UserWarning)
         with folder.lock():  # two processes cannot create the tables at once
-            storage = make_storage(folder)
+            storage = _Storage(folder)
             study = optuna.create_study(
                 storage=storage,
                 study_name=folder.path.name,
@@ -45,114 +42,104 @@ def open_study(folder: StudyFolder) -> Iterator[optuna.Study]:
                 load_if_exists=True,
                 pruner=make_pruner(folder),
             )
-        try:
+        with closing(storage):
             yield study
+
+
+@contextmanager
+def heartbeats(folder: StudyFolder, running: Mapping[str, optuna.Trial]) -> Iterator[Callable[[optuna.Trial], None]]:
+    """Record heartbeats of running trials in a thread; other processes fail trials without heartbeats.
+
+    Args:
+        folder: Folder of the study.
+        running: Trials that run in this process; the mapping may change during the block.
+
+    Yields:
+        A function that records one heartbeat of a trial.
+    """
+    with closing(_Storage(folder)) as storage:
+        study_id, stop = storage.get_study_id_from_name(folder.path.name), threading.Event()
+
+        def record(trial: optuna.Trial) -> None:
+            storage.record_heartbeat(storage.get_trial_id_from_study_id_trial_number(study_id, trial.number))
+
+        def record_all() -> None:
+            while not stop.wait(HEARTBEAT_PERIOD):
+                for trial in list(running.values()):
+                    with suppress(StorageInternalError, SQLAlchemyError):  # the main thread raises these errors
+                        record(trial)
+
+        thread = threading.Thread(target=record_all, daemon=True)
+        thread.start()
+        try:
+            yield record
         finally:
-            close_storage(storage)
+            stop.set()
+            thread.join()
 
 
-class Heartbeats:
-    """Records heartbeats of the trials that this process runs, in a thread; other processes fail stale trials."""
+class _Storage(RDBStorage):
+    """The database of a study."""
 
     def __init__(self, folder: StudyFolder) -> None:
-        self._storage = make_storage(folder)
-        self._study_id = self._storage.get_study_id_from_name(folder.path.name)
-        self._trial_ids: dict[int, int] = {}  # by number
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._record, daemon=True)
+        url = storage_url(folder)
+        connect_args = {"timeout": SQLITE_TIMEOUT} if url.startswith("sqlite") else {}
+        try:
+            super().__init__(
+                url,
+                engine_kwargs={"connect_args": connect_args},
+                heartbeat_interval=HEARTBEAT_PERIOD,
+                grace_period=GRACE_PERIOD,
+                heartbeat_stale_trial_callback=lambda _, trial: folder.remove_trial(trial.number),
+            )
+        except ImportError as error:  # the database driver in the URL is missing
+            raise InputError(one_line(f"cannot use the database of {folder.path}: {error}")) from None
 
-    def add(self, number: int) -> None:
-        """Record heartbeats of a trial from now on."""
-        trial_id = self._storage.get_trial_id_from_study_id_trial_number(self._study_id, number)
-        self._storage.record_heartbeat(trial_id)
-        self._trial_ids[number] = trial_id
-
-    def remove(self, number: int) -> None:
-        """Record none of a trial any more."""
-        del self._trial_ids[number]
-
-    def _record(self) -> None:
-        while not self._stop.wait(HEARTBEAT):
-            for trial_id in list(self._trial_ids.values()):
-                with suppress(StorageInternalError, SQLAlchemyError):  # the main thread reports such errors
-                    self._storage.record_heartbeat(trial_id)
-
-    def __enter__(self) -> Heartbeats:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        close_storage(self._storage)
-
-
-def make_storage(folder: StudyFolder) -> RDBStorage:
-    """Open the database."""
-    url = storage_url(folder)
-    return RDBStorage(
-        url,
-        engine_kwargs={"connect_args": {"timeout": SQLITE_TIMEOUT}} if url.startswith("sqlite") else {},
-        heartbeat_interval=HEARTBEAT,
-        grace_period=GRACE_PERIOD,
-        heartbeat_stale_trial_callback=lambda _, trial: folder.remove_trial(trial.number),
-    )
-
-
-def close_storage(storage: RDBStorage) -> None:
-    """Close the connections of a database."""
-    storage.remove_session()
-    storage.engine.dispose()
+    def close(self) -> None:
+        """Close all connections."""
+        self.remove_session()
+        self.engine.dispose()
 
 
 def storage_url(folder: StudyFolder) -> str:
-    """The URL of the database."""
+    """The URL of the database of a study."""
     return folder.options.storage or f"sqlite:///{folder.path / DATABASE}"
 
 
 @contextmanager
 def _translate_errors(folder: StudyFolder) -> Iterator[None]:
-    what = f"the database of {folder.path}" if folder.options.storage else str(folder.path / DATABASE)
-    reason: object
     try:
         yield
+        return
     except (StorageInternalError, SQLAlchemyError) as error:
         cause = error.__cause__ if isinstance(error, StorageInternalError) else error
-        reason = getattr(cause, "orig", None) or cause or error
-    except ImportError as error:  # of the driver that the URL names
-        reason = error
+        reason = str(getattr(cause, "orig", None) or cause or error)
     except OSError as error:
         if error.errno not in DISK_ERRORS:
             raise
-        what, reason = f"the folder {folder.path}", error.strerror
-    else:
-        return
-    raise InputError(one_line(f"cannot use {what}: {reason}; finished trials stay, the same command continues"))
-
-
-def count_evaluations(folder: StudyFolder) -> int:
-    """Evaluations during a training of the default config."""
-    settings = folder.default.train
-    return -(-settings.total_timesteps // settings.eval_freq) if settings.eval_freq else 0
+        reason = str(error.strerror)
+    hint = "finished trials are kept; run the same command again to continue"
+    raise InputError(one_line(f"cannot use the study {folder.path}: {reason}; {hint}"))
 
 
 def make_pruner(folder: StudyFolder) -> BasePruner:
-    """The pruner of the study's options."""
-    count = count_evaluations(folder)
-    if folder.options.pruner == "none" or count < 2:
+    """Make the pruner that the options of the study select."""
+    num_evaluations = folder.num_evaluations
+    if folder.options.pruner == "none" or num_evaluations < 2:
         return NopPruner()
     if folder.options.pruner == "hyperband":
-        return HyperbandPruner(min_resource=1, max_resource=count)
-    return MedianPruner(n_startup_trials=5, n_warmup_steps=1 + count // 5)
+        return HyperbandPruner(min_resource=1, max_resource=num_evaluations)
+    return MedianPruner(n_startup_trials=5, n_warmup_steps=1 + num_evaluations // 5)
 
 
-def make_sampler(options: StudyOptions, trials: int) -> BaseSampler:
-    """The sampler of the trial that follows so many.
+def make_sampler(options: StudyOptions, trial_number: int) -> BaseSampler:
+    """Make the sampler for the trial with this number.
 
-    Its seed depends on the options and this number alone: processes that share a study draw different trials, and a
-    study that is continued draws the same ones as one without a break.
+    The seed of the sampler depends only on the options and this number. Therefore processes that share a study sample
+    different trials, and an interrupted study continues with the same trials.
     """
-    seed = (options.seed + 1_000_003 * trials) % 2**32
+    seed = (options.seed + 1_000_003 * trial_number) % 2**32
     if options.sampler == "random":
         return RandomSampler(seed)
-    return TPESampler(seed=seed, multivariate=True, constant_liar=True)  # running trials count as bad
+    # With `constant_liar`, running trials have a bad score, so that parallel trials differ.
+    return TPESampler(seed=seed, multivariate=True, constant_liar=True)

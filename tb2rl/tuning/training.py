@@ -1,4 +1,4 @@
-"""The trainings of a trial, in a worker; workers see neither the study's database nor its folder."""
+"""Runs the trainings of a trial in a worker, which has access neither to the study's database nor to its folder."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import optuna
@@ -14,17 +15,15 @@ from optuna import Study, Trial, TrialPruned
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from tb2rl.core.errors import InputError, UnwritableError
-from tb2rl.envs.worlds import carry
+from tb2rl.envs.worlds import register_worlds
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.runs.config import Config
-from tb2rl.runs.loading import load
-from tb2rl.training.environments import make_evaluator
-from tb2rl.training.training import train_config
-from tb2rl.tuning.storage import count_evaluations, make_pruner
+from tb2rl.runs import Config, load
+from tb2rl.training.training import make_evaluator, train_config
+from tb2rl.tuning.storage import make_pruner
 from tb2rl.tuning.study import StudyFolder, StudyOptions
 
-SCORE_SEED = 20_200_000  # of the episodes in the kinematic simulator that score a trial
-_TIE_BREAK = 0.004  # below the half percent up to which rates count as equal
+SCORE_SEED = 20_200_000  # seed of the episodes in the kinematic simulator for the score
+_STEPS_WEIGHT = 0.004  # weight of control steps in the score, less than the half percent to which rates are rounded
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class TrainingResult:
 
     good_rate: float
     mean_return: float
-    used_steps: float  # share of its control steps before it stopped early
+    used_steps: float  # fraction of `train.total_timesteps` until the training stopped
 
 
 def run_trial(
@@ -41,130 +40,127 @@ def run_trial(
     options: StudyOptions,
     default: Mapping[str, Any],
     name: str,
-    known: Sequence[FrozenTrial],
+    finished_trials: Sequence[FrozenTrial],
     trial: FrozenTrial,
-    path: Path,
+    trial_folder: Path,
 ) -> FrozenTrial:
-    """Run the trainings of a trial in a study of its own, whose pruner knows other trials.
+    """Run the trainings of a trial in a temporary study, whose pruner uses the finished trials of the real study.
 
     Args:
-        worlds: See `carry`.
-        options: Of the study.
-        default: The default preset.
-        name: Of the study; Hyperband derives a trial's bracket from this and the trial's number.
-        known: Finished trials.
-        trial: Parameters, distributions and number.
-        path: The folder to make, with the trial's folder in it.
+        worlds: See `register_worlds`.
+        options: Options of the study.
+        default: Default preset of the study.
+        name: Name of the study; Hyperband derives the bracket of a trial from this name and the trial's number.
+        finished_trials: Finished trials of the study.
+        trial: The trial to run, with its parameters, distributions and number.
+        trial_folder: Folder of the trial.
 
     Returns:
-        The finished trial, with its reports and user attributes.
+        The finished trial, with its intermediate values and user attributes.
     """
-    carry(worlds)
+    register_worlds(worlds)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    folder = StudyFolder.create(path, options, default)
-    study = _study_of_trial(folder, name, known, trial)
-    running = study.ask(trial.distributions)
-    assert running.number == trial.number
-    folder.trial_folder(trial.number).mkdir(parents=True)
-    try:
-        results = _train(folder, running)
-    except TrialPruned as reason:
-        running.set_user_attr("reason", str(reason))
-        study.tell(running, state=TrialState.PRUNED)
-    else:
-        running.set_user_attr("good_rates", [result.good_rate for result in results])
-        running.set_user_attr("mean_returns", [result.mean_return for result in results])
-        running.set_user_attr("used_steps", [result.used_steps for result in results])
-        study.tell(running, score(results, folder.default.train.best_by))
+    trial_folder.mkdir(parents=True)
+    with TemporaryDirectory() as parent, (trial_folder / "log.txt").open("w", encoding="utf-8") as log:
+        folder = StudyFolder.create(Path(parent), options, default)
+        study = _temporary_study(folder, name, finished_trials, trial)
+        running_trial = study.ask(trial.distributions)
+        assert running_trial.number == trial.number
+        try:
+            with redirect_stdout(log), redirect_stderr(log):
+                results = _train(folder, running_trial, trial_folder)
+        except TrialPruned as reason:
+            running_trial.set_user_attr("reason", str(reason))
+            study.tell(running_trial, state=TrialState.PRUNED)
+        else:
+            running_trial.set_user_attr("good_rates", [result.good_rate for result in results])
+            running_trial.set_user_attr("mean_returns", [result.mean_return for result in results])
+            running_trial.set_user_attr("used_steps", [result.used_steps for result in results])
+            study.tell(running_trial, score(results, folder.default.train.best_by))
     return study.trials[trial.number]
 
 
-def _study_of_trial(folder: StudyFolder, name: str, known: Sequence[FrozenTrial], trial: FrozenTrial) -> Study:
-    """A study in memory whose next trial has the number and the parameters of a given one."""
+def _temporary_study(folder: StudyFolder, name: str, earlier: Sequence[FrozenTrial], trial: FrozenTrial) -> Study:
+    """Make a study in memory whose next trial has the number and the parameters of `trial`."""
     study = optuna.create_study(study_name=name, direction="maximize", pruner=make_pruner(folder))
-    finished = {each.number: each for each in known}
-    unknown = create_trial(state=TrialState.FAIL)
-    study.add_trials(finished.get(number, unknown) for number in range(trial.number))
+    by_number = {other.number: other for other in earlier}
+    study.add_trials(by_number.get(i) or create_trial(state=TrialState.FAIL) for i in range(trial.number))
     study.enqueue_trial(trial.params)
     return study
 
 
-def _train(folder: StudyFolder, trial: Trial) -> list[TrainingResult]:
-    """Train with each seed.
+def _train(folder: StudyFolder, trial: Trial, trial_folder: Path) -> list[TrainingResult]:
+    """Train with each seed, in a run folder in `trial_folder`.
 
     Raises:
-        TrialPruned: If the pruner ends the first training, or the settings cannot be trained with.
+        TrialPruned: If the pruner stops the first training, or the settings are invalid.
     """
-    path, settings = folder.trial_folder(trial.number), folder.settings(trial.params)
+    settings = {**folder.settings(trial.params), "train.save_freq": 0}
     results: list[TrainingResult] = []
-    with (path / "log.txt").open("w", encoding="utf-8") as log, redirect_stdout(log), redirect_stderr(log):
-        try:
-            for seed in folder.seeds:
-                config = folder.config({**settings, "train.save_freq": 0}, seed)
-                reporter = None if results else PruningReporter(trial, count_evaluations(folder), config.train.best_by)
-                results.append(_train_once(config, folder.run_folder(trial.number, seed), reporter))
-        except UnwritableError:
-            raise
-        except InputError as error:  # other settings may fit
-            raise TrialPruned(str(error)) from None
+    try:
+        for seed in folder.seeds:
+            config = folder.config(settings, seed)
+            reporter = None if results else PruningReporter(trial, folder.num_evaluations, config.train.best_by)
+            results.append(_train_once(config, trial_folder / f"seed-{seed}", reporter))
+    except UnwritableError:
+        raise
+    except InputError as error:  # the study continues, because other settings may be valid
+        raise TrialPruned(str(error)) from None
     return results
 
 
 def _train_once(config: Config, folder: Path, reporter: PruningReporter | None) -> TrainingResult:
-    """Train, and evaluate the best policy in episodes that did not select it."""
+    """Train, and evaluate the best policy in other episodes than those that selected it."""
     training = train_config(config, folder, on_evaluation=reporter)
-    if training.interrupted:
+    if training.signal_number:
         raise KeyboardInterrupt
     if reporter:
-        reporter.fill()
-    shutil.rmtree(folder / "checkpoints")  # the largest part, and nobody resumes a trial
-    with make_evaluator(config.scene.worlds_for("search"), config.train, SCORE_SEED) as evaluator:
+        reporter.report_remaining_steps()
+    shutil.rmtree(folder / "checkpoints")  # to save space, because trials are not resumed
+    with make_evaluator(config.scene.for_purpose("search"), config.train, SCORE_SEED) as evaluator:
         evaluation = evaluator.run(load(folder).policy)
     used_steps = min(1.0, training.timesteps / config.train.total_timesteps)
     return TrainingResult(evaluation.good_rate, evaluation.score[1], used_steps)
 
 
 class PruningReporter:
-    """Reports the evaluations of a training to Optuna's pruner; the step is their number from 1.
-
-    The last value of a training that stops early stands for the remaining evaluations, too, so that other trials are
-    compared with it until their end.
+    """Reports evaluations to Optuna's pruner; the number of an evaluation, starting with 1, is Optuna's step.
 
     Args:
-        trial: The trial.
-        count: Evaluations of a whole training.
+        trial: Trial of the training.
+        num_evaluations: Number of evaluations of a complete training.
         best_by: See `TrainSettings`.
     """
 
-    def __init__(self, trial: Trial, count: int, best_by: str) -> None:
-        self._trial, self._count, self._by_return = trial, count, best_by == "return"
-        self._number, self._last = 0, 0.0
+    def __init__(self, trial: Trial, num_evaluations: int, best_by: str) -> None:
+        self._trial, self._num_evaluations, self._by_return = trial, num_evaluations, best_by == "return"
+        self._step, self._last_value = 0, 0.0
 
     def __call__(self, evaluation: Evaluation) -> None:
-        """Report an evaluation; raises `TrialPruned` if the training is to end."""
-        self._number += 1
-        self._last = evaluation.score[1] if self._by_return else evaluation.good_rate
-        self._trial.report(self._last, self._number)
-        if self._number < self._count and self._trial.should_prune():
-            raise TrialPruned(f"pruned after {100 * self._number / self._count:.0f} % of the steps")
+        """Report an evaluation; raises `TrialPruned` if the pruner stops the training."""
+        self._step += 1
+        self._last_value = evaluation.score[1] if self._by_return else evaluation.good_rate
+        self._trial.report(self._last_value, self._step)
+        if self._step < self._num_evaluations and self._trial.should_prune():
+            raise TrialPruned(f"pruned after {100 * self._step / self._num_evaluations:.0f} % of the steps")
 
-    def fill(self) -> None:
-        """Report the last value for the remaining evaluations."""
-        for number in range(self._number + 1, self._count + 1):
-            self._trial.report(self._last, number)
+    def report_remaining_steps(self) -> None:
+        """After an early stop, repeat the last value for all remaining steps, so that the pruner can compare them."""
+        for step in range(self._step + 1, self._num_evaluations + 1):
+            self._trial.report(self._last_value, step)
 
 
 def score(results: Sequence[TrainingResult], best_by: str) -> float:
-    """The objective of the study: mean share of good episodes, and at equal shares fewer control steps.
+    """The objective of the study: the mean rate of good episodes; among equal rates, fewer control steps are better.
 
-    Shares in the same half percent count as equal. With `train.best_by=return` it is the mean return.
+    Rates are rounded to half a percent for this. With `train.best_by=return`, the objective is the mean return.
 
     Args:
-        results: Of the trainings of a trial, at least one.
+        results: Results of the trainings of a trial, at least one.
         best_by: See `TrainSettings`.
     """
     if best_by == "return":
         return sum(result.mean_return for result in results) / len(results)
     rate = sum(result.good_rate for result in results) / len(results)
     used_steps = sum(result.used_steps for result in results) / len(results)
-    return round(200 * rate) / 200 - _TIE_BREAK * used_steps
+    return round(200 * rate) / 200 - _STEPS_WEIGHT * used_steps

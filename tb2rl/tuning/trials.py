@@ -1,10 +1,8 @@
-"""Trials of a study: this process asks Optuna for settings, workers train with them, and it tells Optuna the result."""
+"""Runs the trials of a study: asks Optuna for settings, trains on workers, and tells Optuna the results."""
 
-from __future__ import annotations
-
-import shutil
+import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 
 from optuna import Study, Trial
@@ -16,135 +14,126 @@ from tb2rl.core.files import read_yaml
 from tb2rl.envs.worlds import worlds_of_files
 from tb2rl.execution.executor import Executor
 from tb2rl.execution.job import Job
-from tb2rl.tuning.storage import Heartbeats, make_sampler
+from tb2rl.tuning.storage import heartbeats, make_sampler
 from tb2rl.tuning.study import DEFAULT, StudyFolder
 from tb2rl.tuning.training import run_trial
 
-_KNOWN = 300  # finished trials that the pruner of a trial knows, the latest: half a kilobyte each
-_POLL = 0.5  # [s] between looks at the trials of other processes
+_MAX_HISTORY = 300  # latest finished trials that a job gets for its pruner; limited, because each has half a kilobyte
+_POLL_PERIOD = 0.5  # [s] period of checking the trials of other processes
 _FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 
 
 def run_trials(
-    folder: StudyFolder, study: Study, wanted: int, executor: Executor, seconds: float | None = None
+    folder: StudyFolder, study: Study, n_trials: int, executor: Executor, timeout: float | None = None
 ) -> bool:
-    """Run trials until the study has so many, beside other processes that do the same.
+    """Run trials until the study has `n_trials`; other processes may run trials of the same study.
 
     Args:
-        folder: Of the study.
+        folder: Folder of the study.
         study: The study.
-        wanted: Complete and pruned trials of the study in the end.
-        executor: Runs the trials.
-        seconds: Time limit; None: no limit.
+        n_trials: Number of complete and pruned trials at which to stop, including existing trials.
+        executor: Executor for the trials.
+        timeout: Time limit [s]; None: no limit.
 
     Returns:
-        Whether the study has so many trials; False if the time was over, and then the running trials failed.
+        Whether the study has `n_trials`; False after a timeout, which fails the running trials.
 
     Raises:
-        InputError: If the disk or the database cannot be written, or there are no workers. Finished trials stay.
+        InputError: If the disk or the database cannot be written, or there are no workers. Finished trials are kept.
     """
-    deadline = None if seconds is None else time.monotonic() + seconds
+    deadline = math.inf if timeout is None else time.monotonic() + timeout
     shared = (worlds_of_files(folder.default.task.world), folder.options, read_yaml(folder.path / DEFAULT))
-    running: dict[str, Trial] = {}
-    with Heartbeats(folder) as heartbeats:
+    running: dict[str, Trial] = {}  # trials by the name of their job
+    with heartbeats(folder, running) as heartbeat:
         try:
-            while sum(count_trials(study)[name] for name in ("complete", "pruned")) < wanted:
-                left = None if deadline is None else deadline - time.monotonic()
-                if left is not None and left <= 0:
-                    return False
-                jobs = _ask_jobs(folder, study, wanted, heartbeats, running)
-                for job, result in executor.as_completed(run_trial, jobs, shared, left):
+            while True:
+                jobs = _ask_jobs(folder, study, n_trials, heartbeat, running)
+                for job, result in executor.as_completed(run_trial, jobs, shared, deadline - time.monotonic()):
                     print(_tell(folder, study, running[job.name], result), flush=True)
-                    heartbeats.remove(running.pop(job.name).number)
-                time.sleep(_POLL)  # other processes run the remaining trials
+                    del running[job.name]
+                is_complete = len(study.get_trials(deepcopy=False, states=_FINISHED)) >= n_trials
+                if is_complete or time.monotonic() > deadline:
+                    return is_complete
+                time.sleep(_POLL_PERIOD)  # other processes run the last trials
         except TimeoutError:
             return False
         finally:
             for trial in running.values():
                 study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
                 folder.remove_trial(trial.number)
-    return True
 
 
 def _ask_jobs(
-    folder: StudyFolder, study: Study, wanted: int, heartbeats: Heartbeats, running: dict[str, Trial]
+    folder: StudyFolder, study: Study, n_trials: int, heartbeat: Callable[[Trial], None], running: dict[str, Trial]
 ) -> Iterator[Job]:
-    """A job for each trial; `running` has the trial by the job's name."""
-    while (trial := ask(folder, study, wanted, heartbeats)) is not None:
+    """Ask for new trials; yield a job for each, and add the trial to `running`."""
+    while (trial := ask(folder, study, n_trials, heartbeat)) is not None:
         name = f"trial {trial.number}"
         running[name] = trial
-        same = _find_same_params(study, trial)
-        if same is not None:
-            study.tell(trial, state=TrialState.PRUNED)
-            heartbeats.remove(running.pop(name).number)
-            print(f"{name}: the same settings as trial {same}", flush=True)
-            continue
         trials = study.get_trials(deepcopy=False)
-        known = [each for each in trials if each.state in _FINISHED][-_KNOWN:]
-        yield Job(name, (study.study_name, known, trials[trial.number]), folder.staging_folder(trial.number))
+        earlier_trials = [other for other in trials[: trial.number] if other.state in (*_FINISHED, TrialState.RUNNING)]
+        duplicate = next((other.number for other in earlier_trials if other.params == trial.params), None)
+        if duplicate is None:
+            finished = [other for other in trials if other.state in _FINISHED][-_MAX_HISTORY:]
+            yield Job(name, (study.study_name, finished, trials[trial.number]), folder.trial_folder(trial.number))
+        else:
+            study.tell(trial, state=TrialState.PRUNED)
+            del running[name]
+            print(f"{name}: the same settings as trial {duplicate}", flush=True)
 
 
-def ask(folder: StudyFolder, study: Study, wanted: int, heartbeats: Heartbeats) -> Trial | None:
-    """Ask for a trial; None if the finished and running ones are as many as wanted."""
+def ask(folder: StudyFolder, study: Study, n_trials: int, heartbeat: Callable[[Trial], None]) -> Trial | None:
+    """Ask the study for a new trial; returns None if it has `n_trials` finished and running trials."""
     with folder.lock():
         fail_stale_trials(study)
         trials = study.get_trials(deepcopy=False)
-        if sum(trial.state in (*_FINISHED, TrialState.RUNNING) for trial in trials) >= wanted:
+        if sum(trial.state in (*_FINISHED, TrialState.RUNNING) for trial in trials) >= n_trials:
             return None
         study.sampler = make_sampler(folder.options, len(trials))
         try:
             trial = study.ask({key: entry.distribution for key, entry in folder.space.items()})
-            heartbeats.add(trial.number)
+            heartbeat(trial)
             return trial
-        except BaseException:  # such as Ctrl-C; a trial without a heartbeat would never count as stale
-            with suppress(ValueError):  # it was not created
+        except BaseException:  # such as Ctrl-C before the first heartbeat, without which no trial becomes stale
+            with suppress(ValueError):  # the trial does not exist yet
                 study.tell(len(trials), state=TrialState.FAIL)
             raise
 
 
-def _find_same_params(study: Study, trial: Trial) -> int | None:
-    """The number of an earlier trial with the same parameters."""
-    others = study.get_trials(deepcopy=False, states=(*_FINISHED, TrialState.RUNNING))
-    return next((each.number for each in others if each.number < trial.number and each.params == trial.params), None)
-
-
 def _tell(folder: StudyFolder, study: Study, trial: Trial, result: FrozenTrial) -> str:
-    """Copy the result of a trial to the study and its files to the folder; a line on it."""
+    """Tell the study the result of a trial; return a line that describes the result."""
     name = f"trial {trial.number}"
     try:
         for step, value in result.intermediate_values.items():
             trial.report(value, step)
-            trial.should_prune()  # notes in the study which rungs of Hyperband the trial reached
+            trial.should_prune()  # for its side effect: Hyperband records the rungs that the trial reached
         for key, attribute in result.user_attrs.items():
             trial.set_user_attr(key, attribute)
-        staging = folder.staging_folder(trial.number)
-        if result.state is TrialState.COMPLETE:
-            (staging / "trials" / folder.trial_folder(trial.number).name).rename(folder.trial_folder(trial.number))
-        shutil.rmtree(staging)
-        study.tell(trial, result.value if result.state is TrialState.COMPLETE else None, result.state)
+        is_pruned = result.state is TrialState.PRUNED
+        if is_pruned:
+            folder.remove_trial(trial.number)
+        study.tell(trial, None if is_pruned else result.value, result.state)
     except UpdateFinishedTrialError:
         folder.remove_trial(trial.number)
-        return f"{name}: failed, because its heartbeats were late; another trial takes its place"
+        return f"{name}: failed, because its heartbeats were late; another trial replaces it"
     assert result.duration is not None
-    return f"{name}: {_describe(study, result)} ({result.duration.total_seconds():.0f} s)"
-
-
-def _describe(study: Study, trial: FrozenTrial) -> str:
-    if trial.state is TrialState.PRUNED:
-        return str(trial.user_attrs["reason"])
+    seconds = f"({result.duration.total_seconds():.0f} s)"
+    if is_pruned:
+        return f"{name}: {result.user_attrs['reason']} {seconds}"
     best = ", the best so far" if study.best_trial.number == trial.number else ""
-    rates = ", ".join(f"{100 * rate:.1f}" for rate in trial.user_attrs["good_rates"])
-    used_steps = trial.user_attrs["used_steps"]
-    return f"{rates} % good episodes after {100 * sum(used_steps) / len(used_steps):.0f} % of the steps{best}"
+    rates = ", ".join(f"{100 * rate:.1f}" for rate in result.user_attrs["good_rates"])
+    shares = result.user_attrs["used_steps"]
+    steps = f"{100 * sum(shares) / len(shares):.0f} % of the steps"
+    return f"{name}: {rates} % good episodes after {steps}{best} {seconds}"
 
 
-def best_trials(study: Study, count: int) -> list[FrozenTrial]:
-    """The complete trials of the highest scores, the best first; of equal ones the earlier."""
+def best_trials(study: Study, limit: int | None = None) -> list[FrozenTrial]:
+    """The complete trials, highest score first; the earlier trial wins a tie. `limit` is their maximum number."""
     complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return sorted(complete, key=lambda trial: (-(trial.value or 0.0), trial.number))[:count]
+    return sorted(complete, key=lambda trial: (-(trial.value or 0.0), trial.number))[:limit]
 
 
 def count_trials(study: Study) -> Mapping[str, int]:
-    """How many trials are complete, pruned and failed."""
+    """Number of trials by state: complete, pruned, failed."""
     states = [trial.state.name.lower() for trial in study.get_trials(deepcopy=False)]
     return {"complete": states.count("complete"), "pruned": states.count("pruned"), "failed": states.count("fail")}

@@ -1,7 +1,5 @@
 """Ray for the tests that need it."""
 
-from __future__ import annotations
-
 import pytest
 
 

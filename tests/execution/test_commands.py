@@ -1,28 +1,20 @@
 """Commands that let Ray do their work come to what they come to without it."""
 
-from __future__ import annotations
-
 import json
 from importlib import import_module
 from pathlib import Path
 
+import optuna
 import pytest
 
-from tb2rl.commands import suite as suite_command
-from tb2rl.tuning.storage import open_study
-from tb2rl.tuning.study import StudyFolder
+from tb2rl.commands import evaluate as suite_command
 from tb2rl.zoo import entry
 
 evaluate, tune, zoo = (import_module(f"tb2rl.{name}") for name in ("evaluate", "tune", "zoo.__main__"))
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ray")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ray", "workdir")]
 
 RAY = ["--on", "ray", "--workers", "2"]
 SHORT = "train.n_envs=16 train.total_timesteps=5120 train.eval_freq=2560 train.eval_episodes=20 train.eval_steps=50"
-
-
-@pytest.fixture(autouse=True)
-def empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def test_a_suite_by_ray_comes_to_the_same(small_suite, monkeypatch):
@@ -43,9 +35,9 @@ def test_a_search_by_ray_comes_to_the_same():
     assert policies("here") == policies("there")
 
 
-def scores(name: str) -> dict[int, tuple]:
-    with open_study(StudyFolder.open(Path("runs/tune", name))) as study:
-        return {trial.number: (trial.state, trial.value, trial.params) for trial in study.trials}
+def scores(name: str) -> list[tuple]:
+    study = optuna.load_study(study_name=name, storage=f"sqlite:///runs/tune/{name}/study.db")
+    return [(trial.state, trial.value, trial.params) for trial in study.trials]
 
 
 def policies(name: str) -> dict[Path, bytes]:
@@ -54,13 +46,14 @@ def policies(name: str) -> dict[Path, bytes]:
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.safetensors")}
 
 
-def test_a_zoo_is_built_by_ray(tmp_path, monkeypatch):
-    folder = tmp_path / "zoo"
+def test_a_zoo_is_built_by_ray(workdir, monkeypatch):
+    folder = workdir / "zoo"
     folder.mkdir()
     circles = "task.turn_speed=0.5 task.turn_rate=0.12"  # too large for any world: evaluations are over soon
     (folder / "recipes.yaml").write_text(f"mine: --agent qlearn --simulation kinematic --set {SHORT} {circles}\n")
     monkeypatch.setattr(entry, "top_folder", lambda name: folder)
     zoo.main(["build", *RAY])
     assert json.loads((folder / "mine" / "evaluation.json").read_text())["episodes"] == 100
-    assert list(json.loads((folder / "mine" / "elsewhere.json").read_text())) == ["circuit", "round", "maze", "mixed"]
+    worlds = json.loads((folder / "mine" / "unseen_worlds.json").read_text())
+    assert [*worlds] == ["circuit", "round", "maze", "mixed"]
     assert "[mine](mine/README.md)" in (folder / "README.md").read_text()

@@ -1,15 +1,6 @@
 """Small runs of each learner that stopped after their first checkpoint, and helpers for files that do not fit."""
 
-from __future__ import annotations
-
-import json
-import pickle
-import select
 import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -18,8 +9,8 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
+from tb2rl.runs.config import resolve
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
 from tb2rl.training.training import train_config
 
 AGENTS = {
@@ -36,48 +27,13 @@ AGENTS = {
 TRAIN = {"simulation": "kinematic", "n_envs": 8, "total_timesteps": 256, "save_freq": 128, "keep": 9, "eval_freq": 0}
 
 
-class Isolated:
-    """Tries cases in a process of `isolated.py`, which is replaced if a case hangs or kills it, and now and then."""
-
-    SECONDS = 20.0  # that a case may take
-    CASES = 250  # of a process: leftovers of one case must not make another one fail
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen | None = None
-        self._count = 0
-
-    def __call__(self, **case: Any) -> tuple[str, str]:
-        """The outcome of a case, "works", "refused" or "failed", and why."""
-        if self._process is None or self._count % self.CASES == 0:
-            self.stop()
-            program = [sys.executable, str(Path(__file__).with_name("isolated.py"))]
-            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-            self._process = subprocess.Popen(program, **pipes)
-            assert self._process.stdout.readline() == b"ready\n"
-        self._count += 1
-        with suppress(BrokenPipeError):
-            self._process.stdin.write(pickle.dumps(case))
-            self._process.stdin.flush()
-        answers = select.select([self._process.stdout], [], [], self.SECONDS)[0]
-        if answers and (line := self._process.stdout.readline()):
-            return tuple(json.loads(line))
-        self.stop()
-        return "failed", "kills its process" if answers else f"hangs for more than {self.SECONDS:g} s"
-
-    def stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
-
-
 def _edited(source: Path, target: Path, place: str, value: Any) -> Path:
     """A checkpoint with another value at one place, such as "config/agent/name"; `...` removes it."""
     content = deepcopy(read_checkpoint(source))
     *path, last = place.split("/")
     branch = content
     for key in path:
-        branch = branch[int(key) if isinstance(branch, list) or key.isdigit() else key]
+        branch = branch[int(key) if isinstance(branch, list) else key]
     if value is ...:
         del branch[last]
     else:
@@ -118,14 +74,6 @@ def checkpoint(request, runs) -> Path:
 def dqn_checkpoint(runs) -> Path:
     """A checkpoint of dqn; read only."""
     return Run.open(runs / "dqn").checkpoints[0]
-
-
-@pytest.fixture(scope="module")
-def isolated() -> Iterator[Isolated]:
-    """An `Isolated`."""
-    isolated = Isolated()
-    yield isolated
-    isolated.stop()
 
 
 @pytest.fixture

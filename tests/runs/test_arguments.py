@@ -1,7 +1,5 @@
 """The arguments of other people's algorithms: what their signatures take, and what their YAML form means."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch as th
@@ -9,7 +7,7 @@ from gymnasium import spaces
 
 from tb2rl.core.agent import Agent, find_agent
 from tb2rl.envs.features import InverseRange
-from tb2rl.runs.arguments import agent_for, algorithm_arguments, check_arguments
+from tb2rl.runs.arguments import algorithm_arguments, checked_arguments, with_policy
 
 DQN, PPO, SAC = (Agent(f"stable_baselines3:{name}") for name in ("DQN", "PPO", "SAC"))
 NEARNESS = "tb2rl.envs.features:InverseRange"
@@ -26,13 +24,12 @@ LINE = {"start": 0.1, "end": 0.01}
         (PPO, {"policy_kwargs": {"net_arch": {"pi": [8], "vf": [8, 8]}, "activation_fn": "torch.nn:ELU"}}),
         (PPO, {"policy_kwargs": {"features_extractor_class": NEARNESS, "features_extractor_kwargs": {"middle": 0.5}}}),
         (DQN, {"policy_kwargs": {"optimizer_class": "torch.optim:SGD", "optimizer_kwargs": {"momentum": 0.9}}}),
-        (Agent("sb3_contrib:QRDQN"), {"policy_kwargs": {"n_quantiles": 20}}),
         (find_agent("wallfollower"), {"side": 0.7}),
     ],
     ids=str,
 )
 def test_what_a_signature_knows_is_taken(agent, arguments):
-    assert check_arguments(agent, arguments).keys() == arguments.keys()
+    assert checked_arguments(agent, arguments).keys() == arguments.keys()
 
 
 @pytest.mark.parametrize(
@@ -41,20 +38,17 @@ def test_what_a_signature_knows_is_taken(agent, arguments):
         (DQN, {"gama": 0.9}, ["agent", "'gama'", "did you mean 'gamma'", "learning_rate"]),
         (DQN, {"gamma": "high"}, ["agent.gamma", "number", "'high'"]),
         (DQN, {"gamma": LINE}, ["agent.gamma"]),
-        (DQN, {"learning_rate": {"start": 1}}, ["agent.learning_rate", "end"]),
         (DQN, {"learning_rate": {**LINE, "fraction": 0}}, ["agent.learning_rate.fraction", "greater than 0"]),
         (DQN, {"learning_rate": {**LINE, "strat": 1}}, ["agent.learning_rate", "'strat'", "did you mean 'start'"]),
-        *((DQN, {key: 1}, [repr(key)]) for key in ("env", "policy", "seed", "device", "replay_buffer_class")),
+        (DQN, {"seed": 1}, ["'seed'"]),
         (PPO, {"policy_kwargs": {"net_arc": [8]}}, ["agent.policy_kwargs", "'net_arc'", "did you mean 'net_arch'"]),
         (PPO, {"policy_kwargs": {"activation_fn": "torch.nn:Elu"}}, ["activation_fn", "has no 'Elu'"]),
         (PPO, {"policy_kwargs": {"activation_fn": "os:system"}}, ["activation_fn", "neither a torch module"]),
-        (PPO, {"policy_kwargs": {"activation_fn": "torch.nn:Module"}}, ["activation_fn", "no forward of its own"]),
         (
             PPO,
             {"policy_kwargs": {"features_extractor_class": NEARNESS, "features_extractor_kwargs": {"midle": 1}}},
             ["agent.policy_kwargs.features_extractor_kwargs", "did you mean 'middle'"],
         ),
-        (DQN, {"policy_kwargs": {"optimizer_kwargs": {"capturable": True}}}, ["optimizer_kwargs", "'capturable'"]),
         (find_agent("qlearn"), {"gamma": 1.5}, ["agent.gamma", "less than or equal to 1", "1.5"]),
         (find_agent("wallfollower"), {"sid": 1.0}, ["'sid'", "did you mean 'side'"]),
         (find_agent("td3"), {"action_noise": {"sigma": -0.1}}, ["action_noise.sigma", "-0.1"]),
@@ -63,7 +57,7 @@ def test_what_a_signature_knows_is_taken(agent, arguments):
     ids=str,
 )
 def test_what_it_does_not_know_is_refused(agent, arguments, named, refused):
-    message = refused(check_arguments, agent, arguments)
+    message = refused(checked_arguments, agent, arguments)
     assert [part for part in named if part not in message] == [], message
 
 
@@ -81,21 +75,21 @@ def test_classes_in_policy_kwargs_are_imported():
 
 
 def test_action_noise_is_a_normal_distribution_for_every_number_of_an_action():
-    assert check_arguments(find_agent("td3"), {"action_noise": {"sigma": 0.2}}) == {"action_noise": {"sigma": 0.2}}
+    assert checked_arguments(find_agent("td3"), {"action_noise": {"sigma": 0.2}}) == {"action_noise": {"sigma": 0.2}}
     made = algorithm_arguments({"action_noise": {"sigma": 0.2}}, spaces.Box(-1.0, 1.0, (2,)))["action_noise"]
     drawn = np.array([made() for _ in range(2000)])
-    assert drawn.shape == (2000, 2)
-    assert drawn.std(axis=0) == pytest.approx(0.2, rel=0.1)
+    assert drawn.std(axis=0) == pytest.approx([0.2, 0.2], rel=0.1)
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.1
-    assert algorithm_arguments({"action_noise": None}, NAMED) == {"action_noise": None}
 
 
 def test_an_image_beside_numbers_needs_a_policy_that_reads_both():
     box = spaces.Box(0.0, 1.0, (3,))
-    assert agent_for("dqn", box).policy == "MlpPolicy"
-    assert agent_for("dqn", spaces.Dict(numbers=box)).policy == "MultiInputPolicy"
-    assert agent_for("qlearn", spaces.Dict(numbers=box)).policy == "QTable"
-    assert agent_for("sb3_contrib:RecurrentPPO", spaces.Dict(numbers=box)).policy == "MultiInputLstmPolicy"
+    assert with_policy(find_agent("dqn"), box).policy == "MlpPolicy"
+    assert with_policy(find_agent("dqn"), spaces.Dict(numbers=box)).policy == "MultiInputPolicy"
+    assert with_policy(find_agent("qlearn"), spaces.Dict(numbers=box)).policy == "QTable"
+    assert (
+        with_policy(find_agent("sb3_contrib:RecurrentPPO"), spaces.Dict(numbers=box)).policy == "MultiInputLstmPolicy"
+    )
 
 
 @pytest.mark.parametrize(
@@ -108,4 +102,4 @@ def test_an_image_beside_numbers_needs_a_policy_that_reads_both():
     ],
 )
 def test_one_image_is_read_by_convolutions_where_there_are_some(algorithm, side, policy):
-    assert agent_for(algorithm, spaces.Box(0, 255, (1, 36, side), np.uint8)).policy == policy
+    assert with_policy(find_agent(algorithm), spaces.Box(0, 255, (1, 36, side), np.uint8)).policy == policy

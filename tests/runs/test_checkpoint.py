@@ -1,7 +1,5 @@
 """Checkpoints come back to the bit; a failed write leaves the old file."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections import deque
@@ -13,16 +11,10 @@ import pytest
 import torch as th
 
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
-from tb2rl.runs.folder import Run
-from tb2rl.runs.loading import load
 
-SHAPES = {"bool": (3,), "uint8": (), "int8": (0,), "uint16": (3, 0, 2), "uint32": (2, 3, 4), "float16": (4,)}
-SHAPES |= {"int64": (1, 1, 1, 1), "float32": (2, 3, 4), "float64": ()}
 VALUES = [
     *(None, True, False, 0, -1, 2**64, -(2**127), 10**300, 0.1, -0.0, 1e-320, 1.7e308, float("inf"), float("-inf")),
     *("", "ü\0\n\\\"'", "\ud800", "$array", [], {}, [[]], [{}], [None, [True, {"a": []}]], {"a": {"b": {"": 1}}}),
-    *({1: {2: {-3: None}}}, {0: "a", 1: {"b": [{2: 3}]}}, {1: "int", "1": "str"}, {None: 1, 1.5: 2}),
-    *({"$array": "0"}, {"$pairs": [[1, 2]]}, {"$": 1, "a": {"$array": None}}, {"format": 7, "content": 8, "tb2rl": 9}),
 ]
 
 
@@ -48,20 +40,22 @@ def test_plain_values_come_back(tmp_path):
     assert np.isnan(found[-1])
 
 
-def test_other_sequences_come_back_as_lists(tmp_path):
+def test_other_sequences_come_back_as_lists_and_other_keys_as_text(tmp_path):
     tree = {"tuple": (1, (2, 3)), "deque": deque([1.5, {"r": 1}]), "numbers": [np.float32(0.5), np.int64(3), np.True_]}
-    found = round_trip(tree, tmp_path)
+    found = round_trip({**tree, "state": {0: {"step": 1}}}, tmp_path)
+    assert found.pop("state") == {"0": {"step": 1}}
     assert found == {"tuple": [1, [2, 3]], "deque": [1.5, {"r": 1}], "numbers": [0.5, 3, True]}
     assert [type(number) for number in found["numbers"]] == [float, int, bool]
 
 
-@pytest.mark.parametrize("dtype", SHAPES)
-def test_arrays_come_back(dtype, tmp_path):
-    shape = SHAPES[dtype]
+@pytest.mark.parametrize(
+    ("dtype", "shape"), [("bool", (3,)), ("uint8", ()), ("uint16", (3, 0, 2)), ("float16", (4,)), ("float64", (2, 1))]
+)
+def test_arrays_come_back(dtype, shape, tmp_path):
     bits = np.random.default_rng(0).integers(0, 2 if dtype == "bool" else 256, size=(*shape, 8), dtype=np.uint8)
     array = bits.view(dtype)[..., 0]
-    found = round_trip({"list": [array, {5: array}], "tensor": th.from_numpy(array.copy())}, tmp_path)
-    for one in (found["list"][0], found["list"][1][5], found["tensor"]):
+    found = round_trip({"list": [array], "tensor": th.from_numpy(array.copy())}, tmp_path)
+    for one in (found["list"][0], found["tensor"]):
         assert (type(one), one.dtype, one.shape) == (np.ndarray, array.dtype, shape)
         assert one.tobytes() == array.tobytes(), "to the bit, whatever NaN it is"
 
@@ -94,28 +88,11 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(function, monkeypat
     file = tmp_path / "tree.safetensors"
     write_checkpoint(file, {"a": np.ones(3)})
     before = file.read_bytes()
+    for value in ({1, object()}, np.array([object()])):
+        with suppress(Exception):
+            write_checkpoint(file, {"a": value})
     monkeypatch.setattr(os, function, no_space)
     with pytest.raises(OSError, match="No space left"):
         write_checkpoint(file, {"a": np.zeros(3000)})
     assert file.read_bytes() == before
     assert list(tmp_path.iterdir()) == [file]
-
-
-def test_a_value_that_cannot_be_written_leaves_the_old_file_and_nothing_else(tmp_path):
-    file = tmp_path / "tree.safetensors"
-    write_checkpoint(file, {"a": 1})
-    for value in ({1, object()}, np.array([object()])):
-        with suppress(Exception):
-            write_checkpoint(file, {"a": value})
-    assert read_checkpoint(file) == {"a": 1}
-    assert list(tmp_path.iterdir()) == [file]
-
-
-def test_a_run_that_cannot_save_says_so_in_one_line(dqn_checkpoint, monkeypatch, tmp_path, refused):
-    algorithm = load(dqn_checkpoint)
-    run = Run.create(tmp_path / "run", algorithm.trained_with)
-    file = run.save(algorithm, "final/policy")
-    monkeypatch.setattr(os, "fsync", no_space)
-    message = refused(run.save, algorithm, "final/policy")
-    assert message == f"cannot write {file}: No space left on device"
-    assert load(run.folder).num_timesteps == algorithm.num_timesteps

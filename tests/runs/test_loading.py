@@ -1,8 +1,5 @@
 """Loading of policies from a run folder, a checkpoint or the zoo, and what is refused."""
 
-from __future__ import annotations
-
-import re
 import shutil
 
 import numpy as np
@@ -10,16 +7,15 @@ import pytest
 
 from tb2rl import make_env
 from tb2rl.runs.checkpoint import read_checkpoint
-from tb2rl.runs.config import config_from
+from tb2rl.runs.config import config_from, resolve
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
-from tb2rl.runs.loading import checkpoint_file, config_of, content_config, load
+from tb2rl.runs.loading import checkpoint_config, checkpoint_file, config_of, load
 
 
 def test_a_policy_comes_back_with_its_config_and_drives(checkpoint):
     policy, content = load(checkpoint), read_checkpoint(checkpoint)
     assert policy.num_timesteps == content["timesteps"] == 128
-    assert config_of(policy) == content_config(content, checkpoint) == config_from(content["config"])
+    assert config_of(policy) == checkpoint_config(content, checkpoint) == config_from(content["config"])
     for name, array in content["policy"].items():
         np.testing.assert_array_equal(policy.policy.state_dict()[name], array)
     env = make_env(policy, world="circuit", simulation="kinematic")
@@ -59,10 +55,10 @@ def test_an_object_that_is_no_trained_policy_has_no_config(refused):
     assert "does not come from tb2rl.load" in refused(config_of, object())
 
 
-# ---- files that are not checkpoints
+# ---- files that do not fit
 
 
-@pytest.mark.parametrize("content", [b"", b"\x80\x02}q\x00.", b"\x00" * 1000, 100, -10], ids=str)
+@pytest.mark.parametrize("content", [b"", b"\x80\x02}q\x00.", 100, -10], ids=str)
 def test_a_file_that_is_no_checkpoint_or_a_truncated_one_is_refused(content, dqn_checkpoint, refused, tmp_path):
     content = dqn_checkpoint.read_bytes()[:content] if isinstance(content, int) else content
     (tmp_path / "policy.safetensors").write_bytes(content)
@@ -72,7 +68,7 @@ def test_a_file_that_is_no_checkpoint_or_a_truncated_one_is_refused(content, dqn
 def test_another_format_is_refused_with_the_supported_one(dqn_checkpoint, refused, monkeypatch, tmp_path):
     file = shutil.copy(dqn_checkpoint, tmp_path / "policy.safetensors")
     monkeypatch.setattr("tb2rl.runs.checkpoint.FORMAT", 3)
-    assert "has checkpoint format 2; this tb2rl reads 3" in refused(load, file)
+    assert "its format is 2, but this version of tb2rl reads 3" in refused(load, file)
 
 
 @pytest.mark.parametrize("config", ["- 1", "agent: 3\ntask: {name: maze}", "agent: {name: qlearn}", "{", None])
@@ -84,33 +80,30 @@ def test_a_folder_that_is_not_a_run_is_refused(config, refused, tmp_path):
 
 def test_a_run_without_a_checkpoint_says_so(refused, tmp_path):
     Run.create(tmp_path / "run", resolve())
-    hint = "holds no checkpoint yet; if its training has ended, it ended before the first: remove the folder, and train"
+    hint = "has no policy yet; wait for its training, or remove the folder and train again"
     assert hint in refused(load, tmp_path / "run")
-
-
-# ---- checkpoints whose content does not fit
 
 
 @pytest.mark.parametrize(
     ("place", "value", "named"),
     [
         ("config", ..., "'config'"),
-        ("config", {"agent": {"name": "qlearn"}}, "task.name"),
         ("config/agent", {"name": "wallfollower"}, "wallfollower"),
+        ("config/agent", {"name": "sac"}, "agent sac learns continuous"),
+        ("config/agent", {"name": "qlearn"}, "task.observation=discrete"),
         ("config/task/world", "no_such", "no_such"),
         ("config/train/device", "nowhere", "train.device"),
         ("timesteps", ..., "timesteps"),
-        ("timesteps", -1, "timesteps is -1"),
+        ("timesteps", -1, "timesteps: "),
     ],
 )
-def test_a_config_that_does_not_fit_is_refused(place, value, named, dqn_checkpoint, edited, refused, tmp_path):
+def test_a_content_that_does_not_fit_is_refused(place, value, named, dqn_checkpoint, edited, refused, tmp_path):
     file = edited(dqn_checkpoint, tmp_path / "policy.safetensors", place, value)
     message = refused(load, file)
     assert message.startswith(str(file))
     assert named in message
 
 
-@pytest.mark.parametrize("name", ["qlearn", "ppo", "sac"])
-def test_another_agents_checkpoint_is_refused(name, dqn_checkpoint, edited, refused, tmp_path):
-    file = edited(dqn_checkpoint, tmp_path / "policy.safetensors", "config", resolve(name).to_dict())
-    assert re.match(f"{file}( does not fit its config|: agent {name} learns continuous)", refused(load, file))
+def test_another_agents_checkpoint_is_refused(dqn_checkpoint, edited, refused, tmp_path):
+    file = edited(dqn_checkpoint, tmp_path / "policy.safetensors", "config", resolve("ppo").to_dict())
+    assert refused(load, file).startswith(f"{file} contradicts its config")

@@ -1,11 +1,8 @@
 """Statistics from a file: those of the policy's own training, or refused in one line."""
 
-from __future__ import annotations
-
-import numpy as np
 import pytest
 
-from tb2rl.runs.layers import resolve
+from tb2rl.runs.config import resolve
 from tb2rl.runs.loading import load
 from tb2rl.training.training import train_config
 
@@ -21,7 +18,6 @@ SETTINGS = {
     "train.norm_obs": True,
     "train.norm_reward": True,
 }
-NAN = float("nan")
 
 
 @pytest.fixture(scope="module")
@@ -34,20 +30,12 @@ def policy_file(tmp_path_factory):
 @pytest.mark.parametrize(
     ("place", "value", "said"),
     [
-        ("normalisation", ..., "lacks the statistics"),
-        ("normalisation", {}, ""),
-        ("normalisation/observations/numbers", None, ""),
-        ("normalisation/observations/numbers/mean", lambda mean: mean[:-1], "numbers have another shape or type"),
-        ("normalisation/observations/numbers/mean", lambda mean: mean.astype(np.float32), "another shape or type"),
-        ("normalisation/observations/numbers/mean", lambda mean: mean * NAN, "not finite"),
-        ("normalisation/observations/numbers/var", lambda var: -var, "negative variance"),
-        ("normalisation/observations/numbers/count", NAN, "no count"),
-        ("normalisation/rewards/var", lambda var: np.array(-var), "rewards have a negative variance"),
-        ("normalisation/rewards", ..., ""),
+        ("normalisation", ..., "normalisation"),
+        ("normalisation/observations/numbers/mean", lambda mean: mean[:-1], "numbers.mean"),
     ],
 )
 def test_statistics_that_do_not_fit_are_refused(place, value, said, policy_file, edited, refused, tmp_path):
     file = edited(policy_file, tmp_path / "policy.safetensors", place, value)
     message = refused(load, file)
-    assert message.startswith(f"{file} does not fit its config")
+    assert message.startswith(f"{file} contradicts its config")
     assert said in message

@@ -1,7 +1,5 @@
 """Trainings of a few steps, what a killed one leaves behind, and tasks in a module of a user's own."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
@@ -15,8 +13,8 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tb2rl.runs.checkpoint import read_checkpoint
+from tb2rl.runs.config import resolve
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
 
 MY_TASKS = """
     from dataclasses import dataclass
@@ -24,7 +22,6 @@ MY_TASKS = """
     import numpy as np
 
     from tb2rl.sensors import Sensor
-    from tb2rl.tasks import Outcome, Task, Velocities
     from tb2rl.tasks.wander import Wander
 
     class Picture(Sensor):
@@ -33,15 +30,6 @@ MY_TASKS = """
         def read(self, robot_state):
             rows = np.arange(36)[:, None] < 12 * np.minimum(robot_state.ranges, 3.0)[:, None, :]
             return (255 * rows[:, None]).astype(np.uint8)
-
-    @dataclass(frozen=True)
-    class Glide(Task):
-        "Any speeds within a range."
-        actions = Velocities(forward=(-0.1, 0.5), turn=(-1.0, 1.0))
-
-        def outcome(self, before, action, after):
-            collided = after.bumped | (after.nearest < 0.5)
-            return Outcome(np.where(collided, -10.0, after.twist[:, 0]), failed={"collision": collided})
 
     @dataclass(frozen=True)
     class Pictured(Wander):
@@ -128,14 +116,8 @@ def small():
     """Makes the config of a short kinematic training without evaluations and checkpoints, unless it asks for them."""
 
     def make(agent="qlearn", task="maze", settings=None, **train):
-        train = {
-            "simulation": "kinematic",
-            "n_envs": 4,
-            "total_timesteps": 128,
-            "eval_freq": 0,
-            "save_freq": 0,
-            **train,
-        }
+        short = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "eval_freq": 0, "save_freq": 0}
+        train = {**short, **train}
         return resolve(agent, task, settings={f"train.{key}": value for key, value in train.items()} | (settings or {}))
 
     return make

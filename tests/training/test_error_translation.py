@@ -1,12 +1,11 @@
 """Errors of the machine and of libraries are one line, and the last checkpoint stands."""
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -21,10 +20,7 @@ PPO = {"agent.n_steps": 16, "agent.batch_size": 32}
 
 
 def test_a_full_disk_is_named_though_tensorboard_writes_in_a_thread(small, tmp_path, monkeypatch):
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    shown = []
+    full, shown = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))), []
     monkeypatch.setattr("tensorboard.summary.writer.record_writer.RecordWriter.write", full)
     monkeypatch.setattr(threading, "excepthook", shown.append)
     with pytest.raises(InputError, match="No space left"):
@@ -50,10 +46,7 @@ def test_a_killed_simulator_process_is_named_and_none_is_left(small, tmp_path, m
 
 def test_a_folder_that_cannot_be_written_is_named_and_the_last_checkpoint_stands(small, tmp_path, monkeypatch):
     run = train_config(small(), tmp_path / "run").run
-
-    def refuse(*_: object) -> None:
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
+    refuse = Mock(side_effect=OSError(errno.EROFS, os.strerror(errno.EROFS)))
     monkeypatch.setattr(Path, "replace", refuse)  # permissions do not stop root
     with pytest.raises(InputError, match=os.strerror(errno.EROFS)) as stopped:
         resume(run.folder, 256)
@@ -63,10 +56,7 @@ def test_a_folder_that_cannot_be_written_is_named_and_the_last_checkpoint_stands
 
 
 def test_too_little_memory_is_named(small, tmp_path, monkeypatch):
-    def full(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr("tb2rl.envs.vec_env.TurtleBot2VecEnv.step_wait", full)
+    monkeypatch.setattr("tb2rl.envs.vec_env.TurtleBot2VecEnv.step_wait", Mock(side_effect=MemoryError))
     with pytest.raises(InputError, match=r"not enough memory: .*train\.n_envs"):
         train_config(small(), tmp_path / "run")
 
@@ -76,8 +66,8 @@ def test_too_little_memory_is_named(small, tmp_path, monkeypatch):
     ("agent", "settings", "message"),
     [
         ("ppo", {**PPO, "agent.learning_rate": 1e8}, r"diverged .*smaller agent\.learning_rate"),
-        ("ppo", {**PPO, "agent.n_epochs": 0}, r"agent ppo .*refuses its settings.*n_epochs"),
-        ("sb3_contrib:ARS", {}, "ARS does not tell its callbacks of every step"),
+        ("ppo", {**PPO, "agent.n_epochs": 0}, r"agent ppo .*rejects its settings.*n_epochs"),
+        ("sb3_contrib:ARS", {}, "ARS does not pass rewards, dones and infos to callbacks"),
     ],
 )
 def test_settings_that_fail_while_learning_are_named(agent, settings, message, small, tmp_path):

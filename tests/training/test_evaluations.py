@@ -1,7 +1,5 @@
 """Evaluations during a training: their simulator, and how good ones stop a training early."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,12 +9,11 @@ import pytest
 
 from tb2rl import load
 from tb2rl.core.errors import InputError
+from tb2rl.evaluation.evaluate import Evaluator
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import Evaluator
-from tb2rl.runs.layers import resolve
+from tb2rl.runs.config import resolve
 from tb2rl.train import main
-from tb2rl.training.environments import make_evaluator
-from tb2rl.training.training import resume, train_config
+from tb2rl.training.training import make_evaluator, resume, train_config
 
 OFTEN = {"total_timesteps": 512, "eval_freq": 64, "eval_episodes": 20, "eval_steps": 10, "stop_score": None}
 
@@ -47,14 +44,11 @@ def timesteps(evaluations) -> list[int]:
     return [each["timesteps"] for each in evaluations]
 
 
-@pytest.mark.parametrize(
-    ("agent", "task", "settings"),
-    [("qlearn", "wall", {}), ("ppo", "maze", {"agent.n_steps": 32, "agent.batch_size": 64})],
-)
-def test_good_evaluations_in_a_row_stop_a_training(agent, task, settings, small, rates, evaluations, tmp_path):
+def test_good_evaluations_in_a_row_stop_a_training(small, rates, evaluations, tmp_path):
     rates(0.95, 0.9, 0.95, 0.95)
-    trained = train_config(small(agent, task, settings, **{**OFTEN, "stop_score": 0.95}), tmp_path / "run")
-    assert trained.stopped_after == trained.timesteps == 256
+    settings = {"agent.n_steps": 32, "agent.batch_size": 64}
+    trained = train_config(small("ppo", "maze", settings, **{**OFTEN, "stop_score": 0.95}), tmp_path / "run")
+    assert trained.early_stop_timesteps == trained.timesteps == 256
     assert timesteps(evaluations(trained.run)) == [64, 128, 192, 256], "the last one is not repeated"
     assert load(trained.run.folder / "final" / "policy.safetensors").num_timesteps == 256
 
@@ -70,7 +64,7 @@ def test_good_evaluations_in_a_row_stop_a_training(agent, task, settings, small,
 def test_when_evaluations_stop_a_training_is_a_setting(train, shares, stopped_after, small, rates, tmp_path):
     rates(*shares)
     trained = train_config(small(**{**OFTEN, **train}), tmp_path / "run")
-    assert (trained.stopped_after, trained.timesteps) == (stopped_after, stopped_after or 512)
+    assert (trained.early_stop_timesteps, trained.timesteps) == (stopped_after, stopped_after or 512)
 
 
 def test_a_stopped_training_continues_if_more_steps_are_asked(small, rates, evaluations, tmp_path):
@@ -80,7 +74,7 @@ def test_a_stopped_training_continues_if_more_steps_are_asked(small, rates, eval
         resume(run.folder)
     rates(1.0, 0.9, 0.9, 1.0, 1.0)
     more = resume(run.folder, total_timesteps=1024)
-    assert (more.stopped_after, more.timesteps) == (448, 320), "it counts anew"
+    assert (more.early_stop_timesteps, more.timesteps) == (448, 320), "it counts anew"
     assert timesteps(evaluations(run)) == [64, 128, 192, 256, 320, 384, 448]
 
 
@@ -90,22 +84,18 @@ def test_a_resumed_training_stops_where_the_uninterrupted_one_did(small, rates, 
     whole = train_config(config, tmp_path / "whole")
     resumed = killed(whole.run, tmp_path / "resumed")
     rates(1.0, 0.5, 1.0, 1.0, 1.0)
-    assert resume(resumed.folder).stopped_after == whole.stopped_after == 448
+    assert resume(resumed.folder).early_stop_timesteps == whole.early_stop_timesteps == 448
     assert_same_runs(whole.run, resumed)
 
 
-def test_the_command_prints_that_a_training_was_stopped(rates, tmp_path, monkeypatch, capsys):
+def test_the_command_prints_that_a_training_was_stopped_and_notes_its_evaluations(rates, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rates(1.0, 1.0)
     flags = "--simulation kinematic --n-envs 4 --total-timesteps 512 --eval-freq 64 --no-evaluation --name run"
-    main([*flags.split(), "--set", "train.stop_score=0.995", "train.eval_episodes=20"])
+    few = ["train.stop_score=0.995", "train.eval_episodes=3", "train.eval_steps=10", "train.eval_simulation=bullet"]
+    main([*flags.split(), "--set", *few])
     assert "stopped after 128 of 512 steps: 2 evaluations in a row reached 99.5 %\n" in capsys.readouterr().out
-
-
-def test_an_evaluation_is_noted_with_its_conditions(small, tmp_path):
-    few = {"eval_freq": 128, "eval_episodes": 3, "eval_steps": 10, "eval_simulation": "bullet"}
-    run = train_config(small(**few), tmp_path / "run").run
-    (line,) = map(json.loads, (run.folder / "evaluations.jsonl").read_text().splitlines())
+    line, _ = map(json.loads, (tmp_path / "runs/maze/qlearn/run/evaluations.jsonl").read_text().splitlines())
     assert (line["simulation"], line["episodes"], line["steps"]) == ("bullet", 3, 10)
     assert line["median_squares"] >= 1
     assert 0.0 < line["seconds"] <= line["elapsed"]
@@ -123,7 +113,7 @@ def test_an_evaluation_is_noted_with_its_conditions(small, tmp_path):
 def test_an_evaluation_has_fewer_episodes_if_a_step_takes_time(settings, simulation, episodes, capsys):
     config = resolve("stable_baselines3:PPO", settings=settings)
     with make_evaluator(config.scene, config.train) as evaluator:
-        assert (evaluator.simulator.name, len(evaluator.initial_states)) == (simulation, episodes)
+        assert (evaluator.simulator.name, len(evaluator.initial_states.table)) == (simulation, episodes)
     refused = "use PyBullet, and are slower: the cameras of simulation 'kinematic' see depth but"
     assert (refused in capsys.readouterr().out) == (simulation != config.train.eval_simulation)
 
@@ -131,7 +121,7 @@ def test_an_evaluation_has_fewer_episodes_if_a_step_takes_time(settings, simulat
 def test_evaluations_are_in_validation_worlds(small):
     world = {"task.world": {"generator": "rooms", "worlds": 4, "difficulty": 0.0}}
     config = small(settings=world, eval_episodes=2)
-    with make_evaluator(config.validation_scene, config.train) as evaluator:
+    with make_evaluator(config.scene.for_purpose("validation"), config.train) as evaluator:
         worlds = [world.name for world in evaluator.scene.spec.worlds]
     assert worlds == [f"rooms {i} (validation)" for i in range(4)]
 

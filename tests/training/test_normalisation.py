@@ -1,7 +1,5 @@
 """Normalized trainings, and their policies, which take raw observations outside of them."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle
@@ -18,12 +16,12 @@ from stable_baselines3.common.vec_env import VecNormalize
 from tb2rl import evaluate, load, make_env
 from tb2rl.commands.convert import export_policy
 from tb2rl.core.errors import InputError
-from tb2rl.evaluation.evaluator import TRAINING_SEED
-from tb2rl.runs.algorithm import Spaces, make_algorithm
-from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
-from tb2rl.runs.layers import parse_settings
-from tb2rl.training.environments import make_vec_env
-from tb2rl.training.training import resume, train_config
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.evaluation.evaluate import VALIDATION_SEED
+from tb2rl.runs.algorithm import make_algorithm
+from tb2rl.runs.checkpoint import read_checkpoint
+from tb2rl.runs.config import parse_settings
+from tb2rl.training.training import train_config
 
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw"}
 ON_POLICY = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 2, **SMALL}
@@ -31,12 +29,8 @@ OFF_POLICY = {"agent.learning_starts": 32, "agent.buffer_size": 200, "agent.batc
 BOTH = {"norm_obs": True, "norm_reward": True}
 TRAININGS = {
     "PPO, an image": ("stable_baselines3:PPO", "my_tasks:Pictured", {**ON_POLICY, "task.frame_stack": 2}),
-    "SAC": ("stable_baselines3:SAC", "my_tasks:Glide", {**OFF_POLICY, "train.eval_simulation": "bullet"}),
-    "RecurrentPPO": (
-        "sb3_contrib:RecurrentPPO",
-        "my_tasks:Glide",
-        {**ON_POLICY, "agent.policy_kwargs.lstm_hidden_size": 8},
-    ),
+    "SAC": ("stable_baselines3:SAC", "drive", {**OFF_POLICY, "train.eval_simulation": "bullet"}),
+    "RecurrentPPO": ("sb3_contrib:RecurrentPPO", "drive", {**ON_POLICY, "agent.policy_kwargs.lstm_hidden_size": 8}),
 }
 
 
@@ -49,23 +43,20 @@ def run(request, small, tmp_path_factory):
     return train_config(config, tmp_path_factory.mktemp("normalised") / "run").run
 
 
-def observations_of(policy, steps=12):
+def observations_of(policy):
     """Raw observations of one environment."""
-    env = make_env(policy, simulation="kinematic")
-    seen = [env.reset(seed=1)[0]]
-    env.action_space.seed(1)
-    seen += [env.step(env.action_space.sample())[0] for _ in range(steps)]
-    env.close()
-    return seen
+    with closing(make_env(policy, simulation="kinematic")) as env:
+        seen = [env.reset(seed=1)[0]]
+        env.action_space.seed(1)
+        return [*seen, *(env.step(env.action_space.sample())[0] for _ in range(3))]
 
 
 def test_a_loaded_policy_normalizes_as_the_environments_of_its_training(run):
     file = run.policy_file
     policy, content = load(file), read_checkpoint(file)
-    theirs = make_algorithm(run.config, Spaces.vectorised(run.config))
+    theirs = make_algorithm(run.config)
     theirs.policy.load_state_dict({key: th.from_numpy(value) for key, value in content["policy"].items()})
     env = theirs.get_vec_normalize_env()
-    assert isinstance(env, VecNormalize)
     for name, saved in content["normalisation"]["observations"].items():
         met = env.obs_rms[name] if isinstance(env.obs_rms, dict) else env.obs_rms
         met.mean, met.var = saved["mean"], saved["var"]
@@ -78,12 +69,13 @@ def test_a_loaded_policy_normalizes_as_the_environments_of_its_training(run):
             np.testing.assert_array_equal(predict(observation, deterministic=True)[0], wanted)
 
 
+@pytest.mark.parametrize("run", ["SAC"], indirect=True)
 def test_evaluations_while_training_are_those_of_the_loaded_policy(run):
     lines = (run.folder / "evaluations.jsonl").read_text().splitlines()
     noted = [line for line in map(json.loads, lines) if line["best"]][-1]
     policy = load(run.folder / "best" / "policy.safetensors")
     simulation = run.config.train.eval_simulation
-    here = evaluate(policy, episodes=2, steps=15, seed=TRAINING_SEED, workers=1, simulation=simulation)
+    here = evaluate(policy, episodes=2, steps=15, seed=VALIDATION_SEED, workers=1, simulation=simulation)
     summary = json.loads(json.dumps(here.summary()))
     assert {name: noted[name] for name in summary} == summary
     assert policy.num_timesteps == noted["timesteps"]
@@ -91,8 +83,9 @@ def test_evaluations_while_training_are_those_of_the_loaded_policy(run):
 
 def test_returns_are_discounted_as_the_agent_does_and_logged_as_they_are(small):
     settings = {**ON_POLICY, "agent.gamma": 0.5}
-    config = small("stable_baselines3:PPO", "maze", settings, episode_steps=4, reward_scale=0.5, **BOTH)
-    with closing(make_vec_env(config.scene, config.train)) as inner:
+    config = small("stable_baselines3:PPO", "maze", settings, **BOTH)
+    scene = config.scene.with_time_limit(4)
+    with closing(TurtleBot2VecEnv(scene, config.train.n_envs, reward_scale=0.5)) as inner:
         env = make_algorithm(config, inner).get_vec_normalize_env()
         assert (env.gamma, env.norm_obs, env.norm_reward, env.training) == (0.5, True, True, True)
         env.seed(0)
@@ -107,24 +100,19 @@ def test_returns_are_discounted_as_the_agent_does_and_logged_as_they_are(small):
 
 @pytest.mark.parametrize(
     ("agent", "task", "settings"),
-    [
-        ("qlearn", "maze", {}),
-        ("stable_baselines3:PPO", "maze", {**ON_POLICY, "task.observation": "discrete"}),
-        ("stable_baselines3:PPO", "my_tasks:OnlyPicture", ON_POLICY),
-    ],
-    ids=["table", "bins", "image"],
+    [("qlearn", "maze", {}), ("stable_baselines3:PPO", "my_tasks:OnlyPicture", ON_POLICY)],
+    ids=["classes", "image"],
 )
-def test_bins_and_images_are_not_normalised(agent, task, settings, small, tmp_path):
+def test_classes_and_images_are_not_normalised(agent, task, settings, small, tmp_path):
     config = small(agent, task, settings, norm_obs=True)
-    with pytest.raises(InputError, match=r"train\.norm_obs normalises numbers, and here classes or images") as refused:
+    with pytest.raises(InputError, match=r"train\.norm_obs normalises numbers, but the observations are"):
         train_config(config, tmp_path / "run")
-    assert "\n" not in str(refused.value)
     assert not (tmp_path / "run").exists()
 
 
 def test_inverse_range_is_refused_and_the_advice_works(small, tmp_path):
     settings = {"agent.n_steps": 16, "agent.batch_size": 32, "agent.n_epochs": 1}
-    with pytest.raises(InputError, match="InverseRange, which reads metres") as refused:
+    with pytest.raises(InputError, match="InverseRange, which needs ranges in metres") as refused:
         train_config(small("ppo", settings=settings, norm_obs=True), tmp_path / "refused")
     advice = parse_settings(re.findall(r"agent\.\S+=\S+", str(refused.value)))
     assert len(advice) == 2
@@ -137,17 +125,8 @@ def test_a_zip_for_stable_baselines3_comes_with_its_statistics(run, tmp_path):
     files = export_policy(run.folder, tmp_path / "it.zip")
     assert files == [tmp_path / "it.zip", tmp_path / "it-vecnormalize.pkl"]
     theirs = stable_baselines3.PPO.load(files[0])
-    env = VecNormalize.load(files[1], Spaces.vectorised(run.config))
+    env = VecNormalize.load(files[1], make_algorithm(run.config).env.venv)
     assert not env.training
     for observation in observations_of(policy):
         wanted = theirs.predict(env.normalize_obs(observation), deterministic=True)[0]
         np.testing.assert_array_equal(policy.predict(observation, deterministic=True)[0], wanted)
-
-
-def test_returns_that_are_not_finite_are_refused(small, tmp_path):
-    run = train_config(small("stable_baselines3:PPO", settings=ON_POLICY, **BOTH), tmp_path / "run").run
-    content = read_checkpoint(run.checkpoints[0])
-    content["training"]["environments"]["returns"] += float("nan")
-    write_checkpoint(run.checkpoints[0], content)
-    with pytest.raises(InputError, match="returns are not finite"):
-        resume(run.folder, 256)

@@ -1,7 +1,5 @@
 """Settings of a training: seeds, processes, threads, devices, rewards, time limits."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -10,7 +8,7 @@ import torch as th
 
 from tb2rl import load
 from tb2rl.core.errors import InputError
-from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.runs.algorithm import make_algorithm
 from tb2rl.runs.folder import Run
 from tb2rl.training import training
 from tb2rl.training.training import train_config
@@ -32,7 +30,7 @@ def test_equal_seeds_give_equal_tables_whatever_the_number_of_processes(small, t
 
 def test_the_number_of_threads_changes_no_result(small, assert_same_runs, tmp_path, monkeypatch):
     config = small("ppo", settings={"agent.n_steps": 5, "agent.batch_size": 500}, n_envs=600, total_timesteps=3000)
-    monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.WORTH_THREADS", 0.0)
+    monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.MIN_PARALLEL_TIME", 0.0)
     runs = []
     for threads in (1, 3):
         monkeypatch.setattr("tb2rl.simulation.kinematic.threads.THREADS", threads)
@@ -55,23 +53,18 @@ def test_only_the_agent_sees_scaled_rewards(small, evaluations, tmp_path, capsys
 @pytest.mark.parametrize("num_envs", [1, 2])
 def test_a_training_stops_after_its_episodes(num_envs, small, tmp_path):
     done = train_config(small(episodes=5, total_timesteps=10**9, n_envs=num_envs), tmp_path / "run")
-    assert 5 <= len(done.lengths) <= 5 + num_envs - 1, "several environments may end an episode at once"
-    assert num_envs * sum(done.lengths) >= done.timesteps >= sum(done.lengths)
+    assert 5 <= len(done.episode_lengths) <= 5 + num_envs - 1, "several environments may end an episode at once"
+    assert num_envs * sum(done.episode_lengths) >= done.timesteps >= sum(done.episode_lengths)
 
 
 def test_a_training_may_have_its_own_time_limit(small, tmp_path):
-    assert max(train_config(small(episode_steps=4), tmp_path / "run").lengths) == 4
+    assert max(train_config(small(episode_steps=4), tmp_path / "run").episode_lengths) == 4
     assert load(tmp_path / "run").trained_with.task.episode_steps > 4
 
 
 def test_torchs_threads_are_restored_after_a_training_that_failed(small, tmp_path, monkeypatch):
     during, before = [], th.get_num_threads()
-
-    def fail(*_: object) -> None:
-        during.append(th.get_num_threads())
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(training, "make_algorithm", fail)
+    monkeypatch.setattr(training, "make_algorithm", lambda *_: during.append(th.get_num_threads()) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         train_config(small(torch_threads=before + 1), tmp_path / "run")
     assert (during, th.get_num_threads()) == ([before + 1], before)
@@ -83,8 +76,8 @@ def test_a_policy_trained_on_a_missing_device_loads_but_is_not_trained(device, s
     monkeypatch.setattr(th.backends.mps, "is_available", lambda: False)
     config = small("stable_baselines3:A2C", device=device)
     run = Run.create(tmp_path / "run", config)
-    run.save(make_algorithm(config, Spaces.vectorised(config)), "final/policy")  # as if another machine had trained it
+    run.save(make_algorithm(config), "final/policy")  # as if another machine had trained it
     assert load(run.folder).device.type == "cpu"
-    with pytest.raises(InputError, match=f"train.device '{device}' cannot be used: torch finds none"):
+    with pytest.raises(InputError, match=f"train.device is '{device}', but torch finds no such device"):
         train_config(config, tmp_path / "another")
     assert not (tmp_path / "another").exists()

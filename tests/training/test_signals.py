@@ -1,7 +1,5 @@
 """A signal ends a training with a checkpoint, from which the resumed one equals the undisturbed one, to the bit."""
 
-from __future__ import annotations
-
 import os
 import random
 import shutil
@@ -15,12 +13,10 @@ from pathlib import Path
 import pytest
 
 from tb2rl import load
-from tb2rl.core.signals import ending_signals
 from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.folder import Run
 from tb2rl.train import main
-from tb2rl.training.callbacks import StopOnSignal
 from tb2rl.training.training import resume, train_config
 
 SMALL = {"agent.policy_kwargs.net_arch": [8], "task.observation": "raw", "task.laser_noise": 0.01}
@@ -65,7 +61,7 @@ def test_an_interrupted_training_resumes_to_the_bit(agent, number, raise_at, sma
     raise_at(number, at=25)  # within a rollout, if that has more than one step
     training = train_config(config, tmp_path / "run")
     run = training.run
-    assert training.interrupted == number
+    assert training.signal_number == number
     reached = timesteps(run)
     assert reached in range(100, 129), "where the next rollout starts"
     shutil.rmtree(run.folder / "final")
@@ -74,16 +70,15 @@ def test_an_interrupted_training_resumes_to_the_bit(agent, number, raise_at, sma
 
 
 def test_a_signal_in_the_last_rollout_leaves_a_whole_training(raise_at, small, assert_same_runs, tmp_path):
-    task, settings = AGENTS["ppo"]
-    config = small("ppo", task, settings, eval_freq=64, eval_episodes=2, eval_steps=20)
+    config = small("ppo", *AGENTS["ppo"], eval_freq=64, eval_episodes=2, eval_steps=20)
     whole = train_config(config, tmp_path / "whole").run
     raise_at(signal.SIGTERM, at=30)
     training = train_config(config, tmp_path / "run")
-    assert (training.interrupted, training.timesteps) == (signal.SIGTERM, 128)
+    assert (training.signal_number, training.timesteps) == (signal.SIGTERM, 128)
     assert_same_runs(whole, training.run)
 
 
-def test_handlers_are_restored_after_the_training_and_none_is_set_in_a_thread(small, tmp_path):
+def test_a_training_in_a_thread_sets_no_handlers_and_others_are_restored(small, tmp_path):
     before = list(map(signal.getsignal, SIGNALS))
     train_config(small(), tmp_path / "run")
     assert list(map(signal.getsignal, SIGNALS)) == before
@@ -98,21 +93,17 @@ def test_a_hangup_that_nohup_lets_ignore_stays_ignored(raise_at, small, tmp_path
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         raise_at(signal.SIGHUP, at=5)
-        assert not train_config(small(), tmp_path / "run").interrupted
+        assert not train_config(small(), tmp_path / "run").signal_number
     finally:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_second_signal_stops_at_once():
-    stop = StopOnSignal(lambda: None)
-    with ending_signals(stop.receive):
-        stop._on_rollout_start()
-        assert stop._on_step()
-        signal.raise_signal(signal.SIGINT)
-        stop._on_rollout_start()
-        assert not stop._on_step()
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
+def test_a_second_signal_stops_at_once(small, tmp_path, monkeypatch):
+    step = TurtleBot2VecEnv.step_wait
+    monkeypatch.setattr(TurtleBot2VecEnv, "step_wait", lambda env: signal.raise_signal(signal.SIGINT) or step(env))
+    with pytest.raises(KeyboardInterrupt):
+        train_config(small("ppo", *AGENTS["ppo"]), tmp_path / "run")
+    assert not Run.open(tmp_path / "run").checkpoints
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -125,7 +116,7 @@ def test_the_command_ends_with_the_status_that_shells_expect(number, raise_at, t
     except SystemExit as ended:
         status = ended.code
     assert status == (0 if number == signal.SIGINT else 128 + number)
-    assert "stopping" in capsys.readouterr().out
+    assert "stops after this rollout" in capsys.readouterr().out
     assert not Path("runs/maze/qlearn/it/evaluation.json").exists()
     main(["--resume", "runs/maze/qlearn/it", "--no-evaluation"])
     assert timesteps(Run.open(Path("runs/maze/qlearn/it"))) == 128
@@ -160,7 +151,7 @@ def test_a_signal_to_all_processes_saves_policy_and_checkpoint(number, status, t
     os.killpg(process.pid, number)  # as a terminal does: to the workers too
     out, error = process.communicate(timeout=60)
     assert (process.returncode, error) == (status, "")
-    assert "stopping" in out
+    assert "stops after this rollout" in out
     assert load(folder / "final" / "policy.safetensors").num_timesteps == timesteps(Run.open(folder)) + 2
     assert not (folder / "evaluation.json").exists()
 

@@ -1,7 +1,5 @@
 """Episode statistics in TensorBoard, and the lines of the ROS tutorial."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -12,7 +10,6 @@ from tb2rl.training.training import train_config
 
 ENDINGS = {  # settings with which all episodes end alike, and the failure rate
     "collision": ("maze", {"task.collision_range": 3.0}, 1.0),
-    "out of bounds": ("wall", {"task.bounds": [90.0, 90.0, 91.0, 91.0]}, 1.0),
     "goal": ("wall", {"task.goal_tolerance": 90.0, "task.collision_range": 0.0}, 0.0),
     "time limit": ("maze", {"train.episode_steps": 2, "task.start_clearance": 0.8}, 0.0),
 }
@@ -49,8 +46,8 @@ def test_verbose_prints_a_line_for_each_episode(agent, small, tmp_path, capsys):
     done = train_config(small(agent, settings=settings, total_timesteps=400), tmp_path / "run", verbose=1)
     pattern = r"^EP: (\d+) - \[alpha: \S+ - gamma: \S+.*\] - Reward: (-?\d+) - Steps: (\d+) - Time: 0:00:\d\d$"
     lines = re.findall(pattern, capsys.readouterr().out, re.MULTILINE)
-    assert [int(number) for number, _, _ in lines] == list(range(1, len(done.lengths) + 1)) != []
-    assert [int(steps) for _, _, steps in lines] == done.lengths
+    assert [int(number) for number, _, _ in lines] == list(range(1, len(done.episode_lengths) + 1)) != []
+    assert [int(steps) for _, _, steps in lines] == done.episode_lengths
 
 
 def test_the_scores_are_the_mean_length_and_the_mean_of_the_100_longest():

@@ -1,17 +1,23 @@
-"""Studies of very short trainings."""
+"""Studies of very short trainings, and commands in processes of their own."""
 
-from __future__ import annotations
-
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tb2rl.execution.local import LocalExecutor
-from tb2rl.runs.layers import as_preset
+from tb2rl.runs.config import as_preset
+from tb2rl.tuning import training
+from tb2rl.tuning.storage import open_study
 from tb2rl.tuning.study import StudyFolder, StudyOptions
+from tb2rl.tuning.training import TrainingResult
 
+CHECKOUT = Path(__file__).parents[2]
 TINY = {
     "train.simulation": "kinematic", "train.n_envs": 8, "train.total_timesteps": 1024, "train.eval_freq": 256,
     "train.eval_episodes": 5, "train.eval_steps": 30, "train.stop_score": None,
@@ -35,9 +41,8 @@ def executor():
 
 
 @pytest.fixture
-def make_folder(tmp_path, monkeypatch):
+def make_folder(workdir):
     """A function that creates the folder of a study in an empty folder."""
-    monkeypatch.chdir(tmp_path)
 
     def make_folder(
         name: str = "it",
@@ -54,6 +59,44 @@ def make_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def untrained(monkeypatch):
+    """The parameters of trials whose trainings take no time, and whose score is 0.25 or what they search."""
+    trained = []
+
+    def train(_, trial, path):
+        trained.append(trial.params)
+        trial.report(0.5, 1)
+        return [TrainingResult(trial.params.get("agent.gamma", 0.25), 1.0, 1.0)]
+
+    monkeypatch.setattr(training, "_train", train)
+    return trained
+
+
+@pytest.fixture
 def tiny() -> list[str]:
     """Settings of very short trainings for a command line."""
     return [f"{key}={'null' if value is None else value}" for key, value in TINY.items() if "simulation" not in key]
+
+
+@pytest.fixture
+def start_tune(workdir):
+    """A function that starts the command in a process."""
+
+    def start(*arguments: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", "tb2rl.tune", *arguments]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        return subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, **pipes)
+
+    return start
+
+
+@pytest.fixture
+def read_study():
+    """A function that reads a study's folder, and its trials."""
+
+    def read(path: Path) -> tuple[StudyFolder, list]:
+        folder = StudyFolder(path, StudyOptions(**yaml.safe_load((path / "study.yaml").read_text())))
+        with open_study(folder) as study:
+            return folder, study.trials
+
+    return read
