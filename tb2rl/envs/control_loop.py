@@ -1,207 +1,251 @@
-"""One control step, for any number of environments: action, command, filters, simulator, outcome, observation.
+"""The control loop of any number of environments: action, command, filters, simulator, outcome, observation.
 
-Gymnasium's environment, the vector environments, evaluations and films all advance by this loop.
+Gymnasium's environment, the vector environments, evaluations and films all use this loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from tb2rl.envs.encodings import Observations, rows
-from tb2rl.envs.filters import CommandDelay
+from tb2rl.core.errors import InputError
+from tb2rl.envs.encodings import Observations, take_rows
+from tb2rl.envs.observation_pipeline import History
 from tb2rl.envs.scene import Scene
 from tb2rl.simulation import InitialState, RobotState, Simulator, find_simulator
-from tb2rl.simulation.simulator import Generators
-from tb2rl.tasks import Outcome
+from tb2rl.simulation.random_streams import StreamSource
+from tb2rl.simulation.simulator import Generators, ResetGenerators
+from tb2rl.tasks import Ending
 
 
 class FinishedEpisodes(NamedTuple):
-    """The episodes that ended in a step, one row for each."""
+    """The n episodes that ended in a step, one row for each."""
 
-    indices: np.ndarray  # of their environments, ascending, shape (n,)
-    observations: Observations  # (n, ...)
-    infos: dict[str, np.ndarray]  # by the keys of `TurtleBot2Env`, each (n, ...)
-    returns: np.ndarray  # shape (n,)
+    indices: np.ndarray  # indices of the environments, ascending, shape (n,)
+    observations: Observations  # last observations, shape (n, ...)
+    infos: dict[str, np.ndarray]  # arrays of shape (n, ...) by info key, see `TurtleBot2Env`
+    returns: np.ndarray  # sums of rewards, shape (n,)
     lengths: np.ndarray  # [control steps], shape (n,)
 
 
 class Transition(NamedTuple):
-    """A step of all environments; observations and robot state are those before any reset."""
+    """A step of all environments, without autoreset: finished episodes have their last observation."""
 
     observations: Observations
     reward: np.ndarray  # shape (num_envs,), float64
     terminated: np.ndarray  # shape (num_envs,), bool
     truncated: np.ndarray  # shape (num_envs,), bool; only where not terminated
-    outcome: Outcome
-    finished: FinishedEpisodes | None  # None where no episode ended
+    finished: FinishedEpisodes | None  # None if no episode ended
 
 
 class ControlLoop:
-    """Advances all environments of a simulator at the task of a scene.
-
-    What an environment meets depends on its initial state, its random numbers and its actions, not on the others.
+    """Advances all environments of a simulator in the task of a scene. The environments are independent.
 
     Args:
-        scene: The task, the robot and the worlds, and how the task is observed.
-        simulator: Of the scene's spec.
+        scene: The task, the robot, the worlds and the observation.
+        simulator: A simulator that was opened for the scene.
 
     Attributes:
-        robot_state: The latest; None before the first `reset`.
-        distances: Driven since the start of each episode [m], shape (num_envs,).
-        lengths: Control steps since then, shape (num_envs,).
+        distances: Distance driven since the start of each episode [m], shape (num_envs,).
+        lengths: Number of control steps since the start of each episode, shape (num_envs,).
     """
-
-    robot_state: RobotState
 
     def __init__(self, scene: Scene, simulator: Simulator) -> None:
         self.scene, self.task, self.simulator, self.num_envs = scene, scene.task, simulator, simulator.num_envs
-        self._actions, self._filters = scene.actions, scene.make_filters()
-        self._observations = scene.observation_pipeline()
+        self._actions, self._filters = scene.actions, deepcopy(scene.filters)
+        self._latency = self.task.resolved_variation.latency[1]  # [control steps] largest command latency
+        self._recent_commands, self._observation_pipeline = History(self._latency), scene.observation_pipeline()
+        self._robot_state: RobotState | None = None
 
     @classmethod
     def open(
         cls, scene: Scene, simulation: Any, num_envs: int = 1, window: bool = False, processes: int | None = None
     ) -> Self:
-        """A loop with a simulator of its own.
+        """Open a simulator, and make a loop around it.
 
         Args:
-            scene: The task, the robot and the worlds; the simulator may adapt it.
-            simulation: What `find_simulator` takes.
+            scene: The task, the robot, the worlds and the observation; the simulator may adapt the scene.
+            simulation: Name, type or object of a simulator, see `find_simulator`.
             num_envs: Number of environments.
             window: Whether to open the simulator's window.
-            processes: Number of processes; None: what suits the simulator.
+            processes: Number of processes; None: the simulator's default.
 
         Raises:
-            InputError: If the simulator cannot run here, or cannot show what a sensor reads.
+            InputError: If the simulator cannot run here, or lacks the data of a sensor.
         """
-        kind = find_simulator(simulation)
-        scene = kind.prepare(scene)
-        scene.check(kind)
-        return cls(scene, kind.open(scene.spec, num_envs, window, processes))
+        simulator_type = find_simulator(simulation)
+        scene = simulator_type.prepare(scene)
+        scene.check(simulator_type)
+        return cls(scene, simulator_type.open(scene.spec, num_envs, window, processes))
+
+    @property
+    def robot_state(self) -> RobotState:
+        """The latest robot state; raises an `InputError` before the first `reset` and after `close`."""
+        if self._robot_state is None:
+            raise InputError("the environment needs a reset first")
+        return self._robot_state
 
     def reset(self, initial_state: InitialState, rng: Generators) -> Observations:
         """Start an episode in every environment.
 
         Args:
-            initial_state: A row for each.
+            initial_state: Initial states, num_envs rows.
             rng: Source of the sensor noise, see `Simulator.reset`.
         """
         self.lengths = np.zeros(self.num_envs, dtype=np.int64)
         self._returns, self.distances = np.zeros(self.num_envs), np.zeros(self.num_envs)
-        for each in self._filters:
-            each.reset(self.num_envs)
-        self.robot_state = self.simulator.reset(initial_state, rng)
-        return self._observations.reset(self.robot_state)
+        for command_filter in self._filters:
+            command_filter.reset(self.num_envs)
+        self._robot_state = reset_state = self.simulator.reset(initial_state, rng)
+        self._recent_commands.reset(reset_state.command)
+        return self._observation_pipeline.reset(reset_state)
 
-    def step(self, actions: np.ndarray, skip: np.ndarray | None = None) -> Transition:
+    def step(self, actions: np.ndarray, inactive: np.ndarray | None = None) -> Transition:
         """Hold an action in each environment for a control period.
 
         Args:
             actions: Shape (num_envs, ...).
-            skip: Environments whose episode has ended before and whose step does not count, bool, shape (num_envs,).
+            inactive: Mask of environments that ignore the step because their episode has ended, shape (num_envs,).
         """
         before = self.robot_state
         commands = self._actions.commands(actions)
-        for each in self._filters:
-            if isinstance(each, CommandDelay):  # sensors of commands see them before their latency
-                self._observations.remember(commands)
-            commands = each(commands, before)
-        after = self.simulator.step(commands, self.task.control_period, skip)
+        for command_filter in self._filters:
+            commands = command_filter(commands, before)
+        delayed_commands = commands
+        if self._latency:
+            delayed_commands = self._recent_commands.delay(commands, before.initial_state.records["command_latency"])
+        after = self.simulator.step(delayed_commands, self.task.control_period, inactive)
+        observed_commands = commands if self._latency else after.command  # a real robot may limit the command
         outcome = self.task.outcome(before, actions, after)
-        reward, terminated = outcome.reward, outcome.terminated
-        if skip is not None:
-            reward, terminated = np.where(skip, 0.0, reward), terminated & ~skip
         self.lengths += 1
+        reward, terminated = outcome.reward, outcome.terminated
+        truncated = (self.lengths >= self.task.episode_steps) & ~terminated
+        if inactive is not None:
+            reward = np.where(inactive, 0.0, reward)
+            terminated, truncated = terminated & ~inactive, truncated & ~inactive
         self._returns += reward
         self.distances += self.simulator.travelled
-        truncated = (self.lengths >= self.task.episode_steps) & ~terminated
-        if skip is not None:
-            truncated &= ~skip
-        self.robot_state, observations, finished = after, self._observations.step(after), None
-        ended = (terminated | truncated).nonzero()[0]
-        if ended.size:
-            infos = self._final_infos(ended, outcome)
-            counts = self._returns[ended], self.lengths[ended]
-            finished = FinishedEpisodes(ended, rows(observations, ended), infos, *counts)
-        return Transition(observations, reward, terminated, truncated, outcome, finished)
+        observations, finished = self._observation_pipeline.step(after, observed_commands), None
+        self._robot_state, indices = after, (terminated | truncated).nonzero()[0]
+        if indices.size:
+            last, infos = take_rows(observations, indices), self.infos(indices, outcome.endings(indices))
+            finished = FinishedEpisodes(indices, last, infos, self._returns[indices], self.lengths[indices])
+        return Transition(observations, reward, terminated, truncated, finished)
 
     def reset_at(
-        self,
-        indices: np.ndarray,
-        initial_state: InitialState,
-        observations: Observations,
-        rng: Sequence[np.random.Generator] | None = None,
+        self, indices: np.ndarray, initial_state: InitialState, observations: Observations, rng: ResetGenerators = None
     ) -> None:
         """Start new episodes in some environments.
 
         Args:
-            indices: Of these, ascending, shape (n,).
-            initial_state: n rows.
-            observations: The latest of all; the rows of these environments are overwritten, as are those of the state.
-            rng: Sources of their sensor noise, n; None: the present ones go on.
+            indices: Indices of these environments, ascending, shape (n,).
+            initial_state: Initial states, n rows.
+            observations: The latest observations of all environments; the rows `indices` are overwritten.
+            rng: n generators of sensor noise. None: each environment keeps its generator.
         """
-        self.lengths[indices], self._returns[indices], self.distances[indices] = 0, 0.0, 0.0
-        for each in self._filters:
-            each.reset_at(indices)
         before = self.robot_state
-        self.robot_state, first = self.simulator.reset_at(indices, initial_state, before, rng)
-        self.robot_state.keep_path_lengths(before, indices, first)
-        self._observations.reset_at(indices, first, observations)
+        self.lengths[indices], self._returns[indices], self.distances[indices] = 0, 0.0, 0.0
+        for command_filter in self._filters:
+            command_filter.reset_at(indices)
+        self._robot_state, reset_states = self.simulator.reset_at(indices, initial_state, rng)
+        self._robot_state.copy_path_lengths(before, indices, reset_states)
+        self._recent_commands.reset_at(indices, reset_states.command)
+        self._observation_pipeline.reset_at(indices, reset_states, observations)
 
-    def infos(self) -> dict[str, np.ndarray]:
-        """Infos of all environments while their episodes go on, by the keys of `TurtleBot2Env`."""
-        ongoing = np.zeros(self.num_envs, dtype=bool)
-        return {
-            "pose": self.robot_state.pose.copy(),
-            "distance": self.distances.copy(),
-            "min_range": self.robot_state.nearest,
-            "bumped": self.robot_state.bumped.copy(),
-            "is_success": ongoing,
-            "ended": np.full(self.num_envs, "", dtype=object),
-            "failed": ongoing,
-        }
+    def infos(self, indices: slice | np.ndarray = slice(None), endings: Sequence[Ending] = ()) -> dict[str, np.ndarray]:
+        """Infos of some environments, by info key, see `TurtleBot2Env`.
 
-    def _final_infos(self, indices: np.ndarray, outcome: Outcome) -> dict[str, np.ndarray]:
-        names, failed, success = zip(*outcome.endings(indices), strict=True)
-        return {
-            "pose": self.robot_state.pose[indices],
-            "distance": self.distances[indices],
-            "min_range": self.robot_state.nearest[indices],
-            "bumped": self.robot_state.bumped[indices],
-            "is_success": np.array(success),
-            "ended": np.array(names, dtype=object),
-            "failed": np.array(failed),
+        Args:
+            indices: Indices of these environments, shape (n,).
+            endings: Endings of their n episodes; empty: the episodes continue.
+        """
+        robot_state = self.robot_state
+        infos = {
+            "pose": robot_state.pose[indices].copy(),
+            "distance": self.distances[indices].copy(),
+            "min_range": robot_state.nearest_range[indices].copy(),
+            "bumped": robot_state.bumped[indices].copy(),
         }
+        if not endings:
+            is_success, is_failed = np.zeros((2, len(infos["bumped"])), dtype=bool)
+            ending_names = np.full(len(is_success), "", dtype=object)
+            return {**infos, "is_success": is_success, "ended": ending_names, "failed": is_failed}
+        names, failed, success = zip(*endings, strict=True)
+        ending_names = np.array(names, dtype=object)
+        return {**infos, "is_success": np.array(success), "ended": ending_names, "failed": np.array(failed)}
 
     def state(self) -> dict[str, Any]:
-        """Everything that the rest of the episodes depends on, as plain values and arrays."""
+        """Everything that future steps of the episodes depend on, as plain values and arrays."""
         return {
             "simulator": self.simulator.state(),
             "robot_state": self.robot_state.state(),
-            "observations": self._observations.state(),
-            "filters": [each.state() for each in self._filters],
+            "observations": self._observation_pipeline.state(),
+            "filters": [command_filter.state() for command_filter in self._filters],
+            "late_commands": deepcopy(self._recent_commands.values),
             "lengths": self.lengths.copy(),
             "returns": self._returns.copy(),
             "distances": self.distances.copy(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a `state`.
-
-        Raises:
-            ValueError: If a step from it would not end, or leave the worlds.
-        """
+        """Restore a `state`; raises a `ValueError` if its values could crash or hang the simulator."""
         self.simulator.restore(state["simulator"])
-        self.robot_state = RobotState.from_state(state["robot_state"], self.simulator)
-        self._observations.restore(state["observations"])
-        for each, kept in zip(self._filters, state["filters"], strict=True):
-            each.restore(kept)
+        self._robot_state = RobotState.from_state(state["robot_state"], self.simulator)
+        self._observation_pipeline.restore(state["observations"])
+        for command_filter, filter_state in zip(self._filters, state["filters"], strict=True):
+            command_filter.restore(filter_state)
+        self._recent_commands.values = deepcopy(state["late_commands"])
         self.lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
         self.distances = state["distances"].copy()
 
     def close(self) -> None:
-        """Release what the simulator holds."""
+        """Release the resources of the simulator; a reset acquires them again."""
         self.simulator.close()
+        self._robot_state = None
+
+
+class SeededLoop(ControlLoop):
+    """A control loop with one random stream per environment.
+
+    The episodes of an environment depend neither on the other environments nor on the number of threads.
+    """
+
+    def __init__(self, scene: Scene, simulator: Simulator) -> None:
+        super().__init__(scene, simulator)
+        self._stream_keys, self._stream_positions = np.zeros((2, self.num_envs), dtype=np.uint64)
+        self.seed(None)
+
+    def seed(self, seed: Any) -> None:
+        """Seed the random streams of the next `reset_all`; `seed` is a seed for `numpy.random.default_rng`."""
+        self._rng = np.random.default_rng(seed)
+
+    def reset_all(self) -> Observations:
+        """Start an episode in every environment."""
+        key_rng, noise_rng = self._rng.spawn(2)
+        self._stream_keys = key_rng.integers(2**64, size=self.num_envs, dtype=np.uint64)
+        self._stream_positions = np.zeros(self.num_envs, dtype=np.uint64)
+        return self.reset(self._initial_states(np.arange(self.num_envs)), noise_rng)
+
+    def reset_some(self, indices: np.ndarray, observations: Observations) -> None:
+        """Start new episodes in some environments, see `reset_at`."""
+        self.reset_at(indices, self._initial_states(indices), observations)
+
+    def state(self) -> dict[str, Any]:
+        streams = {
+            "keys": self._stream_keys.copy(),
+            "draws": self._stream_positions.copy(),
+            "generator": self._rng.bit_generator.state,
+        }
+        return {**super().state(), **streams}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        super().restore(state)
+        self._stream_keys, self._stream_positions = state["keys"].copy(), state["draws"].copy()
+        self._rng.bit_generator.state = state["generator"]
+
+    def _initial_states(self, indices: np.ndarray) -> InitialState:
+        random = StreamSource(self._stream_keys[indices], self._stream_positions[indices])
+        initial_state = self.task.randomized_initial_state(self.scene.spec, random)
+        self._stream_positions[indices] = random.counts
+        return initial_state

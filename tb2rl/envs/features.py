@@ -1,6 +1,4 @@
-"""Features extractors: preprocessing of raw observations in networks."""
-
-from __future__ import annotations
+"""Features extractors: the first layer of networks that read raw observations."""
 
 import numpy as np
 import torch as th
@@ -9,23 +7,23 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from tb2rl.core.errors import InputError
 
-NEAREST = 0.1  # [m] smaller distances count as this; below the laser's shortest range
+MIN_DISTANCE = 0.1  # [m] shorter distances are raised to this one; no built-in laser reads less
 
 
 class InverseRange(BaseFeaturesExtractor):
-    """Distances d as 1 / (offset + d), which resolves short ones better; other numbers scaled to [-1, 1].
+    """Encodes a distance d as spread * (1 / (offset + d) - middle), and scales other numbers to [-1, 1].
 
-    Distances are the numbers of unit "m" (see `tb2rl.envs.encodings.SensorBox`) that cannot be below 0. A plain `Box`
-    has no units, so there all numbers that cannot be below 0 are distances.
+    The inverse resolves short distances better. Distances are the numbers of unit "m" with a lower limit of 0 or more,
+    see `tb2rl.envs.encodings.SensorBox`. In a plain `Box`, which has no units, the limit alone decides.
 
     Args:
-        observation_space: Raw observations.
-        middle: Inverse range that becomes 0.
-        spread: Factor on the difference to it.
-        offset: [m]; if it is small, the last decimetres before a wall stand out.
+        observation_space: Space of the raw observations.
+        middle: Inverse distance that becomes 0 [1/m].
+        spread: Scale factor [m].
+        offset: Added to distances [m]; a small offset emphasises the last decimetres before a wall.
 
     Raises:
-        InputError: If there are images among the observations.
+        InputError: If the observations have images.
     """
 
     _is_distance: th.Tensor
@@ -35,7 +33,7 @@ class InverseRange(BaseFeaturesExtractor):
         self, observation_space: spaces.Box, middle: float = 0.0, spread: float = 1.0, offset: float = 1.0
     ) -> None:
         if not (isinstance(observation_space, spaces.Box) and len(observation_space.shape) == 1):
-            raise InputError("InverseRange reads numbers alone; for images take, say, agent stable_baselines3:PPO")
+            raise InputError("InverseRange reads no images; for images use an agent such as stable_baselines3:PPO")
         super().__init__(observation_space, features_dim=int(np.prod(observation_space.shape)))
         self.middle, self.spread, self.offset = middle, spread, offset
         units = getattr(observation_space, "units", ("m",) * observation_space.shape[0])
@@ -44,5 +42,5 @@ class InverseRange(BaseFeaturesExtractor):
         self.register_buffer("_largest", th.as_tensor(observation_space.high))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        inverse = self.spread * (1.0 / (self.offset + observations.clamp(min=NEAREST)) - self.middle)
+        inverse = self.spread * (1.0 / (self.offset + observations.clamp(min=MIN_DISTANCE)) - self.middle)
         return th.where(self._is_distance, inverse, observations / self._largest)

@@ -1,6 +1,4 @@
-"""Environments from names: for Gymnasium's ids, and for `tb2rl.make_env`."""
-
-from __future__ import annotations
+"""Factories of environments: `make_env`, and the entry points of Gymnasium's ids."""
 
 import sys
 from collections.abc import Mapping
@@ -13,19 +11,18 @@ from gymnasium.envs.registration import EnvSpec, registry
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import HumanRendering
 
-from tb2rl.core.errors import InputError, UnknownArgumentError
-from tb2rl.core.plugins import TASKS, reference_to
-from tb2rl.core.values import build, untyped
-from tb2rl.envs.scene import Scene, make_scene, with_robots_settings
+from tb2rl.core import InputError, UnknownArgumentError, reference_to
+from tb2rl.core.plugins import TASKS
+from tb2rl.core.values import build, is_untyped
+from tb2rl.envs.scene import Scene, add_robot_defaults, make_scene
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.envs.vector_env import TurtleBot2VectorEnv, find_autoreset_mode
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.simulation import check_display, default_physics, find_simulator
+from tb2rl.simulation.simulator import check_display, default_physics, find_simulator
 from tb2rl.tasks import Task
-from tb2rl.tasks.registry import find_task
+from tb2rl.tasks.task import find_task
 
 ENTRY_POINT, VECTOR_ENTRY_POINT = f"{__name__}:make_for_gymnasium", f"{__name__}:make_vector_for_gymnasium"
-_ARGUMENTS = ("observation", "render_mode", "simulation")  # of `make_env`, beside the task's settings
 
 
 def make_env(
@@ -35,25 +32,24 @@ def make_env(
     simulation: Any = None,
     **settings: Any,
 ) -> TurtleBot2Env:
-    """The environment of a task, or the one that a policy was trained for (to the task's own time limit).
+    """Make the environment of a task, or the one in which a policy was trained.
 
     Args:
         what: A task's name, "module:Class", a `Task` or its class, or a policy from `load` or `train`.
-        observation: "discrete" or "raw"; None: the policy's, else "discrete".
+        observation: "discrete" or "raw". None: that of the policy, or "discrete" for a task.
         render_mode: None, "rgb_array" or "human", see `TurtleBot2Env`.
-        simulation: A simulator's name ("bullet": PyBullet's physics, "kinematic": thousands of times as fast, "ros": a
-            robot with ROS 1, yours or Gazebo's), "module:Class", or an object such as a
-            `tb2rl.deploy.ros.robot.RosRobot` for ROS 2; None: the first physics.
-        settings: Fields of the task to set, for example `world="circuit"`; a world or a robot of one's own by its
-            name, "module:WORLD".
+        simulation: A simulator's name, "module:Class", or an object such as a `tb2rl.deploy.ros.robot.RosRobot` for
+            ROS 2. "bullet" is PyBullet, "kinematic" is thousands of times as fast, and "ros" drives a real or simulated
+            robot by ROS 1. None: `default_physics`.
+        settings: Fields of the task, such as `world="circuit"`. A world or robot of your own is "module:WORLD".
 
     Raises:
-        InputError: For an unknown name, or a value that does not fit.
-        UnknownArgumentError: For an unknown setting; it is a `TypeError`, too.
+        InputError: If a name is unknown, or a value is invalid.
+        UnknownArgumentError: If a setting is unknown. The error is also a `TypeError`.
     """
     scene = _scene(what, observation, settings)
     env = TurtleBot2Env(scene, render_mode, simulation)
-    env.spec = _spec(scene, render_mode, simulation)
+    env.spec = _make_env_spec(scene, render_mode, simulation)
     return env
 
 
@@ -61,71 +57,67 @@ def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> S
     config = getattr(what, "trained_with", None)
     if config is not None:
         what, observation = config.task, observation or config.observation
-    kind = type(what) if isinstance(what, Task) else find_task(what)
-    known = [field.name for field in fields(kind)]
+    task_class = type(what) if isinstance(what, Task) else find_task(what)
+    setting_names = [field.name for field in fields(task_class)]
     for name in settings:
-        if name not in known and not untyped(kind, name):  # of which `build` says more
-            raise UnknownArgumentError("make_env", name, [*_ARGUMENTS, *known])
+        if name not in setting_names and not is_untyped(task_class, name):  # `build` reports untyped settings
+            raise UnknownArgumentError("make_env", name, ["observation", "render_mode", "simulation", *setting_names])
     return make_scene(make_task(what, settings), observation or "discrete")
 
 
 def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
-    """A task from its name, "module:Class", its class, or another task some of whose fields are to change.
+    """Make a task from its name, "module:Class", its class, or a task whose fields `settings` changes.
 
     Raises:
-        InputError: For an unknown name or setting, or a value that does not fit.
+        InputError: If a name or a setting is unknown, or a value is invalid.
     """
-    if not isinstance(what, Task):
-        kind = find_task(what)
-        return build(kind, with_robots_settings(settings, kind), "task")
-    now = {field.name: getattr(what, field.name) for field in fields(what)}
-    return build(type(what), {**now, **with_robots_settings(settings, type(what), what)}, "task")
+    task, task_class = (what, type(what)) if isinstance(what, Task) else (None, find_task(what))
+    current = {field.name: getattr(task, field.name) for field in fields(task_class)} if task else {}
+    return build(task_class, {**current, **add_robot_defaults(settings, task_class, task)}, "task")
 
 
-def _spec(scene: Scene, render_mode: str | None, simulation: Any) -> EnvSpec:
-    """The spec from which `gymnasium.make` makes the environment again, from any folder.
+def _make_env_spec(scene: Scene, render_mode: str | None, simulation: Any) -> EnvSpec:
+    """The spec from which `gymnasium.make` makes the environment again, in any working directory.
 
-    It is plain, as JSON needs it, unless a function defines the task's class or `simulation` is an object.
+    The spec can be saved as JSON unless the task's class is local to a function or `simulation` is an object.
     """
-    task, kind = scene.task, type(scene.task)
-    defaults = {field.name: field.default for field in fields(kind)}
-    usual = {**defaults, **with_robots_settings({"robot": task.robot}, kind), "robot": defaults["robot"]}
-    settings = {name: value for name, value in asdict(task).items() if getattr(task, name) != usual[name]}
+    task, task_class = scene.task, type(scene.task)
+    defaults = {field.name: field.default for field in fields(task_class)}
+    defaults |= {**add_robot_defaults({"robot": task.robot}, task_class), "robot": defaults["robot"]}
+    settings = {name: value for name, value in asdict(task).items() if getattr(task, name) != defaults[name]}
     if "world" in settings:
         settings["world"] = absolute_worlds(settings["world"])
-    known = {"task": _task_reference(kind), **({"observation": "raw"} if scene.observation == "raw" else {})}
-    ids = [spec.id for spec in registry.values() if spec.entry_point == ENTRY_POINT and spec.kwargs == known]
+    if render_mode:
+        settings["render_mode"] = render_mode
+    kwargs = {"task": _task_reference(task_class)}
+    if scene.observation == "raw":
+        kwargs["observation"] = "raw"
+    ids = [spec.id for spec in registry.values() if spec.entry_point == ENTRY_POINT and spec.kwargs == kwargs]
     return EnvSpec(
-        ids[0] if ids else f"{kind.__name__}-v0",
+        ids[0] if ids else f"{task_class.__name__}-v0",
         entry_point=ENTRY_POINT,
         vector_entry_point=VECTOR_ENTRY_POINT,
-        order_enforce=False,  # the environment does and checks that itself
+        order_enforce=False,  # the environment itself checks the order and the spaces
         disable_env_checker=True,
-        kwargs={
-            **known,
-            "simulation": simulation or default_physics().name,
-            **({"render_mode": render_mode} if render_mode else {}),
-            **settings,
-        },
+        kwargs={**kwargs, "simulation": simulation or default_physics().name, **settings},
     )
 
 
-def _task_reference(kind: type[Task]) -> str | type[Task]:
-    """The name of a task's class, or "module:Class", or where that does not mean it the class itself."""
+def _task_reference(task_class: type[Task]) -> str | type[Task]:
+    """The name of a built-in task, "module:Class", or the class itself if it cannot be imported by a reference."""
     try:
-        reference = reference_to(kind)
+        reference = reference_to(task_class)
     except InputError:
-        return kind
+        return task_class
     return next((name for name, built_in in TASKS.items() if built_in == reference), reference)
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> gymnasium.Env:
-    """The entry point for `gymnasium.make`; see `make_env`. A simulator without a window gets Gymnasium's own."""
-    # A local variable of the frame would be a reference cycle, which keeps the environment alive.
-    limit = _time_limit_asked(sys._getframe(1).f_locals)
-    arguments = _time_limit_named(arguments, limit)
-    simulator = find_simulator(arguments.get("simulation") or default_physics())
-    if arguments.get("render_mode") != "human" or simulator.has_window:
+    """The entry point for `gymnasium.make`, see `make_env`. Gymnasium shows images if a simulator has no window."""
+    # The frame is not stored in a variable, because that reference cycle would keep the environment alive.
+    arguments = _with_time_limit(arguments, _requested_time_limit(sys._getframe(1).f_locals))
+    simulator_type = find_simulator(arguments.get("simulation") or default_physics())
+    if arguments.get("render_mode") != "human" or simulator_type.has_window:
         return make_env(task, **arguments)
     check_display()
     return HumanRendering(make_env(task, **{**arguments, "render_mode": "rgb_array"}))
@@ -137,39 +129,39 @@ make_for_gymnasium.metadata = TurtleBot2Env.metadata  # type: ignore[attr-define
 def make_vector_for_gymnasium(
     task: str,
     num_envs: int = 1,
-    observation: str | None = None,
     simulation: Any = None,
     max_episode_steps: int | None = None,
     autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     **arguments: Any,
 ) -> VectorEnv:
-    """The entry point for `gymnasium.make_vec`: one control loop, or where that needs processes one environment after
-    the other.
+    """The entry point for `gymnasium.make_vec`.
 
-    Other arguments than Gymnasium's and `autoreset_mode`, see `TurtleBot2VectorEnv`, are those of `make_env`.
+    The environments share one control loop if the simulator runs in this process. Otherwise they step one after the
+    other. `autoreset_mode` is described in `TurtleBot2VectorEnv`, and `arguments` in `make_env`.
     """
-    mode, simulator = find_autoreset_mode(autoreset_mode), find_simulator(simulation or default_physics())
-    arguments = _time_limit_named(arguments, max_episode_steps)
-    if not (simulator.in_processes or simulator.is_robot):
+    mode, simulator_type = find_autoreset_mode(autoreset_mode), find_simulator(simulation or default_physics())
+    arguments = _with_time_limit(arguments, max_episode_steps)
+    if not (simulator_type.in_processes or simulator_type.is_external):
         if arguments.pop("render_mode", None) is not None:
-            raise InputError("many environments in one are not drawn; make one with gymnasium.make")
-        return TurtleBot2VectorEnv(_scene(task, observation, arguments), num_envs, mode, simulator)
-    one = partial(make_env, task, observation, simulation=simulation, **arguments)
-    return SyncVectorEnv([one] * num_envs, autoreset_mode=mode)
+            raise InputError("vector environments have no render_mode; make one environment with gymnasium.make")
+        scene = _scene(task, arguments.pop("observation", None), arguments)
+        return TurtleBot2VectorEnv(scene, num_envs, mode, simulator_type)
+    make_one = partial(make_env, task, simulation=simulation, **arguments)
+    return SyncVectorEnv([make_one] * num_envs, autoreset_mode=mode)
 
 
-def _time_limit_asked(call: Mapping[str, Any]) -> int | None:
-    """The time limit in the local variables of a call of `gymnasium.make`.
+def _requested_time_limit(caller_locals: Mapping[str, Any]) -> int | None:
+    """The time limit in the local variables of `gymnasium.make`.
 
-    Gymnasium hands it to a wrapper of its own and to no entry point. Only by looking at the call can the task have the
-    same limit, and say in `info["ended"]` that it was reached.
+    Gymnasium passes the limit to its `TimeLimit` wrapper but not to the entry point. The task needs the same limit, so
+    that `info["ended"]` can report it.
     """
-    limit = call.get("max_episode_steps")
-    return limit if limit is not None else getattr(call.get("env_spec"), "max_episode_steps", None)
+    limit = caller_locals.get("max_episode_steps")
+    return limit if limit is not None else getattr(caller_locals.get("env_spec"), "max_episode_steps", None)
 
 
-def _time_limit_named(arguments: Mapping[str, Any], max_episode_steps: int | None) -> dict[str, Any]:
-    """The arguments with Gymnasium's name for the time limit told as ours; -1 means that there is none."""
+def _with_time_limit(arguments: Mapping[str, Any], max_episode_steps: int | None) -> dict[str, Any]:
+    """The arguments with Gymnasium's time limit as `episode_steps`; -1 means no limit from Gymnasium."""
     if max_episode_steps is None or max_episode_steps < 0:
         return dict(arguments)
     return {**arguments, "episode_steps": min(max_episode_steps, arguments.get("episode_steps", max_episode_steps))}

@@ -1,8 +1,6 @@
 """The pipeline from robot states to observations: episode state, encoding, latency, frame stack."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
@@ -11,156 +9,167 @@ import numpy as np
 from gymnasium import spaces
 
 from tb2rl.core.errors import InputError
-from tb2rl.envs.command_history import CommandHistory
-from tb2rl.envs.encodings import Encoding, Observations, SensorBox, numbers_of, put_rows, rows
+from tb2rl.envs.encodings import Encoding, Observations, SensorBox, map_arrays, numbers_of, put_rows, take_rows
 from tb2rl.envs.episode_state import EpisodeState
-from tb2rl.envs.observation_delay import ObservationDelay
+from tb2rl.sensors import Sensor
 from tb2rl.simulation import RobotState
 
 
-class ObservationPipeline:
-    """Turns robot states into observations, and stacks the last ones.
-
-    Numbers and classes are stacked one after the other, the oldest first; of images, the channels. At the start of an
-    episode the first observation stands for those before it, as in Gymnasium's `FrameStackObservation`, which has no
-    version for a batch. (Stable-Baselines3's `VecFrameStack` fills with zeros, which mean walls to a laser.)
+class History:
+    """Commands or observations of all environments in the last control steps.
 
     Args:
-        encoding: From a robot state to an observation.
-        space: Of one environment's stacked observation, see `stacked_space`.
+        length: Number of control steps.
+
+    Attributes:
+        values: Values of all environments, the newest first.
+    """
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+        self.values: list[Observations] = []
+
+    def reset(self, initial: Observations) -> None:
+        """Start episodes in every environment, with copies of the initial value as history."""
+        self.values = [deepcopy(initial) for _ in range(self._length)]
+
+    def reset_at(self, indices: np.ndarray, initial: Observations) -> None:
+        """Start episodes in the environments `indices` (n,), with the rows of `initial` (n, ...) as history."""
+        for value in self.values:
+            put_rows(value, indices, initial)
+
+    def push(self, latest: Observations) -> None:
+        """Add the latest value, which must not change afterwards, and drop the oldest."""
+        self.values = [latest, *self.values][: self._length]
+
+    def delay(self, latest: Observations, latency: np.ndarray) -> Observations:
+        """Push the latest value, and return each environment's value from `latency` steps ago.
+
+        Args:
+            latest: Shape (num_envs, ...).
+            latency: Latency of each environment [control steps], shape (num_envs,), at most the length.
+        """
+        delayed = map_arrays(np.copy, latest)
+        for steps, value in enumerate(self.values, start=1):
+            indices = (latency == steps).nonzero()[0]
+            if len(indices):
+                put_rows(delayed, indices, take_rows(value, indices))
+        self.push(latest)
+        return delayed
+
+
+class ObservationPipeline:
+    """Turns robot states into observations, delays the observations, and stacks the last ones.
+
+    Vectors of numbers or bins are concatenated, the oldest first, and so are the channels of images. At the start
+    of an episode the first observation is repeated, as in Gymnasium's `FrameStackObservation`, which has no batched
+    version. (Stable-Baselines3's `VecFrameStack` starts with zeros, which look like walls in laser ranges.)
+
+    Args:
+        encoding: Function from a robot state to an observation.
+        sensors: The sensors whose readings the encoding concatenates, in this order.
+        episode_states: What sensors read of the episode so far, such as the past commands or poses.
         frame_stack: Number of stacked observations.
-        latency: The largest observation latency [control steps].
-        episode_states: What sensors find in the robot state.
-        prompt: Numbers that are observed without latency, bool, shape (numbers,); None: none.
+        latency: Largest observation latency [control steps]; past commands in observations are not delayed.
     """
 
     def __init__(
         self,
         encoding: Encoding,
-        space: spaces.Space,
+        sensors: Sequence[Sensor],
+        episode_states: Sequence[EpisodeState],
         frame_stack: int,
-        latency: int = 0,
-        episode_states: Sequence[EpisodeState] = (),
-        prompt: np.ndarray | None = None,
+        latency: int,
     ) -> None:
-        self._encode, self._space, self._frame_stack = encoding, space, frame_stack
-        self._delay, self._episode_states = ObservationDelay(latency), episode_states
-        self._prompt = prompt if latency and prompt is not None and prompt.any() else None
-        self._stack: Observations = None  # the latest; with one frame it is not kept
+        self._encode, self._episode_states = encoding, episode_states
+        self._frame_stack, self._latency = frame_stack, latency
+        self._frames, self._held_back = History(frame_stack - 1), History(latency)
+        numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
+        reads_commands = [sensor.command_history_length > 0 for sensor in numbers]
+        self._is_command = np.repeat(
+            reads_commands, [sensor.shape[0] for sensor in numbers]
+        )  # of the columns of a vector
 
     def reset(self, robot_state: RobotState) -> Observations:
-        """The first observations of episodes in every environment."""
-        for each in self._episode_states:
-            each.reset(robot_state)
-        latest = self._encode(_with_fields(robot_state, self._episode_states))
-        self._delay.reset(latest)
-        first = self._repeated(latest)
-        if self._frame_stack > 1:
-            self._stack = deepcopy(first)
-        return first
+        """Start episodes in every environment, and return the first observations."""
+        for episode_state in self._episode_states:
+            episode_state.reset(robot_state)
+        initial = self._encode(_with_episode_states(robot_state, self._episode_states))
+        self._held_back.reset(initial)
+        self._frames.reset(initial)
+        return _concatenate([initial] * self._frame_stack)
 
-    def remember(self, commands: np.ndarray) -> None:
-        """Take in the commands of a control step, shape (num_envs, 2), before `step`."""
-        for each in self._episode_states:
-            if isinstance(each, CommandHistory):
-                each.push(commands)
-
-    def step(self, robot_state: RobotState) -> Observations:
-        """The observations after a control step."""
-        for each in self._episode_states:
-            each.update(robot_state)
-        latest = self._encode(_with_fields(robot_state, self._episode_states))
-        prompt = None if self._prompt is None else numbers_of(latest)[:, self._prompt]
-        latest = self._delay(latest, robot_state.initial_state.observation_latency)
-        if prompt is not None:
-            numbers_of(latest)[:, self._prompt] = prompt
-        if self._frame_stack == 1:
-            return latest
-        self._stack = _each(lambda new, old: np.concatenate([old[:, new.shape[1] :], new], axis=1), latest, self._stack)
-        return deepcopy(self._stack)  # because callers may write into it
+    def step(self, robot_state: RobotState, commands: np.ndarray) -> Observations:
+        """The observations after a control step; `commands` (num_envs, 2) are the policy's, before command latency."""
+        for episode_state in self._episode_states:
+            episode_state.update(robot_state, commands)
+        latest = self._encode(_with_episode_states(robot_state, self._episode_states))
+        if self._latency:
+            commands_now = numbers_of(latest)[:, self._is_command] if self._is_command.any() else None
+            latest = self._held_back.delay(latest, robot_state.initial_state.records["observation_latency"])
+            if commands_now is not None:
+                numbers_of(latest)[:, self._is_command] = commands_now
+        stacked = _concatenate([*reversed(self._frames.values), latest])
+        self._frames.push(latest)
+        return stacked
 
     def reset_at(self, indices: np.ndarray, robot_state: RobotState, observations: Observations) -> None:
-        """Put the first observations of new episodes into those of all environments, in place.
+        """Start new episodes in some environments, and put their first observations into `observations`.
 
         Args:
-            indices: Of these environments, shape (n,).
-            robot_state: Of these, n rows.
-            observations: From `step`.
+            indices: Indices of these environments, shape (n,).
+            robot_state: Their robot state, n rows.
+            observations: The latest observations of all environments.
         """
-        for each in self._episode_states:
-            each.reset_at(indices, robot_state)
-        some = [each.rows(indices) for each in self._episode_states]
-        latest = self._encode(_with_fields(robot_state, some))
-        self._delay.reset_at(indices, latest)
-        first = self._repeated(latest)
-        put_rows(observations, indices, first)
-        if self._frame_stack > 1:
-            put_rows(self._stack, indices, first)
+        for episode_state in self._episode_states:
+            episode_state.reset_at(indices, robot_state)
+        selected = [episode_state.rows(indices) for episode_state in self._episode_states]
+        initial = self._encode(_with_episode_states(robot_state, selected))
+        self._held_back.reset_at(indices, initial)
+        self._frames.reset_at(indices, initial)
+        put_rows(observations, indices, _concatenate([initial] * self._frame_stack))
 
     def state(self) -> dict[str, Any]:
-        """The stacked and the delayed observations, and the episode states; copied."""
-        remembered = {each.field: each.state() for each in self._episode_states}
-        return {"stack": deepcopy(self._stack), "delayed": self._delay.state(), **remembered}
+        """Copies of the earlier frames, the observations that latency holds back, and the episode states."""
+        states = {episode_state.field: episode_state.state() for episode_state in self._episode_states}
+        return {"frames": deepcopy(self._frames.values), "late": deepcopy(self._held_back.values), **states}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a `state`.
-
-        Raises:
-            ValueError: If its observations are not of the observation space.
-        """
-        stack, delayed = state["stack"], state["delayed"]
-        if self._frame_stack > 1:
-            _check(stack, self._space)
-            self._stack = deepcopy(stack)
-        for observations in delayed:
-            _check(observations, self._encode.space)
-        self._delay.restore(delayed)
-        for each in self._episode_states:
-            each.restore(state[each.field])
-
-    def _repeated(self, observations: Observations) -> Observations:
-        if self._frame_stack == 1:
-            return observations
-        return _each(lambda new: np.concatenate([new] * self._frame_stack, axis=1), observations)
+        """Continue from a `state`."""
+        self._frames.values, self._held_back.values = deepcopy(state["frames"]), deepcopy(state["late"])
+        for episode_state in self._episode_states:
+            episode_state.restore(state[episode_state.field])
 
 
-def _with_fields(robot_state: RobotState, episode_states: Sequence[EpisodeState]) -> RobotState:
-    fields: dict[str, Any] = {each.field: each for each in episode_states}
+def _with_episode_states(robot_state: RobotState, episode_states: Sequence[EpisodeState]) -> RobotState:
+    fields: dict[str, Any] = {episode_state.field: episode_state for episode_state in episode_states}
     return replace(robot_state, **fields) if fields else robot_state
 
 
-def _check(observations: Observations, space: spaces.Space) -> None:
-    num_envs = len(next(iter(observations.values())) if isinstance(observations, dict) else observations)
-    if not all(space.contains(rows(observations, i)) for i in range(num_envs)):
-        raise ValueError("the stacked observations lie outside the observation space")
+def _concatenate(frames: Sequence[Observations]) -> Observations:
+    if len(frames) == 1:
+        return frames[0]
+    return map_arrays(lambda *arrays: np.concatenate(arrays, axis=1), *frames)
 
 
 def stacked_space(space: spaces.Space, frame_stack: int) -> spaces.Space:
     """The space of stacked observations.
 
     Raises:
-        InputError: If stacked images have more channels than rows or columns, because Stable-Baselines3 would mistake
-            them for images with the channels last.
+        InputError: If stacked images have more channels than rows or columns. Stable-Baselines3 would take their last
+            axis for the channels.
     """
     if frame_stack == 1:
         return space
     if isinstance(space, spaces.Dict):
-        return spaces.Dict({name: stacked_space(part, frame_stack) for name, part in space.items()})
+        return spaces.Dict({name: stacked_space(subspace, frame_stack) for name, subspace in space.items()})
     if isinstance(space, spaces.MultiDiscrete):
         return spaces.MultiDiscrete(np.tile(space.nvec, frame_stack))
     if isinstance(space, SensorBox):
         return space.repeated(frame_stack)
     channels, *sides = space.shape or ()
-    if frame_stack * channels > min(sides):
-        raise InputError(
-            f"task.frame_stack={frame_stack} makes images of {frame_stack * channels} channels, more than their "
-            f"{min(sides)} rows or columns; take fewer"
-        )
-    return spaces.Box(0, 255, (frame_stack * channels, *sides), np.uint8)
-
-
-def _each(function: Callable[..., np.ndarray], observations: Observations, *others: Any) -> Observations:
-    """Apply a function of arrays to each part of observations."""
-    if isinstance(observations, dict):
-        return {name: function(part, *(other[name] for other in others)) for name, part in observations.items()}
-    return function(observations, *others)
+    channels *= frame_stack
+    if channels > min(sides):
+        problem = f"makes images of {channels} channels, more than their {min(sides)} rows or columns"
+        raise InputError(f"task.frame_stack={frame_stack} {problem}; stack fewer")
+    return spaces.Box(0, 255, (channels, *sides), np.uint8)

@@ -1,93 +1,54 @@
-"""The worlds of the setting `task.world`: one, several, a folder of files, or generated ones."""
-
-from __future__ import annotations
+"""Worlds of the setting `task.world`: named worlds, files, folders of files, and generated worlds."""
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core import InputError, one_line, unknown
 from tb2rl.core.files import is_path
-from tb2rl.core.values import MOST_WORLDS, build
+from tb2rl.core.values import MAX_WORLDS, build
 from tb2rl.worlds import ImportOptions, World
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, Purpose, generate
-from tb2rl.worlds.registry import MADE_BY_CODE, find_world, world_endings, world_maker, world_names
+from tb2rl.worlds.registry import CODE_REFERENCE, find_maker, find_world, world_extensions, world_names
 
-_NAMED = 3  # worlds that a title names one by one
+_MAX_NAMES = 3  # most worlds that a title lists by name
+_registered: dict[str, tuple[World, ...]] = {}  # worlds from another process, by `_key` of their entry
 
 
 def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...]:
-    """The worlds of a task.
+    """Find, read or generate the worlds of a task.
 
     Args:
-        setting: A name that `find_world` takes, a generator's name, a folder, the settings of a generator, a file with
-            `tb2rl.worlds.ImportOptions` ({file: my_map.yaml, start: [0, 0, 0]}), or a list of all these. A name of both
-            a world and a generator (`maze`) is the world; `{generator: maze}` the generator.
-        purpose: Of generated worlds; others are the same for every purpose.
+        setting: A name for `find_world`, a generator's name, a folder, the settings of a generator, a file with
+            `tb2rl.worlds.ImportOptions` ({file: my_map.yaml, start: [0, 0, 0]}), or a list of these. If a world and a
+            generator have the same name (`maze`), the name alone is the world, and `{generator: maze}` the generator.
+        purpose: Purpose of generated worlds; other worlds do not depend on it.
 
     Raises:
-        InputError: If there is no such world, or a setting does not fit.
+        InputError: If there is no such world, or a setting is invalid.
     """
-    if _carried and (brought := _carried.get(_key(setting))):
-        return brought
-    if isinstance(setting, Mapping) and "file" in setting:
-        return (_of_file(setting),)
-    if isinstance(setting, Mapping):
-        return _generated(build(GeneratorSettings, setting, "task.world"), purpose)
-    if not isinstance(setting, str):
-        _check_number(setting)
-        return tuple(world for entry in setting for world in find_worlds(entry, purpose))
-    if _is_folder(setting):
-        return tuple(map(find_world, _files_in(setting)))
-    if setting in _generators():
-        return _generated(GeneratorSettings(setting), purpose)
-    if ":" not in setting and not is_path(setting) and setting not in world_names():
-        raise unknown("world", setting, [*world_names(), *_generators()])
-    return (find_world(setting),)
-
-
-def _check_number(entries: Iterable[Any]) -> None:
-    """Raise an `InputError` before any world is read if a list has too many worlds."""
-    number = 0
-    for entry in entries:
-        number += _number(entry)
-        if number > MOST_WORLDS:
-            raise InputError(f"task.world is more than {MOST_WORLDS} worlds; name fewer")
-
-
-def _number(entry: Any) -> int:
-    """The number of worlds of an entry of a list."""
-    if isinstance(entry, Mapping):
-        return 1 if "file" in entry else build(GeneratorSettings, entry, "task.world").worlds
-    if _is_folder(entry):
-        return len(_files_in(entry))
-    return GeneratorSettings.worlds if entry in _generators() else 1
+    sources = [_source(entry) for entry in _entries(setting)]
+    count = sum(source.worlds if isinstance(source, GeneratorSettings) else len(source) for source in sources)
+    if count > MAX_WORLDS:  # checked before any world is read
+        raise InputError(f"task.world has {count} worlds; more than {MAX_WORLDS} worlds are too many")
+    return tuple(world for source in sources for world in _worlds_of(source, purpose))
 
 
 def worlds_of_files(setting: Any) -> dict[str, tuple[World, ...]]:
-    """The worlds of a setting that come from files, for `carry` on another machine."""
-    if not isinstance(setting, str | Mapping):
-        return {key: worlds for entry in setting for key, worlds in worlds_of_files(entry).items()}
-    return {_key(setting): find_worlds(setting)} if list(files_named(setting)) else {}
+    """The worlds that a setting reads from files, for `register_worlds` in a process on another machine."""
+    return {_key(entry): find_worlds(entry) for entry in _entries(setting) if any(paths_in(entry))}
 
 
-def carry(worlds: Mapping[str, tuple[World, ...]]) -> None:
-    """Let `find_worlds` find the worlds of `worlds_of_files` in this process, without their files."""
-    _carried.update(worlds)
-
-
-_carried: dict[str, tuple[World, ...]] = {}
-
-
-def _key(setting: Any) -> str:
-    return json.dumps(setting, sort_keys=True, default=list)
+def register_worlds(worlds: Mapping[str, tuple[World, ...]]) -> None:
+    """Register a result of `worlds_of_files` for `find_worlds` in this process, which may lack the files."""
+    _registered.update(worlds)
 
 
 def absolute_worlds(setting: Any) -> Any:
-    """The setting with absolute paths, so that a run finds its worlds from any folder."""
+    """The setting with absolute paths, so that a run finds its worlds in any working directory."""
     if isinstance(setting, Mapping):
         if "file" not in setting:
             return setting
@@ -95,82 +56,102 @@ def absolute_worlds(setting: Any) -> Any:
         return {**setting, "file": absolute_worlds(setting["file"]), **({"model_path": folders} if folders else {})}
     if not isinstance(setting, str):
         return tuple(map(absolute_worlds, setting))
-    code = MADE_BY_CODE.fullmatch(setting)
-    if code is not None:
-        return setting if code[2] is None else f"{code[1]}:{Path(code[2]).resolve()}"
+    if reference := CODE_REFERENCE.fullmatch(setting):
+        return f"{reference[1]}:{Path(reference[2]).resolve()}" if reference[2] else setting
     is_file = is_path(setting) and os.path.isfile(setting)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
     return str(Path(setting).resolve()) if is_file or _is_folder(setting) else setting
 
 
-def files_named(setting: Any) -> Iterator[str]:
-    """The files and folders that a setting names."""
-    if isinstance(setting, Mapping):
-        yield from (
-            [*files_named(str(setting["file"])), *_import_options(setting).model_path] if "file" in setting else []
-        )
-    elif not isinstance(setting, str):
-        yield from (file for entry in setting for file in files_named(entry))
-    elif (code := MADE_BY_CODE.fullmatch(setting)) is not None:
-        yield from filter(None, [code[2]])
-    elif is_path(setting) or _is_folder(setting):
-        yield setting
+def paths_in(setting: Any) -> Iterator[str]:
+    """Paths of the files and folders in a setting."""
+    for entry in _entries(setting):
+        if isinstance(entry, Mapping):
+            if "file" in entry:
+                yield from [*paths_in(str(entry["file"])), *_import_options(entry).model_path]
+        elif reference := CODE_REFERENCE.fullmatch(entry):
+            yield from filter(None, [reference[2]])
+        elif is_path(entry) or _is_folder(entry):
+            yield entry
 
 
 def are_generated(setting: Any) -> bool:
-    """Whether some worlds of a setting are generated; these differ by purpose."""
-    if isinstance(setting, str):
-        return setting in _generators()
-    return "file" not in setting if isinstance(setting, Mapping) else any(map(are_generated, setting))
+    """Whether a setting has generated worlds, which depend on the purpose."""
+    entries, names = _entries(setting), _generators()
+    return any("file" not in entry if isinstance(entry, Mapping) else entry in names for entry in entries)
 
 
-def place_of(setting: Any, worlds: Sequence[World]) -> str:
-    """The worlds of a setting for titles: "loop", "loop, circuit", "512 worlds of mixed"."""
-    if len(worlds) <= _NAMED:
+def worlds_title(setting: Any, worlds: Sequence[World]) -> str:
+    """A title for the worlds of a setting: "loop", "loop, circuit", "512 worlds of mixed"."""
+    if len(worlds) <= _MAX_NAMES:
         return ", ".join(world.name for world in worlds)
     generator = setting["generator"] if isinstance(setting, Mapping) else setting
-    of = f" of {generator}" if are_generated(setting) and isinstance(generator, str) else ""
-    return f"{len(worlds)} worlds{of}"
+    has_one_generator = are_generated(setting) and isinstance(generator, str)
+    return f"{len(worlds)} worlds of {generator}" if has_one_generator else f"{len(worlds)} worlds"
 
 
-def _of_file(setting: Mapping[str, Any]) -> World:
-    file, code = setting["file"], MADE_BY_CODE.fullmatch(setting["file"])
-    if file in _generators() or _is_folder(file) or (code and code[2] is None):
-        options = ", ".join(str(key) for key in setting if key != "file")
-        raise InputError(one_line(f"task.world.file must be one file, for {options or 'it'} to count; {file} is not"))
-    return find_world(file, _import_options(setting))
+def _entries(setting: Any) -> Sequence[str | Mapping[str, Any]]:
+    return [setting] if isinstance(setting, str | Mapping) else setting
 
 
-def _import_options(setting: Mapping[str, Any]) -> ImportOptions:
-    return build(ImportOptions, {key: value for key, value in setting.items() if key != "file"}, "task.world")
+def _source(entry: str | Mapping[str, Any]) -> Any:
+    """Generator settings, a list of `find_world` arguments, or registered worlds, without reading or generating."""
+    if _registered and (worlds := _registered.get(_key(entry))):
+        return worlds
+    if isinstance(entry, Mapping):
+        return [_file_and_options(entry)] if "file" in entry else build(GeneratorSettings, entry, "task.world")
+    if _is_folder(entry):
+        return [(file, None) for file in _files_in(entry)]
+    if entry in _generators():
+        return GeneratorSettings(entry)
+    if ":" not in entry and not is_path(entry) and entry not in world_names():
+        raise unknown("world", entry, [*world_names(), *_generators()])
+    return [(entry, None)]
+
+
+def _worlds_of(source: Any, purpose: Purpose) -> Sequence[World]:
+    if isinstance(source, GeneratorSettings):
+        return _generated_worlds(source, purpose)
+    return [item if isinstance(item, World) else find_world(*item) for item in source]
+
+
+def _key(entry: Any) -> str:
+    return json.dumps(entry, sort_keys=True, default=list)
+
+
+def _file_and_options(entry: Mapping[str, Any]) -> tuple[str, ImportOptions]:
+    file, reference = entry["file"], CODE_REFERENCE.fullmatch(entry["file"])
+    if file in _generators() or _is_folder(file) or (reference and reference[2] is None):
+        raise InputError(one_line(f"task.world.file must be a single file; {file} is not"))
+    return file, _import_options(entry)
+
+
+def _import_options(entry: Mapping[str, Any]) -> ImportOptions:
+    return build(ImportOptions, {key: value for key, value in entry.items() if key != "file"}, "task.world")
 
 
 @lru_cache(maxsize=16)
-def _generated(settings: GeneratorSettings, purpose: Purpose) -> tuple[World, ...]:
+def _generated_worlds(settings: GeneratorSettings, purpose: Purpose) -> tuple[World, ...]:
     if ":" in settings.generator:
-        return generate(settings, (world_maker(settings.generator, "rng", "difficulty", "size"),), purpose)
+        return generate(settings, (find_maker(settings.generator, "rng", "difficulty", "size"),), purpose)
     if settings.generator not in GENERATORS:
         raise unknown("generator", settings.generator, GENERATORS)
     return generate(settings, GENERATORS[settings.generator], purpose)
 
 
 def _generators() -> list[str]:
-    """Names of generators that are not names of worlds, too."""
+    """Names of generators, without those that are also names of worlds."""
     return [name for name in GENERATORS if name not in world_names()]
 
 
 def _is_folder(name: str) -> bool:
-    is_name = name in world_names() or name in GENERATORS
-    return not is_name and "\0" not in name and os.path.isdir(name)  # noqa: PTH112 (Path.is_dir raises for a name that is too long)
+    is_known = name in world_names() or name in GENERATORS
+    return not is_known and "\0" not in name and os.path.isdir(name)  # noqa: PTH112 (Path.is_dir raises for a name that is too long)
 
 
 def _files_in(folder: str) -> list[str]:
     """The world files in a folder, sorted by name."""
-    endings = world_endings()
-    files = [file for file in Path(folder).iterdir() if file.suffix in endings and file.stem.upper() != "README"]
+    extensions = world_extensions()
+    files = [file for file in Path(folder).iterdir() if file.suffix in extensions and file.stem.upper() != "README"]
     if not files:
-        raise InputError(
-            one_line(f"there is no world in the folder {folder}; files of worlds end in {', '.join(endings)}")
-        )
-    if len(files) > MOST_WORLDS:
-        raise InputError(one_line(f"there are more than {MOST_WORLDS} worlds in the folder {folder}; name fewer"))
+        raise InputError(one_line(f"no world in the folder {folder}; files of worlds end in {', '.join(extensions)}"))
     return sorted(map(str, files))

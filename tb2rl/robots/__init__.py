@@ -1,6 +1,6 @@
-"""Robots as values: dimensions, limits, laser, camera, and a URDF file for PyBullet.
+"""Robots: dimensions, limits, laser, camera, and a URDF file for PyBullet.
 
-A robot is one file; copy `turtlebot2.py` (see README.md). Imports core.
+A robot is one file; copy `turtlebot2.py` (see README.md). Imports only core.
 """
 
 from tb2rl.robots.robot import Camera, Laser, Robot

@@ -4,12 +4,10 @@ Frames and units follow REP 103: x forward, y left, angles counter-clockwise; me
 the robot's frame is on the floor under the middle of the axle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import asdict, dataclass, field
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,22 +15,22 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import StrictFloat, StrictInt
 
-# Columns of `Robot.parameters`, for compiled code.
-RADIUS, WHEEL_SEPARATION, MAX_SPEED, MAX_TURN_RATE, WHEEL_ACCELERATION, WHEEL_COUPLING = range(6)
+from tb2rl.core import InputError, find_plugin
+from tb2rl.core.values import build
 
-Positive = Annotated[StrictFloat, Gt(0)]  # strict: compiled code takes no numeric strings
+Positive = Annotated[StrictFloat, Gt(0)]  # strict, because compiled code needs floats, not numeric strings
 
 
 @dataclass(frozen=True)
 class Laser:
     """A planar laser scanner above the middle of the axle.
 
-    Its beams go from right to left, both ends included. On a full circle the ends are one beam, and an even number of
-    beams starts with the one that looks back.
+    The beams go from right to left, with one at each end of the field of view. On a full circle the two ends are the
+    same direction and have one beam; with an even number of beams the first one looks back.
     """
 
     beams: Annotated[StrictInt, Ge(1)] = 720
-    indices: tuple[int, ...] | None = None  # of the selected beams, from the right; None: all
+    indices: tuple[int, ...] | None = None  # indices of the selected beams, from right to left; None: all
     noise: Annotated[StrictFloat, Ge(0)] = 0.0  # [m] standard deviation of the Gaussian noise on finite ranges
     field_of_view: Annotated[Positive, Le(math.tau)] = math.pi  # [rad]
     min_range: Annotated[StrictFloat, Ge(0)] = 0.1  # [m]
@@ -41,7 +39,7 @@ class Laser:
     @cached_property
     def angles(self) -> np.ndarray:
         """Directions of the selected beams in the robot's frame [rad], shape (beams,), ascending."""
-        if self.field_of_view == math.tau or self.beams == 1:  # one beam looks ahead
+        if self.field_of_view == math.tau or self.beams == 1:  # one of the beams looks ahead
             angles = (np.arange(self.beams) - self.beams // 2) * self.field_of_view / self.beams
         else:
             angles = np.linspace(-self.field_of_view / 2, self.field_of_view / 2, self.beams)
@@ -61,30 +59,30 @@ class Camera:
 class Robot:
     """A differential drive.
 
-    PyBullet reads the URDF file, the kinematic simulator the numbers alone, so both must agree.
+    The kinematic simulator uses only the numbers, PyBullet also the URDF file, so the two must agree.
     """
 
     name: str
-    urdf: Path  # its base link has the robot's frame
-    wheel_joints: tuple[str, str]  # of the left and the right wheel in the file
-    radius: Positive  # [m] of the round base, which makes contact
+    urdf: Path  # file whose base link has the robot's frame
+    wheel_joints: tuple[str, str]  # names of the left and the right joint in the URDF file
+    radius: Positive  # [m] of the round base, which touches obstacles
     wheel_radius: Positive  # [m]
-    wheel_separation: Positive  # [m] between the middles of the wheels
+    wheel_separation: Positive  # [m] distance between the wheels
     wheel_torque: Positive  # [N m] largest torque of a wheel's motor
     max_speed: Positive  # [m/s]
     max_turn_rate: Positive  # [rad/s]
     # Measured in PyBullet by `tb2rl.simulation.bullet.motors.measure_motors`:
-    wheel_acceleration: Positive  # [m/s^2] of a wheel's rim by its motor alone
-    wheel_coupling: StrictFloat  # [m/s^2] added if the other motor pushes the same way, subtracted if the opposite way
+    wheel_acceleration: Positive  # [m/s^2] acceleration of a wheel's rim by its own motor
+    wheel_coupling: StrictFloat  # [m/s^2] added if the other motor pushes in the same direction, else subtracted
     laser: Laser
     camera: Camera
-    gyro: bool = True  # whether a gyro gives the heading of the odometry; encoders drift ten times as fast
-    # Defaults of tasks with this robot, fields of `tb2rl.tasks.Task` by name; explicit settings override them:
+    gyro: bool = True  # whether odometry has a gyro's heading; an encoder heading drifts ten times as fast
+    # Defaults of this robot for fields of `tb2rl.tasks.Task`; explicit settings override them:
     task_settings: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @cached_property
     def parameters(self) -> np.ndarray:
-        """Parameters for compiled code, in the order of the columns named above, shape (6,)."""
+        """Parameters for compiled code, in the order of `tb2rl.simulation.spec.FIELDS`, shape (6,)."""
         motors = self.max_speed, self.max_turn_rate, self.wheel_acceleration, self.wheel_coupling
         return np.array([self.radius, self.wheel_separation, *motors])
 
@@ -92,3 +90,25 @@ class Robot:
         """Commands v [m/s] and w [rad/s], shape (..., 2), clipped to the robot's limits."""
         limits = np.array([self.max_speed, self.max_turn_rate])
         return np.clip(commands, -limits, limits)
+
+
+def find_robot(name: str) -> Robot:
+    """Find a robot by its name or "module:ROBOT".
+
+    Raises:
+        InputError: If there is no such robot, or one of its numbers is invalid.
+    """
+    found = find_plugin("robot", name)
+    if not isinstance(found, Robot):
+        raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
+    _check(found)
+    return found
+
+
+@cache  # because a check takes a fifth of the time in which an environment opens
+def _check(robot: Robot) -> None:
+    build(type(robot), asdict(robot), f"robot {robot.name}")
+    laser = robot.laser
+    for name, (low, high) in {"laser": (laser.min_range, laser.max_range), "camera": robot.camera.range}.items():
+        if low >= high:
+            raise InputError(f"robot {robot.name}.{name}: the range must increase, got {low}, {high}")

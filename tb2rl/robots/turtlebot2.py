@@ -8,8 +8,6 @@ from pathlib import Path
 
 from tb2rl.robots.robot import Camera, Laser, Robot
 
-LASER_NOISE = 0.01  # [m] standard deviation of a small Hokuyo: a realistic `laser_noise`
-
 ROBOT = Robot(
     name="turtlebot2",
     urdf=Path(__file__).with_suffix(".urdf"),
@@ -20,7 +18,7 @@ ROBOT = Robot(
     wheel_torque=1.0,  # kobuki_description, effort limit
     max_speed=0.65,  # turtlebot_description (the bare base: 0.70)
     max_turn_rate=math.pi,  # Kobuki user guide: 180 deg/s
-    wheel_acceleration=2.932,  # measured in PyBullet, like the next one
+    wheel_acceleration=2.932,  # measured in PyBullet, like wheel_coupling
     wheel_coupling=0.067,
     laser=Laser(),  # as in the ROS tutorial: 720 beams over 180 degrees, 0.1 to 30 m
     camera=Camera(position=(0.05, 0.0, 0.30), field_of_view=math.radians(45.0), range=(0.05, 8.0)),

@@ -18,13 +18,13 @@ ROBOT = Robot(
     radius=0.105,  # around the axle, for turning on the spot
     wheel_radius=0.033,
     wheel_separation=0.160,
-    wheel_torque=0.15,  # chosen with the wheels' inertia: 2.5 m/s^2, the limit of its ROS navigation settings
+    wheel_torque=0.15,  # chosen with the wheels' inertia for 2.5 m/s^2, the limit in ROBOTIS's navigation settings
     max_speed=0.22,
     max_turn_rate=2.84,
-    wheel_acceleration=2.640,  # measured in PyBullet, like the next one
+    wheel_acceleration=2.640,  # measured in PyBullet, like wheel_coupling
     wheel_coupling=-0.094,
     laser=Laser(beams=360, field_of_view=math.tau, min_range=0.12, max_range=3.5),  # LDS-01
     camera=Camera(position=(0.06, 0.0, 0.10), field_of_view=_VERTICAL_FIELD, range=(0.05, 8.0)),
-    # The beams of a TurtleBot2, and steps about as long as its steps [m], so that episodes cover the same distance.
+    # The field of view of a TurtleBot2, and a control period with about the same distance per step.
     task_settings={"field_of_view": math.pi, "control_period": 0.4},
 )

@@ -1,6 +1,6 @@
-"""Sensors: each turns a `RobotState` into numbers, or an image, for the observation.
+"""Sensors, which turn a `RobotState` into numbers or an image for the observation.
 
-A task lists its sensors; a user's sensor is a small class (see README.md). Imports the rooms below: simulation, ...
+A task lists its sensors; a user's sensor is a small class (see README.md). Imports simulation and what lies below it.
 """
 
 from tb2rl.sensors.sensor import Sensor

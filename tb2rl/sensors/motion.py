@@ -1,25 +1,22 @@
-"""Speeds by odometry, the inertial unit (IMU), and the latest commands.
+"""Sensors of speed, acceleration and contact, and of the recent past: commands and positions.
 
-Odometry follows the wheels, which can slip; the inertial unit measures the motion of the body.
+Odometry follows the wheels, which can slip; the inertial unit (IMU) measures the motion of the body.
 """
 
-from __future__ import annotations
-
+import math
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Le
 
-from tb2rl.core.values import Bins
+from tb2rl.core.values import Bins, Positive
 from tb2rl.robots import Robot
 from tb2rl.sensors.sensor import Sensor
 from tb2rl.simulation import RobotState
 
 
 class _Motion(Sensor):
-    """A signed number within a limit of the robot; `bins` are shares of the limit."""
-
-    spec_arguments = ("robot",)
+    """A number from -limit to limit; `bins` are shares of the limit."""
 
     def __init__(self, limit: float, bins: Bins) -> None:
         self.low, self.high, self.bins = -limit, limit, tuple(share * limit for share in bins)
@@ -50,7 +47,7 @@ class TurnRate(_Motion):
 
 
 class YawRate(TurnRate):
-    """True turn rate, as a gyroscope measures it [rad/s]; arguments as of `TurnRate`."""
+    """True turn rate, as a gyroscope measures it [rad/s]; it has the arguments of `TurnRate`."""
 
     name = "yaw rate"
 
@@ -61,7 +58,7 @@ class YawRate(TurnRate):
 class ForwardAcceleration(_Motion):
     """Mean forward acceleration since the last state, as an accelerometer measures it [m/s^2].
 
-    It is clipped to the limit of the motors, which impacts exceed; `bins` are shares of this limit.
+    Values are clipped to the limit of the motors, because impacts exceed it. `bins` are shares of this limit.
     """
 
     name, unit = "forward acceleration", "m/s^2"
@@ -73,26 +70,77 @@ class ForwardAcceleration(_Motion):
         return robot_state.acceleration[:, None]
 
 
+class Bumper(Sensor):
+    """1 if the base had a contact since the last state, else 0."""
+
+    name, low, high = "bumper", 0.0, 1.0
+    bins = (0.5,)
+
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        return robot_state.bumped[:, None].astype(float)
+
+
+def bumper_at(angle: float) -> int:
+    """The Kobuki's bumper at an angle from straight ahead [rad]: 0 left, 1 centre (60 degrees wide), 2 right."""
+    return 0 if angle > math.pi / 6 else 2 if angle < -math.pi / 6 else 1
+
+
 class LastAction(Sensor):
     """The latest commands v and w as shares of the robot's limits, the newest first; 0 at the start.
 
-    They have no latency. If `count` covers the latency of commands and observations, a robot with latency is a Markov
-    decision process again (Katsikopoulos & Engelbrecht 2003, "Markov decision processes with delays and asynchronous
-    cost collection"). Shares have one unit and one scale for all robots.
+    The sensor has no latency. If `count` covers the latency of commands and observations, a robot with latency is a
+    Markov decision process again (Katsikopoulos & Engelbrecht 2003, "Markov decision processes with delays and
+    asynchronous cost collection").
 
     Args:
-        robot: Its speed limits are the unit.
-        bins: Borders of the bins of all shares.
+        robot: The robot, for its speed limits.
+        bins: Borders between bins, as shares of the limits.
         count: Number of commands.
     """
 
-    name, low, high, spec_arguments = "last action", -1.0, 1.0, ("robot",)
+    name, low, high = "last action", -1.0, 1.0
 
     def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1), count: Annotated[int, Ge(1), Le(100)] = 1) -> None:
         self.max_speeds, self.bins = np.array([robot.max_speed, robot.max_turn_rate]), bins
-        self.reads_commands, self.shape = count, (2 * count,)
+        self.command_history_length, self.shape = count, (2 * count,)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         if robot_state.command_history is None:
             return np.zeros((len(robot_state.command), *self.shape))
-        return (robot_state.command_history.last(self.reads_commands) / self.max_speeds).reshape(-1, *self.shape)
+        commands = robot_state.command_history.last(self.command_history_length)
+        return (commands / self.max_speeds).reshape(-1, *self.shape)
+
+
+class Visited(Sensor):
+    """Time spent in the last minute near points around the robot [s], by odometry; a memory for policies without one.
+
+    The points are on a circle, counter-clockwise from straight ahead, then at the robot's position, then on a circle of
+    twice the radius. A policy can prefer new places by these times, as in node counting (Koenig & Szymanski 1999,
+    "Value-update rules for real-time search").
+
+    Args:
+        count: Number of points on each circle.
+        distance: Radius of the smaller circle [m].
+
+    Attributes:
+        around: Points in the robot's frame, x and y [m], shape (2 * count + 1, 2).
+        near: Largest distance from a point at which time is counted [m].
+    """
+
+    name, unit, low, high = "visited", "s", 0.0, 10.0
+    bins = (1.0, 3.0)
+    reads_pose_history = True
+
+    def __init__(self, count: Annotated[int, Ge(1), Le(100)] = 12, distance: Positive = 1.0) -> None:
+        angles = np.arange(count) * math.tau / count
+        circle = distance * np.column_stack([np.cos(angles), np.sin(angles)])
+        self.around = np.vstack([circle, (0.0, 0.0), 2.0 * circle])
+        self.near, self.shape = 0.5 * distance, (len(self.around),)
+
+    def read(self, robot_state: RobotState) -> np.ndarray:
+        if robot_state.pose_history is None:
+            return np.zeros((len(robot_state.odometry), *self.shape))
+        (x, y, yaw), (ahead, left) = robot_state.odometry.T[:, :, None], self.around.T
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        points = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
+        return robot_state.pose_history.seconds_near(points, self.near)

@@ -1,18 +1,14 @@
 """The base class of sensors."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
-from tb2rl.simulation import RobotState, SimulationSpec, SimulatorType
+from tb2rl.simulation import RobotState, SimulatorType
 
 
 class Sensor(ABC):
-    """Numbers or one image in the observation, such as:
+    """A source of numbers, or of one image, in the observation. Example:
 
         class Compass(Sensor):
             name, unit = "compass", "rad"
@@ -22,25 +18,20 @@ class Sensor(ABC):
             def read(self, robot_state):
                 return robot_state.odometry[:, 2:]
 
-    It holds settings only, because one sensor reads all environments.
+    A sensor has settings but no memory, because one object reads all environments. If `task.observe` lists it, the
+    arguments `robot`, `laser`, `camera` and `worlds` of its constructor come from the scene.
     """
 
-    name: str  # the key of an image in the observation
+    name: str  # also the key of an image in a `Dict` observation
     unit: str = ""  # "m", "rad", "m/s", ...
     low: float  # values are clipped to low and high
     high: float
-    bins: tuple[float, ...] = ()  # strictly increasing borders, for tabular agents; empty: it can only be observed raw
+    bins: tuple[float, ...] = ()  # increasing borders between bins, for tabular agents; empty: only raw observations
     shape: tuple[int, ...] = (1,)  # (n,) for n numbers, (channels, height, width) for an image of uint8
-    reads_pose_history: bool = False  # see `RobotState.pose_history`
-    reads_commands: int = 0  # of `RobotState.command_history`; a sensor of commands reads nothing else
-    spec_arguments: tuple[str, ...] = ()  # constructor arguments that are fields of `SimulationSpec`
+    reads_pose_history: bool = False  # whether `read` needs the positions of the last minute
+    command_history_length: int = 0  # commands that `read` needs; above 0 the sensor is not delayed
 
-    @classmethod
-    def given(cls, spec: SimulationSpec) -> Mapping[str, Any]:
-        """Constructor arguments that the robot and the worlds determine, for a sensor in `task.observe`."""
-        return {name: getattr(spec, name) for name in cls.spec_arguments}
-
-    def check(self, simulator: SimulatorType) -> None:  # noqa: B027 (most sensors work in all)
+    def check(self, simulator: SimulatorType) -> None:  # noqa: B027 (most sensors work in all simulators)
         """Raise an `InputError` if a simulator lacks the data of the sensor."""
 
     @abstractmethod

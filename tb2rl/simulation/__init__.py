@@ -1,35 +1,20 @@
-"""Simulators: robots in their worlds, commanded by v and w, observed by laser, odometry, bumper and camera.
+"""Simulators: robots in their worlds, commanded by v and w, with laser, odometry, bumper and camera.
 
-`simulator` has the protocol and the registry, `kinematic/` and `bullet/` a simulator each, `obstacles/` what moves
-beside the robots. Arrays have a leading axis of environments. Imports worlds, robots and core.
+`simulator` has the protocol and the registry, `kinematic/` and `bullet/` have one simulator each, and `obstacles/` has
+the dynamic obstacles. The first axis of all arrays is that of the environments. Imports worlds, robots and core.
 """
 
-from __future__ import annotations
-
-from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.random_streams import Draws
+from tb2rl.simulation.random_streams import RandomSource
 from tb2rl.simulation.robot_state import RobotState
-from tb2rl.simulation.simulator import (
-    Simulator,
-    SimulatorType,
-    batch_simulator,
-    check_display,
-    default_physics,
-    default_simulator,
-    find_simulator,
-)
-from tb2rl.simulation.spec import SimulationSpec
+from tb2rl.simulation.simulator import Simulator, SimulatorType, find_simulator
+from tb2rl.simulation.spec import InitialState, SimulationSpec
 
 __all__ = [
-    "Draws",
     "InitialState",
+    "RandomSource",
     "RobotState",
     "SimulationSpec",
     "Simulator",
     "SimulatorType",
-    "batch_simulator",
-    "check_display",
-    "default_physics",
-    "default_simulator",
     "find_simulator",
 ]

@@ -10,39 +10,38 @@ from typing import Any, Protocol
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.obstacles.outlines import directions_to_nearest
-from tb2rl.simulation.spec import SimulationSpec
-from tb2rl.worlds.geometry import shortest
-from tb2rl.worlds.goal_paths import GoalPaths
+from tb2rl.simulation.spec import InitialState, SimulationSpec
 
-_ARRAYS = ("pose", "twist", "odometry", "odometry_twist", "ranges", "bumped", "command", "acceleration")
-_OBSTACLE_ARRAYS = ("dynamic_obstacles", "nearest_is_dynamic")
+# Arrays that a simulator measures, in the order of `for_one_robot`; the last two only with dynamic obstacles.
+ARRAYS = (
+    "pose", "twist", "odometry", "odometry_twist", "ranges", "bumped", "command", "acceleration",
+    "dynamic_obstacles", "nearest_is_dynamic",
+)  # fmt: skip
 
 
 class OccupancyMap(Protocol):
-    """Maps of what the robots have seen."""
+    """Occupancy maps that the robots have made in their episodes."""
 
     def lookahead_point(self, robot_state: RobotState, lookahead: float) -> np.ndarray:
         """See `RobotState.lookahead_point`."""
 
 
 class PoseHistory(Protocol):
-    """Where the robots have been lately."""
+    """Recent poses of the robots."""
 
     def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
-        """Time within `radius` [m] of points x, y, shape (num_envs, n, 2): [s], shape (num_envs, n)."""
+        """Time that the robots spent within `radius` [m] of points (num_envs, n, 2) [s], shape (num_envs, n)."""
 
 
 class CommandHistory(Protocol):
-    """The latest commands, before their latency."""
+    """The latest commands, at the time when they were given, before any latency."""
 
     def last(self, count: int) -> np.ndarray:
-        """V [m/s] and w [rad/s], the newest first, shape (num_envs, count, 2); 0 before the first."""
+        """V [m/s] and w [rad/s], newest first, shape (num_envs, count, 2); 0 before the first command."""
 
 
 class CameraSource(Protocol):
-    """The simulator of a robot state: makes images on demand, because they take time, and knows the worlds."""
+    """The simulator of a robot state, which renders images on demand."""
 
     @property
     def spec(self) -> SimulationSpec:
@@ -54,129 +53,100 @@ class CameraSource(Protocol):
 
 @dataclass(frozen=True)
 class RobotState:
-    """Sensor readings and true state of all robots, and the initial state of their episodes.
+    """Sensor readings and true state of all robots, and the initial state of their episodes."""
 
-    Attributes:
-        pose: True x [m], y [m], yaw [rad] in the world's frame, shape (num_envs, 3).
-        twist: True forward speed [m/s] and turn rate [rad/s], shape (num_envs, 2).
-        odometry: x, y, yaw by wheel encoders (and gyro) since the start pose, shape (num_envs, 3).
-        odometry_twist: Forward speed [m/s] and turn rate [rad/s] by the same, shape (num_envs, 2).
-        ranges: Along the laser's beams [m], right to left, shape (num_envs, beams); inf where nothing was hit or a beam
-            was dropped.
-        bumped: Whether the base touched an obstacle since the last state, shape (num_envs,), bool.
-        command: The latest command that took effect, v [m/s] and w [rad/s], shape (num_envs, 2); 0 at the start.
-        acceleration: Mean forward acceleration since the last state [m/s^2], shape (num_envs,); 0 at the start.
-        initial_state: Of the episodes.
-        camera: The simulator; None: the state comes from no simulator.
-        dynamic_obstacles: Outlines x, y [m], cos and sin of the heading, half length and half width [m] of a box, or
-            radius and 0, shape (num_envs, obstacles, 6); 0 and 0: none in this row. None: these worlds have none.
-        nearest_is_dynamic: Whether what a robot touched, or if it touched nothing what is nearest along its beams, is a
-            dynamic obstacle, shape (num_envs,), bool; a wall that is touched too comes first. None: there are none.
-        nearest: Shortest range [m], shape (num_envs,).
-        occupancy_map: What the robots have mapped, if their task maps online.
-        pose_history: Recent poses, if a sensor needs them.
-        command_history: Recent commands, if a sensor needs them.
-    """
-
-    pose: np.ndarray
-    twist: np.ndarray
-    odometry: np.ndarray
-    odometry_twist: np.ndarray
-    ranges: np.ndarray
-    bumped: np.ndarray
-    command: np.ndarray
-    acceleration: np.ndarray
-    initial_state: InitialState
-    camera: CameraSource | None = None
+    pose: np.ndarray  # true x [m], y [m], yaw [rad] in the world's frame, shape (num_envs, 3)
+    twist: np.ndarray  # true forward speed [m/s] and turn rate [rad/s], shape (num_envs, 2)
+    odometry: np.ndarray  # x, y, yaw from wheel encoders (and gyro), equal to the true pose at the start, (num_envs, 3)
+    odometry_twist: np.ndarray  # forward speed [m/s] and turn rate [rad/s] of the odometry, shape (num_envs, 2)
+    ranges: np.ndarray  # [m] laser ranges, right to left, shape (num_envs, beams); inf: no hit, or a dropped beam
+    bumped: np.ndarray  # whether the base touched an obstacle since the last state, shape (num_envs,), bool
+    command: np.ndarray  # latest command in effect, v [m/s], w [rad/s], shape (num_envs, 2); 0 at the start
+    acceleration: np.ndarray  # [m/s^2] forward, mean since the last state, shape (num_envs,); 0 at the start
+    initial_state: InitialState  # initial states of the episodes
+    camera: CameraSource | None = None  # the simulator; None: the state does not come from a simulator
+    # Outlines of the dynamic obstacles, shape (num_envs, obstacles, 6): x, y [m], cos and sin of the heading, and two
+    # sizes [m]: half length and half width of a box, radius and 0 of a circle, 0 and 0 in a row without an obstacle.
+    # None: no dynamic obstacles.
     dynamic_obstacles: np.ndarray | None = None
+    # After a contact: whether the robot touched a dynamic obstacle, and no wall. Otherwise: whether the shortest laser
+    # range is that of a dynamic obstacle. Shape (num_envs,), bool. None: no dynamic obstacles.
     nearest_is_dynamic: np.ndarray | None = None
-    nearest: np.ndarray = field(default=None, kw_only=True)  # type: ignore[arg-type]
-    occupancy_map: OccupancyMap | None = field(default=None, kw_only=True)
-    pose_history: PoseHistory | None = field(default=None, kw_only=True)
-    command_history: CommandHistory | None = field(default=None, kw_only=True)
+    nearest_range: np.ndarray = field(default=None, kw_only=True)  # type: ignore[arg-type]  # [m] shortest range, (num_envs,)
+    occupancy_map: OccupancyMap | None = field(default=None, kw_only=True)  # if the task maps online
+    pose_history: PoseHistory | None = field(default=None, kw_only=True)  # if a sensor needs it
+    command_history: CommandHistory | None = field(default=None, kw_only=True)  # if a sensor needs it
 
     def __post_init__(self) -> None:
-        if self.nearest is None:  # simulators that find it on the way hand it over
-            object.__setattr__(self, "nearest", shortest(self.ranges))
+        if self.nearest_range is None:  # some simulators compute it with the ranges
+            object.__setattr__(self, "nearest_range", self.ranges.min(axis=1, initial=np.inf))
 
     @cached_property
     def path_length(self) -> np.ndarray:
-        """Length of the shortest path from each robot to its goal [m], longer near walls; shape (num_envs,).
+        """Length of the shortest path from each robot to its goal [m], with extra cost near walls; shape (num_envs,).
 
-        Privileged information for rewards. Only for goals of `SimulationSpec.goal_paths`.
+        This is privileged information for rewards. The goals must be those of `SimulationSpec.goal_paths`.
         """
-        return self._goal_paths.path_length(*self._goals, self.pose)
+        return self._simulator.spec.goal_paths.path_length(*self._goals, self.pose)
 
-    def keep_path_lengths(self, earlier: RobotState, indices: np.ndarray, first: RobotState) -> None:
-        """Take over the path lengths of `earlier`, if they were computed, but for environments that start anew.
+    def copy_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
+        """Copy the path lengths of `earlier` to this state, if `earlier` has computed them.
 
         Args:
-            earlier: The same state before these environments started anew.
-            indices: Of these, shape (n,).
-            first: Their state, n rows.
+            earlier: The same state, before some environments were reset.
+            indices: The environments that were reset, shape (n,).
+            reset_states: The states of these environments after the reset, n rows.
         """
-        if "path_length" in earlier.__dict__:  # where `cached_property` keeps its value, as it documents
+        if "path_length" in earlier.__dict__:  # `cached_property` stores its value there
             lengths = self.__dict__["path_length"] = earlier.path_length.copy()
-            lengths[indices] = first.path_length
-
-    @property
-    def direction_to_obstacle(self) -> np.ndarray:
-        """Unit vectors from each robot to its nearest dynamic obstacle, in the world's frame, shape (num_envs, 2)."""
-        assert self.dynamic_obstacles is not None  # callers check `nearest_is_dynamic`
-        return directions_to_nearest(self.pose[:, :2], self.dynamic_obstacles)
+            lengths[indices] = reset_states.path_length
 
     def lookahead_point(self, lookahead: float) -> np.ndarray:
-        """The point `lookahead` [m] ahead on each robot's path, or the goal if nearer, x, y [m], shape (num_envs, 2).
+        """Point `lookahead` [m] ahead on each robot's path, or the goal if it is nearer: x, y [m], shape (num_envs, 2).
 
-        The planner knows the robot's pose, and the world's map or the one that the robot has made.
+        The path begins at the true pose. It is planned on the robot's `occupancy_map`, or else on the true map.
         """
         if self.occupancy_map is not None:
             return self.occupancy_map.lookahead_point(self, lookahead)
-        return self._goal_paths.lookahead_point(*self._goals, self.pose, lookahead)
+        return self._simulator.spec.goal_paths.lookahead_point(*self._goals, self.pose, lookahead)
 
     @property
-    def _goal_paths(self) -> GoalPaths:
+    def _simulator(self) -> CameraSource:
         if self.camera is None:
-            raise InputError("this robot state comes from no simulator, so it has no paths")
-        return self.camera.spec.goal_paths
+            raise InputError("this robot state does not come from a simulator, so it has no paths and no images")
+        return self.camera
 
     @property
     def _goals(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.initial_state.world.astype(int), self.initial_state.goal_path.astype(int)
+        return self.initial_state.world.astype(int), self.initial_state.records["goal_path"].astype(int)
 
     @property
     def goal(self) -> np.ndarray:
-        """Goals x, y [m], shape (num_envs, 2); NaN: none."""
+        """X and y of the goals [m], shape (num_envs, 2); NaN without a goal."""
         return self.initial_state.goal
 
     def render_camera(self, width: int, height: int) -> tuple[np.ndarray | None, np.ndarray]:
-        """Camera images, made now: ask the latest state, because PyBullet shows what is there now.
+        """Render camera images; works for the latest robot state only, because PyBullet renders its present world.
 
         Returns:
-            Colours, shape (num_envs, height, width, 3), uint8, None where the simulator has none; depth along the
-            optical axis [m], shape (num_envs, height, width), float32, inf beyond the camera's range.
-
-        Raises:
-            InputError: If the state comes from no simulator.
+            Colours, shape (num_envs, height, width, 3), uint8, or None from a simulator without colours; depth along
+            the optical axis [m], shape (num_envs, height, width), float32, inf beyond the camera's range.
         """
-        if self.camera is None:
-            raise InputError("this robot state comes from no simulator, so it has no images")
-        return self.camera.render_camera(self, width, height)
+        return self._simulator.render_camera(self, width, height)
 
     @classmethod
-    def of_one(cls, sensed: Sequence[Any], initial_state: InitialState, camera: CameraSource) -> RobotState:
-        """The state of one robot, from rows of the arrays above in their order, plain values or arrays."""
-        arrays = [row[None] if isinstance(row, np.ndarray) else np.array([row]) for row in sensed]
-        columns: dict[str, Any] = dict(zip((*_ARRAYS, *_OBSTACLE_ARRAYS), arrays, strict=False))
+    def for_one_robot(cls, values: Sequence[Any], initial_state: InitialState, camera: CameraSource) -> RobotState:
+        """Make the state of one robot from a value for each of `ARRAYS`: a number, a sequence, or an array."""
+        arrays = [value[None] if isinstance(value, np.ndarray) else np.array([value]) for value in values]
+        columns: dict[str, Any] = dict(zip(ARRAYS, arrays, strict=False))
         return cls(**columns, initial_state=initial_state, camera=camera)
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], camera: CameraSource | None = None) -> RobotState:
-        """The robot state of a `state`; `camera` is the simulator that continues from there."""
+        """Make a robot state from the result of `state`; `camera` is the simulator that continues from it."""
         return cls(**{**state, "initial_state": InitialState(np.array(state["initial_state"]))}, camera=camera)
 
     def state(self) -> dict[str, Any]:
-        """All measured arrays by name, copied, and the table of initial states."""
-        names = _ARRAYS if self.dynamic_obstacles is None else (*_ARRAYS, *_OBSTACLE_ARRAYS)
-        arrays = {name: np.array(getattr(self, name)) for name in names}
+        """Copies of all measured arrays by name, and of the table of initial states."""
+        arrays = {name: np.array(getattr(self, name)) for name in ARRAYS if getattr(self, name) is not None}
         return {**arrays, "initial_state": self.initial_state.table.copy()}

@@ -1,10 +1,8 @@
-"""What a simulator is: the protocol that environments drive, what each one can do, and the registry of their names.
+"""The protocol of simulators, their capabilities, and the registry of their names.
 
-A simulator of one's own is one file with a class that follows `Simulator`, named "module:Class" or by an entry point of
-the group `tb2rl.simulators`.
+A user's simulator is a class that follows `Simulator`. Its name is "module:Class", or that of an entry point of the
+group `tb2rl.simulators`.
 """
-
-from __future__ import annotations
 
 import math
 import os
@@ -16,61 +14,49 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tb2rl.core.errors import InputError
-from tb2rl.core.plugins import find_plugin, simulator_names
-from tb2rl.simulation.initial_state import InitialState
+from tb2rl.core import InputError, find_plugin, simulator_names
 from tb2rl.simulation.robot_state import RobotState
-from tb2rl.simulation.spec import SimulationSpec
+from tb2rl.simulation.spec import InitialState, SimulationSpec
 
-Generators = np.random.Generator | Sequence[np.random.Generator]  # one that all environments share, or one for each
+Generators = np.random.Generator | Sequence[np.random.Generator]  # one for all environments, or one for each
+ResetGenerators = Sequence[np.random.Generator] | None  # one for each reset environment; None: the present generators
+StatesAfterReset = tuple[RobotState, RobotState]  # of all environments, and of the reset environments
 
 
 class Simulator(Protocol):
-    """Moves robots that do not meet: each environment has a robot and a world to itself.
-
-    Attributes:
-        spec: The robot, its laser and the worlds.
-        num_envs: Number of environments.
-        travelled: Distance between the poses before and after the last step [m], shape (num_envs,).
-    """
+    """Simulates environments with one robot each; environments do not affect each other."""
 
     spec: SimulationSpec
     num_envs: int
-    travelled: np.ndarray
+
+    travelled: np.ndarray  # [m] distance between the positions before and after the last step, shape (num_envs,)
 
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
-        """Start an episode in every environment, at rest; sensor noise comes from `rng` from now on."""
+        """Start an episode with a robot at rest in every environment; `rng` generates the sensor noise from now on."""
 
     def reset_at(
-        self,
-        indices: np.ndarray,
-        initial_state: InitialState,
-        robot_state: RobotState,
-        rng: Sequence[np.random.Generator] | None = None,
-    ) -> tuple[RobotState, RobotState]:
-        """Start new episodes in some environments.
+        self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None
+    ) -> StatesAfterReset:
+        """Start new episodes in some environments; arrays of the latest robot state may be changed in place.
 
         Args:
-            indices: Of these environments, ascending, shape (n,).
-            initial_state: n rows.
-            robot_state: The latest; its arrays may be changed in place.
-            rng: Sources of their noise, n; None: the present ones go on.
-
-        Returns:
-            The state of all environments, and that of these, n rows.
+            indices: Ascending indices of these environments, shape (n,).
+            initial_state: A row for each of these environments.
+            rng: Generators of their sensor noise; None: the present generators.
         """
 
-    def step(self, commands: np.ndarray, duration: float, skip: np.ndarray | None = None) -> RobotState:
+    def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         """Drive for a control period.
 
         Args:
             commands: v [m/s] and w [rad/s], shape (num_envs, 2).
-            duration: Of the period in simulated time [s].
-            skip: Environments whose state does not matter and need not advance, bool, shape (num_envs,); None: none.
+            duration: Duration of the period in simulated time [s].
+            inactive: Whether the state of an environment is irrelevant, so that a simulator may skip the environment,
+                bool, shape (num_envs,); None: all environments are active.
         """
 
     def state(self) -> dict[str, Any]:
-        """Everything that the future depends on, as plain values and arrays for `restore`."""
+        """Complete state for `restore`, as plain values and arrays."""
 
     def restore(self, state: Mapping[str, Any]) -> RobotState:
         """Continue from a `state`."""
@@ -79,67 +65,52 @@ class Simulator(Protocol):
         """Camera images, see `RobotState.render_camera`."""
 
     def close(self) -> None:
-        """Release what the simulator holds."""
+        """Release all resources."""
 
 
 @dataclass(frozen=True)
 class SimulatorType:
-    """A simulator by name, and what it can do.
+    """A type of simulator, with its name and its capabilities."""
 
-    Attributes:
-        name: In the registry, or "module:Class".
-        title: For tables, captions and messages.
-        make: `make(spec, num_envs)` opens it; with `has_window` also `make(spec, 1, window=True)`, with `in_processes`
-            also `make(spec, num_envs, processes=1)`.
-        is_physics: Whether it simulates forces and contacts, and so decides what a policy is worth.
-        has_window: Whether it opens a window of its own for render mode "human".
-        has_colours: Whether its cameras see colours; all see depth.
-        varies_dynamics: Whether a variation of mass and friction has an effect.
-        in_processes: Whether many environments need processes to be fast; otherwise one process steps thousands.
-        max_camera_height: Height up to which a camera can be mounted [m].
-        is_robot: Whether it drives a real robot or one in somebody else's simulator: there is one environment, time
-            passes by itself, and no state can be restored.
-        unavailable: Returns why it cannot run here ("is not installed"), or None.
-        install: How to install it, for the message.
-        prepare: Adapts a scene to it.
-    """
-
-    name: str
-    title: str
+    name: str  # name in the registry, or "module:Class"
+    title: str  # for tables, captions and messages
+    # `make(spec, num_envs)` makes a simulator. It must also accept `make(spec, 1, window=True)` if `has_window`, and
+    # `make(spec, num_envs, processes=1)` if `in_processes`.
     make: Callable[..., Simulator]
-    is_physics: bool = False
-    has_window: bool = False
-    has_colours: bool = False
-    varies_dynamics: bool = False
-    in_processes: bool = False
-    max_camera_height: float = math.inf
-    is_robot: bool = False
-    unavailable: Callable[[], str | None] = lambda: None
-    install: str = ""
-    prepare: Callable[[Any], Any] = lambda scene: scene
+    is_physics: bool = False  # simulates forces and contacts, so that it is suitable for evaluations
+    has_window: bool = False  # has a window for render mode "human"
+    has_colours: bool = False  # its cameras return colours; all cameras return depth
+    in_processes: bool = False  # needs several processes for many environments; others step thousands in one process
+    max_camera_height: float = math.inf  # [m] it cannot render cameras that are mounted higher
+    # Whether the robot is real, or is simulated by another program. Then there is one environment, its time passes
+    # between steps, too, and no state can be restored.
+    is_external: bool = False
+    unavailable: Callable[[], str | None] = lambda: None  # reason why it cannot run here, such as "is not installed"
+    install: str = ""  # instruction for its installation, for the message
+    prepare: Callable[[Any], Any] = lambda scene: scene  # adapts a scene to the simulator
 
     def __reduce__(self) -> Any:
-        """Travel to other processes by name, where it has one."""
+        """Pickle a registered type by its name."""
         return (find_simulator, (self.name,)) if self.name in simulator_names() else super().__reduce__()
 
     def check(self, purpose: str = "") -> None:
-        """Raise an `InputError` where it cannot run here; `purpose` says what needs it."""
+        """Raise an `InputError` if the simulator cannot run here; `purpose` is its use, for the message."""
         reason = self.unavailable()
         if reason is not None:
-            what = purpose or f'simulation="{self.name}" (another one is simulation="{batch_simulator().name}")'
-            cure = f": {self.install}" if self.install and reason == NOT_INSTALLED else ""
-            raise InputError(f"{what} needs {self.title}, which {reason}{cure}")
+            user = purpose or f'simulation="{self.name}" (another one is simulation="{batch_simulator().name}")'
+            remedy = f": {self.install}" if self.install and reason == NOT_INSTALLED else ""
+            raise InputError(f"{user} needs {self.title}, which {reason}{remedy}")
 
     def open(self, spec: SimulationSpec, num_envs: int = 1, window: bool = False, processes: int | None = None) -> Any:
-        """A simulator of this type.
+        """Make a simulator of this type.
 
         Raises:
-            InputError: If it cannot run here, has no window, or drives one robot alone.
+            InputError: If the simulator cannot run here, or lacks a capability that the arguments need.
         """
         self.check()
         if window and not self.has_window:
             raise InputError(f"render_mode 'human': simulation {self.name!r} has no window; use 'rgb_array'")
-        if self.is_robot and num_envs > 1:
+        if self.is_external and num_envs > 1:
             raise InputError(f"simulation {self.name!r} drives one robot, not {num_envs}")
         options: dict[str, Any] = {"window": True} if window else {}
         if processes is not None and self.in_processes:
@@ -147,14 +118,14 @@ class SimulatorType:
         return self.make(spec, num_envs, **options)
 
 
-NOT_INSTALLED = "is not installed"  # the usual reason of `SimulatorType.unavailable`
+NOT_INSTALLED = "is not installed"  # the result of `SimulatorType.unavailable` for a missing package
 
 
 def find_simulator(name: Any) -> SimulatorType:
-    """The type of a registered name, of "module:Class", or of an object that names its own by `simulator_type`.
+    """Find a type by its registered name, by "module:Class", or from an object with a method `simulator_type`.
 
     Raises:
-        InputError: If there is none; the message lists the known ones.
+        InputError: If there is no such type; the message lists the registered names.
     """
     if isinstance(name, SimulatorType):
         return name
@@ -173,31 +144,26 @@ def find_simulator(name: Any) -> SimulatorType:
 
 
 def default_physics() -> SimulatorType:
-    """The first registered physics that can run here; if none can, the first one, which then says why."""
-    first = None
-    for each in map(find_simulator, simulator_names()):
-        if each.is_physics and each.unavailable() is None:
-            return each
-        first = first or (each if each.is_physics else None)
-    assert first is not None  # there is a built-in one
-    return first
+    """The first registered physics simulator that can run here, else the first one, whose `check` raises an error."""
+    types = (simulator for simulator in map(find_simulator, simulator_names()) if simulator.is_physics)
+    first = next(types)
+    return next((simulator for simulator in (first, *types) if simulator.unavailable() is None), first)
 
 
 def batch_simulator() -> SimulatorType:
     """The first registered simulator that steps thousands of environments in one process."""
     types = map(find_simulator, simulator_names())
-    return next(each for each in types if not (each.in_processes or each.is_robot))
+    return next(simulator for simulator in types if not (simulator.in_processes or simulator.is_external))
 
 
 @cache
 def default_simulator() -> SimulatorType:
-    """Where evaluations and films drive: the default physics, or where none can run any simulator that can."""
-    physics = default_physics()
-    others = (each for each in map(find_simulator, simulator_names()) if not each.is_robot)
-    return physics if physics.unavailable() is None else next(each for each in others if each.unavailable() is None)
+    """Simulator for evaluations and films: the default physics, or else the first simulator that can run here."""
+    others = (simulator for simulator in map(find_simulator, simulator_names()) if not simulator.is_external)
+    return next(simulator for simulator in (default_physics(), *others) if simulator.unavailable() is None)
 
 
 def check_display() -> None:
-    """Raise an `InputError` if there is no display for a window; only on Linux a variable tells."""
+    """Raise an `InputError` if there is no display for a window; other systems than Linux are not checked."""
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise InputError("render_mode 'human' opens a window, and there is no display; use 'rgb_array'")
+        raise InputError("render_mode 'human' opens a window, but there is no display; use 'rgb_array'")

@@ -1,4 +1,4 @@
-"""Action spaces: named commands, or continuous velocities."""
+"""Action spaces of tasks: named commands, or continuous velocities."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Actions(ABC):
     """An action space, and the command of each action.
 
     Attributes:
-        space: For Gymnasium.
-        names: Kinds of actions, for charts, maps and films.
-        table: The extreme commands v [m/s] and w [rad/s], shape (n, 2).
+        space: Gymnasium's action space.
+        names: Names of the kinds of actions, for charts, maps and films.
+        table: v [m/s] and w [rad/s] of the named commands, or of the two ends of the ranges, shape (n, 2).
     """
 
     space: spaces.Space
@@ -35,7 +35,7 @@ class Actions(ABC):
         """Largest |v| of the commands [m/s]."""
         return float(np.abs(self.table[:, 0]).max())
 
-    def within(self, robot: Robot) -> Self:
+    def clipped_to(self, robot: Robot) -> Self:
         """The same actions, with commands clipped to the robot's limits."""
         clipped = copy(self)
         clipped.table = robot.within_limits(self.table)
@@ -43,7 +43,7 @@ class Actions(ABC):
 
     @abstractmethod
     def commands(self, actions: np.ndarray) -> np.ndarray:
-        """Commands v [m/s] and w [rad/s], shape (num_envs, 2), of actions (num_envs, ...)."""
+        """Convert actions (num_envs, ...) to commands v [m/s] and w [rad/s], shape (num_envs, 2)."""
 
     @abstractmethod
     def kinds(self, actions: np.ndarray) -> np.ndarray:
@@ -51,10 +51,10 @@ class Actions(ABC):
 
     @abstractmethod
     def checked(self, action: Any) -> np.ndarray:
-        """Validate one action, and return it with a leading axis of length one.
+        """Validate an action of one environment, and return it with a leading axis of length one.
 
         Raises:
-            InputError: If it is not an action.
+            InputError: If the action is not in the action space.
         """
 
     @abstractmethod
@@ -75,7 +75,7 @@ class Commands(Actions):
         commands: v [m/s] and w [rad/s] by name, at least one.
 
     Raises:
-        InputError: If there is no command, one is not two numbers, or a name is an attribute, such as `space`.
+        InputError: If there is no command, a command is not two numbers, or a name is an attribute such as `space`.
     """
 
     space: spaces.Discrete
@@ -88,10 +88,10 @@ class Commands(Actions):
         self.space = spaces.Discrete(len(self.names))
         for index, name in enumerate(self.names):
             if hasattr(self, name):
-                raise InputError(f"an action cannot be called {name!r}, an attribute of Commands; rename it")
+                raise InputError(f"an action cannot have the name {name!r} of an attribute of Commands; rename it")
             setattr(self, name, index)
 
-    def __getattr__(self, name: str) -> int:  # only for missing attributes
+    def __getattr__(self, name: str) -> int:  # Python calls this only for missing attributes
         raise AttributeError(f"there is no action {name!r}; there are {', '.join(self.__dict__.get('names', ()))}")
 
     def plus(self, **commands: Command) -> Commands:
@@ -105,7 +105,7 @@ class Commands(Actions):
         return np.asarray(actions, dtype=np.int64)
 
     def checked(self, action: Any) -> np.ndarray:
-        with suppress(TypeError):  # of a float, NaN, an array
+        with suppress(TypeError):  # raised for a float or an array
             index = operator.index(action)
             if 0 <= index < len(self.names):
                 return np.array([index])
@@ -117,26 +117,25 @@ class Commands(Actions):
 
 
 class Velocities(Actions):
-    """Continuous velocities: an action is two numbers from -1 to 1, the ends of the ranges.
+    """Continuous velocities: an action is two numbers from -1 to 1, which span the ranges of speed and turn rate.
 
     Gaussian policies expect this scale (Stable-Baselines3, "Tips and Tricks when creating a custom environment").
 
     Args:
-        forward: Least and largest v [m/s].
-        turn: Least and largest w [rad/s].
+        forward: Range of v [m/s], the smaller number first.
+        turn: Range of w [rad/s], the smaller number first.
 
     Raises:
-        InputError: If a range is not two numbers, the smaller one first.
+        InputError: If a range is invalid.
     """
 
     space: spaces.Box
     names = ("stand", "forward", "backward", "left", "right")
-    _THRESHOLD = 0.25  # of the largest speed or turn rate, above which an action counts as driving or turning
+    _THRESHOLD = 0.25  # share of the largest speed or turn rate; a smaller motion is named "stand"
 
     def __init__(self, forward: tuple[float, float], turn: tuple[float, float]) -> None:
-        ranges = [_pair(forward, "forward", "the slowest and the fastest [m/s]")]
-        ranges.append(_pair(turn, "turn", "the least and the largest [rad/s]"))
-        self.table = np.array(ranges).T
+        speeds = _pair(forward, "forward", "the slowest and the fastest [m/s]")
+        self.table = np.column_stack([speeds, _pair(turn, "turn", "the least and the largest [rad/s]")])
         if (self.low > self.high).any():
             raise InputError(f"Velocities takes the smaller number first, got forward={forward}, turn={turn}")
         self.space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -148,16 +147,16 @@ class Velocities(Actions):
 
     @property
     def high(self) -> np.ndarray:
-        """Command of the action (1, 1), likewise."""
+        """Command of the action (1, 1): v [m/s] and w [rad/s], shape (2,)."""
         return self.table[1]
 
     def commands(self, actions: np.ndarray) -> np.ndarray:
-        shares = (np.clip(actions, -1.0, 1.0).astype(float) + 1.0) / 2.0
-        return self.low + shares * (self.high - self.low)
+        fractions = (np.clip(actions, -1.0, 1.0).astype(float) + 1.0) / 2.0
+        return self.low + fractions * (self.high - self.low)
 
     def kinds(self, actions: np.ndarray) -> np.ndarray:
-        (v, w), (least_v, least_w) = self.commands(np.asarray(actions)).T, self._THRESHOLD * np.abs(self.table).max(0)
-        cases = {"left": w > least_w, "right": w < -least_w, "forward": v > least_v, "backward": v < -least_v}
+        (v, w), (min_v, min_w) = self.commands(np.asarray(actions)).T, self._THRESHOLD * np.abs(self.table).max(0)
+        cases = {"left": w > min_w, "right": w < -min_w, "forward": v > min_v, "backward": v < -min_v}
         return np.select(list(cases.values()), [self.names.index(name) for name in cases], 0)
 
     def checked(self, action: Any) -> np.ndarray:

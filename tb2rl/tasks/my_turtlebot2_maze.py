@@ -1,10 +1,10 @@
-"""A task to copy: change it, and train it.
+"""An example task, to be copied and changed.
 
     python -m tb2rl.train --agent qlearn --task my_turtlebot2_maze:MyTurtleBot2Maze
 
-It adds a fourth action, backward, whose penalty is as large as the reward of forward. The fields of a task are its
-settings, `actions` is its action space, and `outcome` returns rewards and endings. Arrays have a leading axis of
-environments. Derive from `tb2rl.tasks.Task` to start from scratch.
+The example adds the action `backward` to `Wander`, with a penalty as large as the reward of `forward`. The fields of a
+task are its settings, `actions` is its action space, and `outcome` returns rewards and endings. Arrays have a leading
+axis of environments. Derive from `tb2rl.tasks.Task` to start from scratch.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from tb2rl.tasks.wander import Wander
 
 @dataclass(frozen=True)
 class MyTurtleBot2Maze(Wander):
-    """Wander, with a reverse gear that does not pay."""
+    """Wander, with a reverse gear whose use is penalised."""
 
     backward_speed: float = -0.05  # [m/s]
     backward_reward: float = -5.0

@@ -1,7 +1,5 @@
 """TurtleBot2Maze: keep moving without a collision."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,16 +7,15 @@ import numpy as np
 
 from tb2rl.simulation import RobotState
 from tb2rl.tasks.actions import Commands
-from tb2rl.tasks.outcome import Outcome
-from tb2rl.tasks.task import CollisionTask
+from tb2rl.tasks.task import CollisionTask, Outcome
 
 
 @dataclass(frozen=True)
 class Wander(CollisionTask):
     """Move forward, left or right; going straight earns more than turning, and a collision is penalised.
 
-    Actions and rewards are those of the ROS tutorial that this project follows, except the turn rate: at the tutorial's
-    0.3 rad/s a robot that detects a wall at 1 m hardly avoids it.
+    Actions and rewards are those of the ROS tutorial that this project follows, except for the turn rate. At the
+    tutorial's 0.3 rad/s a robot that detects a wall at 1 m hardly avoids it.
     """
 
     forward_speed: float = 0.5  # [m/s]

@@ -1,4 +1,4 @@
-"""Worlds: obstacles, start and goal; the files that they are read from, and their geometry.
+"""Worlds: obstacles with a start and a goal, their file formats and their geometry.
 
 A new file format is a function from a path to a `World` (see README.md). Imports `robots` and `core`.
 """
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 __all__ = ["DynamicObstacles", "ImportOptions", "World"]
 
-_HOMES = {"DynamicObstacles": "dynamic_obstacles", "ImportOptions": "formats.imports", "World": "world"}
+_MODULES = {"DynamicObstacles": "dynamic_obstacles", "ImportOptions": "formats.imports", "World": "world"}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'tb2rl.worlds' has no attribute {name!r}")
-    # Imported late, because the help of `python -m tb2rl.worlds` needs none of them.
-    return getattr(import_module(f"tb2rl.worlds.{_HOMES[name]}"), name)
+    # Imported at the first use, because `python -m tb2rl.worlds --help` needs none of these modules.
+    return getattr(import_module(f"tb2rl.worlds.{_MODULES[name]}"), name)

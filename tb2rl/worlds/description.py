@@ -1,28 +1,27 @@
-"""Worlds as YAML files: walls, boxes and posts in metres, or a drawing; `configs/worlds` holds the built-in ones."""
-
-from __future__ import annotations
+"""World files in YAML: walls, boxes and posts in metres, or a drawing."""
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import yaml
 from annotated_types import MinLen
 
-from tb2rl.core.errors import InputError
-from tb2rl.core.files import write_text
+from tb2rl.core import InputError, write_text
 from tb2rl.core.values import Point, Pose, Positive, build
-from tb2rl.worlds.drawing import read_drawing
 from tb2rl.worlds.formats.imports import ImportOptions
+from tb2rl.worlds.occupancy_grid import stack_runs
 from tb2rl.worlds.world import Bounds, BoxShape, World
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall along a path of points; corners are filled."""
+    """A wall along a polyline, with filled corners."""
 
     path: Annotated[tuple[Point, ...], MinLen(2)]
     thickness: Positive = 0.2  # [m]
@@ -31,11 +30,11 @@ class Wall:
 
 @dataclass(frozen=True)
 class Box:
-    """A solid box, turned by `yaw` [rad] about its centre."""
+    """A box, rotated about its centre."""
 
     centre: Point
-    size: tuple[Positive, Positive]  # [m] along and across
-    yaw: float = 0.0
+    size: tuple[Positive, Positive]  # [m] length and width
+    yaw: float = 0.0  # [rad] direction of the length
 
 
 @dataclass(frozen=True)
@@ -54,58 +53,58 @@ class Description:
     walls: tuple[Wall, ...] = ()
     boxes: tuple[Box, ...] = ()
     posts: tuple[Post, ...] = ()
-    drawing: str = ""  # `#` wall, `S` start, `G` goal, `.` or a blank free
-    cell: Positive = 2.0  # [m] side of a character of the drawing: a corridor with room to turn
+    drawing: str = ""  # lines of characters: `#` wall, `S` start, `G` goal, `.` or a blank free floor
+    cell: Positive = 2.0  # [m] side of the square of a character; the default leaves room to turn in a corridor
     start: Pose | None = None
     goal: Pose | None = None
-    bounds: Bounds | None = None  # None: around the obstacles
+    bounds: Bounds | None = None  # None: the bounding box of the obstacles
     dynamic_obstacles: Any = None  # see `tb2rl.worlds.dynamic_obstacles`
 
 
 def write_description(world: World, path: Path) -> None:
-    """Write a world as a YAML file that `world_from` reads.
+    """Write a world as a YAML file that `parse_world` reads.
 
     Raises:
-        OSError: If it cannot be written.
+        OSError: If the file cannot be written.
     """
     content = {
         "description": world.description,
-        "boxes": [{"centre": box[:2], "size": box[2:4], "yaw": box[4]} for box in map(list, world.box_shapes)],
+        "boxes": [
+            {"centre": [x, y], "size": [2 * half_length, 2 * half_width], "yaw": math.atan2(sin, cos)}
+            for x, y, half_length, half_width, cos, sin in world.boxes.tolist()
+        ],
         "posts": [{"centre": [x, y], "radius": radius} for x, y, radius in world.posts.tolist()],
         "start": [float(value) for value in world.start],
         "goal": world.goal and [float(value) for value in world.goal],
         "bounds": [float(value) for value in world.bounds],
         "dynamic_obstacles": [group.settings() for group in world.dynamic_obstacles],
     }
-    kept = {key: value for key, value in content.items() if value}
-    write_text(path, yaml.safe_dump(kept, sort_keys=False, default_flow_style=None, width=120))
+    present = {key: value for key, value in content.items() if value}
+    write_text(path, yaml.safe_dump(present, sort_keys=False, default_flow_style=None, width=120))
 
 
-def world_from(content: Any, name: str, options: ImportOptions | None = None) -> World:
-    """Make a world from the content of a YAML file, see `Description`; `options` take precedence over it.
+def parse_world(content: Any, name: str, options: ImportOptions | None = None) -> World:
+    """Make a world from the content of a YAML file, see `Description`; `options` take precedence.
 
     Raises:
-        InputError: If it is invalid.
+        InputError: If the content is invalid.
     """
-    options = options or ImportOptions()
-    described = build(Description, content, f"world {name}")
-    try:
-        drawn = read_drawing(described.drawing, described.cell)
-    except InputError as error:
-        raise InputError(f"world {name}: {error}") from None
-    start = options.start or described.start or drawn.start
+    options, label = options or ImportOptions(), f"world {name}"
+    parsed = build(Description, content, label)
+    drawn_walls, drawn_poses = _parse_drawing(parsed.drawing, parsed.cell, label)
+    start = options.start or parsed.start or drawn_poses.get("S")
     if start is None:
-        raise InputError(f"world {name}: it has no start; add `start: [x, y, yaw]`, or an S to the drawing")
-    boxes = ((*box.centre, *box.size, box.yaw) for box in described.boxes)
+        raise InputError(f"{label} has no start; add `start: [x, y, yaw]`, or an S to the drawing")
+    boxes = ((*box.centre, *box.size, box.yaw) for box in parsed.boxes)
     return World.from_shapes(
         name,
-        [*_wall_boxes(described.walls), *boxes, *drawn.boxes],
-        [(*post.centre, post.radius) for post in described.posts],
+        [*_wall_boxes(parsed.walls), *boxes, *drawn_walls],
+        [(*post.centre, post.radius) for post in parsed.posts],
         start=start,
-        goal=options.goal or described.goal or drawn.goal,
-        bounds=options.bounds or described.bounds,
-        description=described.description,
-        dynamic_obstacles=described.dynamic_obstacles,
+        goal=options.goal or parsed.goal or drawn_poses.get("G"),
+        bounds=options.bounds or parsed.bounds,
+        description=parsed.description,
+        dynamic_obstacles=parsed.dynamic_obstacles,
     )
 
 
@@ -115,3 +114,30 @@ def _wall_boxes(walls: Sequence[Wall]) -> Iterator[BoxShape]:
         for (x0, y0), (x1, y1) in pairwise(points):
             length = math.hypot(x1 - x0, y1 - y0) + wall.thickness
             yield (x0 + x1) / 2, (y0 + y1) / 2, length, wall.thickness, math.atan2(y1 - y0, x1 - x0)
+
+
+def _parse_drawing(text: str, cell: float, label: str) -> tuple[list[BoxShape], dict[str, Pose]]:
+    """Walls of a drawing, with adjacent walls merged, and the poses of its marks S and G.
+
+    The lower left corner is the origin. `cell` is the side of the square of a character [m].
+    """
+    lines = text.rstrip(" \n").split("\n")
+    wall_runs: list[tuple[int, int, int]] = []  # row, first column and end column
+    poses: dict[str, Pose] = {}
+    for number, line in enumerate(lines, start=1):
+        row = len(lines) - number
+        for match in re.finditer("#+|[^. ]", line):
+            begin, end = match.span()
+            mark = match[0][0]
+            if mark == "#":
+                wall_runs.append((row, begin, end))
+            elif mark in "SG" and mark not in poses:
+                poses[mark] = (begin + 0.5) * cell, (row + 0.5) * cell, 0.0
+            else:
+                known = "# (wall), one S (start), one G (goal), and . or a blank (free floor)"
+                raise InputError(f"{label}: the drawing has {mark!r} in line {number}, column {end}; it takes {known}")
+    boxes: list[BoxShape] = []
+    for left, right, bottom, top in stack_runs(*np.array(wall_runs, dtype=int).reshape(-1, 3).T).tolist():
+        centre = (left + right) / 2 * cell, (bottom + top) / 2 * cell
+        boxes.append((*centre, (right - left) * cell, (top - bottom) * cell, 0.0))
+    return boxes, poses

@@ -1,6 +1,6 @@
-"""The floor of a world as a grid of squares: their clearance, and which of them a robot can reach.
+"""Grid of the floor of a world: clearance and reachability of its cells.
 
-The grid takes milliseconds where the exact free space (`World.free_space`) takes a second; thousands of worlds need it.
+The computation takes milliseconds, while that of the exact free space (`World.free_space`) takes up to a second.
 """
 
 from __future__ import annotations
@@ -12,144 +12,147 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.core.errors import InputError
-from tb2rl.worlds.grid import gap_to_post, squared_gap_to_box
+from tb2rl.worlds.grid import distance_to_post, squared_distance_to_box
+from tb2rl.worlds.spatial_index import bounding_boxes
 from tb2rl.worlds.world import World
 
-SIDE = 0.1  # [m] of a square; so between two neighbours, each 0.18 m from all walls, 0.17 m are free
-MOST_SQUARES = 4_000_000  # 200 x 200 m: a quarter of a gigabyte
+# [m] Side of a cell. If two adjacent centres are 0.18 m from all walls, all points between them are 0.17 m away.
+CELL_SIZE = 0.1
+MAX_CELLS = 4_000_000  # limit of a grid, enough for a floor of 200 x 200 m, which takes 0.25 GB
 
 
 @dataclass(frozen=True)
 class Floor:
-    """The squares within the bounds of a world.
+    """Grid of cells within the bounds of a world.
 
     Attributes:
-        clearance: Distance from each centre to the nearest obstacle or bound, clipped [m], shape (rows, columns).
-        corner: x and y of the lower left square's centre [m].
-        side: Side of a square [m].
+        clearance: Distance from each cell centre to the nearest obstacle or bound, clipped [m], shape (rows, columns).
+        first_centre: x and y of the centre of the lower left cell [m].
+        cell_side: Side of a cell [m].
     """
 
     clearance: np.ndarray
-    corner: tuple[float, float]
-    side: float = SIDE
+    first_centre: tuple[float, float]
+    cell_side: float
 
     @classmethod
-    def of(cls, world: World, most: float, side: float = SIDE) -> Floor:
-        """Divide the floor of a world into squares, with clearances clipped to `most` [m].
+    def of(cls, world: World, max_clearance: float, cell_side: float = CELL_SIZE) -> Floor:
+        """Divide the floor of a world into cells, with clearances clipped at `max_clearance` [m].
 
         Raises:
-            InputError: If it has more than `MOST_SQUARES`.
+            InputError: If the floor has more than `MAX_CELLS`.
         """
         x0, y0, x1, y1 = world.bounds
-        if (x1 - x0) * (y1 - y0) > MOST_SQUARES * side**2:
+        if (x1 - x0) * (y1 - y0) > MAX_CELLS * cell_side**2:
             size = f"{x1 - x0:.4g} x {y1 - y0:.4g} m"
             raise InputError(
-                f"world {world.name}: {size} have more than {MOST_SQUARES} squares of {side:g} m; set bounds"
+                f"world {world.name}: {size} have more than {MAX_CELLS} cells of {cell_side:g} m; set bounds"
             )
-        columns, rows = max(1, math.floor((x1 - x0) / side)), max(1, math.floor((y1 - y0) / side))
-        left, bottom = (x0 + x1 - (columns - 1) * side) / 2, (y0 + y1 - (rows - 1) * side) / 2
-        x, y = left + side * np.arange(columns), bottom + side * np.arange(rows)
+        columns, rows = max(1, math.floor((x1 - x0) / cell_side)), max(1, math.floor((y1 - y0) / cell_side))
+        left, bottom = (x0 + x1 - (columns - 1) * cell_side) / 2, (y0 + y1 - (rows - 1) * cell_side) / 2
+        x, y = left + cell_side * np.arange(columns), bottom + cell_side * np.arange(rows)
         clearance = np.minimum(np.minimum(y - y0, y1 - y)[:, None], np.minimum(x - x0, x1 - x))
-        clearance = np.minimum(clearance, most)
-        _lower_around(x, y, side, world.boxes, world.posts, most, clearance)
-        return cls(clearance, (left, bottom), side)
+        clearance = np.minimum(clearance, max_clearance)
+        limit_to_obstacles(world.boxes, world.posts, x, y, max_clearance, clearance)
+        return cls(clearance, (left, bottom), cell_side)
 
     def steps_from(self, x: float, y: float, clearance: float) -> np.ndarray:
-        """Count the steps from the square at x, y [m] over squares of that clearance [m]; -1 for unreachable squares.
+        """Number of steps from the cell at x, y [m] to each cell, through cells with at least this clearance [m].
 
         Returns:
-            Shape (rows, columns), int32; 0 at the start itself, which counts as free.
+            Shape (rows, columns): 0 in the first cell, whatever its clearance, and inf in unreachable cells.
         """
-        steps = np.full(self.clearance.shape, -1, dtype=np.int32)
-        _flood(self.clearance >= clearance, *self.square_at(x, y), steps)
+        steps = np.full(self.clearance.shape, np.inf)
+        steps[self.cell_at(x, y)] = 0.0
+        flood(steps, self.clearance >= clearance, 1.0)
         return steps
 
-    def square_at(self, x: float, y: float) -> tuple[int, int]:
-        """Row and column of the square at a point [m], or of the nearest one; 0 for NaN."""
-        rows, columns = self.clearance.shape
-        return nearest_square(y, self.corner[1], self.side, rows), nearest_square(x, self.corner[0], self.side, columns)
+    def cell_at(self, x: float, y: float) -> tuple[int, int]:
+        """Row and column of the cell nearest to a point [m]."""
+        (rows, columns), (left, bottom), cell_side = self.clearance.shape, self.first_centre, self.cell_side
+        return nearest_cell(y, bottom, cell_side, rows), nearest_cell(x, left, cell_side, columns)
 
     def centre(self, row: int, column: int) -> tuple[float, float]:
-        """X and y of a square's centre [m]."""
-        return self.corner[0] + self.side * column, self.corner[1] + self.side * row
+        """X and y of the centre of a cell [m]."""
+        return self.first_centre[0] + self.cell_side * column, self.first_centre[1] + self.cell_side * row
 
-    def centres(self, selected: np.ndarray) -> np.ndarray:
-        """X and y of the centres [m] of the squares that a mask (rows, columns) selects, shape (n, 2)."""
-        row, column = np.nonzero(selected)
-        return np.column_stack([self.corner[0] + self.side * column, self.corner[1] + self.side * row])
-
-
-def nearest_square(at: float, first: float, side: float, count: float) -> int:
-    """Row or column, of `count` whose first centre is at `first` [m], nearest to a coordinate [m]; 0 for NaN."""
-    return 0 if math.isnan(at) else int(min(max(round((at - first) / side), 0), count - 1))
+    def centres(self, mask: np.ndarray) -> np.ndarray:
+        """X and y of the centres of the cells in a mask (rows, columns) [m], shape (n, 2)."""
+        return self.first_centre + self.cell_side * np.argwhere(mask)[:, ::-1]
 
 
-class GrowingTable:
-    """Rows of float32 that can be appended; the memory grows by half, so that rows are seldom copied.
+def nearest_cell(coordinate: float, first_centre: float, cell_side: float, count: float) -> int:
+    """Index, of `count`, of the row or column nearest to a coordinate [m]; 0 at `first_centre` [m], and for NaN."""
+    return 0 if math.isnan(coordinate) else int(min(max(round((coordinate - first_centre) / cell_side), 0), count - 1))
 
-    Args:
-        shape: Shape of one row.
+
+class RaggedTable:
+    """Arrays of different lengths, one after the other in a float32 table that grows in amortised time.
+
+    Attributes:
+        first_rows: First row of each array in the table, shape (count,); -1 before the array is added.
+        lengths: Number of rows of each array, shape (count,).
     """
 
-    def __init__(self, *shape: int) -> None:
-        self._used, self._memory = 0, np.empty((0, *shape), dtype=np.float32)
+    def __init__(self, count: int, *row_shape: int) -> None:
+        self.first_rows, self.lengths = np.full(count, -1), np.zeros(count, dtype=int)
+        self._used, self._memory = 0, np.empty((0, *row_shape), dtype=np.float32)
 
     @property
     def rows(self) -> np.ndarray:
-        """All rows, shape (rows, *shape)."""
+        """All rows, shape (rows, *row_shape)."""
         return self._memory[: self._used]
 
-    def append(self, rows: np.ndarray) -> int:
-        """Append rows; return the number of the first one."""
-        first, needed = self._used, self._used + len(rows)
-        if needed > len(self._memory):
-            grown = np.empty((needed + needed // 2, *rows.shape[1:]), dtype=np.float32)
-            grown[:first] = self.rows
-            self._memory = grown
-        self._memory[first:needed] = rows
-        self._used = needed
-        return first
+    def add(self, index: int, rows: np.ndarray) -> None:
+        """Add the array with this index, below `count`."""
+        first, self._used = self._used, self._used + len(rows)
+        if self._used > len(self._memory):
+            spare = np.empty((len(rows) + self._used // 2, *rows.shape[1:]), dtype=np.float32)
+            self._memory = np.concatenate([self._memory[:first], spare])
+        self._memory[first : self._used] = rows
+        self.first_rows[index], self.lengths[index] = first, len(rows)
 
 
-@njit(cache=True)
-def _lower_around(x, y, side, boxes, posts, most, grid):
-    """Lower `grid` (rows, columns) to the distance from each obstacle [m], in the squares within `most` of it.
+def limit_to_obstacles(
+    boxes: np.ndarray, posts: np.ndarray, x: np.ndarray, y: np.ndarray, max_clearance: float, clearance: np.ndarray
+) -> None:
+    """Limit clearances [m], shape (rows, columns), to the distance from each obstacle within `max_clearance` [m].
 
-    `x` (columns,) and `y` (rows,) are the centres of the squares [m].
+    `x` (columns,) and `y` (rows,) are the cell centres [m], in ascending order.
     """
-    for k in range(boxes.shape[0]):
-        cos, sin = boxes[k, 4], boxes[k, 5]
-        wide = boxes[k, 2] * abs(cos) + boxes[k, 3] * abs(sin) + most
-        high = boxes[k, 2] * abs(sin) + boxes[k, 3] * abs(cos) + most
-        for row in range(*_within(boxes[k, 1] - y[0], high, side, y.size)):
-            for column in range(*_within(boxes[k, 0] - x[0], wide, side, x.size)):
-                gap = math.sqrt(squared_gap_to_box(x[column], y[row], boxes, k))
-                grid[row, column] = min(grid[row, column], gap)
-    for k in range(posts.shape[0]):
-        wide = posts[k, 2] + most
-        for row in range(*_within(posts[k, 1] - y[0], wide, side, y.size)):
-            for column in range(*_within(posts[k, 0] - x[0], wide, side, x.size)):
-                grid[row, column] = min(grid[row, column], gap_to_post(x[column], y[row], posts, k))
+    centres, half_sizes = bounding_boxes(boxes, posts)
+    low, high = centres - half_sizes - max_clearance, centres + half_sizes + max_clearance
+    columns = np.column_stack([np.searchsorted(x, low[:, 0]), np.searchsorted(x, high[:, 0], side="right")])
+    rows = np.column_stack([np.searchsorted(y, low[:, 1]), np.searchsorted(y, high[:, 1], side="right")])
+    _limit_cells(boxes, posts, x, y, columns, rows, clearance)
 
 
 @njit(cache=True)
-def _within(middle, half, side, count):
-    """First and end of the squares, of `count`, whose centres are within `half` of `middle` [m]."""
-    return max(math.ceil((middle - half) / side), 0), min(math.floor((middle + half) / side) + 1, count)
+def _limit_cells(boxes, posts, x, y, columns, rows, clearance):
+    """`limit_to_obstacles`, for each obstacle in a range of columns and a range of rows, shape (obstacles, 2)."""
+    for k in range(columns.shape[0]):
+        for row in range(rows[k, 0], rows[k, 1]):
+            for column in range(columns[k, 0], columns[k, 1]):
+                if k < boxes.shape[0]:
+                    distance = math.sqrt(squared_distance_to_box(x[column], y[row], boxes, k))
+                else:
+                    distance = distance_to_post(x[column], y[row], posts, k - boxes.shape[0])
+                clearance[row, column] = min(clearance[row, column], distance)
 
 
-@njit(cache=True)
-def _flood(free, row, column, steps):
-    """Breadth-first search over the `free` squares (rows, columns) that share a side; see `Floor.steps_from`."""
-    rows, columns = free.shape
-    queue = np.empty(rows * columns, dtype=np.int64)
-    queue[0], steps[row, column], first, last = row * columns + column, 0, 0, 1
-    while first < last:
-        i, j = queue[first] // columns, queue[first] % columns
-        first += 1
-        for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            r, c = i + down, j + right
-            if 0 <= r < rows and 0 <= c < columns and free[r, c] and steps[r, c] < 0:
-                steps[r, c] = steps[i, j] + 1
-                queue[last] = r * columns + c
-                last += 1
+@njit(cache=True, nogil=True)
+def flood(values, passable, step):
+    """Spread finite values to passable cells by breadth-first search, in place.
+
+    Args:
+        values: Values of the cells, inf in cells without a value, shape (rows, columns).
+        passable: Mask of the cells that may get a value, shape (rows, columns).
+        step: Increase of the value from a cell to the next cell.
+    """
+    rows, columns = values.shape
+    queue = [(i, j) for i in range(rows) for j in range(columns) if np.isfinite(values[i, j])]
+    for i, j in queue:  # the loop also visits the cells that it appends
+        for r, c in ((i, j + 1), (i + 1, j), (i, j - 1), (i - 1, j)):
+            if 0 <= r < rows and 0 <= c < columns and passable[r, c] and values[r, c] == np.inf:
+                values[r, c] = values[i, j] + step
+                queue.append((r, c))

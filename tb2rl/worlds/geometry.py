@@ -1,179 +1,144 @@
-"""Exact laser ranges against the boxes and posts of a world, compiled.
+"""Compiled, exact laser ranges and clearances in worlds of boxes and posts, for all simulators.
 
-Slab test against oriented boxes (Kay & Kajiya 1986) and the quadratic for circles; the inner loops over beams have no
-branches, so that the compiler vectorizes them. All simulators share this laser. Worlds with many obstacles use a grid
+Ranges come from the slab method for oriented boxes (Kay & Kajiya 1986) and the quadratic equation for circles. The
+inner loops over beams have no branches, so that the compiler vectorizes them. Worlds with many obstacles use a grid
 (`tb2rl.worlds.grid`).
 """
-
-from __future__ import annotations
 
 import math
 
 import numpy as np
 
-from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.worlds.grid import PARALLEL, clearance_in_grid, first_hit, gap_to_post, squared_gap_to_box
-from tb2rl.worlds.index import BOXES, BOXES_END, COLUMNS, POSTS, POSTS_END, WorldIndex, index_of
+from tb2rl.core.compiled import NO_REFCOUNT, njit
+from tb2rl.worlds.grid import MIN_DIVISOR, clearance_in_grid, distance_to_post, range_in_grid, squared_distance_to_box
+from tb2rl.worlds.spatial_index import BOX, POST, WORLD
 
-_FAST = {"nsz", "nnan", "arcp", "contract", "reassoc"}  # for loops over beams
+_FASTMATH = {"nsz", "nnan", "arcp", "contract", "reassoc"}  # LLVM flags with which loops over beams are vectorized
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def cast_beams(x, y, yaw, beams, index, world, scratch, ranges, row):
-    """Write the distance to the nearest obstacle along each beam into one row of `ranges`; inf without an obstacle.
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
+def cast_beams(pose, beams, spatial_index, world_id, scratch, ranges, row):
+    """Write the range of each beam to one row of `ranges`; inf if the beam hits no obstacle.
 
     Args:
-        x, y, yaw: Pose of the laser [m, m, rad].
-        beams: Cosines and sines of the beam directions in the laser's frame, each of shape (beams,).
-        index: `WorldIndex` of all worlds.
-        world: Number of the world in it.
-        scratch: Two arrays of shape (beams,); allocating them here would cost as much as the work.
+        pose: Pose of the laser: x, y, yaw [m, m, rad].
+        beams: Cosines and sines of the beam angles in the frame of the laser, each of shape (beams,).
+        spatial_index: `SpatialIndex` of all worlds.
+        world_id: Row of the world in `spatial_index.worlds`.
+        scratch: Two arrays of shape (beams,), because their allocation would take as long as the computation.
         ranges: Result [m], shape (num_envs, beams).
-        row: A view of the row instead would be reference-counted, which makes threads wait for each other.
+        row: Row of the result. It is an index, because threads would contend for the reference count of a view.
     """
-    if index.parts[world, COLUMNS] == 0.0:
-        _cast_at_all(x, y, yaw, beams, index, world, scratch, ranges, row)
+    if spatial_index.worlds[world_id, WORLD.columns] == 0.0:
+        _cast_without_grid(pose, beams, spatial_index, world_id, scratch, ranges, row)
         return
-    cos_beams, sin_beams = beams
+    (x, y, yaw), (cos_beams, sin_beams) = pose, beams
     cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
     for i in range(cos_beams.size):
-        dx = cos_yaw * cos_beams[i] - sin_yaw * sin_beams[i]
-        dy = sin_yaw * cos_beams[i] + cos_yaw * sin_beams[i]
-        ranges[row, i] = first_hit(x, y, dx, dy, index, world)
+        ray_x = cos_yaw * cos_beams[i] - sin_yaw * sin_beams[i]
+        ray_y = sin_yaw * cos_beams[i] + cos_yaw * sin_beams[i]
+        ranges[row, i] = range_in_grid(x, y, ray_x, ray_y, spatial_index, world_id)
 
 
-@njit(cache=True, **UNCOUNTED, fastmath=_FAST, error_model="numpy", forceinline=True)
-def _cast_at_all(x, y, yaw, beams, index, world, scratch, ranges, row):
-    """Test each obstacle of a world against all beams; see `cast_beams`."""
-    (cos_beams, sin_beams), (over_x, over_y) = beams, scratch
-    boxes, posts, parts, _ = index
-    first_box, last_box = int(parts[world, BOXES]), int(parts[world, BOXES_END])
-    first_post, last_post = int(parts[world, POSTS]), int(parts[world, POSTS_END])
+@njit(cache=True, **NO_REFCOUNT, fastmath=_FASTMATH, error_model="numpy", forceinline=True)
+def _cast_without_grid(pose, beams, spatial_index, world_id, scratch, ranges, row):
+    """Test all obstacles of a world against all beams; see `cast_beams`."""
+    (x, y, yaw), (cos_beams, sin_beams), (inverse_x, inverse_y) = pose, beams, scratch
+    boxes, posts, worlds, _ = spatial_index
+    first_box = int(worlds[world_id, WORLD.first_box])
     cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
     count = cos_beams.size
     for i in range(count):
         ranges[row, i] = np.inf
-    # Inverse beam directions in the frame of a box: divisions dominate the cost, and boxes share orientations.
-    for k in range(first_box, last_box):
-        half_length, half_width, cos_box, sin_box = boxes[k, 2], boxes[k, 3], boxes[k, 4], boxes[k, 5]
-        if k == first_box or cos_box != boxes[k - 1, 4] or sin_box != boxes[k - 1, 5]:
-            c = cos_yaw * cos_box + sin_yaw * sin_box
-            s = sin_yaw * cos_box - cos_yaw * sin_box
+    # Inverse beam directions are kept between boxes of the same orientation, because divisions dominate the cost.
+    for k in range(first_box, int(worlds[world_id, WORLD.end_box])):
+        half_length, half_width = boxes[k, BOX.half_length], boxes[k, BOX.half_width]
+        cos_box, sin_box = boxes[k, BOX.cos], boxes[k, BOX.sin]
+        if k == first_box or cos_box != boxes[k - 1, BOX.cos] or sin_box != boxes[k - 1, BOX.sin]:
+            cos_relative = cos_yaw * cos_box + sin_yaw * sin_box
+            sin_relative = sin_yaw * cos_box - cos_yaw * sin_box
             for i in range(count):
-                dx = c * cos_beams[i] - s * sin_beams[i]
-                dy = s * cos_beams[i] + c * sin_beams[i]
-                over_x[i] = 1.0 / (dx if abs(dx) > PARALLEL else PARALLEL)
-                over_y[i] = 1.0 / (dy if abs(dy) > PARALLEL else PARALLEL)
-        east, north = x - boxes[k, 0], y - boxes[k, 1]
-        ox, oy = cos_box * east + sin_box * north, cos_box * north - sin_box * east
-        for i in range(count):
-            mid_x, mid_y = -ox * over_x[i], -oy * over_y[i]
-            reach_x, reach_y = half_length * abs(over_x[i]), half_width * abs(over_y[i])
-            near = max(mid_x - reach_x, mid_y - reach_y)
-            far = min(mid_x + reach_x, mid_y + reach_y)
+                ray_x = cos_relative * cos_beams[i] - sin_relative * sin_beams[i]
+                ray_y = sin_relative * cos_beams[i] + cos_relative * sin_beams[i]
+                inverse_x[i] = 1.0 / (ray_x if abs(ray_x) > MIN_DIVISOR else MIN_DIVISOR)
+                inverse_y[i] = 1.0 / (ray_y if abs(ray_y) > MIN_DIVISOR else MIN_DIVISOR)
+        dx, dy = x - boxes[k, BOX.x], y - boxes[k, BOX.y]
+        laser_x, laser_y = cos_box * dx + sin_box * dy, cos_box * dy - sin_box * dx  # in the frame of the box
+        for i in range(count):  # see `slab_interval`
+            middle_x, middle_y = -laser_x * inverse_x[i], -laser_y * inverse_y[i]
+            half_x, half_y = half_length * abs(inverse_x[i]), half_width * abs(inverse_y[i])
+            near = max(middle_x - half_x, middle_y - half_y)
+            far = min(middle_x + half_x, middle_y + half_y)
             hit = max(near, 0.0)
-            nearer = (far >= hit) & (hit < ranges[row, i])
-            ranges[row, i] = hit if nearer else ranges[row, i]
-    for k in range(first_post, last_post):
-        east, north, radius = posts[k, 0] - x, posts[k, 1] - y, posts[k, 2]
-        px, py = cos_yaw * east + sin_yaw * north, cos_yaw * north - sin_yaw * east
-        for i in range(count):
-            along = px * cos_beams[i] + py * sin_beams[i]
-            across = px * sin_beams[i] - py * cos_beams[i]
-            half_chord = radius * radius - across * across
-            half = math.sqrt(max(half_chord, 0.0))
-            hit = max(along - half, 0.0)
-            nearer = (half_chord >= 0.0) & (along + half >= 0.0) & (hit < ranges[row, i])
-            ranges[row, i] = hit if nearer else ranges[row, i]
+            is_nearer = (far >= hit) & (hit < ranges[row, i])
+            ranges[row, i] = hit if is_nearer else ranges[row, i]
+    for k in range(int(worlds[world_id, WORLD.first_post]), int(worlds[world_id, WORLD.end_post])):
+        dx, dy, radius = posts[k, POST.x] - x, posts[k, POST.y] - y, posts[k, POST.radius]
+        post_x, post_y = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx  # in the frame of the laser
+        for i in range(count):  # see `chord_interval`
+            along = post_x * cos_beams[i] + post_y * sin_beams[i]
+            across = post_x * sin_beams[i] - post_y * cos_beams[i]
+            squared_half_chord = radius * radius - across * across
+            half_chord = math.sqrt(max(squared_half_chord, 0.0))
+            hit = max(along - half_chord, 0.0)
+            is_nearer = (squared_half_chord >= 0.0) & (along + half_chord >= 0.0) & (hit < ranges[row, i])
+            ranges[row, i] = hit if is_nearer else ranges[row, i]
 
 
-@njit(cache=True, **UNCOUNTED, forceinline=True)
+@njit(cache=True, **NO_REFCOUNT, forceinline=True)
 def limit_ranges(ranges, row, min_range, max_range):
-    """Raise ranges in a row of `ranges` (num_envs, beams) to `min_range`, and set those above `max_range` to inf."""
+    """Clip a row of `ranges` (num_envs, beams) to at least `min_range`, and set ranges above `max_range` to inf."""
     for i in range(ranges.shape[1]):
         ranges[row, i] = np.inf if ranges[row, i] > max_range else max(ranges[row, i], min_range)
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def clearance_at(x, y, index, world):
-    """Distance from a point to the nearest obstacle of a world [m]: 0 inside one, inf without obstacles."""
-    if index.parts[world, COLUMNS] > 0.0:
-        return clearance_in_grid(x, y, index, world)
-    boxes, posts, parts, _ = index
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
+def clearance_at(x, y, spatial_index, world_id):
+    """Distance from a point to the nearest obstacle of a world [m]: 0 inside an obstacle, inf without obstacles."""
+    if spatial_index.worlds[world_id, WORLD.columns] > 0.0:
+        return clearance_in_grid(x, y, spatial_index, world_id)
+    boxes, posts, worlds, _ = spatial_index
     nearest = np.inf
-    for k in range(int(parts[world, BOXES]), int(parts[world, BOXES_END])):
-        nearest = min(nearest, squared_gap_to_box(x, y, boxes, k))
+    for k in range(int(worlds[world_id, WORLD.first_box]), int(worlds[world_id, WORLD.end_box])):
+        nearest = min(nearest, squared_distance_to_box(x, y, boxes, k))
     nearest = math.sqrt(nearest)
-    for k in range(int(parts[world, POSTS]), int(parts[world, POSTS_END])):
-        nearest = min(nearest, gap_to_post(x, y, posts, k))
+    for k in range(int(worlds[world_id, WORLD.first_post]), int(worlds[world_id, WORLD.end_post])):
+        nearest = min(nearest, distance_to_post(x, y, posts, k))
     return nearest
 
 
 @njit(cache=True)
-def place_in_triangles(draws, corners, shares, poses):
-    """Turn four random numbers in [0, 1) into a pose: a triangle, a point in it (two numbers), and a heading.
-
-    Osada et al. 2002, "Shape distributions", section 4.2.
+def sample_in_triangles(random_numbers, corners, cumulative_areas, poses):
+    """Sample poses in triangles, uniformly in area and yaw (Osada et al. 2002, "Shape distributions").
 
     Args:
-        draws: Shape (num_envs, 4).
+        random_numbers: Uniform in [0, 1): one for the triangle, two for the point, one for the yaw; shape (poses, 4).
         corners: x, y of the corners of each triangle [m], shape (triangles, 3, 2).
-        shares: Cumulative share of the area, shape (triangles,).
-        poses: Result x [m], y [m], yaw [rad], shape (num_envs, 3).
+        cumulative_areas: Cumulative sum of the triangles' areas, as shares of the total area, shape (triangles,).
+        poses: Result x [m], y [m], yaw [rad], shape (poses, 3).
     """
-    for i in range(draws.shape[0]):
-        k = min(np.searchsorted(shares, draws[i, 0], side="right"), shares.size - 1)
-        root, along = math.sqrt(draws[i, 1]), draws[i, 2]
+    for i in range(random_numbers.shape[0]):
+        k = min(np.searchsorted(cumulative_areas, random_numbers[i, 0], side="right"), cumulative_areas.size - 1)
+        root, along = math.sqrt(random_numbers[i, 1]), random_numbers[i, 2]
         for axis in range(2):
             first, second, third = corners[k, 0, axis], corners[k, 1, axis], corners[k, 2, axis]
             poses[i, axis] = (1 - root) * first + root * ((1 - along) * second + along * third)
-        poses[i, 2] = math.tau * draws[i, 3] - math.pi
+        poses[i, 2] = math.tau * random_numbers[i, 3] - math.pi
 
 
-@njit(cache=True, fastmath={"nnan", "nsz"})  # ranges are never NaN, so several beams are compared at a time
-def shortest_of(ranges, i):
-    """Shortest range in row `i` of `ranges` (num_envs, beams)."""
+@njit(cache=True, fastmath={"nnan", "nsz"})  # ranges are never NaN, so the loop is vectorized
+def shortest_range(ranges, row):
+    """Shortest range in a row of `ranges` (num_envs, beams)."""
     nearest = np.inf
-    for beam in range(ranges.shape[1]):
-        nearest = min(nearest, ranges[i, beam])
+    for i in range(ranges.shape[1]):
+        nearest = min(nearest, ranges[row, i])
     return nearest
 
 
 @njit(cache=True)
-def shortest(ranges):
-    """Shortest range in each row of `ranges` (num_envs, beams), shape (num_envs,)."""
-    nearest = np.empty(ranges.shape[0])
-    for i in range(ranges.shape[0]):
-        nearest[i] = shortest_of(ranges, i)
-    return nearest
-
-
-def cast(poses, cos_beams, sin_beams, boxes, posts, ranges):
-    """Write the ranges (num_envs, beams) from poses (num_envs, 3), testing every obstacle against every beam."""
-    index = index_of(boxes, posts, grid_above=len(boxes) + len(posts))
-    cast_many(poses, np.zeros(len(poses)), cos_beams, sin_beams, *index, ranges)
-
-
-@njit(cache=True)
-def cast_many(poses, world_of, cos_beams, sin_beams, boxes, posts, parts, lists, ranges):
-    """`cast_beams` for poses (num_envs, 3), their worlds (num_envs,) and ranges (num_envs, beams)."""
-    beams, index = (cos_beams, sin_beams), WorldIndex(boxes, posts, parts, lists)
-    scratch = np.empty(cos_beams.size), np.empty(cos_beams.size)
+def cast_many(poses, world_ids, beams, spatial_index, ranges):
+    """`cast_beams` from poses (num_envs, 3) in worlds (num_envs,); writes `ranges` (num_envs, beams)."""
+    scratch = np.empty(beams[0].size), np.empty(beams[0].size)
     for i in range(poses.shape[0]):
-        cast_beams(poses[i, 0], poses[i, 1], poses[i, 2], beams, index, int(world_of[i]), scratch, ranges, i)
-
-
-# The entry points of kernels that hold the arrays of a `WorldIndex` one by one.
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def cast_one(x, y, yaw, cos_beams, sin_beams, boxes, posts, parts, lists, world, over_x, over_y, ranges, row):
-    """`cast_beams` with loose arrays."""
-    index = WorldIndex(boxes, posts, parts, lists)
-    cast_beams(x, y, yaw, (cos_beams, sin_beams), index, world, (over_x, over_y), ranges, row)
-
-
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def clearance_one(x, y, boxes, posts, parts, lists, world):
-    """`clearance_at` with loose arrays."""
-    return clearance_at(x, y, WorldIndex(boxes, posts, parts, lists), world)
+        pose = poses[i, 0], poses[i, 1], poses[i, 2]
+        cast_beams(pose, beams, spatial_index, int(world_ids[i]), scratch, ranges, i)

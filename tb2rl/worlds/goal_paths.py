@@ -1,10 +1,10 @@
-"""Paths from anywhere in a world to a goal: their lengths, and the points ahead on them.
+"""Shortest paths to a goal from anywhere in a world: path lengths and lookahead points.
 
-The floor is a grid of squares (`tb2rl.worlds.floor`), path lengths come from fast marching. Squares near a wall cost
-more, so that paths keep off walls where they can.
+Path lengths come from fast marching (Sethian 1996, "A fast marching level set method for monotonically advancing
+fronts") on the grid of `tb2rl.worlds.floor`. Unlike a graph search over neighbouring cells, fast marching does not
+prefer the axes of the grid. Cells near a wall have higher costs, so that paths keep a distance from walls where there
+is room.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -12,199 +12,271 @@ from collections.abc import Sequence
 import numpy as np
 
 from tb2rl.core.compiled import njit
-from tb2rl.worlds.fast_marching import march
-from tb2rl.worlds.floor import MOST_SQUARES, SIDE, Floor, GrowingTable, nearest_square
+from tb2rl.worlds.floor import CELL_SIZE, MAX_CELLS, Floor, RaggedTable, flood, nearest_cell
 from tb2rl.worlds.world import World
 
-GOALS = 4  # random ones in each world, beside its own
-OWN = 0  # number of a world's own goal; random ones have the numbers from 1
-KEEP_OFF = 0.35  # [m] between robot and walls, below which squares cost more
-_TIGHT = 0.15  # [m] gap at which a square costs about twice; the cost grows with the inverse square of the gap
-_MOST_COST = 20.0  # worth any detour; with higher costs the slope would lead nowhere
-_FINE = 0.05  # [m] side of a square: 0.1 m cannot tell a gap in which the robot sticks from one of half a metre
-_STEP = 0.5 * _FINE  # [m] along a path: longer steps cut corners
-_NEAR = 0.25  # [m] from the goal, within which a path is straight
-_GOAL_ROOM = 0.3  # [m] around a random goal, where there is so much
+RANDOM_GOALS = 4  # number of random goals in each world, besides the world's own goal
+OWN_GOAL = 0  # number of a world's own goal; the random goals have the numbers 1 to `RANDOM_GOALS`
+PREFERRED_GAP = 0.35  # [m] between robot and walls; cells with a smaller gap cost more
+_DOUBLE_COST_GAP = 0.15  # [m] cells with this gap cost about double; the additional cost grows with 1 / gap^2
+_MAX_COST = 20.0  # high enough for any detour; higher costs would hide the direction of the path
+_UNREACHABLE_COST = 3.0  # cost of unreachable cells, which robots enter by rounding errors only
+_FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, a passage too narrow for the robot can seem 0.5 m wide
+_PATH_STEP = 0.5 * _FINE_CELL  # [m] longer steps along a path would cut corners
+_STRAIGHT_RADIUS = 0.25  # [m] distance from the goal below which paths are straight
+_GOAL_CLEARANCE = 0.3  # [m] clearance of random goals, if any reachable cell has it
 
 
 class GoalPaths:
-    """The paths to some goals in each of some worlds, computed for each goal when it is first used.
+    """Paths of a robot with a radius [m] to the goals of many worlds.
 
-    A goal is identified by the index of its world and its number there: `OWN`, or 1 to `GOALS` for random goals, which
-    are the same in every process.
-
-    Args:
-        worlds: The worlds.
-        radius: Radius of the robot [m].
+    A goal is identified by the index of its world and by its number there: `OWN_GOAL`, or 1 to `RANDOM_GOALS`. Random
+    goals are the same in every process. The paths to a goal are computed at its first use.
     """
 
     def __init__(self, worlds: Sequence[World], radius: float) -> None:
         self._worlds, self._radius = worlds, radius
-        self._goals = np.full((len(worlds) * (GOALS + 1), 2), np.nan)
-        self._begins = np.full(len(self._goals), -1)  # offset of a goal's field in `_lengths`; -1: not computed yet
-        self._grids = np.zeros((len(worlds), 5))  # rows, columns, x and y of the first square's centre, side [m]
-        self._floors: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        self._lengths = GrowingTable()
+        self._goals = np.full((len(worlds) * (RANDOM_GOALS + 1), 2), np.nan)
+        self._lengths = RaggedTable(len(self._goals))  # path lengths to each goal, from all cells of its world
+        self._grids = np.zeros((len(worlds), 5))  # a row for each world, the `grid` of `path_lengths_to`
+        self._floors: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # results of `_make_floor`
 
-    def goals(self, worlds: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        """Goals: x, y [m], shape (num_envs, 2), for worlds and numbers of shape (num_envs,)."""
-        return self._goals[self._fields(worlds, numbers)]
+    def goals(self, worlds: np.ndarray, goal_numbers: np.ndarray) -> np.ndarray:
+        """X and y of goals [m], shape (num_envs, 2), by worlds and goal numbers of shape (num_envs,)."""
+        return self._goals[self._goal_rows(worlds, goal_numbers)]
 
-    def path_length(self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Path lengths to goals [m], (num_envs,), from x, y [m], shape (num_envs, 2) or more columns."""
-        lengths, places = np.empty(len(places)), np.array(places)  # compiled once, for arrays of one kind
-        fields = self._fields(worlds, numbers)
-        _interpolate(self._begins[fields], self._grids[worlds], self._lengths.rows, places, lengths)
+    def path_length(self, worlds: np.ndarray, goal_numbers: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Path lengths to goals [m], shape (num_envs,).
+
+        Args:
+            worlds, goal_numbers: World and number of each goal, shape (num_envs,).
+            positions: x, y [m] in the first two columns, such as poses, shape (num_envs, n).
+        """
+        lengths, positions = np.empty(len(positions)), np.array(positions)  # always contiguous, to compile only once
+        offsets = self._lengths.first_rows[self._goal_rows(worlds, goal_numbers)]
+        _interpolate(offsets, self._grids[worlds], self._lengths.rows, positions, lengths)
         return lengths
 
     def lookahead_point(
-        self, worlds: np.ndarray, numbers: np.ndarray, places: np.ndarray, lookahead: float
+        self, worlds: np.ndarray, goal_numbers: np.ndarray, positions: np.ndarray, lookahead: float
     ) -> np.ndarray:
-        """Points `lookahead` [m] ahead on the paths, or goals that are nearer, shape (num_envs, 2)."""
-        fields, points, places = self._fields(worlds, numbers), np.empty((len(places), 2)), np.array(places)
-        begins, goals = self._begins[fields], self._goals[fields]
-        points_ahead(begins, self._grids[worlds], self._lengths.rows, places, goals, lookahead, points)
+        """Points `lookahead` [m] ahead on the paths, or the goals if they are nearer, shape (num_envs, 2)."""
+        rows, positions = self._goal_rows(worlds, goal_numbers), np.array(positions)
+        offsets, goals, points = self._lengths.first_rows[rows], self._goals[rows], np.empty((len(positions), 2))
+        lookahead_points(offsets, self._grids[worlds], self._lengths.rows, positions, goals, lookahead, points)
         return points
 
-    def _fields(self, worlds: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        fields = worlds * (GOALS + 1) + numbers
-        missing = self._begins[fields] < 0
-        if missing.any():
-            for field in np.unique(fields[missing]).tolist():
-                self._add(field, *divmod(field, GOALS + 1))
-        return fields
+    def _goal_rows(self, worlds: np.ndarray, goal_numbers: np.ndarray) -> np.ndarray:
+        """Rows of goals in `_goals` and `_lengths`; computes missing paths first."""
+        rows = worlds * (RANDOM_GOALS + 1) + goal_numbers
+        is_missing = self._lengths.first_rows[rows] < 0
+        if is_missing.any():  # `unique` is slow, and this runs in every step
+            for row in np.unique(rows[is_missing]).tolist():
+                self._compute_paths(row, *divmod(row, RANDOM_GOALS + 1))
+        return rows
 
-    def _add(self, field: int, world: int, number: int) -> None:
-        """Compute the paths to a goal."""
+    def _compute_paths(self, row: int, world: int, number: int) -> None:
         if world not in self._floors:
-            self._floors[world] = self._floor(world)
-        costs, goal_squares = self._floors[world]
-        self._goals[field] = goal = self._goal(world, number, goal_squares)
-        self._begins[field] = self._lengths.append(_march_to(goal, costs, self._grids[world]).ravel())
+            self._floors[world] = self._make_floor(world)
+        (costs, goal_cells), own_goal = self._floors[world], self._worlds[world].goal
+        if number != OWN_GOAL:
+            self._goals[row] = goal_cells[np.random.default_rng((world, number)).integers(len(goal_cells))]
+        elif own_goal is not None:
+            self._goals[row] = own_goal[:2]
+        self._lengths.add(row, path_lengths_to(self._goals[row], costs, self._grids[world]).ravel())
 
-    def _floor(self, world: int) -> tuple[np.ndarray, np.ndarray]:
-        """Cost of each square, 0 if blocked, and x, y of the squares that random goals are drawn from."""
+    def _make_floor(self, world: int) -> tuple[np.ndarray, np.ndarray]:
+        """Path costs of all cells of a world, and x, y of the cells for random goals [m]."""
         x0, y0, x1, y1 = self._worlds[world].bounds
-        side = _FINE if (x1 - x0) * (y1 - y0) <= MOST_SQUARES * _FINE**2 else SIDE
-        floor = Floor.of(self._worlds[world], self._radius + KEEP_OFF, side)
-        self._grids[world] = *floor.clearance.shape, *floor.corner, side
-        reached = floor.steps_from(*self._worlds[world].start[:2], self._radius) >= 0
-        roomy = reached & (floor.clearance >= _GOAL_ROOM)
-        return _costs(floor.clearance, self._radius), floor.centres(roomy if roomy.any() else reached)
-
-    def _goal(self, world: int, number: int, squares: np.ndarray) -> tuple[float, float]:
-        own = self._worlds[world].goal
-        if number == OWN:
-            return (math.nan, math.nan) if own is None else own[:2]
-        x, y = squares[np.random.default_rng((world, number)).integers(len(squares))].tolist()
-        return x, y
+        cell_side = _FINE_CELL if (x1 - x0) * (y1 - y0) <= MAX_CELLS * _FINE_CELL**2 else CELL_SIZE
+        floor = Floor.of(self._worlds[world], self._radius + PREFERRED_GAP, cell_side)
+        self._grids[world] = *floor.clearance.shape, *floor.first_centre, cell_side
+        reachable = np.isfinite(floor.steps_from(*self._worlds[world].start[:2], self._radius))
+        has_room = reachable & (floor.clearance >= _GOAL_CLEARANCE)
+        return path_costs(floor.clearance, self._radius), floor.centres(has_room if has_room.any() else reachable)
 
 
-def march_from(clearance: np.ndarray, radius: float, goal: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Path length from all squares of a map to a goal [m], see `GoalPaths`.
+def path_lengths_to(goal: np.ndarray, costs: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Path length from each cell of a grid to a goal [m], shape (rows, columns).
 
     Args:
-        clearance: Of each square, at most `KEEP_OFF` more than the radius [m], shape (rows, columns).
-        radius: Radius of the robot [m].
         goal: x, y [m], shape (2,).
-        grid: Rows, columns, x and y of the first square's centre, side of a square [m], shape (5,).
+        costs: Costs of the cells, see `path_costs`.
+        grid: Number of rows and of columns, x and y of the first cell's centre [m], side of a cell [m]; shape (5,).
     """
-    return _march_to(goal.tolist(), _costs(clearance, radius), grid)
+    rows, columns, left, bottom, cell_side = grid.tolist()
+    row, column = nearest_cell(goal[1], bottom, cell_side, rows), nearest_cell(goal[0], left, cell_side, columns)
+    return march(costs, row, column, cell_side)
 
 
-def _march_to(goal: Sequence[float], costs: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    rows, columns, left, bottom, side = grid.tolist()
-    row, column = nearest_square(goal[1], bottom, side, rows), nearest_square(goal[0], left, side, columns)
-    return march(costs, row, column, side)
+def path_costs(clearance: np.ndarray, radius: float) -> np.ndarray:
+    """Factor on the length of a path over each cell; 0 in blocked cells, where a robot of this radius [m] has no room.
 
-
-def _costs(clearance: np.ndarray, radius: float) -> np.ndarray:
-    """Factor on the length of a path over each square; 0 where a robot of that radius [m] does not fit."""
+    The clearances [m] must be clipped at the radius plus `PREFERRED_GAP`.
+    """
     gap = np.maximum(clearance - radius, 1e-3)
-    costs = 1.0 + (_TIGHT / gap) ** 2 - (_TIGHT / KEEP_OFF) ** 2
-    return np.where(clearance >= radius, np.minimum(costs, _MOST_COST), 0.0)
+    costs = 1.0 + (_DOUBLE_COST_GAP / gap) ** 2 - (_DOUBLE_COST_GAP / PREFERRED_GAP) ** 2
+    return np.where(clearance >= radius, np.minimum(costs, _MAX_COST), 0.0)
 
 
 def shortest_path_length(world: World, radius: float) -> float:
-    """Length of the shortest path from a world's start to its goal for a robot of that radius [m]; inf without one.
+    """Length of the shortest path from a world's start to its goal for a robot of this radius [m]; inf without a path.
 
-    It is up to a twentieth too long, because the grid keeps some centimetres off corners and fast marching rounds up.
+    The result is up to 5 % too long, because grid paths keep some centimetres away from corners, and fast marching
+    overestimates lengths.
     """
     assert world.goal is not None
-    floor = Floor.of(world, radius + SIDE)
-    start, goal = floor.square_at(*world.start[:2]), floor.square_at(*world.goal[:2])
-    if floor.steps_from(*world.start[:2], radius)[goal] < 0:
+    floor = Floor.of(world, radius + CELL_SIZE)
+    start, goal = floor.cell_at(*world.start[:2]), floor.cell_at(*world.goal[:2])
+    if math.isinf(floor.steps_from(*world.start[:2], radius)[goal]):
         return math.inf
-    return float(march(np.where(floor.clearance >= radius, 1.0, 0.0), *goal, SIDE)[start])
+    return float(march(np.where(floor.clearance >= radius, 1.0, 0.0), *goal, CELL_SIZE)[start])
+
+
+@njit(cache=True, nogil=True)
+def march(costs, row, column, cell_side):
+    """Path length from all cells to the cell `row`, `column` [m], shape (rows, columns), float32.
+
+    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. The length does not
+    come from the neighbour with the shortest path, because that neighbour may be behind a thin wall.
+
+    Args:
+        costs: See `path_costs`, shape (rows, columns).
+        row, column: Cell of the goal.
+        cell_side: Side of a cell [m].
+    """
+    rows, columns = costs.shape
+    width = columns + 2  # with a frame of blocked cells, so that every cell has four neighbours
+    framed = np.zeros((rows + 2, width))
+    framed[1:-1, 1:-1] = cell_side * costs
+    steps, lengths = framed.ravel(), np.full((rows + 2) * width, np.inf)
+    goal = (row + 1) * width + column + 1
+    lengths[goal] = 0.0
+    keys, cells = np.empty(4 * lengths.size), np.empty(4 * lengths.size, dtype=np.int64)  # a heap, by path length
+    size = _push(keys, cells, 0, 0.0, goal)
+    while size:
+        shortest, cell = keys[0], cells[0]
+        size = _pop(keys, cells, size)
+        if shortest > lengths[cell]:
+            continue  # a shorter path has been found since
+        for neighbour in (cell + 1, cell + width, cell - 1, cell - width):
+            step = steps[neighbour]
+            if step == 0.0 or lengths[neighbour] <= shortest:
+                continue
+            in_row = min(lengths[neighbour - 1], lengths[neighbour + 1])
+            in_column = min(lengths[neighbour - width], lengths[neighbour + width])
+            length = min(in_row, in_column) + step
+            if abs(in_row - in_column) < step:
+                length = 0.5 * (in_row + in_column + math.sqrt(2.0 * step * step - (in_row - in_column) ** 2))
+            if length < lengths[neighbour]:
+                lengths[neighbour] = length
+                size = _push(keys, cells, size, length, neighbour)
+    result = lengths.reshape((rows + 2, width))[1:-1, 1:-1].copy()
+    flood(result, np.ones((rows, columns), dtype=np.bool_), _UNREACHABLE_COST * cell_side)
+    return result.astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _push(keys, cells, size, key, cell):
+    """Push a cell on a binary heap of `size` entries and return the new size; faster than `heapq` in numba."""
+    position = size
+    while position > 0 and keys[(position - 1) // 2] > key:
+        keys[position], cells[position] = keys[(position - 1) // 2], cells[(position - 1) // 2]
+        position = (position - 1) // 2
+    keys[position], cells[position] = key, cell
+    return size + 1
+
+
+@njit(cache=True, nogil=True)
+def _pop(keys, cells, size):
+    """Remove the cell with the least key from the heap and return the new size."""
+    size -= 1
+    key, cell, position, child = keys[size], cells[size], 0, 1
+    while child < size:
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[position], cells[position] = keys[child], cells[child]
+        position, child = child, 2 * child + 1
+    keys[position], cells[position] = key, cell
+    return size
 
 
 @njit(cache=True)
-def _within_grid(grid, x, y):
-    """Lower left of the four squares around a point, and the point's offsets between their centres, from 0 to 1."""
-    across = min(max((x - grid[2]) / grid[4], 0.0), grid[1] - 1.0)
-    along = min(max((y - grid[3]) / grid[4], 0.0), grid[0] - 1.0)
-    column, row = min(int(across), max(int(grid[1]) - 2, 0)), min(int(along), max(int(grid[0]) - 2, 0))
-    return row, column, along - row, across - column
+def _grid_position(grid, x, y):
+    """Row and column of the lower left of the four cells around a point, and the position of the point between them.
+
+    The position is upwards and to the right, from 0 at the centre of the lower left cell to 1 at the next centre.
+    """
+    columns_right = min(max((x - grid[2]) / grid[4], 0.0), grid[1] - 1.0)
+    rows_up = min(max((y - grid[3]) / grid[4], 0.0), grid[0] - 1.0)
+    column, row = min(int(columns_right), max(int(grid[1]) - 2, 0)), min(int(rows_up), max(int(grid[0]) - 2, 0))
+    return row, column, rows_up - row, columns_right - column
 
 
 @njit(cache=True)
-def _interpolate(begins, grids, values, places, lengths):
-    """Interpolate path lengths (num_envs,) linearly between the centres of squares; see `GoalPaths.path_length`."""
-    for i in range(places.shape[0]):
-        row, column, up, right = _within_grid(grids[i], places[i, 0], places[i, 1])
+def _interpolate(offsets, grids, cell_lengths, positions, lengths):
+    """Write path lengths (num_envs,), interpolated linearly between cell centres; see `GoalPaths.path_length`.
+
+    The `cell_lengths` of each environment begin at its offset (num_envs,), in the order of the cells of its grid.
+    """
+    for i in range(positions.shape[0]):
+        row, column, up, right = _grid_position(grids[i], positions[i, 0], positions[i, 1])
         columns = int(grids[i, 1])
-        east, north = 1 if columns > 1 else 0, columns if grids[i, 0] > 1.0 else 0
-        at = begins[i] + row * columns + column
-        below = (1 - right) * values[at] + right * values[at + east]
-        above = (1 - right) * values[at + north] + right * values[at + north + east]
+        next_column, next_row = 1 if columns > 1 else 0, columns if grids[i, 0] > 1.0 else 0
+        cell = offsets[i] + row * columns + column
+        below = (1 - right) * cell_lengths[cell] + right * cell_lengths[cell + next_column]
+        above = (1 - right) * cell_lengths[cell + next_row] + right * cell_lengths[cell + next_row + next_column]
         lengths[i] = (1 - up) * below + up * above
 
 
 @njit(cache=True)
-def _downhill(begin, grid, values, row, column, up, right):
-    """Direction of the path at a point, interpolated linearly between the directions of the four squares around it.
+def _path_direction(offset, grid, cell_lengths, row, column, up, right):
+    """Direction of the path at a point, interpolated linearly between the directions in the four cells around it.
 
-    The direction of a square leads to its nearer neighbours, as in fast marching. In a valley between costly squares it
-    leads along the valley, while the slope between the squares would oscillate across it.
+    `row`, `column`, `up` and `right` are those of `_grid_position`. The direction in a cell is the gradient towards its
+    neighbours with shorter paths, as in fast marching. The gradient of the interpolated lengths would oscillate in a
+    narrow passage between costly cells.
     """
     rows, columns = int(grid[0]), int(grid[1])
-    down_x, down_y = 0.0, 0.0
+    path_x, path_y = 0.0, 0.0
     for i in range(2):
         for j in range(2):
-            share = (up if i else 1.0 - up) * (right if j else 1.0 - right)
+            weight = (up if i else 1.0 - up) * (right if j else 1.0 - right)
             r, c = min(row + i, rows - 1), min(column + j, columns - 1)
-            at = begin + r * columns + c
-            here = values[at]
-            west = values[at - 1] if c > 0 else np.inf
-            east = values[at + 1] if c + 1 < columns else np.inf
-            south = values[at - columns] if r > 0 else np.inf
-            north = values[at + columns] if r + 1 < rows else np.inf
-            x = max(here - min(west, east), 0.0)
-            y = max(here - min(south, north), 0.0)
+            cell = offset + r * columns + c
+            here = cell_lengths[cell]
+            at_left = cell_lengths[cell - 1] if c > 0 else np.inf
+            at_right = cell_lengths[cell + 1] if c + 1 < columns else np.inf
+            below = cell_lengths[cell - columns] if r > 0 else np.inf
+            above = cell_lengths[cell + columns] if r + 1 < rows else np.inf
+            x = max(here - min(at_left, at_right), 0.0)
+            y = max(here - min(below, above), 0.0)
             length = math.sqrt(x * x + y * y)
             if length > 0.0:
-                down_x += share * (x if east < west else -x) / length
-                down_y += share * (y if north < south else -y) / length
-    return down_x, down_y
+                path_x += weight * (x if at_right < at_left else -x) / length
+                path_y += weight * (y if above < below else -y) / length
+    return path_x, path_y
 
 
 @njit(cache=True)
-def points_ahead(begins, grids, values, places, goals, lookahead, points):
-    """Write the points ahead (num_envs, 2); see `GoalPaths.lookahead_point`."""
-    for i in range(places.shape[0]):
-        x, y, left = places[i, 0], places[i, 1], lookahead
-        while left > 0.0:
-            east, north = goals[i, 0] - x, goals[i, 1] - y
-            straight = math.hypot(east, north)
-            if straight < max(_NEAR, 1e-9):
-                share = min(1.0, left / max(straight, 1e-9))
-                x, y = x + share * east, y + share * north
+def lookahead_points(offsets, grids, cell_lengths, positions, goals, lookahead, points):
+    """Write lookahead points (num_envs, 2); see `GoalPaths.lookahead_point` and `_interpolate`."""
+    for i in range(positions.shape[0]):
+        x, y, remaining = positions[i, 0], positions[i, 1], lookahead
+        while remaining > 0.0:
+            goal_dx, goal_dy = goals[i, 0] - x, goals[i, 1] - y
+            goal_distance = math.hypot(goal_dx, goal_dy)
+            if goal_distance < _STRAIGHT_RADIUS:
+                share = min(1.0, remaining / max(goal_distance, 1e-9))
+                x, y = x + share * goal_dx, y + share * goal_dy
                 break
-            row, column, up, right = _within_grid(grids[i], x, y)
-            down_x, down_y = _downhill(begins[i], grids[i], values, row, column, up, right)
-            slope = math.hypot(down_x, down_y)
-            if not slope > 1e-6:
-                break  # no path leads from here
-            step = min(_STEP, left)
-            x, y, left = x + step * down_x / slope, y + step * down_y / slope, left - step
+            row, column, up, right = _grid_position(grids[i], x, y)
+            path_x, path_y = _path_direction(offsets[i], grids[i], cell_lengths, row, column, up, right)
+            norm = math.hypot(path_x, path_y)
+            if not norm > 1e-6:
+                break  # the goal is unreachable
+            step = min(_PATH_STEP, remaining)
+            x, y, remaining = x + step * path_x / norm, y + step * path_y / norm, remaining - step
         points[i, 0], points[i, 1] = x, y

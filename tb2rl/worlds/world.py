@@ -1,13 +1,13 @@
-"""A world: obstacles, the free space between them, and start and goal poses.
+"""Worlds: obstacles, free space, start and goal.
 
-Every obstacle is an oriented box or a round post: laser, physics and pictures all read the same two tables.
+Obstacles are oriented boxes and round posts, in two tables that laser, physics and renderers share.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,30 +17,29 @@ from shapely.geometry.base import BaseGeometry
 
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Point, Pose
-from tb2rl.worlds.dynamic_obstacles import DynamicObstacles, find_dynamic_obstacles
-from tb2rl.worlds.geometry import clearance_at, place_in_triangles
-from tb2rl.worlds.index import WorldIndex, index_of
+from tb2rl.worlds.dynamic_obstacles import DynamicObstacles, parse_dynamic_obstacles
+from tb2rl.worlds.geometry import clearance_at, sample_in_triangles
+from tb2rl.worlds.spatial_index import SpatialIndex, build_index
 
-WALL_HEIGHT = 0.5  # [m] higher than the laser, low enough to look over in a picture
-_ROUNDING = 1e-9  # [m]
+WALL_HEIGHT = 0.5  # [m] higher than the laser, but low enough for views from above
+_BOX, _POST, _POSE = ("x", "y", "length", "width", "yaw"), ("x", "y", "radius"), ("x", "y", "yaw")
 
 BoxShape = tuple[float, float, float, float, float]  # x, y, length, width [m], yaw [rad]
 PostShape = tuple[float, float, float]  # x, y, radius [m]
-Bounds = tuple[float, float, float, float]  # x from, y from, x to, y to [m]
-Triangles = tuple[np.ndarray, np.ndarray]  # corners [m], shape (triangles, 3, 2); cumulative share of the area
+Bounds = tuple[float, float, float, float]  # min x, min y, max x, max y [m]
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Obstacles, start and goal; made by `from_shapes`.
+    """Obstacles, start and goal of a world; every construction is checked, see `from_shapes`.
 
     Attributes:
         boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
-        posts: Rows of x, y, radius [m], shape (posts, 3).
-        start: The fixed start pose x [m], y [m], yaw [rad].
-        goal: The goal pose, or None.
-        bounds: The rectangle that counts as the world.
-        description: One line for people.
+        posts: Rows of x, y, radius [m] of circles, shape (posts, 3).
+        start: Start pose x [m], y [m], yaw [rad], unless a task draws start poses.
+        goal: Goal pose; None: the world has no goal.
+        bounds: Rectangle of the world.
+        description: One line for the user.
     """
 
     name: str
@@ -51,8 +50,9 @@ class World:
     bounds: Bounds
     description: str = ""
     dynamic_obstacles: tuple[DynamicObstacles, ...] = ()
+    # Caches by clearance: the free space, and its triangles as arguments of `sample_in_triangles`.
     _free_spaces: dict[float, BaseGeometry] = field(default_factory=dict, init=False, repr=False)
-    _triangles: dict[float, Triangles] = field(default_factory=dict, init=False, repr=False)
+    _triangles: dict[float, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def from_shapes(
@@ -70,85 +70,72 @@ class World:
         """Make a world from its shapes.
 
         Args:
-            name: Name of the world.
             boxes: x, y of the centre, length, width [m] and yaw [rad] of each box.
             posts: x, y and radius [m] of each post.
-            start: The fixed start pose x [m], y [m], yaw [rad].
-            goal: The goal pose, if there is one.
-            bounds: The rectangle that counts as the world; None: the rectangle around the obstacles.
-            description: One line for people.
-            dynamic_obstacles: `DynamicObstacles`, or a setting that `find_dynamic_obstacles` takes.
+            start, goal: See `World`.
+            bounds: Rectangle of the world; None: the bounding box of the obstacles.
+            description: One line for the user.
+            dynamic_obstacles: A list of groups, see `parse_dynamic_obstacles`.
 
         Raises:
             InputError: If there are neither obstacles nor bounds, a value is invalid, or the goal is outside the bounds
                 or in an obstacle.
         """
-        box_rows = _box_rows(_shapes(boxes, "box", ("x", "y", "length", "width", "yaw"), name))
-        post_rows = np.array(_shapes(posts, "post", ("x", "y", "radius"), name)).reshape(-1, 3)
-        _numbers(start, ("x", "y", "yaw"), f"world {name}: the start")
-        bounds = _extent(box_rows, post_rows, name) if bounds is None else bounds
-        _numbers(bounds, ("x from", "y from", "x to", "y to"), f"world {name}: bounds")
-        if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
-            raise InputError(f"world {name}: bounds must be x from, y from, x to, y to, got {list(bounds)}")
-        groups = find_dynamic_obstacles(dynamic_obstacles, f"world {name}: dynamic_obstacles")
-        world = cls(name, box_rows, post_rows, start, goal, bounds, description, groups)
-        if goal is not None:
-            x, y, _ = _numbers(goal, ("x", "y", "yaw"), f"world {name}: the goal")
-            if not world.contains((x, y)) or world.clearance(x, y) == 0.0:
-                where = "inside an obstacle" if world.contains((x, y)) else "outside its bounds"
-                raise InputError(f"world {name}: the goal ({x:g}, {y:g}) is {where}")
-        return world
+        owner = f"world {name}"
+        box_rows, post_rows = _box_rows(_shape_table(boxes, "box", owner)), _shape_table(posts, "post", owner)
+        if bounds is None:
+            if not (len(box_rows) or len(post_rows)):
+                raise InputError(f"{owner}: without obstacles it needs `bounds: [x from, y from, x to, y to]`")
+            bounds = tuple(shapely.total_bounds([*box_polygons(box_rows), *post_polygons(post_rows)]).tolist())
+        groups = parse_dynamic_obstacles(dynamic_obstacles, f"{owner}: dynamic_obstacles")
+        return cls(name, box_rows, post_rows, start, goal, bounds, description, groups)
 
-    def with_places(self, start: Pose | None, goal: Pose | None, bounds: Bounds | None = None) -> World:
-        """The same obstacles with another start, goal or bounds; None keeps the present one.
+    def __post_init__(self) -> None:
+        owner = f"world {self.name}"
+        _parse_numbers(self.start, _POSE, f"{owner}: the start")
+        x0, y0, x1, y1 = _parse_numbers(self.bounds, ("x from", "y from", "x to", "y to"), f"{owner}: bounds")
+        if not (x0 < x1 and y0 < y1):
+            raise InputError(f"{owner}: bounds must be x from < x to, y from < y to, got {[x0, y0, x1, y1]}")
+        if self.goal is not None:
+            x, y, _ = _parse_numbers(self.goal, _POSE, f"{owner}: the goal")
+            if not self.contains((x, y)):
+                raise InputError(f"{owner}: the goal ({x:g}, {y:g}) is outside the bounds")
+            if self.clearance(x, y) == 0.0:
+                raise InputError(f"{owner}: the goal ({x:g}, {y:g}) is inside an obstacle")
+
+    def with_start_and_goal(self, start: Pose | None, goal: Pose | None, bounds: Bounds | None = None) -> World:
+        """Copy the world with another start, goal or bounds; None keeps the present value.
 
         Raises:
-            InputError: If they are invalid, as for `from_shapes`.
+            InputError: If a value is invalid, as for `from_shapes`.
         """
-        if start is goal is bounds is None:
-            return self
-        return World.from_shapes(
-            self.name,
-            self.box_shapes,
-            self.posts.tolist(),
-            start=start or self.start,
-            goal=goal or self.goal,
-            bounds=bounds or self.bounds,
-            description=self.description,
-            dynamic_obstacles=self.dynamic_obstacles,
-        )
-
-    @property
-    def box_shapes(self) -> list[BoxShape]:
-        """The boxes as `from_shapes` takes them."""
-        rows = self.boxes.tolist()
-        return [(x, y, 2 * along, 2 * across, math.atan2(sin, cos)) for x, y, along, across, cos, sin in rows]
+        return replace(self, start=start or self.start, goal=goal or self.goal, bounds=bounds or self.bounds)
 
     @cached_property
-    def index(self) -> WorldIndex:
+    def spatial_index(self) -> SpatialIndex:
         """Spatial index of the obstacles, for laser and clearance."""
-        return index_of(self.boxes, self.posts)
+        return build_index(self.boxes, self.posts)
 
     @property
     def obstacles(self) -> BaseGeometry:
         """Union of all obstacles."""
         return shapely.union_all(self.outlines())
 
-    def outlines(self, beyond: float = 0.0, segments: int = 32) -> np.ndarray:
+    def outlines(self, margin: float = 0.0, segments: int = 32) -> np.ndarray:
         """Polygons of the obstacles, shape (boxes + posts,).
 
         Args:
-            beyond: Enlargement on all sides [m]; corners stay sharp.
+            margin: Enlargement on all sides [m]; corners of boxes stay sharp.
             segments: Number of segments of a quarter circle.
         """
-        larger = np.array([0.0, 0.0, beyond, beyond, 0.0, 0.0])
-        return np.concatenate([box_polygons(self.boxes + larger), post_polygons(self.posts + larger[:3], segments)])
+        margins = np.array([0.0, 0.0, margin, margin, 0.0, 0.0])
+        return np.concatenate([box_polygons(self.boxes + margins), post_polygons(self.posts + margins[:3], segments)])
 
     def free_space(self, clearance: float) -> BaseGeometry:
-        """Where a robot's centre can get to from the start, `clearance` [m] from every obstacle and the bounds.
+        """Region that is reachable from the start with a clearance [m] from all obstacles and the bounds.
 
         Raises:
-            InputError: If the start itself has no such clearance.
+            InputError: If the start has less clearance.
         """
         if clearance not in self._free_spaces:
             start, bounds = shapely.Point(self.start[:2]), shapely.box(*self.bounds)
@@ -160,48 +147,46 @@ class World:
         return self._free_spaces[clearance]
 
     def check_start(self, clearance: float) -> None:
-        """Raise the error of `free_space` if the start has no such clearance [m], in a thousandth of its time."""
+        """Raise the `InputError` of `free_space` if the start is too near a wall [m]; 1000 times faster."""
         (x, y, _), (x0, y0, x1, y1) = self.start, self.bounds
-        if min(x - x0, x1 - x, y - y0, y1 - y, self.clearance(x, y)) < clearance - _ROUNDING:
+        if min(x - x0, x1 - x, y - y0, y1 - y, self.clearance(x, y)) < clearance - 1e-9:  # rounding errors
             raise self._start_error(clearance)
 
     def _start_error(self, clearance: float) -> InputError:
         x, y, _ = self.start
         if not self.contains((x, y)):
-            return InputError(f"world {self.name}: the start ({x:g}, {y:g}) is outside its bounds")
+            return InputError(f"world {self.name}: the start ({x:g}, {y:g}) is outside the bounds")
         return InputError(
-            f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to one, "
-            f"so there is no free space around it; move it, or lower task.start_clearance if it is {clearance:g}"
+            f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to a wall, "
+            f"so there is no free space; move the start, or lower task.start_clearance if that is {clearance:g}"
         )
 
     def clearance(self, x: float, y: float) -> float:
-        """Distance from a point to the nearest obstacle [m]; 0 inside one."""
-        return clearance_at(x, y, self.index, 0)
+        """Distance from a point to the nearest obstacle [m]; 0 inside an obstacle."""
+        return clearance_at(x, y, self.spatial_index, 0)  # world 0 of the index
 
     def contains(self, point: Point) -> bool:
         """Whether a point [m] is within the bounds."""
         x0, y0, x1, y1 = self.bounds
         return x0 <= point[0] <= x1 and y0 <= point[1] <= y1
 
-    def random_poses(self, rng: np.random.Generator, count: int, clearance: float) -> np.ndarray:
-        """Random poses, see `poses_from`, shape (count, 3)."""
-        return self.poses_from(rng.random((count, 4)), clearance)
+    def sample_poses(self, random_numbers: np.ndarray, clearance: float) -> np.ndarray:
+        """Sample poses uniformly in the free space.
 
-    def poses_from(self, draws: np.ndarray, clearance: float) -> np.ndarray:
-        """Turn four random numbers in [0, 1) each into a pose, (count, 4) to (count, 3).
+        Args:
+            random_numbers: Uniform in [0, 1), such as `rng.random((count, 4))`, shape (count, 4).
+            clearance: Minimum distance to obstacles and bounds [m].
 
-        The poses are spread evenly over a triangulation of the free space and all headings.
+        Returns:
+            x [m], y [m], yaw [rad], shape (count, 3).
         """
-        poses = np.empty((len(draws), 3))
-        place_in_triangles(draws, *self._free_triangles(clearance), poses)
-        return poses
-
-    def _free_triangles(self, clearance: float) -> Triangles:
         if clearance not in self._triangles:
             parts = shapely.get_parts(shapely.constrained_delaunay_triangles(self.free_space(clearance)))
             corners = np.array([part.exterior.coords[:3] for part in parts])
             self._triangles[clearance] = corners, np.cumsum(shapely.area(parts)) / shapely.area(parts).sum()
-        return self._triangles[clearance]
+        poses = np.empty((len(random_numbers), 3))
+        sample_in_triangles(random_numbers, *self._triangles[clearance], poses)
+        return poses
 
 
 def box_polygons(rows: np.ndarray) -> np.ndarray:
@@ -213,52 +198,42 @@ def box_polygons(rows: np.ndarray) -> np.ndarray:
 
 
 def post_polygons(rows: np.ndarray, segments: int = 32) -> np.ndarray:
-    """Polygons of rows of `World.posts`, off by less than 1 mm per metre of radius with 32 segments; shape (n,)."""
+    """Polygons of rows of `World.posts`, shape (n,); with 32 segments, the error is below 0.1 % of the radius."""
     return shapely.buffer(shapely.points(rows[:, :2]), rows[:, 2], quad_segs=segments)
 
 
-def _shapes(shapes: Iterable[Iterable[float]], kind: str, names: Sequence[str], world: str) -> list[list[float]]:
-    """Shapes as lists of numbers, with sizes above 0."""
-    checked = []
-    for number, shape in enumerate(shapes):
-        where = f"world {world}: {kind} {number} (the first is 0)"
-        checked.append(_numbers(shape, names, where))
-        for name, value in zip(names, checked[-1], strict=True):
-            if name in ("length", "width", "radius") and not value > 0:
-                raise InputError(f"{where} must have a {name} above 0, got {value:g}")
-    return checked
+def _shape_table(shapes: Iterable[Iterable[float]], shape_name: str, owner: str) -> np.ndarray:
+    """Table of boxes or posts, with a row for each shape."""
+    columns = _BOX if shape_name == "box" else _POST
+    label = f"{owner}: {shape_name}"
+    rows = [_parse_numbers(shape, columns, f"{label} {i} (the first is 0)") for i, shape in enumerate(shapes)]
+    return np.array(rows).reshape(-1, len(columns))
 
 
-def _numbers(values: Any, names: Sequence[str], where: str) -> list[float]:
+def _parse_numbers(values: Any, names: Sequence[str], label: str) -> list[float]:
+    """Parse finite numbers with these names; `label` stands for the values in messages."""
     try:
         numbers = np.array(values, dtype=float)
     except (TypeError, ValueError):
         numbers = np.empty(0)
     if numbers.shape != (len(names),) or not np.isfinite(numbers).all():
-        raise InputError(one_line(f"{where} must be {len(names)} numbers, {', '.join(names)}; got {values!r}"))
+        raise InputError(one_line(f"{label} must be {len(names)} numbers, {', '.join(names)}; got {values!r}"))
+    for name, number in zip(names, numbers, strict=True):
+        if name in ("length", "width", "radius") and number <= 0:
+            raise InputError(f"{label} must have a {name} above 0, got {number:g}")
     return numbers.tolist()
 
 
-def _box_rows(boxes: Iterable[Sequence[float]]) -> np.ndarray:
-    """Rows of `World.boxes`, turned by 45 degrees at most, and sorted by orientation.
+def _box_rows(boxes: np.ndarray) -> np.ndarray:
+    """Convert rows of `BoxShape` to rows of `World.boxes`, with yaws within 45 degrees and sorted by yaw.
 
-    A box turned by a quarter is the same box with its sides swapped. So the walls of a rectangular maze share one
-    orientation, and the laser needs the beam directions in it only once.
+    A box with a yaw of 90 degrees becomes a box of yaw 0 with swapped sides. So all walls of a rectangular maze share
+    one yaw, and the laser transforms its beam directions only once.
     """
-    rows = []
-    for x, y, length, width, yaw in boxes:
-        quarters = round(yaw / (math.pi / 2))
-        yaw -= quarters * math.pi / 2
-        yaw = yaw if abs(yaw) > 1e-12 else 0.0
-        along, across = (width, length) if quarters % 2 else (length, width)
-        rows.append((yaw, x, y, along / 2, across / 2))
-    table = np.array(sorted(rows), dtype=float).reshape(-1, 5)
-    return np.column_stack([table[:, 1:], np.cos(table[:, 0]), np.sin(table[:, 0])])
-
-
-def _extent(boxes: np.ndarray, posts: np.ndarray, name: str) -> Bounds:
-    shapes = [*box_polygons(boxes), *post_polygons(posts)]
-    if not shapes:
-        raise InputError(f"world {name}: without obstacles it needs `bounds: [x from, y from, x to, y to]`")
-    x0, y0, x1, y1 = shapely.total_bounds(shapes).tolist()
-    return x0, y0, x1, y1
+    quarters = np.round(boxes[:, 4] / (math.pi / 2))
+    yaw = boxes[:, 4] - quarters * math.pi / 2
+    yaw[np.abs(yaw) <= 1e-12] = 0.0
+    half_sides = np.where(quarters[:, None] % 2 == 1, boxes[:, [3, 2]], boxes[:, [2, 3]]) / 2
+    rows = np.column_stack([yaw, boxes[:, :2], half_sides])
+    rows = rows[np.lexsort(rows.T[::-1])]
+    return np.column_stack([rows[:, 1:], np.cos(rows[:, 0]), np.sin(rows[:, 0])])

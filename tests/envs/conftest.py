@@ -1,24 +1,19 @@
-"""Environments that are closed after a test, and tasks with other actions and sensors than the built-in ones."""
-
-from __future__ import annotations
+"""Environments that are closed after a test, and a task with other actions than the built-in ones."""
 
 import sys
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 import cloudpickle
-import numpy as np
 import pytest
 
 from tb2rl import make_env
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.envs.vec_env import TurtleBot2VecEnv
-from tb2rl.sensors import Sensor
 from tb2rl.tasks import Outcome, Task, Velocities
-from tb2rl.tasks.reach_goal import ReachGoal
-from tb2rl.tasks.wander import Wander
 
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # other processes cannot import it
+CAMERA = {"camera": {"width": 36, "height": 36}}
 
 
 @dataclass(frozen=True)
@@ -32,64 +27,17 @@ class Glide(Task):
         return Outcome(after.twist[:, 0], failed={"collision": after.bumped})
 
 
-class Map(Sensor):
-    """An image in which one pixel moves with the robot, brighter the nearer a wall is."""
-
-    name, low, high, shape = "map", 0, 255, (1, 36, 36)
-
-    def read(self, robot_state):
-        num_envs = len(robot_state.pose)
-        images = np.zeros((num_envs, *self.shape), np.uint8)
-        rows, columns = (robot_state.pose[:, :2] % 9.0 * 4.0).astype(int).T
-        images[np.arange(num_envs), 0, rows, columns] = 255 / (1.0 + robot_state.nearest)
-        return images
-
-
-@dataclass(frozen=True)
-class Beside(Wander):
-    """Wander with an image beside the laser."""
-
-    def sensors(self, spec):
-        return (*super().sensors(spec), Map())
-
-
-@dataclass(frozen=True)
-class Alone(Wander):
-    """Wander by an image alone."""
-
-    def sensors(self, spec):
-        return (Map(),)
-
-
-class Straight:
-    """A policy that takes the first action."""
-
-    def predict(self, observation, *, deterministic=False):
-        return np.array(0), None
-
-
-@pytest.fixture
-def straight():
-    """A `Straight`."""
-    return Straight()
-
-
 @pytest.fixture
 def glide():
     """The task `Glide`."""
     return Glide
 
 
-@pytest.fixture(params=[Alone, Beside])
-def image_task(request):
-    """A task that observes an image: alone, or beside the laser's ranges."""
-    return request.param
-
-
-@pytest.fixture(params=[(Wander, "discrete"), (ReachGoal, "raw"), (Alone, "raw"), (Beside, "raw")])
+@pytest.fixture(params=[("discrete", []), ("raw", []), ("raw", [CAMERA]), ("raw", ["laser", CAMERA])])
 def observed(request):
-    """A task and how it is observed: classes, numbers, an image, both."""
-    return request.param
+    """How a task is observed, and its settings: classes, numbers, an image, both."""
+    mode, observe = request.param
+    return mode, {"observe": observe} if observe else {}
 
 
 @pytest.fixture

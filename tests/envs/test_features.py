@@ -21,15 +21,7 @@ def test_distances_become_nearness_and_other_numbers_are_scaled():
     assert seen == pytest.approx([1 / 1.5, 1 / 4, 1 / 2, 0.5])
 
 
-def test_its_middle_spread_and_offset_are_arguments():
-    space = spaces.Box(0, 30, (3,))
-    seen = features(space, [0.5, 1.0, 0.0], middle=0.5, spread=2.0, offset=0.25)
-    assert seen == pytest.approx([2 * (1 / 0.75 - 0.5), 2 * (1 / 1.25 - 0.5), 2 * (1 / 0.35 - 0.5)])  # 0.1 m at least
-
-
-def test_all_numbers_of_a_plain_box_are_distances():
-    assert features(spaces.Box(0, 30, (2,)), [1.0, 4.0]) == pytest.approx([0.5, 0.2])
-
-
-def test_metres_with_a_sign_are_not_distances():
+def test_numbers_of_a_plain_box_are_distances_but_for_those_with_a_sign_and_the_curve_has_arguments():
     assert features(spaces.Box(np.float32([0, -2]), np.float32([30, 4])), [1.0, -2.0]) == pytest.approx([0.5, -0.5])
+    seen = features(spaces.Box(0, 30, (3,)), [0.5, 1.0, 0.0], middle=0.5, spread=2.0, offset=0.25)
+    assert seen == pytest.approx([2 * (1 / 0.75 - 0.5), 2 * (1 / 1.25 - 0.5), 2 * (1 / 0.35 - 0.5)])  # 0.1 m at least

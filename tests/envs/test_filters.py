@@ -1,7 +1,5 @@
 """A filter of the user's own, as one file, acts wherever commands pass: environments, evaluations and drivers."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 
@@ -16,7 +14,6 @@ from tb2rl.deploy.portable.driver import DRIVING
 from tb2rl.deploy.portable.policy import ExportedPolicy
 from tb2rl.envs.filters import Filter, SpeedLimits
 from tb2rl.envs.scene import make_scene
-from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.runs.loading import config_of
 from tb2rl.tasks.wander import Wander
 
@@ -69,20 +66,17 @@ def crawl(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
-def test_a_filter_slows_one_environment_and_many(crawl, simulation):
+def test_a_filter_slows_one_environment_and_many(crawl, simulation, make, drive, start_vec_env):
     """The wheels accelerate, so that the speed is measured in the last of some steps."""
     speeds = []
-    for filters in ([], crawl):
-        env = make_env("maze", simulation=simulation, filters=filters, start="fixed")
+    for filters in ((), tuple(crawl)):
+        env = make("maze", simulation=simulation, filters=filters, start="fixed")
         env.reset(seed=0)
-        for _ in range(5):
-            env.step(0)
-        speeds.append(env.unwrapped.robot_state.twist[0, 0])
-        env.close()
-        many = TurtleBot2VecEnv(make_scene(Wander(filters=tuple(filters), start="fixed"), "raw"), 2, 1.0, simulation)
-        many.reset()
+        drive(env, [0] * 5)
+        many, _ = start_vec_env(Wander(filters=filters, start="fixed"), num_envs=2, simulation=simulation)
         for _ in range(5):
             many.step(np.zeros(2, dtype=int))
+        speeds.append(env.robot_state.twist[0, 0])
         np.testing.assert_allclose(many.loop.robot_state.twist[:, 0], speeds[-1], atol=1e-6)
         many.close()
     assert speeds[1] < 0.6 * speeds[0]
@@ -129,7 +123,7 @@ def test_each_environment_has_a_filter_of_its_own_that_restarts_with_its_episode
             other.step(np.zeros(2, int))
             np.testing.assert_array_equal(env.loop.robot_state.command, other.loop.robot_state.command)
         else:
-            other.restore(env.state())
+            other.loop.restore(env.loop.state())
         speeds.append(env.loop.robot_state.command[:, 0].max())
     assert speeds == [0.25, 0.25, 0.0, 0.25, 0.25]  # the third step ends the episode, and the next begins at rest
 

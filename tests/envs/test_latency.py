@@ -1,14 +1,8 @@
 """Commands that take effect late and observations that arrive late."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-import tb2rl
-from tb2rl.core.errors import InputError
-from tb2rl.envs.observation_delay import ObservationDelay
-from tb2rl.simulation.variation import PRESETS
 from tb2rl.tasks.wander import Wander
 
 ACTIONS = [1, 0, 2, 0, 1, 1, 0]
@@ -49,14 +43,6 @@ def test_an_observation_arrives_so_many_steps_later_and_is_rewarded_at_once(simu
     assert (late[-1] != prompt[-1]).any()
 
 
-def test_nothing_of_an_episode_arrives_in_the_next_one(run):
-    env, *_ = run(variation={"latency": 3, "observation_latency": 3})
-    first = env.reset(seed=1)[0]
-    seen = [env.step(1)[0] for _ in range(3)]
-    assert all((one == first).all() for one in seen)
-    assert (env.robot_state.command == 0.0).all()
-
-
 def test_nor_does_it_where_one_of_many_environments_starts_again(start_vec_env):
     variation = {"latency": 2, "observation_latency": 2}
     observe = ["laser", {"last_action": {"count": 2}}]
@@ -84,7 +70,7 @@ def test_commands_are_observed_at_once_however_late_the_rest_arrives(run):
 
 def test_the_latency_of_each_environment_is_that_of_its_episode(start_vec_env):
     env, _ = start_vec_env(Wander(variation={"latency": [0, 3]}, collision_range=0.0), num_envs=60)
-    latency = env.loop.robot_state.initial_state.command_latency.astype(int)
+    latency = env.loop.robot_state.initial_state.records["command_latency"].astype(int)
     assert set(latency) == {0, 1, 2, 3}
     history = [np.zeros((60, 2))] * 3
     for actions in np.random.default_rng(0).integers(3, size=(4, 60)):
@@ -92,26 +78,3 @@ def test_the_latency_of_each_environment_is_that_of_its_episode(start_vec_env):
         env.step(actions)
         expected = np.array(history)[-1 - latency, np.arange(60)]
         np.testing.assert_array_equal(env.loop.robot_state.command, expected)
-
-
-def test_a_mapping_is_delayed_in_all_its_parts():
-    delay = ObservationDelay(1)
-    delay.reset({"a": np.zeros((2, 3)), "b": np.zeros((2, 1))})
-    latest = {"a": np.ones((2, 3)), "b": np.ones((2, 1))}
-    arriving = delay(latest, np.array([1.0, 0.0]))
-    assert arriving["a"].tolist() == [[0] * 3, [1] * 3]
-    assert arriving["b"].tolist() == [[0], [1]]
-    arriving["a"][:] = 7  # a caller may write into it
-    assert delay(latest, np.array([1.0, 1.0]))["a"].tolist() == [[1] * 3] * 2
-
-
-@pytest.mark.parametrize("setting", ["wild", {"latency": -1}, {"nothing": 1}, 3, ["mild"], None])
-def test_a_variation_that_does_not_fit_is_refused_in_one_line(setting):
-    with pytest.raises(InputError, match=r"task\.variation") as error:
-        tb2rl.make_env("maze", variation=setting)
-    assert "\n" not in str(error.value)
-
-
-def test_one_key_of_a_preset_can_be_changed(make):
-    task = make("maze", simulation="kinematic", variation={"preset": "mild", "latency": [0, 1]}).task
-    assert task.resolved_variation == PRESETS["mild"]

@@ -1,9 +1,6 @@
 """What `observe` lists is what is observed, wherever the setting comes from, or it is refused in one line."""
 
-from __future__ import annotations
-
 import sys
-from dataclasses import dataclass
 
 import gymnasium as gym
 import pytest
@@ -12,10 +9,8 @@ from tb2rl import make_env
 from tb2rl.core.errors import InputError
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.runs.config import config_from
-from tb2rl.runs.layers import parse_settings, resolve
+from tb2rl.runs.config import config_from, parse_settings, resolve
 from tb2rl.simulation import find_simulator
-from tb2rl.tasks.wander import Wander
 
 MINE = """
 from tb2rl.sensors import Sensor
@@ -34,17 +29,9 @@ class Needy(Compass):
     def __init__(self, north: float) -> None:
         super().__init__()
 
-class Unresolved(Compass):
-    def __init__(self, north: "Nowhere" = None) -> None:
-        super().__init__()
-
 class Broken(Compass):
     def __init__(self) -> None:
         raise KeyError("north")
-
-class Open(Compass):
-    def __init__(self, *arguments, **named) -> None:
-        super().__init__()
 
 class Black(Camera):
     def read(self, robot_state):
@@ -70,38 +57,24 @@ def names(observe, task="maze", **settings):
     return [sensor.name for sensor in sensors(observe, task, **settings)]
 
 
-def test_without_it_a_task_observes_its_own_sensors():
-    assert names(None) == ["laser"]
+def test_sensors_are_observed_in_the_order_of_the_list_or_else_of_the_task():
     assert names(None, "wall") == ["laser", "goal distance", "goal bearing"]
-
-
-def test_sensors_are_observed_in_the_order_of_the_list():
     assert names(["bumper", "twist", "laser"]) == ["bumper", "forward speed", "turn rate", "laser"]
     assert names(["imu", "last_action"]) == ["yaw rate", "forward acceleration", "last action"]
 
 
-def test_a_sensor_that_the_task_has_keeps_the_tasks_bins():
+def test_a_sensor_that_the_task_has_or_offers_keeps_the_tasks_settings():
     (laser,) = sensors(["laser"], range_bins=(0.5, 0.6))
     assert laser.bins == (0.5, 0.6)
-    distance, bearing = sensors(["goal"], "wall", distance_bins=(1.0,))
-    assert distance.bins == (1.0,)
-    assert len(bearing.bins) == 8
-
-
-def test_an_available_sensor_of_the_task_keeps_the_tasks_settings():
     observe = ["waypoint", {"waypoint_bearing": {"lookahead": 1.1}}]
     waypoint, bearing = sensors(observe, "navigate", world="wall", guide="goal", lookahead=0.8)
     assert (waypoint.lookahead, bearing.lookahead) == (0.8, 1.1)
 
 
-def test_a_task_without_the_laser_can_observe_it_all_the_same():
-    @dataclass(frozen=True)
-    class Blind(Wander):
-        def sensors(self, spec):
-            return ()
-
-    (laser,) = sensors(["laser"], Blind, range_bins=(0.5, 0.6), beams=5)
-    assert (laser.bins, laser.shape) == ((0.5, 0.6), (5,))
+def test_it_survives_the_command_line_and_a_run_folder():
+    said = "task.observe=[twist, {camera: {width: 36, height: 40}}]"
+    config = resolve("stable_baselines3:PPO", "maze", settings=parse_settings([said]))
+    assert config_from(config.to_dict()).scene.observation_space["camera"].shape == (1, 40, 36)
 
 
 def test_a_name_takes_the_arguments_of_its_class():
@@ -121,29 +94,19 @@ def test_a_sensor_of_ones_own_is_named_by_its_module(mine):
     assert not seen["camera"].any()
 
 
-@pytest.mark.parametrize("kind", ["Unresolved", "Open"])
-def test_a_sensor_of_ones_own_that_needs_nothing_is_given_nothing(kind, mine):
-    assert names(["laser", f"my_sensors:{kind}"]) == ["laser", "compass"]
-
-
 @pytest.mark.parametrize(
     ("observe", "words"),
     [
         (["lazer"], "did you mean 'laser'?"),
-        ("laser", "must be a list of names, such as laser, .* got 'laser'"),
-        ([{"laser": {}, "twist": {}}], "must list names, each alone or as the only key of its arguments"),
-        ([{"camera": 64}], "must list names, each alone or as the only key of its arguments"),
+        ("laser", "must be a list of names, .* such as .* got 'laser'"),
         (["camera", {"camera": {"width": 36}}], "sensor 'camera' is listed twice"),
         ([{"camera": {"widht": 36}}], "did you mean 'width'? known: colour, depth, height, width"),
         ([{"camera": {"width": 0}}], r"task.observe.camera.width: .* greater than or equal to 4, got 0"),
-        ([{"laser": {"bins": [2, 1]}}], "task.observe.laser.bins: must strictly increase"),
-        ([{"imu": {"bins": [1]}}], "being several sensors: .*motion:YawRate and .*motion:ForwardAcceleration"),
-        (["goal"], "there is no goal in this task's episodes"),
-        (["os:system"], "'os:system' is not a class derived from tb2rl.sensors.Sensor"),
-        (["nowhere:Sensor"], "task.observe: cannot import 'nowhere:Sensor'"),
-        (["my_sensors:Needy"], "task.observe.my_sensors:Needy: it needs north"),
+        ([{"imu": {"bins": [1]}}], "imu is several sensors; .*motion:YawRate and .*motion:ForwardAcceleration"),
+        (["goal"], "episodes of this task have no goal"),
+        (["os:system"], "'os:system' is not a class derived from tb2rl.sensors.sensor.Sensor"),
+        (["my_sensors:Needy"], "task.observe.my_sensors:Needy.north: Field required"),
         (["my_sensors:Broken"], "task.observe.my_sensors:Broken: KeyError: 'north'"),
-        ([{"my_sensors:Unresolved": {"north": 1}}], "my_sensors:Unresolved: NameError: name 'Nowhere'"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(observe, words, mine):
@@ -166,15 +129,5 @@ def test_a_camera_above_the_walls_is_refused_in_the_kinematic_simulator(tmp_path
     monkeypatch.syspath_prepend(tmp_path)
     scene = make_scene(make_task("maze", {"robot": "tall:ROBOT", "observe": ["camera"]}), "raw")
     scene.check(find_simulator("bullet"))
-    with pytest.raises(InputError, match=r"renders cameras below 0\.5 m, the height of its walls, .* 0\.6 m high"):
+    with pytest.raises(InputError, match=r"the camera is 0\.6 m high; it must be below the walls .* 0\.5 m high"):
         scene.check(find_simulator("kinematic"))
-
-
-def test_it_survives_the_command_line_and_a_run_folder():
-    said = "task.observe=[twist, {camera: {width: 36, height: 40}}]"
-    config = resolve("stable_baselines3:PPO", "maze", settings=parse_settings([said]))
-    again = config_from(config.to_dict())
-    assert again.task == config.task
-    assert again.to_dict() == config.to_dict()
-    assert config.to_dict()["task"]["observe"] == ["twist", {"camera": {"width": 36, "height": 40}}]
-    assert again.scene.observation_space["camera"].shape == (1, 40, 36)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tb2rl.envs.episode_state import OccupancyMapper
 from tb2rl.envs.make import make_task
-from tb2rl.envs.occupancy_mapper import OccupancyMapper
 from tb2rl.envs.scene import make_scene
-from tb2rl.sensors.waypoint import Waypoint
+from tb2rl.sensors.goal import Waypoint
 from tb2rl.simulation import InitialState, find_simulator
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.worlds import World
@@ -35,9 +35,9 @@ def robot_states(scene, poses):
         initial_state = InitialState.default(scene.spec, 1)
         initial_state.pose[:] = pose
         rng = np.random.default_rng(number)
-        robot_state = simulator.reset(scene.randomized(initial_state, rng), rng)
+        robot_state = simulator.reset(scene.with_domain_randomization(initial_state, rng), rng)
         if mapper is not None:
-            (mapper.update if number else mapper.reset)(robot_state)
+            mapper.update(robot_state, robot_state.command) if number else mapper.reset(robot_state)
         yield replace(robot_state, occupancy_map=mapper)
 
 
@@ -59,19 +59,6 @@ def test_its_map_ends_at_the_bounds_of_its_own_world_however_large_the_others_ar
     narrow = World.from_shapes("narrow", [], start=(0.3, 0.5, 0.0), goal=(4.0, 0.5, 0.0), bounds=(0.0, 0.0, 5.0, 1.0))
     (point,) = waypoints(make_navigate_scene(narrow, map="online"), [(1.0, 0.9, 0.0)])
     assert point[1] == pytest.approx(0.5, abs=0.05), "away from the border"
-
-
-def test_each_environment_has_a_map_of_its_own_and_forgets_it_where_an_episode_begins(
-    make_navigate_scene, start_vec_env
-):
-    env, first = start_vec_env(make_navigate_scene(map="online", episode_steps=9), num_envs=2)
-    first = first.copy()
-    actions = np.array([[0.0, 0.0], [-1.0, 1.0]])  # one drives on, one turns
-    for _ in range(8):
-        later, *_ = env.step(actions)
-    waypoint = [name == "waypoint" for name in env.observation_space.names]
-    assert not np.allclose(later[0, waypoint], later[1, waypoint])
-    np.testing.assert_array_equal(env.step(actions)[0], first)
 
 
 def test_a_map_holds_against_beams_that_miss(make_navigate_scene):

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.pose_history import PoseHistory
-from tb2rl.sensors.visited import Visited
-from tb2rl.tasks.drive import Drive
+from tb2rl.envs.episode_state import PoseHistory
+from tb2rl.sensors.motion import Visited
 
 PERIOD = 0.2  # [s]
 STEPS = 5  # a second
@@ -21,7 +20,10 @@ def visited(make_robot_state, poses):
     for number, pose in enumerate(np.asarray(poses, dtype=float)):
         robot_state = make_robot_state(pose=pose)
         for step in range(STEPS):
-            (pose_history.update if number or step else pose_history.reset)(robot_state)
+            if not number and not step:
+                pose_history.reset(robot_state)
+            else:
+                pose_history.update(robot_state, robot_state.command)
     return Visited().read(replace(robot_state, pose_history=pose_history))
 
 
@@ -50,18 +52,6 @@ def test_it_is_in_seconds_however_long_a_control_step_is(period, make_robot_stat
     pose_history, robot_state = PoseHistory(period), make_robot_state(pose=[(0.0, 0.0, 0.0)])
     pose_history.reset(robot_state)
     for _ in range(round(20.0 / period)):
-        pose_history.update(robot_state)
+        pose_history.update(robot_state, robot_state.command)
     seconds = Visited().read(replace(robot_state, pose_history=pose_history))[0, HERE]
     assert seconds == pytest.approx(20.0, abs=2.0)
-
-
-def test_without_a_history_nothing_was_visited(make_robot_state):
-    assert not Visited().read(make_robot_state()).any()
-
-
-def test_each_environment_forgets_where_its_own_episode_begins(start_vec_env):
-    env, first = start_vec_env(Drive(observe=("visited",), episode_steps=13), num_envs=3)
-    for _ in range(13):
-        observations, _, dones, _ = env.step(np.zeros((3, 2)))
-        np.testing.assert_array_equal(observations[dones], first[dones])
-    assert dones.any()

@@ -64,18 +64,6 @@ def test_an_image_shows_the_world_that_the_episode_is_in(make):
     assert pixel(circuit, env.render(), circuit.start[0] - 0.12, circuit.start[1]).max() < 80
 
 
-def test_without_a_render_mode_there_is_no_image(make):
-    env = make()
-    env.reset(seed=0)
-    assert env.render() is None
-    assert len(env.path) == 1
-
-
-def test_an_unknown_render_mode_is_refused_with_the_known_ones(make):
-    with pytest.raises(InputError, match="unknown render_mode 'ansi'; known: human, rgb_array"):
-        make(render_mode="ansi")
-
-
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
 def test_a_window_without_a_display_is_refused_with_the_way_out(make, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)

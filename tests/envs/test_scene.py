@@ -7,32 +7,22 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.envs.encodings import BEAMS
+from tb2rl.envs.encodings import DEFAULT_BEAMS
 from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import make_scene
-from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.robots.turtlebot3 import ROBOT as BURGER
-from tb2rl.runs.layers import resolve
+from tb2rl.runs.config import resolve
 from tb2rl.tasks.reach_goal import ReachGoal
 from tb2rl.tasks.wander import Wander
 
 
-def test_a_scene_holds_what_the_names_mean():
-    task = Wander(world="circuit", laser_noise=0.02, beams=12)
-    scene = make_scene(task, "raw")
-    assert (scene.task, scene.observation) == (task, "raw")
-    assert scene.robot is ROBOT
-    assert scene.world.name == "circuit"
-    assert scene.spec.worlds == (scene.world,)
-    assert (scene.laser.beams, scene.laser.noise, scene.laser.max_range) == (12, 0.02, ROBOT.laser.max_range)
-    assert scene.laser is scene.spec.laser
-    assert (scene.observation_space.shape, scene.action_space.n) == ((12,), 3)
-    assert scene.actions.names == ("forward", "left", "right")
-
-
-@pytest.mark.parametrize("mode", BEAMS)
+@pytest.mark.parametrize("mode", DEFAULT_BEAMS)
 def test_the_number_of_beams_is_a_setting_and_so_are_the_ones_that_are_read(mode):
-    for settings, beams in (({"beams": 12}, 12), ({"beams": 12, "beam_indices": (0, 5, 11)}, 3), ({}, BEAMS[mode])):
+    for settings, beams in (
+        ({"beams": 12}, 12),
+        ({"beams": 12, "beam_indices": (0, 5, 11)}, 3),
+        ({}, DEFAULT_BEAMS[mode]),
+    ):
         scene = make_scene(Wander(**settings), mode)
         assert scene.observation_space.shape == scene.laser.angles.shape == (beams,)
 
@@ -43,7 +33,7 @@ def test_a_turtlebot3_that_sees_all_around_looks_ahead_like_a_turtlebot2_unless_
     angles = np.degrees(make_scene(ahead, mode).laser.angles)
     assert angles == pytest.approx(np.arange(-90, 90.1, step))
     all_around = make_scene(around, mode).laser.angles
-    assert np.diff(all_around, append=all_around[0] + math.tau) == pytest.approx(math.tau / BEAMS[mode])
+    assert np.diff(all_around, append=all_around[0] + math.tau) == pytest.approx(math.tau / DEFAULT_BEAMS[mode])
 
 
 def test_what_suits_a_robot_comes_along_with_its_name_before_what_is_set_beside_it():
@@ -76,34 +66,29 @@ def test_what_a_robot_brings_must_be_a_setting_of_every_task(monkeypatch):
         make_task("maze", {"robot": "turtlebot3"})
 
 
-def test_a_scene_cuts_the_actions_to_what_its_robot_can_do():
-    scene = make_scene(Wander(robot="turtlebot3", turn_rate=9.0), "raw")
-    assert scene.actions.table.tolist() == [[0.22, 0.0], [0.05, 2.84], [0.05, -2.84]]
-    assert scene.actions.max_speed == 0.22
-    assert scene.changed(forward_speed=0.1).actions.max_speed == 0.1
-    assert scene.place == "loop with turtlebot3"
-
-
 def test_a_scene_knows_the_goal_of_a_task_that_has_one():
-    assert make_scene(Wander(world="wall"), "raw").goal is None
-    assert make_scene(ReachGoal(), "raw").goal == (5.0, 0.0)
-    assert make_scene(ReachGoal(world="loop", goal=(3.0, 1.0)), "raw").goal == (3.0, 1.0)
+    assert make_scene(Wander(world="wall"), "raw").goal_in(0) is None
+    assert make_scene(ReachGoal(), "raw").goal_in(0) == (5.0, 0.0)
+    assert make_scene(ReachGoal(world="loop", goal=(3.0, 1.0)), "raw").goal_in(0) == (3.0, 1.0)
 
 
 def test_a_changed_scene_has_other_settings_and_the_same_objects():
+    small = make_scene(Wander(robot="turtlebot3", turn_rate=9.0), "raw")
+    assert (small.worlds_title, small.actions.table.tolist()[1]) == ("loop with turtlebot3", [0.05, 2.84])
     scene = make_scene(ReachGoal(), "discrete")
-    other = scene.changed(beams=9, laser_noise=0.01, episode_steps=7, goal=(1.0, 2.0), turn_rate=0.5)
+    settings = {"beams": 9, "laser_noise": 0.01, "episode_steps": 7, "goal": (1.0, 2.0), "turn_rate": 0.5}
+    other = scene.in_worlds(scene.spec.worlds, **settings)
     assert (other.robot, other.world, other.observation) == (scene.robot, scene.world, "discrete")
     assert other.world is scene.world
-    assert (other.task.episode_steps, other.goal, other.laser.noise) == (7, (1.0, 2.0), 0.01)
+    assert (other.task.episode_steps, other.goal_in(0), other.laser.noise) == (7, (1.0, 2.0), 0.01)
     assert other.observation_space.shape == (9 + 2,)
     assert other.actions.table[1, 1] == 0.5
-    assert (scene.task, scene.goal, scene.observation_space.shape) == (ReachGoal(), (5.0, 0.0), (7 + 2,))
+    assert (scene.task, scene.goal_in(0), scene.observation_space.shape) == (ReachGoal(), (5.0, 0.0), (7 + 2,))
 
 
 def test_a_world_too_narrow_for_the_robot_is_refused_however_it_starts(tmp_path):
     (tmp_path / "narrow.yaml").write_text("cell: 0.3\ndrawing: |\n  ###\n  #S#\n  ###\n")
-    words = r"world narrow: the start .* nearer than 0\.178 m to one.* task\.start_clearance if it is 0\.178"
+    words = r"world narrow: the start .* nearer than 0\.178 m to a wall.* task\.start_clearance if that is 0\.178"
     for start in ("fixed", "random"):
         with pytest.raises(InputError, match=words):
             make_scene(Wander(world=str(tmp_path / "narrow.yaml"), start=start), "raw")
@@ -113,8 +98,8 @@ def test_a_world_too_narrow_for_the_robot_is_refused_however_it_starts(tmp_path)
     ("mode", "task", "words"),
     [
         ("rew", Wander(), ["unknown observation 'rew'", "did you mean 'raw'", "discrete"]),
-        ("raw", Wander(beams=720, beam_indices=(0, 720)), ["task.beam_indices names beam 720", "720 beams"]),
-        ("discrete", Wander(beam_indices=(7,)), ["task.beam_indices names beam 7", "7 beams"]),
+        ("raw", Wander(beams=720, beam_indices=(0, 720)), ["task.beam_indices has beam 720", "beams 0 to 719"]),
+        ("discrete", Wander(beam_indices=(7,)), ["task.beam_indices has beam 7", "beams 0 to 6"]),
         ("raw", Wander(start_clearance=2.0), ["no free space", "task.start_clearance"]),
         ("raw", Wander(start_clearance=0.1), ["task.start_clearance", "turtlebot2's radius, 0.178 m"]),
         ("raw", Wander(field_of_view=4.0), ["task.field_of_view cannot be 4", "turtlebot2's laser sees 3.142 rad"]),

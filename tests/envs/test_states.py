@@ -5,13 +5,9 @@ import copy
 import numpy as np
 import pytest
 
-import tb2rl
-from tb2rl.core.errors import InputError
-from tb2rl.envs.encodings import rows
+from tb2rl.envs.encodings import take_rows
 from tb2rl.envs.make import make_task
-from tb2rl.envs.scene import make_scene
 from tb2rl.envs.vec_env import TurtleBot2VecEnv
-from tb2rl.envs.vector_env import TurtleBot2VectorEnv
 
 OBSTACLES = [{"people": 3, "speed": 1.0}, {"boxes": 1}]
 LATENCIES = {"preset": "strong", "latency": [1, 3], "observation_latency": [0, 2]}
@@ -44,10 +40,10 @@ def test_a_vec_env_continues_from_its_state_and_as_a_copy(task, start_vec_env):
     actions = random_actions(env.action_space, 40, 6)
     for each in actions[:20]:
         env.step(each)
-    state, copied, fresh = env.state(), copy.deepcopy(env), TurtleBot2VecEnv(env.loop.scene, 6)
+    state, copied, fresh = env.loop.state(), copy.deepcopy(env), TurtleBot2VecEnv(env.loop.scene, 6)
     expected = [env.step(each) for each in actions[20:]]
-    fresh.restore(state)
-    env.restore(state)
+    fresh.loop.restore(state)
+    env.loop.restore(state)
     for other in (env, fresh, copied):
         for each, answer in zip(actions[20:], expected, strict=True):
             np.testing.assert_equal(other.step(each), answer)
@@ -57,7 +53,7 @@ def test_an_environment_does_not_depend_on_the_others(task, start_vec_env):
     (many, first), (few, same) = start_vec_env(task, num_envs=30), start_vec_env(task, num_envs=5)
     indices = np.arange(5)
     for actions in random_actions(many.action_space, 40, 30):
-        np.testing.assert_equal(rows(first, indices), same)
+        np.testing.assert_equal(take_rows(first, indices), same)
         first, rewards, dones, _ = many.step(actions)
         same, same_rewards, same_dones, _ = few.step(actions[:5])
         np.testing.assert_array_equal((rewards[:5], dones[:5]), (same_rewards, same_dones))
@@ -81,36 +77,3 @@ def test_one_environment_continues_from_its_state_and_as_a_copy(task, simulation
     for other in (fresh, copied):
         np.testing.assert_equal(rest(other), expected)
     copied.close()
-
-
-def test_a_vector_env_continues_as_a_copy():
-    env = TurtleBot2VectorEnv(make_scene(make_task("maze", {"laser_noise": 0.01, "episode_steps": 15}), "raw"), 6)
-    env.reset(seed=0)
-    actions = random_actions(env.single_action_space, 40, 6)
-    for each in actions[:20]:
-        env.step(each)
-    copied = copy.deepcopy(env)
-    for each in actions[20:]:
-        np.testing.assert_array_equal(copied.step(each)[0], env.step(each)[0])
-
-
-def test_observations_outside_their_space_are_refused(make):
-    env = make("maze", "discrete", simulation="kinematic", frame_stack=2)
-    env.reset(seed=0)
-    state = env.state()
-    state["observations"]["stack"][0, 3] = 99
-    with pytest.raises(ValueError, match="outside the observation space"):
-        env.restore(state)
-
-
-def test_a_state_before_the_reset_is_refused():
-    with pytest.raises(InputError, match="reset first"):
-        tb2rl.make_env(simulation="kinematic").state()
-
-
-@pytest.mark.parametrize("varied", [{"variation": "strong"}, {"dynamic_obstacles": {"people": 3}}])
-def test_variation_and_dynamic_obstacles_move_no_initial_pose(varied, start_vec_env):
-    poses = [
-        start_vec_env(make_task("maze", settings), num_envs=30)[0].loop.robot_state.pose for settings in ({}, varied)
-    ]
-    np.testing.assert_array_equal(*poses)

@@ -24,9 +24,6 @@ def test_a_seed_gives_the_same_episode_again_and_no_seed_something_else(make, dr
     assert len({episode.tobytes() for episode in episodes}) == 4
 
 
-# ---- initial states
-
-
 def test_an_option_sets_the_pose_while_noise_and_goal_stay(make):
     pose = (0.0, 0.0, 0.0)  # the start of the world "wall"
     for start in ("fixed", "random"):
@@ -41,13 +38,11 @@ def test_an_option_sets_the_pose_while_noise_and_goal_stay(make):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"pose": (0, 0, 0)}, "inside a wall of world loop"),
-        ({"pose": (-4.9, 0, 0)}, "inside a wall of world loop"),  # its middle is not, but its side is
-        ({"pose": (100, 100, 0)}, "outside world loop"),
-        ({"pose": (0, 0)}, "options.pose"),
-        ({"pose": (np.nan, 0, 0)}, "finite"),
-        ({"pose": "here"}, "'here'"),
-        ({"initial_state": (0, 0, 0)}, "a pose is options.pose"),
+        ({"pose": (0, 0, 0)}, "inside a wall or outside of world loop"),
+        ({"pose": (-4.9, 0, 0)}, "inside a wall or outside of world loop"),  # its middle is not, but its side is
+        ({"pose": (100, 100, 0)}, "outside of world loop"),
+        ({"pose": (np.nan, 0, 0)}, "options.pose"),
+        ({"initial_state": (0, 0, 0)}, "alone; or use options.pose"),
     ],
 )
 def test_an_option_that_does_not_fit_is_refused(options, words, make):
@@ -59,14 +54,11 @@ def test_the_option_initial_state_goes_alone_and_has_one_row(make):
     env = make(simulation="kinematic")
     for rows, more in ((2, {}), (1, {"world": 0})):
         initial_state = InitialState.default(env.scene.spec, rows)
-        with pytest.raises(InputError, match=r"options.initial_state goes alone, and has one row"):
+        with pytest.raises(InputError, match=r"options.initial_state must be one row of InitialState"):
             env.reset(options={"initial_state": initial_state, **more})
     initial_state = InitialState.default(env.scene.spec, 1)
     initial_state.pose[:] = 3.75, 0.0, 1.5
     assert env.reset(options={"initial_state": initial_state})[1]["pose"] == pytest.approx([3.75, 0.0, 1.5])
-
-
-# ---- steps
 
 
 @pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
@@ -105,15 +97,6 @@ def test_reaching_the_goal_is_a_success_and_running_out_of_time_is_not(make, dri
     assert (truncated, info["ended"], info["is_success"], info["failed"]) == (True, "time limit", False, False)
 
 
-@pytest.mark.parametrize("action", [3, 0.0, "0", np.array([0])])
-def test_an_action_outside_the_action_space_is_refused(action, make):
-    env = make(simulation="kinematic")
-    env.reset(seed=0)
-    assert env.step(np.int64(0))[1] == 5
-    with pytest.raises(InputError, match="not one of the integers 0 to 2"):
-        env.step(action)
-
-
 @pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
 def test_any_velocities_are_driven(simulation, glide, make, drive):
     env = make(glide, "raw", simulation=simulation, start="fixed", episode_steps=9)
@@ -123,9 +106,6 @@ def test_any_velocities_are_driven(simulation, glide, make, drive):
     assert env.robot_state.twist[0] == pytest.approx([0.3, 0.4], rel=0.02)
     with pytest.raises(InputError, match="not two numbers"):
         env.step(0)
-
-
-# ---- making one
 
 
 def test_a_task_itself_is_an_argument_and_may_be_overridden(make):
@@ -142,9 +122,7 @@ def test_a_task_itself_is_an_argument_and_may_be_overridden(make):
         ({"worlt": "loop"}, ["unknown setting", "'worlt'", "did you mean 'world'"]),
         ({"episode_steps": 0}, ["task.episode_steps", "greater than or equal to 1"]),
         ({"control_period": np.nan}, ["task.control_period", "finite"]),
-        ({"turn_rate": "fast"}, ["task.turn_rate", "'fast'"]),
         ({"start": "anywhere"}, ["task.start", "'fixed' or 'random'"]),
-        ({"beam_indices": [-1]}, ["task.beam_indices.0"]),
         ({"range_bins": [2.0, 1.0]}, ["task.range_bins", "strictly increase"]),
     ],
 )
@@ -159,7 +137,11 @@ def test_a_setting_that_does_not_fit_is_refused_by_name(settings, words):
 def test_the_kinematic_simulator_refuses_a_window_and_colours(make):
     with pytest.raises(InputError, match="window"):
         make("maze", render_mode="human", simulation="kinematic")
-    with pytest.raises(InputError, match="camera"):
-        make("maze", simulation="kinematic").camera()
+    with pytest.raises(InputError, match="unknown render_mode 'ansi'; known: human, rgb_array"):
+        make(render_mode="ansi")
+    env = make("maze", simulation="kinematic")
+    env.reset()
+    with pytest.raises(InputError, match="cameras see no colours"):
+        env.camera()
     with pytest.raises(InputError, match="bullet, kinematic"):
         make("maze", simulation="kinematik")

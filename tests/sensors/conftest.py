@@ -1,7 +1,5 @@
 """Robot states of an episode in each simulator, to compare sensors with the true motion."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import numpy as np

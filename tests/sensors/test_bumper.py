@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tb2rl.sensors.bumper import Bumper
+from tb2rl.sensors.motion import Bumper
 from tb2rl.worlds import World
 
 ONE_WALL = World.from_shapes("one wall", [(1.5, 0.0, 1.0, 20.0, 0.0)], start=(0.0, 0.0, 0.0))
@@ -17,7 +17,3 @@ def test_it_fires_in_the_step_in_which_the_robot_meets_a_wall(drive):
     assert touched[first:, 0].all()
     assert gaps[first - 1] > 0.005
     assert gaps[first] == pytest.approx(0.0, abs=0.005)
-
-
-def test_it_reads_0_or_1_in_each_environment(make_robot_state):
-    assert Bumper().read(make_robot_state(bumped=[True, False])).tolist() == [[1.0], [0.0]]

@@ -26,12 +26,6 @@ def test_distance_and_bearing_are_those_from_the_odometry(make_robot_state):
     assert GoalBearing().read(lost)[:, 0] == pytest.approx(bearings)
 
 
-def test_each_environment_has_its_own_goal(make_robot_state):
-    robot_state = make_robot_state(pose=[(0, 0, 0), (0, 0, 0)], goal=[(3, 4), (0, -2)])
-    assert GoalDistance().read(robot_state).tolist() == [[5], [2]]
-    assert GoalBearing().read(robot_state)[:, 0] == pytest.approx([math.atan2(4, 3), -math.pi / 2])
-
-
 def test_a_bearing_stays_within_its_limits(make_robot_state):
     yaws, sensor = np.linspace(-math.pi, math.pi, 1001), GoalBearing()
     bearings = sensor.read(make_robot_state(pose=[(0, 0, yaw) for yaw in yaws], goal=(5.0, 0.0)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.command_history import CommandHistory
+from tb2rl.envs.episode_state import CommandHistory
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.sensors.motion import ForwardAcceleration, ForwardSpeed, LastAction, TurnRate, YawRate
 from tb2rl.worlds import World
@@ -58,13 +58,10 @@ def test_against_a_wall_the_wheels_turn_on(drive):
 
 def test_the_last_actions_are_commands_as_shares_of_the_largest(make_robot_state):
     one, other, sensor = [(0.65, 0.0), (0.13, math.pi)], [(0.0, -math.pi), (-0.65, 0.0)], LastAction(ROBOT, count=3)
-    history, robot_state = (
-        CommandHistory(sensor.reads_commands, delayed=False),
-        make_robot_state(twist=np.zeros((2, 2))),
-    )
+    history, robot_state = CommandHistory(sensor.command_history_length), make_robot_state(twist=np.zeros((2, 2)))
     history.reset(robot_state)
     for commands in np.transpose([one, other], (1, 0, 2)):
-        history.push(commands)
+        history.update(robot_state, commands)
     shares = sensor.read(replace(robot_state, command_history=history))
     np.testing.assert_allclose(shares, [[0.2, 1.0, 1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, -1.0, 0.0, 0.0]])
     np.testing.assert_array_equal(LastAction(ROBOT).read(replace(robot_state, command_history=history)), shares[:, :2])
@@ -76,15 +73,3 @@ def test_bins_are_shares_of_the_largest_value():
     assert (sensor.unit, sensor.low, sensor.high) == ("m/s", -0.65, 0.65)
     assert sensor.bins == pytest.approx((-0.325, 0.13))
     assert ForwardAcceleration(ROBOT).high == pytest.approx(2.999)
-
-
-def test_each_environment_has_its_own(make_robot_state):
-    robot_state = make_robot_state(
-        odometry_twist=np.array([[0.1, 0.2], [0.3, 0.4]]),
-        twist=[(0.0, 0.5), (0.0, 0.6)],
-        acceleration=np.array([1.0, -2.0]),
-    )
-    assert ForwardSpeed(ROBOT).read(robot_state).tolist() == [[0.1], [0.3]]
-    assert TurnRate(ROBOT).read(robot_state).tolist() == [[0.2], [0.4]]
-    assert YawRate(ROBOT).read(robot_state).tolist() == [[0.5], [0.6]]
-    assert ForwardAcceleration(ROBOT).read(robot_state).tolist() == [[1.0], [-2.0]]

@@ -1,7 +1,5 @@
 """Simulators that are closed after a test, and a robot to drive in PyBullet."""
 
-from __future__ import annotations
-
 import math
 from contextlib import ExitStack, closing
 
@@ -9,12 +7,12 @@ import numpy as np
 import pytest
 
 from tb2rl.core.plugins import robot_names
-from tb2rl.robots.registry import find_robot
+from tb2rl.robots.robot import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec, find_simulator
 from tb2rl.simulation.bullet.bodies import WALL_GROUP
 from tb2rl.simulation.bullet.client import pybullet
-from tb2rl.worlds.description import world_from
+from tb2rl.worlds.description import parse_world
 from tb2rl.worlds.world import WALL_HEIGHT
 
 OPEN = {"boxes": [{"centre": [19, 19], "size": [1, 1]}], "bounds": [-20, -20, 20, 20]}
@@ -26,7 +24,7 @@ def _initial_state(spec: SimulationSpec, poses=None, world=0, **fields) -> Initi
     if poses is not None:
         initial_state.pose[:] = poses
     for name, values in fields.items():
-        initial_state.rows[name][:] = values
+        initial_state.records[name][:] = values
     return initial_state
 
 
@@ -115,7 +113,7 @@ def make_track(make_spec, make_bullet):
     """A function from a world file's content, the robot, and fields of its laser (else of one beam), to a `Track`."""
 
     def make(content=OPEN, robot=ROBOT, **laser) -> Track:
-        world = world_from({"start": [-2, 0, 0], "bounds": [-5, -5, 5, 5], **content}, "test")
+        world = parse_world({"start": [-2, 0, 0], "bounds": [-5, -5, 5, 5], **content}, "test")
         return Track(make_bullet(make_spec(world, robot=robot, **{"beams": 1, **laser})))
 
     return make

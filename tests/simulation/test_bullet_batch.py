@@ -1,13 +1,10 @@
 """Many environments in PyBullet, distributed over processes: each drives as it would alone."""
 
-from __future__ import annotations
-
 import copy
 import multiprocessing
 import os
 import pickle
 import signal
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 
@@ -15,7 +12,6 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.robots.robot import RADIUS
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.bullet.batch import BulletBatch
@@ -56,7 +52,7 @@ def drive(batch, steps=10) -> list[dict]:
         states.append(robot_state.state() | {"travelled": batch.travelled})
         if step % 4 == 3:
             fresh = InitialState.default(SPEC, 2, np.array([step // 4 % 2, 1]))
-            robot_state, first = batch.reset_at(np.array([0, 3]), fresh, robot_state)
+            robot_state, first = batch.reset_at(np.array([0, 3]), fresh)
             states.append(robot_state.state())
             np.testing.assert_equal(first.state(), {name: rows[[0, 3]] for name, rows in states[-1].items()})
     return states
@@ -73,7 +69,7 @@ def drive_alone(i, num_envs, steps=10) -> list[dict]:
             if step % 4 == 3:
                 if i in (0, 3):
                     fresh = InitialState.default(SPEC, 1, step // 4 % 2 if i == 0 else 1)
-                    robot_state, _ = simulation.reset_at(np.array([0]), fresh, robot_state)
+                    robot_state, _ = simulation.reset_at(np.array([0]), fresh)
                 states.append(robot_state.state())
     return states
 
@@ -87,28 +83,18 @@ def test_each_environment_drives_as_it_would_alone(processes, make):
             np.testing.assert_array_equal(state[name], rows, name)
 
 
-def test_earlier_states_keep_their_values(make):
-    batch = make(4)
-    first = reset(batch)
-    second = batch.step(commands(1, 4)[0], PERIOD)
-    kept = copy.deepcopy([first.state(), second.state()])
-    batch.step(commands(2, 4)[1], PERIOD)
-    np.testing.assert_equal([first.state(), second.state()], kept)
-    assert (first.pose != second.pose).any(axis=1).all()
-
-
 def test_skipped_environments_stay_where_they_are(make):
-    batch, skip = make(4), np.array([True, False, True, False])
+    batch, inactive = make(4), np.array([True, False, True, False])
     before = reset(batch).pose
-    after = batch.step(np.full((4, 2), 0.5), PERIOD, skip).pose
-    np.testing.assert_array_equal((after == before).all(axis=1), skip)
+    after = batch.step(np.full((4, 2), 0.5), PERIOD, inactive).pose
+    np.testing.assert_array_equal((after == before).all(axis=1), inactive)
 
 
 def test_the_cameras_show_the_view_of_each_robot(make):
     batch, command = make(4), commands(1, 4)[0]
     reset(batch)
     robot_state = batch.step(command, PERIOD)
-    _, first = batch.reset_at(np.array([1, 2]), initial_states(2, seed=5), robot_state)
+    _, first = batch.reset_at(np.array([1, 2]), initial_states(2, seed=5))
     colours, depth = robot_state.render_camera(24, 18)
     assert (colours.shape, colours.dtype, depth.shape) == ((4, 18, 24, 3), np.uint8, (4, 18, 24))
     np.testing.assert_array_equal(first.render_camera(24, 18)[0], colours[1:3])
@@ -129,30 +115,14 @@ def test_batches_of_any_number_of_processes_continue_from_a_state(make):
         if drives:
             other.restore(state)
         states = [{**other.step(each, PERIOD).state(), "travelled": other.travelled} for each in commands(5, 8)]
-        drives.append([*states, other.reset_at(np.array([2]), initial_states(1), None)[1].state()])
+        drives.append([*states, other.reset_at(np.array([2]), initial_states(1))[1].state()])
     np.testing.assert_equal(drives[1:], [drives[0], drives[0]])
-
-
-def test_the_travelled_distance_starts_at_the_last_state_although_physics_rounds_it(make):
-    batch = make(3)
-    last = reset(batch).pose + [1e-9, 0.0, 0.0]
-    batch.restore({**batch.state(), "poses": last})
-    change = batch.step(commands(1, 3)[0], PERIOD).pose - last
-    np.testing.assert_array_equal(batch.travelled, np.hypot(change[:, 0], change[:, 1]))
-
-
-def test_a_state_in_an_unknown_world_is_refused(make):
-    batch = make(2)
-    state = batch.state()
-    state["worlds"][1]["initial_state"][0, 3] = 7
-    with pytest.raises(ValueError, match="a world that is not there"):
-        batch.restore(state)
 
 
 def test_an_error_in_one_environment_is_raised_once_and_the_others_go_on(make):
     batch, wrong = make(4), initial_states(4)
-    wrong.parameters[:, RADIUS] = 0.3
-    with pytest.raises(InputError, match="the robot's radius from its URDF file alone"):
+    wrong.records["radius"] = 0.3
+    with pytest.raises(InputError, match="PyBullet cannot change the robot's radius"):
         batch.reset(wrong, np.random.default_rng(0))
     np.testing.assert_equal(reset(batch).state(), reset(make(4, 1)).state())
 
@@ -165,21 +135,11 @@ def test_after_an_interrupt_the_next_request_gets_its_own_answer(make, monkeypat
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch._share, "step", interrupt)
+        patch.setattr(batch._group, "call", interrupt)
         with pytest.raises(KeyboardInterrupt):
             batch.step(np.ones((4, 2)), PERIOD)
     assert len(batch.state()["worlds"]) == 4
     np.testing.assert_equal(drive(batch), drive(make(4)))
-
-
-def test_a_killed_process_gives_an_error_of_one_line(make):
-    batch = make(3)
-    reset(batch)
-    batch._processes[0].kill()
-    batch._processes[0].join()
-    for _ in range(2):
-        with pytest.raises(InputError, match="a process with worlds of PyBullet has ended"):
-            batch.step(np.zeros((3, 2)), PERIOD)
 
 
 def test_signals_that_reach_every_process_end_none_of_them(make):
@@ -215,12 +175,6 @@ def test_an_error_while_the_worlds_open_is_raised_and_leaves_no_process(make, tm
     with pytest.raises(pickle.UnpicklingError):  # of the other process
         make(2)
     assert set(multiprocessing.active_children()) <= before
-
-
-def test_threads_drive_batches_of_their_own(make):
-    with ThreadPoolExecutor(2) as pool:
-        drives = list(pool.map(lambda _: drive(make(4)), range(2)))
-    np.testing.assert_equal(drives, [drive(make(4, 1))] * 2)
 
 
 @pytest.mark.slow

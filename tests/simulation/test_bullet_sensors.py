@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from tb2rl.robots.turtlebot2 import LASER_NOISE
 from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
 from tb2rl.robots.turtlebot3 import ROBOT as BURGER
 
+LASER_NOISE = 0.01  # [m] standard deviation of a small Hokuyo
 WALL = {"boxes": [{"centre": [0, 0], "size": [0.2, 6]}]}
 WANDER = [(0.5, 0.0), (0.05, 1.0), (0.05, -1.0)]  # v [m/s], w [rad/s]
 
@@ -25,9 +25,6 @@ def odometry_error(track, commands):
     return track.gap(last.pose, last.odometry)
 
 
-# ---- odometry
-
-
 @pytest.mark.parametrize("actions", ["smooth", "of a task"])
 def test_odometry_agrees_with_the_true_pose_after_20_s(actions, robot, make_track):
     rng, command, commands = np.random.default_rng(0), np.zeros(2), []
@@ -40,15 +37,12 @@ def test_odometry_agrees_with_the_true_pose_after_20_s(actions, robot, make_trac
 
 
 def test_odometry_does_not_depend_on_how_often_it_is_read(make_track):
-    ends, track = [], make_track()
+    track, ends = make_track(), []
     for times, duration in ((1, 4.0), (20, 0.2)):
         track.place()
-        track.drive([(0.02 * i, 0.1 * i) for i in range(11)], 0.1)  # gently: this is not about slip
+        track.drive([(0.02 * i, 0.1 * i) for i in range(11)], 0.1)  # gently, so that no wheel slips
         ends.append(track.drive([(0.2, 1.0)] * times, duration)[-1].odometry)
     assert track.gap(*ends)[0] < 2e-3
-
-
-# ---- laser
 
 
 def test_the_laser_of_a_turtlebot3_measures_all_around_from_12_cm_to_3_5_m(make_track):
@@ -72,18 +66,6 @@ def test_laser_noise_is_gaussian_independent_and_of_its_deviation(make_track):
     assert errors.std() == pytest.approx(LASER_NOISE, rel=0.03)
     assert (abs(errors) < LASER_NOISE).mean() == pytest.approx(0.683, abs=0.02)
     assert abs(np.corrcoef(errors[:-1].ravel(), errors[1:].ravel())[0, 1]) < 0.03
-    assert abs(np.corrcoef(errors[:, :-1].ravel(), errors[:, 1:].ravel())[0, 1]) < 0.03
-
-
-def test_noisy_ranges_stay_within_the_limits_of_the_laser(make_track):
-    track = make_track(WALL, beams=3, noise=0.5, min_range=0.5, max_range=2.0)
-    ranges = [track.place(-1.1, seed=seed).ranges[0, 1] for seed in range(300)]
-    assert track.place(-4.5).ranges[0, 1] == math.inf
-    assert min(ranges) == 0.5
-    assert all(measured <= 2.0 or measured == math.inf for measured in ranges)
-
-
-# ---- camera
 
 
 def test_the_camera_shows_a_wall_at_its_distance_and_in_its_colour(make_track):

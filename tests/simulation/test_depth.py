@@ -16,6 +16,8 @@ ROOM = World.from_shapes(
     start=(0.0, 0.0, 0.0),
     bounds=(-9.0, -9.0, 9.0, 9.0),
 )
+# More boxes than fit into a body of PyBullet.
+GRID = World.from_shapes("grid", [(x, y, 0.4, 0.3, x + y) for x in range(5) for y in range(5)], start=(0.5, 0.5, 0.0))
 
 
 def depth_images(simulation, initial_state, width=64, height=64):
@@ -30,17 +32,18 @@ def agreement(kinematic, physics):
 
 
 @pytest.mark.parametrize(
-    ("name", "width", "height", "least"),
-    [("loop", 64, 64, 0.999), ("round", 40, 24, 0.95)],  # boxes; and a pillar, which PyBullet draws with few corners
+    ("world", "width", "height", "least"),
+    # Boxes; and a pillar, which PyBullet draws with few corners.
+    [("loop", 64, 64, 0.999), ("round", 40, 24, 0.95), (GRID, 40, 24, 0.95)],
 )
-def test_random_views_agree_to_2_cm(name, width, height, least, make_spec, make_bullet, start_at):
-    spec = make_spec(name, beams=1)
-    poses = spec.worlds[0].random_poses(np.random.default_rng(0), 100, ROBOT.radius)
+def test_random_views_agree_to_2_cm(world, width, height, least, make_spec, make_bullet, start_at):
+    spec = make_spec(world, beams=1)
+    poses = spec.worlds[0].sample_poses(np.random.default_rng(0).random((100, 4)), ROBOT.radius)
     kinematic = depth_images(KinematicSimulator(spec, 100), start_at(spec, poses), width, height)
     bullet = make_bullet(spec)
     physics = np.concatenate([depth_images(bullet, start_at(spec, [pose]), width, height) for pose in poses])
     assert agreement(kinematic, physics) > least
-    assert 0.1 < np.isinf(kinematic).mean() < 0.6
+    assert 0.1 < np.isinf(kinematic).mean() < 0.7
 
 
 def test_depth_is_along_the_optical_axis_and_ends_at_the_cameras_range(make_spec, start_at):
@@ -61,7 +64,7 @@ def test_each_camera_sees_the_world_of_its_environment_also_after_a_reset_of_som
     assert images[1, 7, 8] == pytest.approx(0.95)
     np.testing.assert_array_equal(images[0], images[2])
     assert not np.array_equal(images[0], images[1])
-    _, first = simulation.reset_at(np.array([2]), start_at(spec, [poses[1]], np.array([1])), robot_state)
+    _, first = simulation.reset_at(np.array([2]), start_at(spec, [poses[1]], np.array([1])))
     np.testing.assert_array_equal(first.render_camera(16, 16)[1], images[1:2])
 
 
@@ -70,12 +73,3 @@ def test_a_camera_beside_the_centre_sees_from_there_in_both(make_spec, make_bull
     spec = make_spec("loop", robot=aside, beams=1)
     start = start_at(spec, [(-3.75, -3.75, 0.5)])
     assert agreement(depth_images(KinematicSimulator(spec), start), depth_images(make_bullet(spec), start)) > 0.99
-
-
-def test_only_pybullet_has_colours(make_spec, make_bullet, begin):
-    bullet = make_bullet(make_spec("loop", beams=1))
-    begin(bullet)
-    robot_state = bullet.step(np.array([[0.5, 1.0]]), 1.0)
-    for image, expected in zip(robot_state.render_camera(20, 16), bullet.camera(20, 16), strict=True):
-        np.testing.assert_array_equal(image, expected[None])
-    assert begin(KinematicSimulator(bullet.spec)).render_camera(20, 16)[0] is None

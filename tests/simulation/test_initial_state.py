@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState
+from tb2rl.simulation.spec import PARAMETERS
 
 
 def test_the_default_is_the_start_the_goal_and_the_bounds_of_each_world(make_spec):
@@ -16,7 +16,7 @@ def test_the_default_is_the_start_the_goal_and_the_bounds_of_each_world(make_spe
         assert initial_state.pose[i].tolist() == list(world.start)
         assert initial_state.bounds[i].tolist() == list(world.bounds)
         np.testing.assert_array_equal(initial_state.goal[i], world.goal[:2] if world.goal else (np.nan, np.nan))
-        np.testing.assert_array_equal(initial_state.parameters[i], ROBOT.parameters)
+        np.testing.assert_array_equal(initial_state.table[i, PARAMETERS], ROBOT.parameters)
     assert InitialState.default(spec, 3).world.tolist() == [0, 0, 0]
     assert InitialState.default(spec, 2, 1).pose.tolist() == [list(spec.worlds[1].start)] * 2
 
@@ -26,8 +26,8 @@ def test_a_changed_initial_state_leaves_the_default_as_it_was(make_spec):
     initial_state = InitialState.default(spec, 2)
     before = initial_state.table.copy()
     initial_state.pose[:], initial_state.goal[:], initial_state.bounds[:] = 1.0, 2.0, 3.0
-    initial_state.parameters[:] = 4.0
-    assert (initial_state.table != before).sum(axis=1).min() >= 14
+    initial_state.records["radius"] = 4.0
+    assert (initial_state.table != before).sum(axis=1).min() >= 9
     np.testing.assert_array_equal(InitialState.default(spec, 2).table, before)
 
 
@@ -46,25 +46,11 @@ def test_every_simulator_starts_at_rest_at_the_initial_state(simulator, make_spe
     simulation.close()  # a second time does nothing
 
 
-def test_an_unknown_simulator_is_refused_with_the_known_ones(make_spec, open_simulator):
-    with pytest.raises(InputError, match=r"unknown simulator 'bulet'; did you mean 'bullet'.* known: .*kinematic"):
-        open_simulator("bulet", make_spec())
-
-
-def test_the_kinematic_simulator_has_no_window(make_spec, open_simulator):
-    with pytest.raises(InputError, match="'kinematic' has no window"):
-        open_simulator("kinematic", make_spec(), 1, True)
-
-
-def test_the_nearest_range_is_that_of_each_robot(make_robot_state):
-    assert make_robot_state(ranges=[[2.0, 1.0], [np.inf, 3.0], [np.inf, np.inf]]).nearest.tolist() == [1.0, 3.0, np.inf]
-
-
 def test_a_robot_state_is_restored_from_its_state_although_it_changed_since(make_robot_state):
-    robot_state = make_robot_state(nearest=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
+    robot_state = make_robot_state(nearest_range=[1.0, 2.0], goal=(3.0, 4.0), twist=(0.5, 0.1))
     state = robot_state.state()
     robot_state.initial_state.goal[:] = 0.0
     again = RobotState.from_state(state)
     assert again.goal.tolist() == [[3.0, 4.0]] * 2
-    assert again.nearest.tolist() == [1.0, 2.0]
+    assert again.nearest_range.tolist() == [1.0, 2.0]
     assert again.twist.tolist() == [[0.5, 0.1]] * 2

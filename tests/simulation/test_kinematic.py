@@ -1,23 +1,18 @@
 """The kinematic simulator agrees with PyBullet, and each environment drives as it would alone."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
 from tb2rl.core.plugins import robot_names
-from tb2rl.robots.registry import find_robot
-from tb2rl.robots.robot import MAX_SPEED, RADIUS, WHEEL_ACCELERATION, WHEEL_SEPARATION
+from tb2rl.robots.robot import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
-from tb2rl.simulation.spec import PHYSICS_RATE
 from tb2rl.worlds import World
-from tb2rl.worlds.geometry import cast
+from tb2rl.worlds.geometry import cast_many
 from tb2rl.worlds.registry import world_names
 
 PERIOD = 0.2  # [s]
@@ -35,34 +30,17 @@ def drive(spec, initial_state, commands):
 
 def poses_in(spec, worlds, rng):
     """A random free pose in each of the worlds, given by their numbers (num_envs,)."""
-    return spec.poses_from(worlds, rng.random((len(worlds), 4)), 0.3)
+    return spec.sample_poses(worlds, rng.random((len(worlds), 4)), 0.3)
 
 
 def exact_ranges(poses, world, laser):
     ranges = np.empty((len(poses), len(laser.angles)))
-    cast(poses, np.cos(laser.angles), np.sin(laser.angles), world.boxes, world.posts, ranges)
+    directions = np.cos(laser.angles), np.sin(laser.angles)
+    cast_many(poses, np.zeros(len(poses)), directions, world.spatial_index, ranges)
     return ranges
 
 
 # ---- as the robot in PyBullet
-
-
-@pytest.mark.parametrize("coupling", [ROBOT.wheel_coupling, -0.4])  # its own; of one easier to turn than to push
-@pytest.mark.parametrize(
-    ("command", "alone", "together"),
-    [
-        ((0.6, 0.0), (1, 1), (1, 1)),
-        ((0.0, 3.0), (-1, 1), (1, -1)),
-        ((0.3, 0.6 / ROBOT.wheel_separation), (0, 1), (0, 0)),
-    ],
-)
-def test_the_wheels_accelerate_as_the_numbers_say(command, alone, together, coupling, make_spec, begin):
-    simulation = KinematicSimulator(make_spec(OPEN, robot=replace(ROBOT, wheel_coupling=coupling), beams=1))
-    begin(simulation)
-    v, w = np.concatenate([simulation.step(np.array([command]), 1 / PHYSICS_RATE).twist for _ in range(6)]).T
-    speeds = np.stack([v - w * ROBOT.wheel_separation / 2, v + w * ROBOT.wheel_separation / 2], axis=1)
-    expected = ROBOT.wheel_acceleration * np.array(alone) + coupling * np.array(together)
-    np.testing.assert_allclose((speeds[5] - speeds[0]) / 5 * PHYSICS_RATE, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +56,7 @@ def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_sp
     spec = make_spec(name, robot=robot, beams=2)
     count = most if robot.max_speed < 1.0 else 4 * most  # a fast one has met a wall by then in most of them
     (world,) = spec.worlds
-    poses = world.random_poses(rng, count, 0.6)
+    poses = world.sample_poses(rng.random((count, 4)), 0.6)
     commands = rng.uniform((-robot.max_speed, -2.0), (robot.max_speed, 2.0), (25, count, 2))
     states = drive(spec, start_at(spec, poses), commands)
     clear = np.ones(count, dtype=bool)
@@ -97,16 +75,6 @@ def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_sp
     assert math.degrees(np.percentile(turn, 99)) < 5.0
 
 
-def test_both_simulators_measure_the_same_ranges(make_spec, make_bullet, start_at, begin):
-    spec = make_spec("round", beams=36)
-    (world,) = spec.worlds
-    poses, physics = world.random_poses(np.random.default_rng(3), 20, 0.3), make_bullet(spec)
-    measured = begin(KinematicSimulator(spec, 20), start_at(spec, poses)).ranges
-    for pose, ranges in zip(poses, measured, strict=True):
-        np.testing.assert_allclose(begin(physics, start_at(spec, [pose])).ranges[0], ranges, atol=1e-3)
-    np.testing.assert_array_equal(measured, exact_ranges(poses, world, spec.laser))
-
-
 # ---- walls
 
 
@@ -117,7 +85,7 @@ def test_no_robot_enters_a_wall(name, make_spec, start_at):
     limits = np.array([ROBOT.max_speed, ROBOT.max_turn_rate])
     fast_turns = rng.uniform(-limits, limits, (1, num_envs, 2))
     commands = np.concatenate([fast_turns, rng.uniform((-limits[0], -1.0), (limits[0], 1.0), (19, num_envs, 2))])
-    poses = world.random_poses(rng, num_envs, ROBOT.radius + 0.01)
+    poses = world.sample_poses(rng.random((num_envs, 4)), ROBOT.radius + 0.01)
     states = drive(spec, start_at(spec, poses), commands.repeat(5, axis=0))
     for state in states:
         assert min(world.clearance(x, y) for x, y, _ in state.pose) > ROBOT.radius - 1e-3
@@ -151,25 +119,15 @@ def test_the_laser_measures_the_walls_of_each_environments_world(num_envs, make_
             np.testing.assert_allclose(state.ranges[here], np.where(exact > 30, np.inf, exact.clip(min=0.1)))
 
 
-def test_a_robot_bumps_into_the_walls_of_its_own_world(make_spec, start_at):
-    spec = make_spec(ONE_WALL, OPEN, beams=1)
-    start = start_at(spec, [(0.0, 0.0, 0.0)] * 4, np.array([0, 1, 0, 1]))
-    last = drive(spec, start, [np.tile((ROBOT.max_speed, 0.0), (4, 1))] * 20)[-1]
-    assert last.bumped.tolist() == [True, False, True, False]
-    assert last.pose[[0, 2], 0] == pytest.approx(1 - ROBOT.radius, abs=1e-3)
-    assert (last.pose[[1, 3], 0] > 2.0).all()
-
-
 # ---- each robot has parameters of its own
 
 
 def test_each_robot_has_its_own_parameters(make_spec):
     spec = make_spec(ONE_WALL, beams=1)
     initial_state = InitialState.default(spec, 5)
-    for i, (column, factor) in enumerate(
-        [(MAX_SPEED, 0.5), (WHEEL_ACCELERATION, 0.5), (WHEEL_SEPARATION, 2.0), (RADIUS, 2)], 1
-    ):
-        initial_state.parameters[i, column] *= factor
+    factors = {"max_speed": 0.5, "wheel_acceleration": 0.5, "wheel_separation": 2.0, "radius": 2.0}
+    for i, (name, factor) in enumerate(factors.items(), 1):
+        initial_state.records[name][i] *= factor
     ahead = drive(spec, initial_state, [np.full((5, 2), (5.0, 0.0))] * 25)
     simulation = KinematicSimulator(spec, 5)
     simulation.reset(initial_state, np.random.default_rng(0))
@@ -184,7 +142,7 @@ def test_each_robot_has_its_own_parameters(make_spec):
 def test_the_travelled_distance_is_that_between_the_poses(make_spec, start_at, begin):
     spec, rng = make_spec("loop"), np.random.default_rng(0)
     simulation = KinematicSimulator(spec, 100)
-    before = begin(simulation, start_at(spec, spec.worlds[0].random_poses(rng, 100, 0.2))).pose
+    before = begin(simulation, start_at(spec, spec.worlds[0].sample_poses(rng.random((100, 4)), 0.2))).pose
     for _ in range(5):
         after = simulation.step(rng.uniform(-1, 1, (100, 2)), 0.2).pose
         assert (simulation.travelled == np.hypot(*(after - before)[:, :2].T)).all()

@@ -15,8 +15,6 @@ from tb2rl.tasks import Commands, Velocities
 NAMED = Commands(forward=(0.5, 0.0), left=(0.05, 1.0), right=(0.05, -1.0))
 ANY = Velocities(forward=(-0.1, 0.5), turn=(-2.0, 2.0))
 
-# ---- named commands
-
 
 def test_named_commands_are_numbered_in_their_order():
     assert NAMED.space == spaces.Discrete(3)
@@ -29,24 +27,33 @@ def test_named_commands_are_numbered_in_their_order():
         _ = NAMED.backward
 
 
-def test_more_commands_come_after_the_present_ones():
-    more = NAMED.plus(backward=(-0.7, 0.0))
-    assert more.names == ("forward", "left", "right", "backward")
-    assert (more.backward, more.left, more.space.n) == (3, 1, 4)
-    assert more.commands(np.array([3, 1])).tolist() == [[-0.7, 0], [0.05, 1]]
-    assert (more.max_speed, NAMED.max_speed, NAMED.space.n) == (0.7, 0.5, 3)
+def test_any_integer_below_their_number_is_an_action_and_any_two_numbers_are():
+    for action in (2, np.int32(2), np.array(2)):
+        assert NAMED.checked(action).tolist() == [2]
+    assert ANY.checked((0.5, 1)).tolist() == [[0.5, 1.0]]
 
 
-@pytest.mark.parametrize("action", [2, np.int64(2), np.int32(2), np.array(2)])
-def test_any_integer_below_their_number_is_an_action(action):
-    assert NAMED.checked(action).tolist() == [2]
+@pytest.mark.parametrize(
+    ("actions", "words", "wrong"),
+    [
+        (NAMED, "not one of the integers 0 to 2", [3, -1, 10**30, np.nan, 0.0, "0", None, np.array([0, 1])]),
+        (ANY, "not two numbers from -1 to 1", [0, None, "ab", (1.0, 1.0, 1.0), [[0.0, 0.0]], (math.nan, 0.0)]),
+    ],
+)
+def test_an_action_outside_the_space_is_refused_in_one_line(actions, words, wrong):
+    for action in wrong:
+        with pytest.raises(InputError, match=words) as error:
+            actions.checked(action)
+        assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("action", [3, -1, 10**30, np.nan, 0.0, np.float32(1), "0", None, [0], np.array([0, 1])])
-def test_an_action_outside_the_space_is_refused_in_one_line(action):
-    with pytest.raises(InputError, match="not one of the integers 0 to 2") as error:
-        NAMED.checked(action)
-    assert "\n" not in str(error.value)
+def test_commands_are_cut_to_the_limits_of_a_robot():
+    cut = NAMED.plus(back=(-0.7, 9.0)).clipped_to(BURGER)
+    assert cut.commands(np.arange(4)).tolist() == [[0.22, 0.0], [0.05, 1.0], [0.05, -1.0], [-0.22, 2.84]]
+    assert (cut.names, cut.back, cut.max_speed, NAMED.max_speed) == (("forward", "left", "right", "back"), 3, 0.22, 0.5)
+    cut = Velocities(forward=(-0.1, 0.5), turn=(-2.0, 9.0)).clipped_to(BURGER)
+    ends = cut.commands(np.array([(-1.0, -1.0), (1.0, 1.0), (0.0, 0.0)]))
+    assert ends == pytest.approx(np.array([(-0.1, -2.0), (0.22, 2.84), (0.06, 0.42)]))
 
 
 def test_the_nearest_action_to_a_command_is_found():
@@ -56,21 +63,12 @@ def test_the_nearest_action_to_a_command_is_found():
     assert found == ["forward", "forward", "left", "right", "left", "forward"]
 
 
-@pytest.mark.parametrize("name", ["space", "within"])
+@pytest.mark.parametrize("name", ["space", "clipped_to"])
 def test_a_name_that_means_something_else_is_refused(name):
-    with pytest.raises(InputError, match=f"an action cannot be called '{name}'"):
+    with pytest.raises(InputError, match=f"an action cannot have the name '{name}'"):
         Commands(forward=(0.5, 0.0), **{name: (0.1, 0.0)})
     with pytest.raises(InputError, match="at least one action"):
         Commands()
-
-
-@pytest.mark.parametrize("wrong", [0.3, (0.3, 0.0, 0.0), ("fast", 0.0), (0.3, np.nan), None])
-def test_a_command_that_is_not_two_numbers_is_refused_by_its_name(wrong):
-    with pytest.raises(InputError, match=r"action 'forward' needs two numbers, v \[m/s\] and w \[rad/s\], got"):
-        Commands(left=(0.0, 1.0), forward=wrong)
-
-
-# ---- any velocities
 
 
 def test_minus_one_and_one_are_the_ends_of_the_ranges():
@@ -89,12 +87,6 @@ def test_the_nearest_action_to_a_command_within_the_ranges_is_that_command(comma
     assert ANY.nearest(np.array((9.0, -9.0))).tolist() == [1.0, -1.0]
 
 
-def test_a_range_may_be_a_single_value():
-    straight = Velocities(forward=(0.3, 0.3), turn=(-1.0, 1.0))
-    assert straight.commands(np.array([[-1.0, 0.0], [1.0, 0.0]])) == pytest.approx(np.array([[0.3, 0.0]] * 2))
-    assert straight.space.contains(straight.nearest(np.array((0.3, 0.5))))
-
-
 def test_velocities_are_of_a_kind_and_described_by_their_numbers():
     kinds = {(0.5, 0.0): "forward", (0.5, 0.4): "forward", (0.5, 0.6): "left", (0.0, -0.6): "right"}
     kinds |= {(0.1, 0.0): "stand", (-0.1, 0.0): "stand", (0.0, 0.0): "stand"}
@@ -105,20 +97,10 @@ def test_velocities_are_of_a_kind_and_described_by_their_numbers():
     assert ANY.describe(ANY.nearest(np.array((0.31, -0.2)))) == "0.31, -0.20"
 
 
-@pytest.mark.parametrize("action", [(0.5, -0.5), [1, -1], np.array([0.5, 0.5], np.float32)])
-def test_two_numbers_are_an_action(action):
-    assert ANY.checked(action).tolist() == [list(action)]
-
-
-@pytest.mark.parametrize("action", [0, None, "ab", (1.0, 1.0, 1.0), [[0.0, 0.0]], (math.nan, 0.0), (math.inf, 0)])
-def test_what_is_not_two_numbers_is_refused_in_one_line(action):
-    with pytest.raises(InputError, match="not two numbers from -1 to 1") as error:
-        ANY.checked(action)
-    assert "\n" not in str(error.value)
-
-
 @pytest.mark.parametrize("wrong", [0.5, ("slow", "fast"), (0.0, np.inf)])
-def test_a_range_that_is_not_two_numbers_is_refused_by_its_name(wrong):
+def test_what_is_not_two_numbers_is_refused_by_its_name(wrong):
+    with pytest.raises(InputError, match=r"action 'forward' needs two numbers, v \[m/s\] and w \[rad/s\], got"):
+        Commands(left=(0.0, 1.0), forward=wrong)
     with pytest.raises(InputError, match="action 'forward' needs two numbers, the slowest and the fastest"):
         Velocities(forward=wrong, turn=(-1.0, 1.0))
     with pytest.raises(InputError, match="action 'turn' needs two numbers, the least and the largest"):
@@ -127,27 +109,9 @@ def test_a_range_that_is_not_two_numbers_is_refused_by_its_name(wrong):
         Velocities(forward=(0.5, 0.0), turn=(-1.0, 1.0))
 
 
-# ---- the limits of a robot
-
-
 @pytest.mark.parametrize("actions", [NAMED, ANY], ids=["named", "any"])
 def test_commands_within_the_limits_stay_to_the_bit_and_actions_can_be_pickled(actions):
     some = np.arange(3) if actions is NAMED else np.random.default_rng(0).uniform(-1, 1, (100, 2))
-    for same in (actions.within(TURTLEBOT2), pickle.loads(pickle.dumps(actions))):
+    for same in (actions.clipped_to(TURTLEBOT2), pickle.loads(pickle.dumps(actions))):
         np.testing.assert_array_equal(same.commands(some), actions.commands(some))
         assert (same.space, same.names, same.max_speed) == (actions.space, actions.names, 0.5)
-
-
-def test_named_commands_are_cut_to_the_limits():
-    cut = NAMED.plus(back=(-0.7, 9.0)).within(BURGER)
-    assert cut.commands(np.arange(4)).tolist() == [[0.22, 0.0], [0.05, 1.0], [0.05, -1.0], [-0.22, 2.84]]
-    assert (cut.names, cut.back, cut.space.n, cut.max_speed) == (("forward", "left", "right", "back"), 3, 4, 0.22)
-    assert NAMED.max_speed == 0.5
-
-
-def test_minus_one_to_one_spans_the_limits():
-    cut = Velocities(forward=(-0.1, 0.5), turn=(-2.0, 9.0)).within(BURGER)
-    ends = cut.commands(np.array([(-1.0, -1.0), (1.0, 1.0), (0.0, 0.0)]))
-    assert ends == pytest.approx(np.array([(-0.1, -2.0), (0.22, 2.84), (0.06, 0.42)]))
-    assert (cut.space, cut.max_speed) == (ANY.space, 0.22)
-    assert cut.commands(cut.nearest(np.array((0.2, 0.0)))[None])[0] == pytest.approx((0.2, 0.0), abs=1e-6)

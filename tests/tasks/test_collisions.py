@@ -1,7 +1,5 @@
 """A collision with a dynamic obstacle is an ending of its own, in every task that ends in collisions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -9,11 +7,10 @@ import numpy as np
 import pytest
 
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.tasks import collision_endings
 from tb2rl.tasks.drive import Drive
 from tb2rl.tasks.navigate import Navigate
-from tb2rl.tasks.outcome import COLLISION, OBSTACLE_COLLISION
 from tb2rl.tasks.reach_goal import ReachGoal
+from tb2rl.tasks.task import COLLISION, DYNAMIC_COLLISION
 from tb2rl.tasks.wander import Wander
 
 PERSON_AHEAD = np.tile((0.4, 0.0, 1.0, 0.0, 0.2, 0.0), (4, 1, 1))  # an outline in each of four environments
@@ -38,19 +35,13 @@ def first_actions(task, num_envs):
 def test_an_ending_names_what_the_robot_touched(task, robot_state, make_robot_state):
     outcome = task.outcome(robot_state, first_actions(task, 4), robot_state)
     endings = [outcome.ending(i, timed_out=True) for i in range(4)]
-    assert [ending.name for ending in endings] == ["time limit", COLLISION, OBSTACLE_COLLISION, OBSTACLE_COLLISION]
+    assert [ending.name for ending in endings] == ["time limit", COLLISION, DYNAMIC_COLLISION, DYNAMIC_COLLISION]
     assert all(ending.failed and not ending.success for ending in endings[1:])
     assert (outcome.reward[1:] == task.collision_reward).all()
     static = make_robot_state([3.0, 0.1], goal=(5.0, 5.0))
     failed = task.outcome(static, first_actions(task, 2), static).failed
-    assert OBSTACLE_COLLISION not in failed, "where nothing moves there is one kind"
+    assert DYNAMIC_COLLISION not in failed, "where nothing moves there is one kind"
     assert failed[COLLISION].tolist() == [False, True]
-
-
-def test_a_task_of_ones_own_distinguishes_collisions_with_one_call(robot_state):
-    failed = collision_endings(robot_state.bumped, robot_state)
-    assert failed[COLLISION].tolist() == [False] * 4
-    assert failed[OBSTACLE_COLLISION].tolist() == [False, False, False, True]
 
 
 @pytest.fixture
@@ -90,7 +81,7 @@ def test_navigate_fails_if_the_robot_drives_towards_what_it_touches(speed, comma
         others = [(-x, -y, 1.0, 0.0, 0.0, 0.0), (-3.0 * x, -3.0 * y, 1.0, 0.0, 0.25, 0.0)]
         first, last = driven_to_goal(speed, commanded, np.tile([*others, touched], (4, 1, 1)))
         ending = Navigate().outcome(first, np.zeros((4, 2), np.float32), last).ending(3, timed_out=False)
-        assert (ending and (ending.name, ending.failed)) == ((OBSTACLE_COLLISION, True) if failed else None)
+        assert (ending and (ending.name, ending.failed)) == ((DYNAMIC_COLLISION, True) if failed else None)
 
 
 def test_a_goal_is_not_reached_while_a_dynamic_obstacle_touches_the_robot(driven_to_goal):

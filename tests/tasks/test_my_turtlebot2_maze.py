@@ -23,12 +23,6 @@ def test_my_turtlebot2_maze_has_a_fourth_action_that_costs(make_robot_state):
     assert task.actions.table[3].tolist() == [-0.05, 0]
 
 
-def test_its_reverse_gear_is_a_setting(make_robot_state):
-    task = MyTurtleBot2Maze(backward_speed=-0.3, backward_reward=-1.0, turn_rate=2.0)
-    assert task.actions.table.tolist() == [[0.5, 0], [0.05, 2], [0.05, -2], [-0.3, 0]]
-    assert task.outcome(make_robot_state(), np.array([3]), make_robot_state()).reward.tolist() == [-1]
-
-
 def test_a_copy_of_the_file_is_a_task_of_ones_own(tmp_path, monkeypatch):
     changed = SOURCE.read_text().replace("backward_reward: float = -5.0", "backward_reward: float = -7.0")
     (tmp_path / "my_copied_task.py").write_text(changed)

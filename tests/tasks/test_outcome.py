@@ -11,24 +11,11 @@ def where(*indices):
     return np.isin(np.arange(4), indices)
 
 
-def test_an_outcome_without_endings_ends_nothing():
-    outcome = Outcome(reward=np.zeros(2))
-    assert outcome.terminated.tolist() == [False, False]
-    assert outcome.ending(0, timed_out=False) is None
-
-
 def test_any_ending_terminates():
     failed, succeeded = {"collision": where(1), "stuck": where(0, 1)}, {"goal": where(1), "home": where(3)}
     assert Outcome(REWARD, failed, succeeded).terminated.tolist() == [True, True, False, True]
     assert Outcome(REWARD, {}, {"goal": where(2)}).terminated.tolist() == [False, False, True, False]
     assert not Outcome(REWARD, {}, {}).terminated.any()
-
-
-def test_an_ending_says_by_its_place_whether_it_failed():
-    outcome = Outcome(REWARD, failed={"collision": where(0)}, succeeded={"goal": where(1)})
-    assert outcome.ending(0, timed_out=False) == Ending("collision", failed=True, success=False)
-    assert outcome.ending(1, timed_out=False) == Ending("goal", failed=False, success=True)
-    assert outcome.ending(2, timed_out=False) is None
 
 
 def test_of_several_endings_the_first_counts_and_failed_ones_before_the_others():
@@ -50,7 +37,3 @@ def test_the_time_limit_is_a_success_of_a_task_without_a_goal_only():
     missed = Outcome(REWARD, failed={"collision": where(0)}, succeeded={"goal": where(0)})
     assert missed.ending(1, timed_out=True) == Ending(TIME_LIMIT, failed=False, success=False)
     assert Outcome(REWARD, succeeded={}).ending(1, timed_out=True).success is False
-
-
-def test_an_episode_that_ends_at_the_time_limit_by_itself_ends_for_its_own_reason():
-    assert Outcome(REWARD, failed={"collision": where(0)}).ending(0, timed_out=True).name == "collision"

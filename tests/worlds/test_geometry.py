@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from tb2rl.worlds.geometry import cast, clearance_one, limit_ranges, shortest
-from tb2rl.worlds.index import index_of
+from tb2rl.worlds.geometry import cast_many, clearance_at, limit_ranges, shortest_range
+from tb2rl.worlds.spatial_index import build_index
 
 AHEAD, LEFT, BEHIND, RIGHT = 0.0, math.pi / 2, math.pi, -math.pi / 2
 ORIGIN = (0.0, 0.0, 0.0)
@@ -24,7 +24,8 @@ def look(poses, angles, boxes=(), posts=()):
     """Ranges [m] from poses (num_envs, 3) along angles (beams,), shape (num_envs, beams)."""
     poses, angles = table(poses, 3), np.array(angles, dtype=float)
     ranges = np.empty((len(poses), len(angles)))
-    cast(poses, np.cos(angles), np.sin(angles), table(boxes, 6), table(posts, 3), ranges)
+    index = build_index(table(boxes, 6), table(posts, 3))
+    cast_many(poses, np.zeros(len(poses)), (np.cos(angles), np.sin(angles)), index, ranges)
     return ranges
 
 
@@ -56,7 +57,7 @@ def test_ranges_are_limited_and_their_minimum_is_found():
     ranges = np.array([[-0.1, 0.05, 0.1, 1.0, 30.0, 30.1, np.inf]])
     limit_ranges(ranges, 0, 0.1, 30.0)
     assert ranges.tolist() == [[0.1, 0.1, 0.1, 1.0, 30.0, np.inf, np.inf]]
-    assert shortest(np.array([[2.0, 1.0, np.inf], [np.inf] * 3, [0.3, 4.0, 0.2]])).tolist() == [1, np.inf, 0.2]
+    assert [shortest_range(np.array([[2.0, 1.0, np.inf], [np.inf] * 3]), row) for row in (0, 1)] == [1.0, np.inf]
 
 
 @pytest.mark.parametrize(
@@ -73,5 +74,5 @@ def test_ranges_are_limited_and_their_minimum_is_found():
 )
 def test_the_clearance_is_the_distance_to_the_nearest_obstacle(point, boxes, posts, expected):
     for grid_above in (0, 9):  # with a grid, and without one
-        index = index_of(table(boxes, 6), table(posts, 3), grid_above)
-        assert clearance_one(*map(float, point), *index, 0) == pytest.approx(expected)
+        index = build_index(table(boxes, 6), table(posts, 3), grid_above)
+        assert clearance_at(*map(float, point), index, 0) == pytest.approx(expected)

@@ -8,34 +8,26 @@ import pytest
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate
-from tb2rl.worlds.goal_paths import GOALS, OWN, GoalPaths, shortest_path_length
+from tb2rl.worlds.goal_paths import OWN_GOAL, RANDOM_GOALS, GoalPaths, shortest_path_length
 
 BOUNDS = (0.0, 0.0, 8.0, 8.0)
 OPEN = World.from_shapes("open", start=(1.0, 4.0, 0.0), goal=(7.0, 4.0, 0.0), bounds=BOUNDS)
-# A wall from below up to y = 6 m between the start and the goal.
-WALL = World.from_shapes(
-    "wall", [(4.0, 3.0, 0.2, 6.0, 0.0)], start=(2.0, 2.0, 0.0), goal=(6.0, 2.0, 0.0), bounds=BOUNDS
-)
-# A room of its own on the right, which cannot be reached.
-CLOSED = World.from_shapes(
-    "closed", [(4.0, 4.0, 0.2, 8.0, 0.0)], start=(2.0, 4.0, 0.0), goal=(6.0, 4.0, 0.0), bounds=BOUNDS
-)
+# A wall from below up to y = 6 m between the start and the goal, and one from side to side.
+WALL = World.from_shapes("wall", [(4, 3, 0.2, 6, 0)], start=(2.0, 2.0, 0.0), goal=(6.0, 2.0, 0.0), bounds=BOUNDS)
+CLOSED = World.from_shapes("closed", [(4, 4, 0.2, 8, 0)], start=(2.0, 4.0, 0.0), goal=(6.0, 4.0, 0.0), bounds=BOUNDS)
 MIXED = generate(GeneratorSettings("mixed", worlds=10), GENERATORS["mixed"], "training")
 
 
 def to_own_goal(world, *places):
     worlds = np.zeros(len(places), dtype=int)
-    return GoalPaths([world], ROBOT.radius), worlds, np.full(len(places), OWN), np.array(places, dtype=float)
+    return GoalPaths([world], ROBOT.radius), worlds, np.full(len(places), OWN_GOAL), np.array(places, dtype=float)
 
 
-def test_on_an_open_floor_a_path_is_as_long_as_the_straight_line():
+def test_a_path_is_straight_on_an_open_floor_and_goes_round_a_wall_and_keeps_off_it():
     places = [(1.0, 4.0), (4.0, 1.0), (7.0, 7.2), (6.95, 4.0), (2.0, 6.5)]
     paths, worlds, goals, there = to_own_goal(OPEN, *places)
     straight = [math.dist(place, (7.0, 4.0)) for place in places]
     assert paths.path_length(worlds, goals, there) == pytest.approx(straight, abs=0.2)
-
-
-def test_a_path_goes_round_a_wall_and_keeps_off_it():
     paths, worlds, goals, there = to_own_goal(WALL, (2.0, 2.0))
     corner = math.dist((2.0, 2.0), (3.9, 6.0 + ROBOT.radius)) + 0.2 + math.dist((4.1, 6.0 + ROBOT.radius), (6.0, 2.0))
     assert 1.0 < shortest_path_length(WALL, ROBOT.radius) / corner < 1.05
@@ -44,16 +36,15 @@ def test_a_path_goes_round_a_wall_and_keeps_off_it():
     assert above[1] - 6.0 > ROBOT.radius + 0.05, "it passes the corner with room to spare"
 
 
-@pytest.mark.parametrize("world", [OPEN, WALL])
-def test_lookahead_points_lead_to_the_goal_and_no_farther(world):
-    paths, worlds, goals, there = to_own_goal(world, world.start[:2])
+def test_lookahead_points_lead_to_the_goal_and_no_farther():
+    paths, worlds, goals, there = to_own_goal(WALL, WALL.start[:2])
     length, driven = paths.path_length(worlds, goals, there)[0], 0.0
     for _ in range(400):
         after = paths.lookahead_point(worlds, goals, there, 0.1)
         assert np.hypot(*(after - there).T)[0] <= 0.1 + 1e-9
-        assert world.clearance(*after[0]) >= ROBOT.radius
+        assert WALL.clearance(*after[0]) >= ROBOT.radius
         driven, there = driven + np.hypot(*(after - there).T)[0], after
-    np.testing.assert_allclose(there[0], world.goal[:2], atol=1e-9)
+    np.testing.assert_allclose(there[0], WALL.goal[:2], atol=1e-9)
     assert driven < length + 0.1
 
 
@@ -67,8 +58,8 @@ def test_a_path_from_beside_a_thin_wall_does_not_lead_through_it():
 
 
 def test_random_goals_can_be_reached_and_do_not_depend_on_other_environments():
-    paths, worlds = GoalPaths(MIXED, ROBOT.radius), np.repeat(np.arange(10), GOALS)
-    numbers, starts = np.tile(np.arange(1, GOALS + 1), 10), np.array([MIXED[i].start[:2] for i in worlds])
+    paths, worlds = GoalPaths(MIXED, ROBOT.radius), np.repeat(np.arange(10), RANDOM_GOALS)
+    numbers, starts = np.tile(np.arange(1, RANDOM_GOALS + 1), 10), np.array([MIXED[i].start[:2] for i in worlds])
     goals, lengths = paths.goals(worlds, numbers), paths.path_length(worlds, numbers, starts)
     assert min(MIXED[i].clearance(*goal) for i, goal in zip(worlds, goals, strict=True)) >= 0.3
     assert (lengths < 60).all()
@@ -79,14 +70,11 @@ def test_random_goals_can_be_reached_and_do_not_depend_on_other_environments():
         assert alone.path_length(worlds[row], numbers[row], starts[row]) == lengths[i]
 
 
-def test_without_a_path_lengths_stay_finite():
+def test_lengths_are_finite_without_a_path_and_random_goals_without_an_own_one():
     assert shortest_path_length(CLOSED, ROBOT.radius) == math.inf
     paths, worlds, goals, there = to_own_goal(CLOSED, (2.0, 4.0))
     assert np.isfinite(paths.path_length(worlds, goals, there)).all()
     assert np.isfinite(paths.lookahead_point(worlds, goals, there, 1.0)).all()
-
-
-def test_a_world_without_a_goal_has_random_goals_only():
     lacking = World.from_shapes("lacking", start=(1.0, 1.0, 0.0), bounds=BOUNDS)
     paths, worlds, goals, _ = to_own_goal(lacking, (1.0, 1.0))
     assert np.isnan(paths.goals(worlds, goals)).all()
@@ -94,12 +82,12 @@ def test_a_world_without_a_goal_has_random_goals_only():
 
 
 def test_a_path_never_ends_before_its_goal():
-    """Between costly squares, the slope may oscillate across the path."""
+    """Between costly cells, the slope may oscillate across the path."""
     worlds = generate(GeneratorSettings("rooms", worlds=10), GENERATORS["rooms"], "training")
-    paths, random, each = GoalPaths(worlds, ROBOT.radius), np.random.default_rng(0), np.repeat(np.arange(10), 100)
-    places = random.uniform(0.3, 7.7, (len(each), 2))
+    paths, each = GoalPaths(worlds, ROBOT.radius), np.repeat(np.arange(10), 100)
+    places = np.random.default_rng(0).uniform(0.3, 7.7, (len(each), 2))
     free = np.array([worlds[i].clearance(*place) > 0.2 for i, place in zip(each, places, strict=True)])
-    each, places, numbers = each[free], places[free], np.full(free.sum(), OWN)
+    each, places, numbers = each[free], places[free], np.full(free.sum(), OWN_GOAL)
     before = paths.path_length(each, numbers, places)
     after = paths.path_length(each, numbers, paths.lookahead_point(each, numbers, places, 1.0))
     assert (before - after > 0.9)[before > 1.5].all(), "a metre along the path is a metre less, at least"

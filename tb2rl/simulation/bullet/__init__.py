@@ -1,6 +1,4 @@
-"""PyBullet's rigid-body physics, the reference for evaluations; imports nothing of PyBullet before it is used."""
-
-from __future__ import annotations
+"""PyBullet's rigid-body physics, the reference for evaluations; PyBullet is imported at its first use."""
 
 from functools import cache
 from typing import Any
@@ -12,9 +10,9 @@ from tb2rl.simulation.spec import SimulationSpec
 
 @cache
 def unavailable() -> str | None:
-    """Why PyBullet cannot be used here, to follow its name: "is not installed"; None: it can be used."""
+    """Reason why PyBullet is unavailable, such as "is not installed"; None: PyBullet is available."""
     try:
-        import tb2rl.simulation.bullet.client  # noqa: F401
+        import tb2rl.simulation.bullet.client
     except Exception as error:  # a broken installation can raise anything
         if isinstance(error, ModuleNotFoundError) and error.name == "pybullet":
             return NOT_INSTALLED
@@ -23,7 +21,7 @@ def unavailable() -> str | None:
 
 
 def make(spec: SimulationSpec, num_envs: int, window: bool = False, processes: int | None = None) -> Any:
-    """One world in this process, or many shared among processes."""
+    """Make a simulator of one world in this process, or of many worlds in several processes."""
     if num_envs == 1 and processes is None:
         from tb2rl.simulation.bullet.simulator import BulletSimulator
 
@@ -40,8 +38,7 @@ SIMULATOR = SimulatorType(
     is_physics=True,
     has_window=True,
     has_colours=True,
-    varies_dynamics=True,
     in_processes=True,
     unavailable=unavailable,
-    install="pip install pybullet (it compiles where there is no wheel)",
+    install="pip install pybullet (compiles it if there is no wheel for this platform)",
 )

@@ -1,244 +1,228 @@
 """Many robots in PyBullet, each in a world of its own, distributed among processes.
 
-PyBullet steps one world at a time and holds the interpreter meanwhile. A step is so short that a message for each world
-would cost a good part of it. Therefore each process serves several, and robot states come through shared memory.
+PyBullet steps one world at a time and holds the interpreter lock meanwhile. A step is so short that a message for each
+world would be expensive. Therefore each process has several worlds, and robot states are in shared memory.
 """
-
-from __future__ import annotations
 
 import os
 import pickle
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
 from multiprocessing.connection import Connection
 from typing import Any, NoReturn
 
 import cloudpickle
 import numpy as np
 
-from tb2rl.core.errors import InputError
-from tb2rl.core.processes import main_hidden, process_context, processors
-from tb2rl.core.signals import ignore_ending_signals
-from tb2rl.simulation.bullet.share import Share
-from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.robot_state import CameraSource, RobotState
-from tb2rl.simulation.simulator import Generators
-from tb2rl.simulation.spec import SimulationSpec
+from tb2rl.core import InputError, ignore_termination_signals
+from tb2rl.core.processes import hide_main_script, process_context, processors
+from tb2rl.simulation.bullet.simulator import BulletSimulator
+from tb2rl.simulation.robot_state import ARRAYS, RobotState
+from tb2rl.simulation.simulator import Generators, ResetGenerators, StatesAfterReset
+from tb2rl.simulation.spec import InitialState, SimulationSpec
 
-_SPIN = 5e-3  # [s] more than the worlds of a process take for a step
-_let_others_run = getattr(os, "sched_yield", lambda: None)  # macOS and Windows have none
+_SPIN_TIME = 5e-3  # [s] of polling before `_receive` sleeps; longer than a step of the worlds of a process
+_yield_processor = getattr(os, "sched_yield", lambda: None)  # macOS and Windows have no such function
+
+
+class WorldGroup:
+    """The worlds of one process.
+
+    Attributes:
+        record_type: Type of a record with the arrays of a `RobotState` of one environment.
+    """
+
+    def __init__(self, spec: SimulationSpec, num_envs: int) -> None:
+        self._worlds = [BulletSimulator(spec) for _ in range(num_envs)]
+        self._default_states = [world.reset_values(InitialState.default(spec, 1), None) for world in self._worlds]
+        columns = [(name, np.array(values)) for name, values in zip(ARRAYS, self._default_states[0], strict=False)]
+        self.record_type = np.dtype([(name, column.dtype, column.shape) for name, column in columns], align=True)
+
+    def set_records(self, records: np.ndarray) -> None:
+        """Set the records, shape (num_envs,), to which `call` writes robot states, and write the default states."""
+        self._records, records[:] = records, self._default_states
+
+    def call(self, method: str, indices: Sequence[int], arguments: Sequence[tuple]) -> list[Any]:
+        """Call a method of the worlds `indices`, each with its own arguments; robot states go to the records."""
+        results = [getattr(self._worlds[i], method)(*args) for i, args in zip(indices, arguments, strict=True)]
+        if method not in ("reset_values", "step_values", "restore_values"):
+            return results
+        for i, robot_state in zip(indices, results, strict=True):
+            self._records[i] = robot_state
+        return []
+
+    def close(self) -> None:
+        """Close the worlds."""
+        for world in self._worlds:
+            world.close()
 
 
 class BulletBatch:
-    """Robots in worlds of their own; see `tb2rl.simulation.simulator.Simulator`.
+    """Many robots, each in a world of its own; implements `tb2rl.simulation.simulator.Simulator`.
 
     Args:
         spec: The robot, its laser and the worlds.
         num_envs: Number of environments.
-        processes: Number of processes, with this one; None: one for each processor.
+        processes: Number of processes, including this process; None: one for each processor.
 
     Raises:
         InputError: If PyBullet cannot load the robot.
     """
 
-    travelled: np.ndarray
-
     def __init__(self, spec: SimulationSpec, num_envs: int, processes: int | None = None) -> None:
-        self.spec, self.num_envs = spec, num_envs
-        shares = np.array_split(np.arange(num_envs), min(processes or processors(), num_envs))
-        self._parts = [slice(int(share[0]), int(share[-1]) + 1) for share in shares]
-        # The first share is this process's own, which would have nothing to do while the others step.
-        self._share = Share(spec, len(shares[0]))
-        context, kind = process_context(), self._share.record_type
-        memory = context.RawArray("b", num_envs * kind.itemsize)
-        self._records = np.frombuffer(memory, kind)
-        self._share.write_to(self._records[self._parts[0]])
+        self.spec, self.num_envs, self._all_indices = spec, num_envs, np.arange(num_envs)
+        parts = np.array_split(self._all_indices, min(processes or processors(), num_envs))
+        self._parts = [slice(int(part[0]), int(part[-1]) + 1) for part in parts]  # environments of each process
+        # The first part belongs to this process, which would otherwise be idle while the other processes step.
+        self._group = WorldGroup(spec, len(parts[0]))
+        context, record_type = process_context(), self._group.record_type
+        self._columns = record_type.names or ()
+        memory = context.RawArray("b", num_envs * record_type.itemsize)
+        self._records = np.frombuffer(memory, record_type)
+        self._group.set_records(self._records[self._parts[0]])
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
-        pickled = cloudpickle.dumps(spec)
+        pickled_spec = cloudpickle.dumps(spec)
         for part in self._parts[1:]:
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_serve, args=(theirs, pickled, memory, part), daemon=True)
-            with main_hidden():
+            pipe, child_pipe = context.Pipe()
+            process = context.Process(target=_serve, args=(child_pipe, pickled_spec, memory, part), daemon=True)
+            with hide_main_script():
                 process.start()
-            theirs.close()
-            self._pipes.append(ours)
+            child_pipe.close()
+            self._pipes.append(pipe)
             self._processes.append(process)
         try:
-            with _translate_errors():
-                _raise_errors([_receive(pipe) for pipe in self._pipes])  # they have opened their worlds
+            _raise_errors([_receive(pipe) for pipe in self._pipes])  # each process has opened its worlds, or failed
         except Exception:
             self.close()
             raise
-        self._poses = self._latest().pose
+        self._initial_states = InitialState.default(spec, num_envs).table
+        self._poses = self._robot_state().pose
 
     def __reduce__(self) -> NoReturn:
-        raise InputError("PyBullet's worlds in processes cannot be copied or sent; make others")
+        raise InputError("PyBullet's worlds in processes cannot be copied or sent; make new ones")
 
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
-        each = rng.spawn(self.num_envs) if isinstance(rng, np.random.Generator) else list(rng)
-        self._records["initial_state"] = initial_state.table
-        self._call("reset", [(each[part],) for part in self._parts])
-        return self._latest()
+        generators = rng.spawn(self.num_envs) if isinstance(rng, np.random.Generator) else rng
+        return self.reset_at(self._all_indices, initial_state, generators)[0]
 
-    def step(self, commands: np.ndarray, duration: float, skip: np.ndarray | None = None) -> RobotState:
-        before = self._poses
-        self._records["command"] = commands
-        skipped = [None if skip is None else skip[part] for part in self._parts]
-        self._call("step", [(duration, each) for each in skipped])
-        robot_state = self._latest()
+    def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
+        before, indices = self._poses, self._all_indices if inactive is None else np.flatnonzero(~inactive)
+        self._call("step_values", indices, [(command, duration) for command in commands[indices].tolist()])
+        robot_state = self._robot_state()
         change = robot_state.pose - before
         self.travelled = np.hypot(change[:, 0], change[:, 1])
         return robot_state
 
     def reset_at(
-        self,
-        indices: np.ndarray,
-        initial_state: InitialState,
-        robot_state: RobotState,
-        rng: Sequence[np.random.Generator] | None = None,
-    ) -> tuple[RobotState, RobotState]:
-        self._records["initial_state"][indices] = initial_state.table
-        places = list(self._places_of(indices))
-        sources: list[Any] = [None] * len(places)
-        if rng is not None:
-            ends = np.cumsum([len(each) for each in places]).tolist()
-            sources = [rng[end - len(each) : end] for end, each in zip(ends, places, strict=True)]
-        self._call("reset_at", [(each, own) if each else None for each, own in zip(places, sources, strict=True)])
-        return self._latest(), self._robot_state(self._records[indices], _SelectedCameras(self, indices))
+        self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None
+    ) -> StatesAfterReset:
+        initial_states = [InitialState(initial_state.table[i : i + 1].copy()) for i in range(len(indices))]
+        generators = [None] * len(indices) if rng is None else rng
+        self._call("reset_values", indices, list(zip(initial_states, generators, strict=True)))
+        self._initial_states = self._initial_states.copy()
+        self._initial_states[indices] = initial_state.table
+        columns: dict[str, Any] = {name: self._records[name][indices] for name in self._columns}
+        self._last_reset = indices
+        return self._robot_state(), RobotState(**columns, initial_state=InitialState(initial_state.table), camera=self)
 
     def state(self) -> dict[str, Any]:
         """The state of each world, and the poses of the latest robot state."""
-        worlds = [world for share in self._call("state", [()] * len(self._parts)) for world in share]
-        return {"worlds": worlds, "poses": self._poses.copy()}
+        return {"worlds": self._call("state", self._all_indices, [()] * self.num_envs), "poses": self._poses.copy()}
 
     def restore(self, state: Mapping[str, Any]) -> RobotState:
         """Continue from a state.
 
         Raises:
-            ValueError: If it names a world that does not exist.
+            ValueError: If a world in the state does not exist.
         """
-        worlds = state["worlds"]
-        self._call("restore", [(worlds[part],) for part in self._parts])
-        robot_state = self._latest()
+        self._call("restore_values", self._all_indices, [(world,) for world in state["worlds"]])
+        self._initial_states = np.concatenate([world["initial_state"] for world in state["worlds"]])
+        robot_state = self._robot_state()
         self._poses = state["poses"].copy()
         return robot_state
 
     def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """Images from the latest poses, see `RobotState.render_camera`."""
-        return self.render_cameras(np.arange(self.num_envs), width, height)
-
-    def render_cameras(self, indices: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same of some environments, ascending, shape (n,)."""
-        images = self._call(
-            "render_cameras", [(each, width, height) if each else None for each in self._places_of(indices)]
-        )
-        colours, depth = zip(*(image for share in images for image in share), strict=True)
+        """Camera images for the latest robot state of all environments, or of those that were reset last."""
+        indices = self._all_indices if len(robot_state.pose) == self.num_envs else self._last_reset
+        images = self._call("camera", indices, [(width, height)] * len(indices))
+        colours, depth = zip(*images, strict=True)
         return np.stack(colours), np.stack(depth)
 
     def close(self) -> None:
         """End the processes and the worlds."""
         for pipe in self._pipes:
-            pipe.close()  # the process sees the end and leaves
+            pipe.close()  # ends the loop of `_serve`
         for process in self._processes:
             process.join(timeout=5)
             process.kill()
         self._pipes, self._processes = [], []
-        self._share.close()
+        self._group.close()
 
-    def _call(self, method: str, arguments: Sequence[tuple | None]) -> list[Any]:
-        """Call a method of the shares, with arguments for each (None: do not call it), and return the results."""
-        mine, *theirs = arguments
-        called = [(pipe, given) for pipe, given in zip(self._pipes, theirs, strict=True) if given is not None]
-        with _translate_errors():
-            for pipe, given in called:
-                pipe.send((method, given))
-            try:
-                results = [] if mine is None else [_result(self._share, method, mine)]
-            finally:  # a result left in a pipe would be taken for that of the next call
-                others = [_receive(pipe) for pipe, _ in called]
-        return _raise_errors(results + others)
-
-    def _places_of(self, indices: np.ndarray) -> Iterator[list[int]]:
-        """For each share, the places in it of these environments, shape (n,)."""
+    def _call(self, method: str, indices: np.ndarray, arguments: list[tuple]) -> list[Any]:
+        """Call a method of the worlds with these ascending indices in all processes, see `WorldGroup.call`."""
+        calls = []
         for part in self._parts:
-            yield [i - part.start for i in indices.tolist() if part.start <= i < part.stop]
+            first, end = np.searchsorted(indices, (part.start, part.stop)).tolist()
+            calls.append((method, (indices[first:end] - part.start).tolist(), arguments[first:end]))
+        remote_calls = [(pipe, call) for pipe, call in zip(self._pipes, calls[1:], strict=True) if call[1]]
+        for pipe, call in remote_calls:
+            with suppress(OSError):  # the process has ended; `_receive` returns the error
+                pipe.send(call)
+        try:
+            results = [_call_group(self._group, *calls[0])]
+        finally:  # a result that stays in a pipe would be received by the next call
+            results_of_others = [_receive(pipe) for pipe, _ in remote_calls]
+        return [value for result in _raise_errors(results + results_of_others) for value in result]
 
-    def _latest(self) -> RobotState:
-        robot_state = self._robot_state(self._records, self)
-        self._poses = robot_state.pose
-        return robot_state
-
-    def _robot_state(self, records: np.ndarray, camera: CameraSource) -> RobotState:
-        """The robot state in some records, in arrays of its own."""
-        columns: dict[str, Any] = {name: records[name].copy() for name in self._share.names}
-        return RobotState(**columns, initial_state=InitialState(records["initial_state"].copy()), camera=camera)
-
-
-@dataclass(frozen=True)
-class _SelectedCameras:
-    """The cameras of some environments of a batch."""
-
-    batch: BulletBatch
-    indices: np.ndarray  # ascending, shape (n,)
-
-    @property
-    def spec(self) -> SimulationSpec:
-        """The robot, its laser and the worlds."""
-        return self.batch.spec
-
-    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `RobotState.render_camera`."""
-        return self.batch.render_cameras(self.indices, width, height)
+    def _robot_state(self) -> RobotState:
+        """Robot state of all environments, with copies of the records."""
+        columns: dict[str, Any] = {name: self._records[name].copy() for name in self._columns}
+        self._poses = columns["pose"]
+        return RobotState(**columns, initial_state=InitialState(self._initial_states), camera=self)
 
 
 def _receive(pipe: Connection) -> Any:
-    """Receive the next message; spin at first, because a sleeping processor may need a millisecond to wake."""
-    until = time.perf_counter() + _SPIN
-    while not pipe.poll() and time.perf_counter() < until:
-        _let_others_run()
-    return pipe.recv()
+    """Receive the next message; return an `InputError` if the other process has ended.
 
-
-@contextmanager
-def _translate_errors() -> Iterator[None]:
-    """Turn the end of a process that should answer into one line."""
+    The function polls at first, because a sleeping processor may need a millisecond to wake up.
+    """
+    deadline = time.perf_counter() + _SPIN_TIME
     try:
-        yield
+        while not pipe.poll() and time.perf_counter() < deadline:
+            _yield_processor()
+        return pipe.recv()
     except (EOFError, OSError):
-        raise InputError(
-            "a process with worlds of PyBullet has ended: something killed it, or the memory is too small"
-        ) from None
+        return InputError("a process with worlds of PyBullet has ended: it was killed, or ran out of memory")
 
 
-def _result(share: Share, method: str, arguments: tuple) -> Any:
-    """The result of a call, or its exception, which the caller raises again."""
+def _call_group(group: WorldGroup, *call: Any) -> Any:
+    """Return the result of `WorldGroup.call`, or its exception."""
     try:
-        return getattr(share, method)(*arguments)
+        return group.call(*call)
     except Exception as error:
         return error
 
 
 def _raise_errors(results: list[Any]) -> list[Any]:
+    """Return the results, or raise the first exception among them."""
     for result in results:
         if isinstance(result, Exception):
             raise result
     return results
 
 
-def _serve(pipe: Connection, pickled: bytes, memory: Any, part: slice) -> None:
-    """Answer calls of a share's methods until the pipe closes; runs in a process of its own."""
-    ignore_ending_signals()
+def _serve(pipe: Connection, pickled_spec: bytes, memory: Any, part: slice) -> None:
+    """Main function of another process: open worlds, and answer calls until the pipe closes."""
+    ignore_termination_signals()
     try:
-        share = Share(pickle.loads(pickled), part.stop - part.start)
-        share.write_to(np.frombuffer(memory, share.record_type)[part])
+        group = WorldGroup(pickle.loads(pickled_spec), part.stop - part.start)
+        group.set_records(np.frombuffer(memory, group.record_type)[part])
     except Exception as error:
         pipe.send(error)
         return
     pipe.send(None)
-    with closing(share), suppress(EOFError, OSError):  # the other end has closed
-        while True:
-            method, arguments = _receive(pipe)
-            pipe.send(_result(share, method, arguments))
+    with closing(group), suppress(OSError):  # raised if the other end has closed
+        while not isinstance(call := _receive(pipe), InputError):
+            pipe.send(_call_group(group, *call))

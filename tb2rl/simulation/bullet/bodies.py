@@ -1,6 +1,4 @@
-"""Bodies in a PyBullet client: floor, walls and robot."""
-
-from __future__ import annotations
+"""Bodies in a PyBullet client (floor, walls and robot), and images of them by PyBullet's software renderer."""
 
 import math
 import os
@@ -12,21 +10,21 @@ from typing import Any
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.robots import Robot
-from tb2rl.simulation import check_display
+from tb2rl.robots import Camera, Robot
 from tb2rl.simulation.bullet.client import pybullet
+from tb2rl.simulation.simulator import check_display
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 GRAVITY = 9.81  # [m/s^2]
-FLOOR_FRICTION = 1.0  # rubber on a dry floor
-WHEEL_FRICTION = 1.0  # times that of the floor
+FLOOR_FRICTION = 1.0  # friction coefficient of rubber on a dry floor
+WHEEL_FRICTION = 1.0  # PyBullet multiplies the coefficients of wheel and floor
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
-WALL_GROUP = 2  # of collisions, for laser rays
-TOUCH = 1.0e-3  # [m] a gap below this is contact: Bullet keeps bodies apart by less
-MOVING_GROUP = 1  # PyBullet's own of bodies that move; walls collide with these alone, not with the floor
-_MAX_SHAPES = 16  # of a body; PyBullet drops more without a message
-_TOLERANCE = 0.01  # relative, between a robot's numbers and those of its URDF file
-_SOFTNESS = 1.0e-6  # constraint force mixing; 0 makes the direct solver's matrix singular
+CONTACT = 1.0e-3  # [m] bodies with a smaller gap touch, because Bullet keeps touching bodies slightly apart
+WALL_GROUP = 2  # collision group of walls, which collide with moving bodies but not with the floor
+MOVING_GROUP = 1  # PyBullet's default collision group of moving bodies
+_MAX_SHAPES = 16  # maximum number of shapes of a body; PyBullet ignores others without a message
+_TOLERANCE = 0.01  # allowed relative difference between a robot's parameters and its URDF file
+_CFM = 1.0e-6  # constraint force mixing; with 0, the matrix of the direct solver is singular
 
 
 def connect(window: bool) -> int:
@@ -42,37 +40,36 @@ def connect(window: bool) -> int:
     return client
 
 
-def disconnects(owner: object, client: int) -> weakref.finalize:
-    """A finalizer that disconnects a client when it is called, or when its owner is garbage-collected.
+def disconnector(owner: object, client: int) -> weakref.finalize:
+    """Make a finalizer that disconnects a client when it is called, or when its owner is garbage-collected.
 
-    PyBullet keeps a client, tens of MB, until it is disconnected. A forked process must not disconnect it, because the
-    client belongs to the process that connected it.
+    A client that is never disconnected keeps tens of MB of memory.
     """
-    finalizer = weakref.finalize(owner, _disconnect, client, os.getpid())
+
+    def disconnect(process: int) -> None:
+        if process == os.getpid():  # a forked process does not own the client
+            pybullet.disconnect(client)
+
+    finalizer = weakref.finalize(owner, disconnect, os.getpid())
     finalizer.atexit = False  # the process ends anyway
     return finalizer
-
-
-def _disconnect(client: int, process: int) -> None:
-    if process == os.getpid():
-        pybullet.disconnect(client)
 
 
 def clear(client: int) -> None:
     """Remove all bodies from a client, and set gravity and the solver.
 
-    The direct solver (Dantzig's, for the exact linear complementarity problem) holds the wheel speeds that the usual
-    iterative one misses, at a fifth of its cost.
+    The direct solver (Dantzig's algorithm for the linear complementarity problem) reaches the target speeds of the
+    wheels, which PyBullet's default iterative solver does not, and takes a fifth of the time.
     """
     pybullet.resetSimulation(physicsClientId=client)
     pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(
-        constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG, globalCFM=_SOFTNESS, physicsClientId=client
+        constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG, globalCFM=_CFM, physicsClientId=client
     )
 
 
 def add_floor(client: int) -> int:
-    """Add an endless floor; returns the number of its body."""
+    """Add an endless floor; return the number of its body."""
     plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
     floor = pybullet.createMultiBody(0.0, plane, physicsClientId=client)
     pybullet.changeDynamics(floor, -1, lateralFriction=FLOOR_FRICTION, physicsClientId=client)
@@ -80,122 +77,92 @@ def add_floor(client: int) -> int:
 
 
 def add_walls(client: int, world: World) -> tuple[int, ...]:
-    """Add all walls and posts of a world, as few bodies, each of neighbours, because distant bodies cost no time.
+    """Add all walls and posts of a world; return the numbers of the bodies.
 
-    Returns:
-        The bodies' numbers.
+    Neighbouring shapes share a body, because bodies far from the robot take no time.
     """
-    boxes, posts = world.boxes.tolist(), world.posts.tolist()
-    kinds = [pybullet.GEOM_BOX] * len(boxes) + [pybullet.GEOM_CYLINDER] * len(posts)
-    halves = [(length, width, WALL_HEIGHT / 2) for _, _, length, width, _, _ in boxes] + [(0.0, 0.0, 0.0)] * len(posts)
-    radii = [0.0] * len(boxes) + [radius for _, _, radius in posts]
-    yaws = [math.atan2(sin, cos) for *_, cos, sin in boxes] + [0.0] * len(posts)
-    places = [(x, y, WALL_HEIGHT / 2) for x, y, *_ in [*boxes, *posts]]
-    turns = [pybullet.getQuaternionFromEuler((0.0, 0.0, yaw)) for yaw in yaws]
-    bodies = []
-    for group in _neighbours(np.array(places).reshape(-1, 3), np.arange(len(places))):
-        kind, half, radius, place, turn = (
-            [column[k] for k in group] for column in (kinds, halves, radii, places, turns)
-        )
-        sizes = {"halfExtents": half, "radii": radius, "lengths": [WALL_HEIGHT] * len(group), "physicsClientId": client}
+    box, post, quaternion = pybullet.GEOM_BOX, pybullet.GEOM_CYLINDER, pybullet.getQuaternionFromEuler
+    middle, upright = WALL_HEIGHT / 2, quaternion((0.0, 0.0, 0.0))
+    shapes = [  # type, half sizes, radius, position, orientation
+        (box, (length, width, middle), 0.0, (x, y, middle), quaternion((0.0, 0.0, math.atan2(sin, cos))))
+        for x, y, length, width, cos, sin in world.boxes.tolist()
+    ]
+    shapes += [(post, (0.0,) * 3, radius, (x, y, middle), upright) for x, y, radius in world.posts.tolist()]
+    centres, bodies = np.array([shape[3] for shape in shapes]), []
+    for group in _group_neighbours(centres, np.arange(len(centres))):
+        # PyBullet's functions for arrays crash with tuples.
+        types, half_sizes, radii, positions, orientations = map(list, zip(*(shapes[k] for k in group), strict=True))
+        lengths, colours = [WALL_HEIGHT] * len(group), [WALL_COLOUR] * len(group)
+        sizes = {"halfExtents": half_sizes, "radii": radii, "lengths": lengths, "physicsClientId": client}
         collision = pybullet.createCollisionShapeArray(
-            kind, collisionFramePositions=place, collisionFrameOrientations=turn, **sizes
+            types, collisionFramePositions=positions, collisionFrameOrientations=orientations, **sizes
         )
-        visual = pybullet.createVisualShapeArray(
-            kind,
-            visualFramePositions=place,
-            visualFrameOrientations=turn,
-            rgbaColors=[WALL_COLOUR] * len(group),
-            **sizes,
-        )
-        # With maximal coordinates it is a plain static body, which no step of the physics visits.
+        frames = {"visualFramePositions": positions, "visualFrameOrientations": orientations}
+        visual = pybullet.createVisualShapeArray(types, rgbaColors=colours, **frames, **sizes)
+        # With maximal coordinates, PyBullet makes a static body, which takes no time in a physics step.
         body = pybullet.createMultiBody(0.0, collision, visual, useMaximalCoordinates=True, physicsClientId=client)
         bodies.append(body)
         pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, MOVING_GROUP, physicsClientId=client)
     return tuple(bodies)
 
 
-def _neighbours(places: np.ndarray, some: np.ndarray) -> list[np.ndarray]:
-    """Group `some` indices of places (n, 3) so that each group fits into a body."""
-    if not len(some):
-        return []
-    if len(some) <= _MAX_SHAPES:
-        return [some]
-    axis = np.ptp(places[some], axis=0).argmax()
-    some = some[np.argsort(places[some, axis], kind="stable")]
-    middle = len(some) // 2
-    return _neighbours(places, some[:middle]) + _neighbours(places, some[middle:])
+def _group_neighbours(centres: np.ndarray, indices: np.ndarray) -> list[np.ndarray]:
+    """Divide indices of centres (n, 3) into groups of at most `_MAX_SHAPES` neighbours."""
+    if len(indices) <= _MAX_SHAPES:
+        return [indices] if len(indices) else []
+    axis = np.ptp(centres[indices], axis=0).argmax()
+    indices = indices[np.argsort(centres[indices, axis], kind="stable")]
+    halves = np.split(indices, [len(indices) // 2])
+    return [group for half in halves for group in _group_neighbours(centres, half)]
 
 
 @dataclass(frozen=True)
 class RobotBody:
-    """A robot in a client.
+    """A robot in a PyBullet client."""
 
-    Attributes:
-        client: The client's number.
-        body: The body's number.
-        wheels: The numbers of the left and the right wheel's joint.
-        centre: x and z of the centre of mass in the robot's frame [m], because PyBullet's poses are those of it.
-        inertia: Mass [kg] and moments of inertia [kg m^2] of the base.
-    """
-
-    client: int
-    body: int
-    wheels: tuple[int, int]
-    centre: tuple[float, float]
-    inertia: tuple[float, tuple[float, float, float]]
-    _dynamics: list[float] = field(default_factory=lambda: [1.0, 1.0])  # those of `set_dynamics`
+    client: int  # PyBullet's number of the client
+    body: int  # PyBullet's number of the body
+    wheels: tuple[int, int]  # PyBullet's numbers of the joints of the left and the right wheel
+    centre: tuple[float, float]  # [m] x and z of the centre of mass in the robot's frame; PyBullet's poses refer to it
+    inertia: tuple[float, tuple[float, float, float]]  # nominal mass [kg] and moments of inertia [kg m^2] of the base
+    _dynamics: list[float] = field(default_factory=lambda: [1.0, 1.0])  # last arguments of `set_dynamics`
 
     def frame_at(self, x: float, y: float, yaw: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Position of the centre of mass [m] and orientation (quaternion) at a pose."""
+        """Position of the centre of mass [m] and orientation (quaternion) for a pose of the robot."""
         position = (x + self.centre[0] * math.cos(yaw), y + self.centre[0] * math.sin(yaw), self.centre[1])
         return position, (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
     def set_dynamics(self, mass: float, friction: float) -> None:
-        """Set the base's mass and the wheels' friction, as multiples of the robot's own."""
+        """Set the mass of the base and the friction of the wheels, as multiples of the nominal values."""
         if self._dynamics == [mass, friction]:
             return
         self._dynamics[:] = mass, friction
-        own, moments = self.inertia
-        pybullet.changeDynamics(
-            self.body,
-            -1,
-            mass=mass * own,
-            localInertiaDiagonal=[mass * moment for moment in moments],
-            physicsClientId=self.client,
-        )
+        nominal_mass, moments, client = *self.inertia, self.client
+        inertia = {"mass": mass * nominal_mass, "localInertiaDiagonal": [mass * moment for moment in moments]}
+        pybullet.changeDynamics(self.body, -1, **inertia, physicsClientId=client)
         for wheel in self.wheels:
-            pybullet.changeDynamics(
-                self.body, wheel, lateralFriction=friction * WHEEL_FRICTION, physicsClientId=self.client
-            )
+            pybullet.changeDynamics(self.body, wheel, lateralFriction=friction * WHEEL_FRICTION, physicsClientId=client)
 
-    def turn_wheels(self, rates: Sequence[float], torque: float) -> None:
-        """Set the target rates [rad/s] and the largest torque [N m] of the wheels' motors."""
-        for wheel, rate in zip(self.wheels, rates, strict=True):
-            pybullet.setJointMotorControl2(
-                self.body,
-                wheel,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocity=rate,
-                force=torque,
-                physicsClientId=self.client,
-            )
+    def set_wheel_rates(self, rates: list[float], torque: float) -> None:
+        """Set the target rates [rad/s] and the maximum torque [N m] of the wheels' motors."""
+        targets = {"targetVelocities": rates, "forces": [torque, torque], "physicsClientId": self.client}
+        pybullet.setJointMotorControlArray(self.body, self.wheels, pybullet.VELOCITY_CONTROL, **targets)
 
     def place(self, pose: np.ndarray) -> None:
         """Put the robot at a pose (3,)."""
         pybullet.resetBasePositionAndOrientation(self.body, *self.frame_at(*map(float, pose)), self.client)
 
     def teleport(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
-        """Restore a `motion`, without contacts of the former place."""
+        """Put the robot into the state of a `motion`, and clear the contacts at its former position."""
         pybullet.resetBasePositionAndOrientation(self.body, (0.0, 0.0, 100.0), (0.0, 0.0, 0.0, 1.0), self.client)
-        pybullet.performCollisionDetection(self.client)  # forgets the contacts
+        pybullet.performCollisionDetection(self.client)  # clears the contacts
         pybullet.resetBasePositionAndOrientation(self.body, position, orientation, self.client)
         pybullet.resetBaseVelocity(self.body, *velocity, self.client)
         for wheel, (angle, rate) in zip(self.wheels, wheels, strict=True):
             pybullet.resetJointState(self.body, wheel, angle, rate, self.client)
 
     def motion(self) -> dict[str, Any]:
-        """Position, orientation and velocity of the base in PyBullet's terms, and the `wheel_states`."""
+        """Arguments for `teleport`: PyBullet's position, orientation and velocity of the base, and `wheel_states`."""
         position, orientation = pybullet.getBasePositionAndOrientation(self.body, self.client)
         velocity = pybullet.getBaseVelocity(self.body, self.client)
         wheels = self.wheel_states()
@@ -206,9 +173,9 @@ class RobotBody:
         return tuple(joint[:2] for joint in pybullet.getJointStates(self.body, self.wheels, self.client))
 
     def touches(self, bodies: Sequence[int]) -> bool:
-        """Whether the robot is in contact with one of some bodies."""
+        """Whether the robot is in contact with any of these bodies."""
         contacts = pybullet.getContactPoints(self.body, physicsClientId=self.client)
-        return any(contact[2] in bodies and contact[8] < TOUCH for contact in contacts)  # other body; distance
+        return any(contact[2] in bodies and contact[8] < CONTACT for contact in contacts)  # [2] body, [8] distance
 
     def pose(self) -> tuple[float, float, float]:
         """X [m], y [m], yaw [rad]."""
@@ -221,7 +188,8 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
     """Add a robot from its URDF file.
 
     Raises:
-        InputError: If PyBullet cannot load it, it lacks the wheels' joints, or its wheels are not those of the robot.
+        InputError: If PyBullet cannot load the file, the file lacks the joints of the wheels, or its wheels differ from
+            the parameters of the robot.
     """
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_MERGE_FIXED_LINKS
     try:
@@ -229,13 +197,14 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
     except pybullet.error as error:
         raise InputError(f"robot {robot.name}: PyBullet cannot load {robot.urdf}: {error}") from None
     joints = range(pybullet.getNumJoints(body, client))
-    names = {pybullet.getJointInfo(body, joint, client)[1].decode(): joint for joint in joints}
-    missing = [name for name in robot.wheel_joints if name not in names]
+    joint_numbers = {pybullet.getJointInfo(body, joint, client)[1].decode(): joint for joint in joints}
+    missing = [name for name in robot.wheel_joints if name not in joint_numbers]
     if missing:
-        raise InputError(f"robot {robot.name}: {robot.urdf} has no joint {missing[0]!r}; it has {', '.join(names)}")
-    wheels = names[robot.wheel_joints[0]], names[robot.wheel_joints[1]]
+        known = ", ".join(joint_numbers)
+        raise InputError(f"robot {robot.name}: {robot.urdf} has no joint {missing[0]!r}; it has {known}")
+    wheels = joint_numbers[robot.wheel_joints[0]], joint_numbers[robot.wheel_joints[1]]
     _check_wheels(client, body, wheels, robot)
-    # Casters roll: merged into the base, they and it are free of friction. The wheels grip.
+    # The casters are merged into the base, which has no friction, because casters roll.
     undamped = {"linearDamping": 0.0, "angularDamping": 0.0, "jointDamping": 0.0, "physicsClientId": client}
     pybullet.changeDynamics(body, -1, lateralFriction=0.0, **undamped)
     for wheel in wheels:
@@ -245,30 +214,58 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
 
 
 def _check_wheels(client: int, body: int, wheels: tuple[int, int], robot: Robot) -> None:
-    """Compare the wheels of a loaded body with the robot's numbers, which the kinematic simulator uses."""
-    left, right = (pybullet.getLinkState(body, wheel, physicsClientId=client)[4][1] for wheel in wheels)
+    """Compare the wheels of a loaded body with the robot's parameters, which the kinematic simulator uses.
+
+    The origin of the robot's frame is on the floor, so the height of a wheel's centre is the radius of the wheel.
+    """
+    centres = [pybullet.getLinkState(body, wheel, physicsClientId=client)[4] for wheel in wheels]
+    (_, left, height), (_, right, other_height) = centres
     if not left > 0.0 > right:
+        first, second = robot.wheel_joints
+        found = f"{first!r} is at y = {left:.4g} m, {second!r} at y = {right:.4g} m"
         raise InputError(
-            f"robot {robot.name}: wheel_joints names the left wheel (y > 0) and then the right one; "
-            f"{robot.wheel_joints[0]!r} is at y = {left:.4g} m, {robot.wheel_joints[1]!r} at y = {right:.4g} m"
+            f"robot {robot.name}: wheel_joints must be the left wheel (y > 0) and the right wheel; {found}"
         )
-    found: list[tuple[str, float, float | None]] = [("wheel_separation", robot.wheel_separation, left - right)]
-    found += [("wheel_radius", robot.wheel_radius, _wheel_radius(client, body, wheel)) for wheel in wheels]
-    for name, said, has in found:
-        if has is not None and abs(said - has) > _TOLERANCE * has:
-            raise InputError(f"robot {robot.name}: {name} is {said:.4g} m, but {has:.4g} m in {robot.urdf}")
+    in_urdf = ("wheel_separation", left - right), ("wheel_radius", height), ("wheel_radius", other_height)
+    for name, urdf_value in in_urdf:
+        value = getattr(robot, name)
+        if abs(value - urdf_value) > _TOLERANCE * abs(urdf_value):
+            raise InputError(f"robot {robot.name}: {name} is {value:.4g} m, but {urdf_value:.4g} m in {robot.urdf}")
 
 
-def _wheel_radius(client: int, body: int, wheel: int) -> float | None:
-    """The radius of a wheel that collides as a sphere or a cylinder [m]; None for other shapes."""
-    shapes = pybullet.getCollisionShapeData(body, wheel, client)
-    if len(shapes) != 1:
-        return None
-    _, _, kind, sizes, file, *_ = shapes[0]
-    if kind == pybullet.GEOM_SPHERE:
-        return sizes[0]
-    if kind == pybullet.GEOM_MESH and file == b"unknown_file":  # what PyBullet makes of a URDF file's cylinder
-        axis = pybullet.getJointInfo(body, wheel, client)[13]
-        corners = np.array(pybullet.getMeshData(body, wheel, physicsClientId=client)[1])
-        return float(np.linalg.norm(np.cross(corners, axis), axis=1).max())
-    return None
+def camera_image(
+    client: int, pose: np.ndarray, camera: Camera, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Image from the camera of a robot at a pose (3,), see `take_picture`."""
+    x, y, yaw = pose.tolist()
+    ahead, left = np.array([math.cos(yaw), math.sin(yaw), 0.0]), np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    forward, sideways, up = camera.position
+    position = np.array([x, y, up]) + forward * ahead + sideways * left
+    return take_picture(client, position, position + ahead, camera, width, height)
+
+
+def take_picture(
+    client: int, lens: np.ndarray, target: np.ndarray, camera: Camera, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Render an image.
+
+    Args:
+        client: The PyBullet client.
+        lens, target: x, y, z [m] of the lens, and of a point in the middle of the image, shape (3,).
+        camera: Camera whose field of view and range apply.
+        width, height: Size of the image [px].
+
+    Returns:
+        Colours, shape (height, width, 3), uint8; depth along the optical axis [m], inf beyond the range, shape (height,
+        width), float32.
+    """
+    near, far = camera.range
+    view = pybullet.computeViewMatrix(lens, target, (0.0, 0.0, 1.0))
+    projection = pybullet.computeProjectionMatrixFOV(math.degrees(camera.field_of_view), width / height, near, far)
+    _, _, rgba, buffer, _ = pybullet.getCameraImage(
+        width, height, view, projection, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client
+    )
+    colours = np.reshape(rgba, (height, width, 4))[..., :3].astype(np.uint8)
+    z = np.reshape(buffer, (height, width)).astype(np.float64)
+    depth = far * near / (far - (far - near) * z)  # OpenGL's depth buffer
+    return colours, np.where(z < 1.0, depth, np.inf).astype(np.float32)

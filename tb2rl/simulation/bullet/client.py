@@ -1,7 +1,5 @@
 """Imports pybullet without the output of its C code; every module that needs pybullet imports it from here."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys
@@ -10,23 +8,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-_STREAMS = {"linux": ("stdout", "stderr"), "darwin": ("__stdoutp", "__stderrp")}  # their names in C libraries
+_STREAMS = {"linux": ("stdout", "stderr"), "darwin": ("__stdoutp", "__stderrp")}  # variable names in C libraries
 _lock = threading.RLock()
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Suppress the output of PyBullet's C code during the block: its build time, its solver.
+    """Suppress the output of PyBullet's C code, such as its build time, on Linux and macOS.
 
-    Only the streams of C are redirected, not the descriptors, so that output of Python passes, from any thread. On
-    other systems than Linux and macOS the lines show.
+    Only the streams of C are redirected, not the file descriptors, so that Python can still print, from any thread.
     """
     with _lock:
-        streams = _streams_of_c()
+        streams, null = _streams_of_c()
         originals = [stream.value for stream in streams]
         try:
             for stream in streams:
-                stream.value = _null_stream()
+                stream.value = null
             yield
         finally:
             for stream, original in zip(streams, originals, strict=True):
@@ -34,20 +31,17 @@ def quiet() -> Iterator[None]:
 
 
 @cache
-def _streams_of_c() -> list[ctypes.c_void_p]:
-    """The variables of the C library that hold standard output and standard error."""
-    try:
-        return [ctypes.c_void_p.in_dll(ctypes.CDLL(None), name) for name in _STREAMS[sys.platform]]
-    except (KeyError, ValueError):
-        return []
+def _streams_of_c() -> tuple[list[ctypes.c_void_p], int]:
+    """The C library's variables of standard output and standard error, and a stream to the null device.
 
-
-@cache
-def _null_stream() -> int:
-    """A stream of C to the null device; it stays open, because another thread may be printing to it."""
+    The stream is never closed, because another thread may be printing to it.
+    """
+    if sys.platform not in _STREAMS:
+        return [], 0
     library = ctypes.CDLL(None)
     library.fopen.restype, library.fopen.argtypes = ctypes.c_void_p, (ctypes.c_char_p, ctypes.c_char_p)
-    return library.fopen(os.devnull.encode(), b"w")
+    streams = [ctypes.c_void_p.in_dll(library, name) for name in _STREAMS[sys.platform]]
+    return streams, library.fopen(os.devnull.encode(), b"w")
 
 
 with quiet():

@@ -1,148 +1,110 @@
-"""Dynamic obstacles in PyBullet: bodies without mass, placed where the compiled motion says.
-
-PyBullet does not move them, and they do not push: they stop where they run into the robot, see
-`tb2rl.simulation.obstacles.motion`.
-"""
-
-from __future__ import annotations
+"""Dynamic obstacles in PyBullet: bodies without mass, at the positions from `tb2rl.simulation.obstacles.motion`."""
 
 import math
-from typing import Any
 
 import numpy as np
 
 from tb2rl.simulation.bullet.bodies import MOVING_GROUP, WALL_GROUP, RobotBody
 from tb2rl.simulation.bullet.client import pybullet
-from tb2rl.simulation.initial_state import InitialState
-from tb2rl.simulation.obstacles.dynamic_obstacles import DynamicObstacles
-from tb2rl.simulation.obstacles.motion import (
-    DECIDE_EVERY,
-    decide,
-    move_obstacles,
-    out_of_reach,
-    step_obstacles_alone,
-)
-from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y, nearest_gap
-from tb2rl.simulation.spec import SimulationSpec
-from tb2rl.worlds.world import WALL_HEIGHT, World
+from tb2rl.simulation.obstacles import motion
+from tb2rl.simulation.obstacles.dynamic_obstacles import SimulatedObstacles
+from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y, distance_to_nearest
+from tb2rl.simulation.spec import InitialState, SimulationSpec
+from tb2rl.worlds.world import WALL_HEIGHT
 
 _COLOUR = (0.49, 0.31, 0.63, 1.0)  # as in pictures from above
-_NEAR = 0.1  # [m] what is farther away does not touch
+_CONTACT_CHECK_DISTANCE = 0.1  # [m] an obstacle farther from the robot cannot be in contact
 
 
 class ObstacleBodies:
-    """Bodies for outlines, made as they are needed.
-
-    Args:
-        client: The PyBullet client.
-    """
+    """Bodies of dynamic obstacles in a PyBullet client, made when `place` needs them."""
 
     def __init__(self, client: int) -> None:
-        self._client = client
-        self._sizes: list[tuple[float, float]] = []
-        self.numbers: list[int] = []  # of the bodies
+        self._client, self._sizes = client, list[tuple[float, float]]()
+        self.bodies: list[int] = []  # PyBullet's numbers of the bodies
 
     def place(self, outlines: np.ndarray) -> None:
-        """Show these obstacles and no others, see `RobotState.dynamic_obstacles`: shape (obstacles, 6)."""
+        """Show these obstacles and no others; outlines (obstacles, 6) as in `RobotState.dynamic_obstacles`."""
         present = outlines[outlines[:, LENGTH] > 0.0]
         sizes = [(length, width) for length, width in present[:, [LENGTH, WIDTH]].tolist()]
         if sizes != self._sizes:
-            for body in self.numbers:
+            for body in self.bodies:
                 pybullet.removeBody(body, self._client)
-            self._sizes, self.numbers = sizes, [self._add(*size) for size in sizes]
-        for body, (x, y, cos, sin) in zip(self.numbers, present[:, [X, Y, COS, SIN]].tolist(), strict=True):
-            half = math.atan2(sin, cos) / 2
-            turn = (0.0, 0.0, math.sin(half), math.cos(half))
-            pybullet.resetBasePositionAndOrientation(body, (x, y, WALL_HEIGHT / 2), turn, self._client)
+            self._sizes, self.bodies = sizes, [self._add(*size) for size in sizes]
+        for body, (x, y, cos, sin) in zip(self.bodies, present[:, [X, Y, COS, SIN]].tolist(), strict=True):
+            half_yaw = math.atan2(sin, cos) / 2
+            orientation = (0.0, 0.0, math.sin(half_yaw), math.cos(half_yaw))
+            pybullet.resetBasePositionAndOrientation(body, (x, y, WALL_HEIGHT / 2), orientation, self._client)
 
     def _add(self, length: float, width: float) -> int:
-        if width == 0.0:
-            kind, size = pybullet.GEOM_CYLINDER, dict[str, Any](radius=length)
-            collision = pybullet.createCollisionShape(kind, **size, height=WALL_HEIGHT, physicsClientId=self._client)
-            size["length"] = WALL_HEIGHT
-        else:
-            kind, size = pybullet.GEOM_BOX, dict[str, Any](halfExtents=(length, width, WALL_HEIGHT / 2))
-            collision = pybullet.createCollisionShape(kind, **size, physicsClientId=self._client)
-        visual = pybullet.createVisualShape(kind, **size, rgbaColor=_COLOUR, physicsClientId=self._client)
+        shape = pybullet.GEOM_CYLINDER if width == 0.0 else pybullet.GEOM_BOX  # ignores sizes of the other shape
+        size = {"radius": length, "halfExtents": (length, width, WALL_HEIGHT / 2), "physicsClientId": self._client}
+        collision = pybullet.createCollisionShape(shape, height=WALL_HEIGHT, **size)
+        visual = pybullet.createVisualShape(shape, length=WALL_HEIGHT, rgbaColor=_COLOUR, **size)
         body = pybullet.createMultiBody(0.0, collision, visual, physicsClientId=self._client)
         pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, MOVING_GROUP, physicsClientId=self._client)
         return body
 
 
-class BulletObstacles(DynamicObstacles):
-    """The dynamic obstacles of the one robot of a PyBullet client, with their bodies.
+class BulletObstacles(SimulatedObstacles):
+    """The dynamic obstacles of the robot in a PyBullet client, and their bodies.
 
-    Args:
-        spec: The worlds and their dynamic obstacles.
+    Attributes:
+        touched: Whether an obstacle touched the robot in this control step.
     """
 
     def __init__(self, spec: SimulationSpec) -> None:
         super().__init__(spec, 1)
-        self._radius = spec.robot.radius
-        self._alone = False  # whether the obstacles have completed this control step already
+        self._radius, self.touched = spec.robot.radius, False
 
     def connect(self, client: int) -> None:
-        """Have bodies in a PyBullet client from now on."""
+        """Put the bodies into this PyBullet client from now on."""
         self._client, self._bodies = client, ObstacleBodies(client)
 
-    def start(self, initial_state: InitialState, world: World) -> None:
-        """Place the obstacles for an episode."""
-        self.reset_at(np.zeros(1, dtype=int), initial_state, world.index, np.zeros(1, dtype=int))
-
     def place(self) -> None:
-        """Move the bodies to where the obstacles are."""
+        """Move the bodies to the positions of the obstacles."""
         self._bodies.place(self.outlines[0])
 
-    def run_physics(
-        self, numbers: range, steps: int, duration: float, robot: RobotBody, initial_state: InitialState, world: World
-    ) -> bool:
-        """Run some steps of the physics, in each of which the obstacles go first; out of reach, they go all at once.
+    def begin_step(self, steps: int, duration: float, robot: RobotBody, initial_state: InitialState) -> bool:
+        """Begin a control step, and complete it if the robot is out of reach of all obstacles.
 
         Args:
-            numbers: Of the physics steps in their control step, from 0.
-            steps: How many the control step has.
-            duration: Of a physics step [s].
+            steps: Number of physics steps in the control step.
+            duration: Duration of a physics step [s].
             robot: The robot.
-            initial_state: Of its episode.
-            world: Its world.
+            initial_state: Initial state of the episode.
 
         Returns:
-            Whether the robot and an obstacle touched.
+            Whether the control step is complete. If not, `step` must run each physics step.
         """
-        initial = initial_state.rows
-        if numbers.start == 0 < numbers.stop:
-            self._alone = self._step_alone(steps, duration, robot, initial, world)
-        touched = False
-        for number in numbers:
-            if self._alone:
-                pybullet.stepSimulation(self._client)
-                continue
-            x, y, vx, vy = self._motion(robot)
-            if number % DECIDE_EVERY == 0:
-                span = min(DECIDE_EVERY, steps - number) * duration
-                decide(0, span, self.arrays, initial, world.index, 0, (x, y, vx, vy))
-            touched = self._step(duration, x, y, robot, world) or touched
-        return touched
+        self._steps, self._duration, self.touched = steps, duration, False
+        if not self.table.shape[1]:
+            return True
+        self._robot, self._records = robot, initial_state.records
+        self._world_arguments = self._spec.spatial_index, int(initial_state.world[0])
+        (x, y, vx, vy), records = self._robot_motion(), self._records
+        max_speed = max(math.hypot(vx, vy), float(records["max_speed"][0] * records["wheel_radius"][0]))
+        radius = self._radius + _CONTACT_CHECK_DISTANCE
+        is_complete = motion.is_out_of_reach(x, y, max_speed, steps * duration, radius, self.arrays.obstacles, 0)
+        if is_complete:
+            motion.step_obstacles_alone(0, steps, duration, self.arrays, records, *self._world_arguments, (x, y))
+            self.place()
+        return is_complete
 
-    def _motion(self, robot: RobotBody) -> tuple[float, float, float, float]:
-        """Position [m] and velocity [m/s] of the robot."""
-        (x, y, _), ((vx, vy, _), _) = robot.pose(), pybullet.getBaseVelocity(robot.body, self._client)
-        return x, y, vx, vy
-
-    def _step_alone(self, steps: int, duration: float, robot: RobotBody, initial: np.ndarray, world: World) -> bool:
-        """If the robot is out of reach, step the obstacles through the whole control step."""
-        x, y, vx, vy = self._motion(robot)
-        speed = max(math.hypot(vx, vy), float(initial["max_speed"][0] * initial["wheel_radius"][0]))
-        if not out_of_reach(x, y, speed, steps * duration, self._radius + _NEAR, self.arrays.obstacles, 0):
-            return False
-        step_obstacles_alone(0, steps, duration, self.arrays, initial, world.index, 0, x, y)
-        self.place()
-        return True
-
-    def _step(self, duration: float, x: float, y: float, robot: RobotBody, world: World) -> bool:
-        touched = move_obstacles(0, duration, self.arrays, world.index, 0, x, y, self._radius)
+    def step(self, number: int) -> None:
+        """Run a physics step of the control step; `number` counts from 0. The obstacles move before the robot."""
+        (x, y, vx, vy), arrays = self._robot_motion(), self.arrays
+        if number % motion.DECISION_STEPS == 0:
+            period = min(motion.DECISION_STEPS, self._steps - number) * self._duration
+            motion.decide(0, period, arrays, self._records, *self._world_arguments, (x, y, vx, vy))
+        touched = motion.move_obstacles(0, self._duration, arrays, *self._world_arguments, x, y, self._radius)
         self.place()
         pybullet.stepSimulation(self._client)
-        if touched or nearest_gap(x, y, self.arrays.obstacles, 0) > self._radius + _NEAR:
-            return touched
-        return robot.touches(self._bodies.numbers)
+        if not touched and distance_to_nearest(x, y, arrays.obstacles, 0) <= self._radius + _CONTACT_CHECK_DISTANCE:
+            touched = self._robot.touches(self._bodies.bodies)
+        self.touched = self.touched or touched
+
+    def _robot_motion(self) -> tuple[float, float, float, float]:
+        """Position [m] and velocity [m/s] of the robot."""
+        (x, y, _), ((vx, vy, _), _) = self._robot.pose(), pybullet.getBaseVelocity(self._robot.body, self._client)
+        return x, y, vx, vy

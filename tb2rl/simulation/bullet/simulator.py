@@ -1,45 +1,29 @@
 """The reference physics: a robot driven by its wheels in PyBullet."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.simulation.bullet.bodies import (
-    add_floor,
-    add_robot,
-    add_walls,
-    clear,
-    connect,
-    disconnects,
-)
-from tb2rl.simulation.bullet.camera import look_ahead
+from tb2rl.simulation.bullet.bodies import add_floor, add_robot, add_walls, camera_image, clear, connect, disconnector
 from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.bullet.obstacle_bodies import BulletObstacles
-from tb2rl.simulation.bullet.scan import Scanner
-from tb2rl.simulation.initial_state import InitialState
+from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
 from tb2rl.simulation.odometry import encoder_odometry, is_exact
-from tb2rl.simulation.robot_state import RobotState
-from tb2rl.simulation.simulator import Generators
-from tb2rl.simulation.spec import PHYSICS_RATE, SimulationSpec
+from tb2rl.simulation.robot_state import ARRAYS, RobotState
+from tb2rl.simulation.simulator import Generators, ResetGenerators, StatesAfterReset
+from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
+from tb2rl.worlds.geometry import cast_beams, limit_ranges
 
-_MARGIN = 0.02  # [m] for a robot that is faster than its command because a wall threw it back
-_OF_THE_CLIENT = {"_client", "_disconnect", "_walls", "_body", "_duration", "_steps"}
+_MARGIN = 0.02  # [m] added to the robot's radius, because a robot that rebounds can exceed its commanded speed
+_CLIENT_ATTRIBUTES = {"_client", "_disconnect", "_walls", "_body", "_duration", "_steps"}  # valid for one client only
 _AT_REST = {"velocity": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), "wheels": ((0.0, 0.0), (0.0, 0.0))}
 
 
 class BulletSimulator:
-    """One robot, in one world at a time.
-
-    Args:
-        spec: The robot, its laser, and the worlds. The laser is cast exactly (`tb2rl.worlds.geometry`), not by
-            PyBullet.
-        window: Whether to open PyBullet's window, which needs a display.
+    """One robot in one world. The laser ranges come from the world's geometry, not from PyBullet's ray tests.
 
     Raises:
         InputError: If there is no display for a window, or PyBullet cannot load the robot.
@@ -48,22 +32,23 @@ class BulletSimulator:
     num_envs = 1
 
     def __init__(self, spec: SimulationSpec, window: bool = False) -> None:
-        self.spec, self.laser, self._window = spec, spec.laser, window
-        self._world_number, self.world = 0, spec.worlds[0]
-        self._scanner = Scanner(spec.laser)
-        self._rng = np.random.default_rng()
-        self._obstacles = BulletObstacles(spec) if spec.has_dynamic_obstacles else None
-        self._placed: tuple[dict[str, Any], dict[str, Any]] | None = None  # motion of the robot and its obstacles
-        self._driven: list[tuple[np.ndarray, float]] = []  # commands and durations since then
-        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), 0.0  # of the last robot state
+        self.spec, self._window = spec, window
+        self._directions = np.cos(spec.laser.angles), np.sin(spec.laser.angles)
+        self._scratch = np.empty(len(spec.laser.angles)), np.empty(len(spec.laser.angles))
+        self._world_id, self.world = 0, spec.worlds[0]
+        self._rng = np.random.default_rng()  # for the noise of the laser
+        self._obstacles = BulletObstacles(spec)
+        self._last_placement: tuple[dict[str, Any], dict[str, Any]] | None = None  # motion and obstacles
+        self._command_log: list[tuple[np.ndarray, float]] = []  # commands and durations since the last placement
+        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), 0.0  # those of the last robot state
         self._open()
-        self._begin(InitialState.default(spec, 1))
+        self._prepare(InitialState.default(spec, 1))
 
     def _open(self) -> None:
         """Build the world and the robot in a new PyBullet client."""
         with quiet():
             self._client = connect(self._window)
-            self._disconnect = disconnects(self, self._client)
+            self._disconnect = disconnector(self, self._client)
             try:
                 self._build()
             except InputError:
@@ -71,13 +56,12 @@ class BulletSimulator:
                 raise
 
     def _build(self) -> None:
-        """Build all of it, because the order in which bodies were made decides how contacts are rounded."""
+        """Build all bodies in an empty client, because rounding errors of contacts depend on the order of creation."""
         add_floor(self._client)
         self._walls = add_walls(self._client, self.world)
         self._body = add_robot(self._client, self.spec.robot)
         self._duration, self._steps = 0.0, 0
-        if self._obstacles is not None:
-            self._obstacles.connect(self._client)
+        self._obstacles.connect(self._client)
 
     def __getstate__(self) -> dict[str, Any]:
         if self._window:
@@ -85,216 +69,230 @@ class BulletSimulator:
         return {name: value for name, value in vars(self).items() if name != "_disconnect"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Repeat the drive in a new client, because reading the state of the physics and writing it back would round.
+        """Repeat the drive in a new client, because the state of the physics cannot be copied without rounding errors.
 
-        A drive depends on where the robot was placed and on its commands since; only in one of 300 among adjacent posts
-        do the contacts of an earlier episode in this world change the last digits.
+        In 1 of 300 drives among adjacent posts, contacts of an earlier episode changed the last digits of the poses.
         """
         vars(self).update(state)
         if self._client < 0:
             return
         self._open()
-        self._set_dynamics()
-        if self._placed is not None:
-            motion, obstacles = self._placed
-            self._restore_obstacles(obstacles, self._initial_state)
+        self._prepare(self._initial_state)
+        if self._last_placement is not None:
+            motion, obstacles = self._last_placement
+            self._obstacles.restore(obstacles, self._initial_state)
             self._place(motion)
-            for commands, duration in state["_driven"]:
+            for commands, duration in state["_command_log"]:
                 self.set_duration(duration)
                 self.set_wheel_speeds(commands)
                 self.advance()
-        vars(self).update({name: value for name, value in state.items() if name not in _OF_THE_CLIENT})
+        vars(self).update({name: value for name, value in state.items() if name not in _CLIENT_ATTRIBUTES})
 
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
-        if self._client < 0:  # it was closed
+        generator = rng if isinstance(rng, np.random.Generator) else rng[0]
+        return RobotState.for_one_robot(self.reset_values(initial_state, generator), initial_state, self)
+
+    def reset_values(self, initial_state: InitialState, rng: np.random.Generator | None) -> tuple[Any, ...]:
+        """Start an episode like `reset`, but return plain values, which `BulletBatch` writes to shared memory.
+
+        Args:
+            initial_state: One row.
+            rng: Generator for the noise of the laser; None: the present generator.
+
+        Returns:
+            Values for `RobotState.for_one_robot`.
+        """
+        if self._client < 0:  # the simulator was closed
             self._open()
-        self._begin(initial_state)
-        self._rng = rng if isinstance(rng, np.random.Generator) else rng[0]
+        self._prepare(initial_state)
+        self._rng = rng or self._rng
         x, y, yaw = map(float, initial_state.pose[0])
-        if self._obstacles is not None:
-            self._obstacles.start(initial_state, self.world)
+        self._obstacles.reset_at(np.zeros(1, int), initial_state)
         position, orientation = self._body.frame_at(x, y, yaw)
         self._place({"position": position, "orientation": orientation, **_AT_REST})
         self._odometry = (x, y, yaw)
-        return RobotState.of_one(self._measure(), self._initial_state, self)
+        return self._measure()
 
-    def _begin(self, initial_state: InitialState, rebuild: bool = False) -> None:
-        """Set up the world and the robot of an episode; `rebuild` them even if they are there.
-
-        Raises:
-            InputError: If the robot should have another radius than in its URDF file.
-        """
-        robot, row = self.spec.robot, initial_state.rows[0]
+    def _prepare(self, initial_state: InitialState, rebuild: bool = False) -> None:
+        """Set up world and robot of an episode; with `rebuild`, build the bodies again even in the same world."""
+        robot, row = self.spec.robot, initial_state.records[0]
         if row["radius"] != robot.radius:
-            raise InputError("PyBullet takes the robot's radius from its URDF file alone")
-        if rebuild or initial_state.world[0] != self._world_number:
-            self._world_number = int(initial_state.world[0])
-            self.world = self.spec.worlds[self._world_number]
+            raise InputError("PyBullet cannot change the robot's radius; use another simulator")
+        if rebuild or row["world"] != self._world_id:
+            self._world_id = int(row["world"])
+            self.world = self.spec.worlds[self._world_id]
             with quiet():
-                clear(self._client)  # which takes half of the time of another client
+                clear(self._client)  # takes half as long as opening another client
                 self._build()
-        self._initial_state, self._exact = initial_state, is_exact(initial_state)
+        self._initial_state, self._has_exact_odometry = initial_state, is_exact(initial_state)
         self._max_speed, self._max_turn_rate = float(row["max_speed"]), float(row["max_turn_rate"])
-        # A loaded body keeps its wheels: with other speeds, they move it as the wheels of the episode would.
-        self._wheel = float(row["wheel_radius"])
-        self._turn = self._wheel * float(row["assumed_separation"])
-        self._set_dynamics()
-        strength = float(row["wheel_acceleration"] / robot.wheel_acceleration)
-        # In each part of a step PyBullet lets a motor push for as long as in the whole step.
-        self._torque = robot.wheel_torque * strength / self.spec.substeps
-
-    def _set_dynamics(self) -> None:
-        """Give the robot the mass and the friction of the episode."""
-        row = self._initial_state.rows[0]
+        # PyBullet cannot resize the wheels of a loaded body. Scaled commands move the robot as other wheels would.
+        self._v_scale = float(row["wheel_radius"])
+        self._w_scale = self._v_scale * float(row["assumed_separation"])
         self._body.set_dynamics(float(row["mass"]), float(row["friction"]))
+        acceleration = float(row["wheel_acceleration"] / robot.wheel_acceleration)  # true / nominal
+        # Divided by the substeps, because PyBullet applies the impulse of a whole step in each of them.
+        self._torque = robot.wheel_torque * acceleration / self.spec.substeps
 
     def reset_at(
-        self,
-        indices: np.ndarray,
-        initial_state: InitialState,
-        robot_state: RobotState,
-        rng: Sequence[np.random.Generator] | None = None,
-    ) -> tuple[RobotState, RobotState]:
-        first = self.reset(initial_state, self._rng if rng is None else rng)
-        return first, first
+        self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None
+    ) -> StatesAfterReset:
+        robot_state = self.reset(initial_state, rng or self._rng)
+        return robot_state, robot_state
 
-    def step(self, commands: np.ndarray, duration: float, skip: np.ndarray | None = None) -> RobotState:
+    def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         x, y = self._position
-        robot_state = RobotState.of_one(self.drive(commands, duration), self._initial_state, self)
-        east, north = self._position[0] - x, self._position[1] - y
-        self.travelled = np.array([(east * east + north * north) ** 0.5])
+        robot_state = RobotState.for_one_robot(self.step_values(commands[0], duration), self._initial_state, self)
+        dx, dy = self._position[0] - x, self._position[1] - y
+        self.travelled = np.array([(dx * dx + dy * dy) ** 0.5])
         return robot_state
 
-    def drive(self, commands: np.ndarray, duration: float) -> tuple[Any, ...]:
-        """`step`, for `Share`: returns the values of `RobotState.of_one`."""
-        self._driven.append((commands.copy(), duration))
+    def step_values(self, command: np.ndarray, duration: float) -> tuple[Any, ...]:
+        """Drive with a command (2,); returns the values of the robot state, see `reset_values`."""
+        self._command_log.append((np.array([command]), duration))
         self.set_duration(duration)
-        self.set_wheel_speeds(commands)
-        free, at_wall = self._free_steps(duration), False
-        at_obstacle = self.advance(free)
-        for number in range(free, self._steps):  # near a wall: a contact may be shorter than a control step
-            at_obstacle = self.advance(1, number) or at_obstacle
-            at_wall = at_wall or self._body.touches(self._walls)
-        return self._measure(at_wall, at_obstacle)
-
-    def _free_steps(self, duration: float) -> int:
-        """Number of physics steps of the control step in which the robot cannot reach a wall, even at top speed."""
+        self.set_wheel_speeds(self._command_log[-1][0])
         gap = max(self.world.clearance(*self._position) - self.spec.robot.radius - _MARGIN, 0.0)
-        return int(min(gap / max(self._max_speed * self._wheel * duration, 1e-9), 1.0) * self._steps)
+        contact_free_share = min(gap / max(self._max_speed * self._v_scale * duration, 1e-9), 1.0)
+        return self._measure(*self.advance(int(contact_free_share * self._steps)))
+
+    def set_duration(self, duration: float) -> None:
+        """Set the duration [s] of the control steps that `advance` runs; each `_build` resets it."""
+        if duration != self._duration:
+            self._duration = duration
+            self._steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))
+            substeps = {"numSubSteps": self.spec.substeps} if self.spec.substeps > 1 else {}
+            pybullet.setPhysicsEngineParameter(duration / self._steps, **substeps, physicsClientId=self._client)
 
     def set_wheel_speeds(self, commands: np.ndarray) -> None:
         """Set the target speeds of the wheel motors for `commands` (1, 2), v [m/s] and w [rad/s]."""
         robot = self.spec.robot
         v, w = commands[0].tolist()
-        v = min(max(v, -self._max_speed), self._max_speed) * self._wheel
-        w = min(max(w, -self._max_turn_rate), self._max_turn_rate) * self._turn
-        reach = w * robot.wheel_separation / 2
-        self._body.turn_wheels([speed / robot.wheel_radius for speed in (v - reach, v + reach)], self._torque)
+        v = min(max(v, -self._max_speed), self._max_speed) * self._v_scale
+        w = min(max(w, -self._max_turn_rate), self._max_turn_rate) * self._w_scale
+        turn_speed = w * robot.wheel_separation / 2
+        rates = [speed / robot.wheel_radius for speed in (v - turn_speed, v + turn_speed)]
+        self._body.set_wheel_rates(rates, self._torque)
 
-    def advance(self, steps: int | None = None, first: int = 0) -> bool:
-        """Run steps of the physics: the bare stepping that `benchmark` compares `step` with.
+    def advance(self, contact_free_steps: float = math.inf) -> tuple[bool, bool]:
+        """Run the physics steps of a control step.
 
         Args:
-            steps: Number of them; None: those of the last `set_duration`.
-            first: Number of the first one in its control step.
+            contact_free_steps: Number of physics steps in which the robot cannot reach a wall, even at top speed. All
+                later ones are checked for contacts, because a contact may be shorter than a control step.
 
         Returns:
-            Whether a dynamic obstacle ran into the robot.
+            Whether the robot touched a wall, and whether it touched a dynamic obstacle.
         """
-        steps = self._steps if steps is None else steps
-        if self._obstacles is not None:
-            now = self._duration / self._steps, self._body, self._initial_state, self.world
-            return self._obstacles.run_physics(range(first, first + steps), self._steps, *now)
-        for _ in range(steps):
-            pybullet.stepSimulation(self._client)
-        return False
+        wall_hit, obstacles, client, steps = False, self._obstacles, self._client, self._steps
+        is_complete = obstacles.begin_step(steps, self._duration / steps, self._body, self._initial_state)
+        for step in range(steps):
+            if is_complete:
+                pybullet.stepSimulation(client)
+            else:
+                obstacles.step(step)
+            if step >= contact_free_steps and not wall_hit:
+                wall_hit = self._body.touches(self._walls)
+        return wall_hit, obstacles.touched
 
     def state(self) -> dict[str, Any]:
-        """Base and wheels of the robot, memory of its sensors, initial state and dynamic obstacles."""
+        """Motion and sensors of the robot, initial state and dynamic obstacles."""
         motion = self._body.motion()
-        # PyBullet rounds what it is given, so that without this a restored robot would differ from the present one.
-        self._begin(self._initial_state, rebuild=True)
+        # PyBullet rounds a restored motion. Restoring it here, too, lets both copies continue from the same numbers.
+        self._prepare(self._initial_state, rebuild=True)
         self._place(motion)
         return {
             **motion,
             "odometry": self._odometry,
             "speed": self._speed,
-            "command": self._command.copy(),
             "acceleration": np.array([self._acceleration]),
-            "generator": self._rng.bit_generator.state,
+            "command": self._command.copy(),
             "initial_state": self._initial_state.table.copy(),
-            **self._obstacles_state(),
+            "generator": self._rng.bit_generator.state,
+            "dynamic_obstacles": self._obstacles.state(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> RobotState:
+        return RobotState.for_one_robot(self.restore_values(state), self._initial_state, self)
+
+    def restore_values(self, state: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Restore a state; returns the values of the robot state, see `reset_values`."""
         initial_state = InitialState(np.array(state["initial_state"]))
         self.spec.check_table(initial_state.table)
-        self._begin(initial_state, rebuild=True)
-        self._restore_obstacles(state, initial_state)
+        self._prepare(initial_state, rebuild=True)
+        self._obstacles.restore(state["dynamic_obstacles"], initial_state)
         self._place({name: state[name] for name in ("position", "orientation", "velocity", "wheels")})
         self._odometry = tuple(state["odometry"])
-        robot_state = RobotState.of_one(self._measure(), initial_state, self)
+        measured = list(self._measure())
         self._rng.bit_generator.state = dict(state["generator"])
         self._speed = float(state["speed"])
         self._command, self._acceleration = state["command"].copy(), float(state["acceleration"][0])
-        return replace(robot_state, command=self._command, acceleration=np.array([self._acceleration]))
+        measured[ARRAYS.index("command")], measured[ARRAYS.index("acceleration")] = self._command[0], self._acceleration
+        return tuple(measured)
 
     def _place(self, motion: dict[str, Any]) -> None:
-        self._placed, self._driven = (motion, self._obstacles_state()), []
-        if self._obstacles is not None:
-            self._obstacles.place()
+        """Place the robot and the dynamic obstacles; `motion` is a result of `RobotBody.motion`."""
+        self._last_placement, self._command_log = (motion, self._obstacles.state()), []
+        self._obstacles.place()
         self._body.teleport(**motion)
         self._angles = tuple(angle for angle, _ in motion["wheels"])
-
-    def _obstacles_state(self) -> dict[str, Any]:
-        return {} if self._obstacles is None else {"dynamic_obstacles": self._obstacles.state()}
-
-    def _restore_obstacles(self, state: Mapping[str, Any], initial_state: InitialState) -> None:
-        if self._obstacles is not None:
-            self._obstacles.restore(state["dynamic_obstacles"], initial_state)
 
     def close(self) -> None:
         if self._client >= 0:
             self._disconnect()
             self._client = -1
 
-    def _measure(self, at_wall: bool = False, at_obstacle: bool = False) -> tuple[Any, ...]:
+    def _measure(self, wall_hit: bool = False, obstacle_hit: bool = False) -> tuple[Any, ...]:
+        """Values for `RobotState.for_one_robot`."""
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._body.body, self._client)
         x, y, yaw = pose = self._body.pose()
         self._position = x, y
-        obstacles = None if self._obstacles is None else self._obstacles.arrays.obstacles
-        ranges, nearest_is_dynamic = self._scanner.scan(pose, self.world, self._initial_state, self._rng, obstacles)
-        earlier, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
-        command, duration = self._driven[-1] if self._driven else (np.zeros((1, 2)), math.inf)
-        self._command, self._acceleration = command, (self._speed - earlier) / duration
-        twist, bumped = (self._speed, turn_rate), at_wall or at_obstacle
-        measured = pose, twist, *self._read_encoders(), ranges[0], bumped, command[0], self._acceleration
-        if self._obstacles is None:
+        ranges, nearest_is_dynamic = self._scan(*pose)
+        last_speed, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
+        self._command, duration = self._command_log[-1] if self._command_log else (np.zeros((1, 2)), math.inf)
+        self._acceleration = (self._speed - last_speed) / duration
+        twist, bumped = (self._speed, turn_rate), wall_hit or obstacle_hit
+        measured = pose, twist, *self._read_encoders(), ranges[0], bumped, self._command[0], self._acceleration
+        if not self.spec.has_dynamic_obstacles:
             return measured
-        return *measured, self._obstacles.outlines[0].copy(), not at_wall and (at_obstacle or nearest_is_dynamic)
+        return *measured, self._obstacles.outlines[0].copy(), not wall_hit and (obstacle_hit or nearest_is_dynamic)
+
+    def _scan(self, x: float, y: float, yaw: float) -> tuple[np.ndarray, bool]:
+        """Ranges [m], shape (1, beams), and whether the nearest obstacle is a dynamic one."""
+        row, laser = self._initial_state.records[0], self.spec.laser
+        ranges = np.empty((1, len(self._directions[0])))
+        if row["mount_x"] or row["mount_y"]:
+            mount_x, mount_y, cos, sin = float(row["mount_x"]), float(row["mount_y"]), math.cos(yaw), math.sin(yaw)
+            x, y = x + mount_x * cos - mount_y * sin, y + mount_x * sin + mount_y * cos
+        pose, is_dynamic = (x, y, yaw + float(row["mount_yaw"])), False
+        cast_beams(pose, self._directions, self.world.spatial_index, 0, self._scratch, ranges, 0)
+        if self.spec.has_dynamic_obstacles:
+            is_dynamic = cast_at_obstacles(*pose, self._directions, self._obstacles.arrays.obstacles, 0, ranges)
+        noise = laser.noise if row["laser_noise"] < 0.0 else row["laser_noise"]
+        if noise:
+            ranges += noise * self._rng.standard_normal(ranges.shape)
+        if row["bias"]:
+            ranges += row["bias"]
+        limit_ranges(ranges, 0, laser.min_range, laser.max_range)
+        if row["dropped"]:
+            ranges[self._rng.random(ranges.shape) < row["dropped"]] = np.inf
+        return ranges, is_dynamic
 
     def _read_encoders(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
-        """Odometry x, y, yaw and its v and w: the arcs of the wheels since the last call, added to the last pose."""
-        robot, wheels, earlier = self.spec.robot, self._body.wheel_states(), self._angles
-        self._angles, radius = tuple(angle for angle, _ in wheels), robot.wheel_radius
-        left, right = (((a - b) * radius, rate * radius) for (a, rate), b in zip(wheels, earlier, strict=True))
-        initial_state = None if self._exact else self._initial_state
+        """Update the odometry by the motion of the wheels since the last call; return x, y, yaw, and v, w."""
+        robot, wheels = self.spec.robot, self._body.wheel_states()
+        turns = [(angle - last, rate) for (angle, rate), last in zip(wheels, self._angles, strict=True)]
+        left, right = ((turn * robot.wheel_radius, rate * robot.wheel_radius) for turn, rate in turns)
+        self._angles = tuple(angle for angle, _ in wheels)
+        initial_state = None if self._has_exact_odometry else self._initial_state
         self._odometry, twist = encoder_odometry(self._odometry, left, right, robot.wheel_separation, initial_state)
         return self._odometry, twist
 
-    def set_duration(self, duration: float) -> None:
-        """Set the duration [s] of the control steps that `advance` runs; a rebuilt world has forgotten it."""
-        if duration != self._duration:
-            self._duration = duration
-            self._steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))
-            parts = {"numSubSteps": self.spec.substeps} if self.spec.substeps > 1 else {}
-            pybullet.setPhysicsEngineParameter(duration / self._steps, **parts, physicsClientId=self._client)
-
     def camera(self, width: int = 320, height: int = 240) -> tuple[np.ndarray, np.ndarray]:
         """Colours, shape (height, width, 3), uint8, and depth [m], (height, width), float32, of the robot's camera."""
-        return look_ahead(self._client, np.array(self._body.pose()), self.spec.robot.camera, width, height)
+        return camera_image(self._client, np.array(self._body.pose()), self.spec.robot.camera, width, height)
 
     def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Images from the pose of a robot state, see `RobotState.render_camera`."""
-        colours, depth = look_ahead(self._client, robot_state.pose[0], self.spec.robot.camera, width, height)
+        colours, depth = camera_image(self._client, robot_state.pose[0], self.spec.robot.camera, width, height)
         return colours[None], depth[None]

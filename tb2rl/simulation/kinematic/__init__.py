@@ -1,6 +1,4 @@
-"""The kinematic simulator: robots on exact arcs, thousands of them together in compiled code."""
-
-from __future__ import annotations
+"""The kinematic simulator: closed-form integration of differential drives, for thousands of robots in compiled code."""
 
 from typing import Any
 
@@ -10,7 +8,7 @@ from tb2rl.worlds.world import WALL_HEIGHT
 
 
 def make(spec: SimulationSpec, num_envs: int) -> Any:
-    """All environments in one process, on several threads where that is faster."""
+    """Make a simulator that steps all environments in this process, in several threads where that is faster."""
     from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 
     return KinematicSimulator(spec, num_envs)

@@ -1,172 +1,253 @@
-"""Compiled motion and laser of one robot of the kinematic simulator."""
+"""Compiled control steps of the kinematic simulator: motion and laser, with and without dynamic obstacles.
 
-from __future__ import annotations
+Arguments in common: `constants` is `Constants`, `robots` is `RobotArrays`, and `i` is the environment. `obstacles` is
+`ObstacleArrays`, or None without dynamic obstacles; numba compiles each function for both types.
+"""
 
 import math
 
 import numpy as np
 
-from tb2rl.core.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import NO_REFCOUNT, njit
+from tb2rl.simulation.obstacles import motion
 from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
 from tb2rl.simulation.random_streams import normal, uniform
-from tb2rl.worlds.geometry import cast_beams, clearance_at, limit_ranges
+from tb2rl.simulation.spec import PHYSICS_RATE
+from tb2rl.worlds.geometry import cast_beams, clearance_at, limit_ranges, shortest_range
 
-CONTACT = 1.0e-4  # [m] a gap below this is contact
-_DROPPED_STREAM = np.uint64(0x5851F42D4C957F2D)  # xor the key of the laser's noise: key of the stream for dropped beams
-_PROBE = 1.0e-3  # [m] how far to look whether a motion leads away from an obstacle in contact
+CONTACT = 1.0e-4  # [m] a robot whose gap to an obstacle is smaller touches the obstacle
+_DROPPED_STREAM = np.uint64(0x5851F42D4C957F2D)  # its xor with the key of a laser's noise is the key for dropped beams
+_PROBE = 1.0e-3  # [m] distance at which to test whether a motion leads away from an obstacle in contact
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def move_along_arc(x, y, yaw, length, turn, radius, index, world):
-    """Move a robot along an arc, up to where an obstacle stops it; it turns all the same.
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
+def move_along_arc(x, y, yaw, length, turn, radius, spatial_index, world_id):
+    """Move a robot along an arc of `length` [m] and `turn` [rad], up to an obstacle, where it completes the turn.
 
-    Conservative advancement (Mirtich 1996): no step is longer than the gap to the nearest obstacle, so none is jumped
-    over, however fast the robot is.
-
-    Args:
-        x, y, yaw: Pose [m, m, rad].
-        length: Of the arc [m], negative backwards.
-        turn: From its start to its end [rad].
-        radius: Of the robot [m].
-        index: `WorldIndex` of all worlds.
-        world: Number of the robot's world.
+    Conservative advancement (Mirtich 1996): no step is longer than the gap to the nearest obstacle, so that the robot
+    cannot jump over an obstacle, however fast it is.
 
     Returns:
-        The pose after it, the length covered [m], and whether an obstacle was touched.
+        The final pose, the length covered [m], and whether the robot touched an obstacle.
     """
-    whole = abs(length)
-    left, bumped = whole, False
-    while left > 0.0:
-        gap = clearance_at(x, y, index, world) - radius
+    distance = abs(length)
+    remaining, bumped = distance, False
+    while remaining > 0.0:
+        gap = clearance_at(x, y, spatial_index, world_id) - radius
         if gap < CONTACT:
             probe = math.copysign(_PROBE, length)
-            clearance = clearance_at(x + probe * math.cos(yaw), y + probe * math.sin(yaw), index, world)
+            clearance = clearance_at(x + probe * math.cos(yaw), y + probe * math.sin(yaw), spatial_index, world_id)
             if clearance - radius <= gap:
                 bumped = True
                 break
             gap = _PROBE
-        part = min(gap, left)
-        x, y, yaw = along_arc(x, y, yaw, math.copysign(part, length), turn * part / whole)
-        left -= part
-    if left > 0.0 or whole == 0.0:
-        yaw += turn * left / whole if whole > 0.0 else turn
-    return x, y, yaw, math.copysign(whole - left, length), bumped
+        step = min(gap, remaining)
+        x, y, yaw = pose_after_arc(x, y, yaw, math.copysign(step, length), turn * step / distance)
+        remaining -= step
+    if remaining > 0.0 or distance == 0.0:
+        yaw += turn * remaining / distance if distance > 0.0 else turn
+    return x, y, yaw, math.copysign(distance - remaining, length), bumped
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def along_arc(x, y, yaw, length, turn):
-    """The pose at the end of an arc of `length` [m] and `turn` [rad]: its chord, at half the turn."""
+def pose_after_arc(x, y, yaw, length, turn):
+    """Pose at the end of an arc of `length` [m] and `turn` [rad]."""
     half = 0.5 * turn
     chord = length * (math.sin(half) / half if abs(half) > 1e-6 else 1.0)
     return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def wheel_speed(start, change, together, clock, acceleration, coupling):
-    """Speed of a wheel's rim on its way to `start` + `change` [m/s], `clock` [s] after both motors began to push.
+def wheel_speed(start, change, signed_duration, time, acceleration, coupling):
+    """Rim speed [m/s] of a wheel that accelerates from `start` to `start` + `change`, at `time` [s] after its start.
 
-    Until abs(`together`) [s] both motors push, and add to each other (positive) or oppose each other (negative); then
-    one pushes alone. `acceleration` and `coupling` are the robot's [m/s^2].
+    At first both motors push, for abs(`signed_duration`) [s]. If `signed_duration` is positive, they push in the same
+    direction. Then one motor pushes alone. The motors have the `acceleration` and the `coupling` of `Robot` [m/s^2].
     """
-    both = acceleration + math.copysign(1.0, together) * coupling
-    early = min(clock, abs(together))
-    gained = min(both * early + acceleration * (clock - early), abs(change))
-    return start + math.copysign(gained, change)
+    coupled_acceleration = acceleration + math.copysign(1.0, signed_duration) * coupling
+    coupled_time = min(time, abs(signed_duration))
+    gain = min(coupled_acceleration * coupled_time + acceleration * (time - coupled_time), abs(change))
+    return start + math.copysign(gain, change)
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def move(i, constants, motion, duration):
-    """Drive robot `i` for a `duration` [s] in three phases: both wheels accelerate, then one, then none.
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
+def move(i, constants, robots, duration):
+    """Drive robot `i` for a `duration` [s] in three phases: both wheels accelerate, then one wheel, then none.
 
-    PyBullet moves with the speed at the end of a physics step along the heading at its start; so does this.
+    As in PyBullet, a physics step uses the speed at its end and the heading at its start.
 
     Returns:
-        The length [m] and the turn [rad] of its way, and whether it touched an obstacle.
+        Distance covered [m], positive forwards; turn [rad]; and whether the robot touched an obstacle.
     """
-    robot, poses, wheel_speeds = constants.initial[i], motion.poses, motion.wheel_speeds
-    index, world, physics_step = constants.index, int(robot.world), constants.physics_step
+    robot, poses, wheel_speeds = constants.initial_states[i], robots.poses, robots.wheel_speeds
+    spatial_index, world_id, physics_step = constants.spatial_index, int(robot.world), constants.physics_step
     radius, separation = robot.radius, robot.wheel_separation
     acceleration, coupling = robot.wheel_acceleration, robot.wheel_coupling
-    v, w = motion.commands[i, 0], motion.commands[i, 1]
-    wheel = robot.wheel_radius
-    reach = 0.5 * separation * min(max(w, -robot.max_turn_rate), robot.max_turn_rate)
-    reach *= robot.assumed_separation * wheel
-    v = min(max(v, -robot.max_speed), robot.max_speed) * wheel
+    v, w = robots.commands[i, 0], robots.commands[i, 1]
+    scale = robot.wheel_radius  # true / nominal
+    turn_speed = 0.5 * separation * min(max(w, -robot.max_turn_rate), robot.max_turn_rate)  # of the rims
+    turn_speed *= robot.assumed_separation * scale
+    v = min(max(v, -robot.max_speed), robot.max_speed) * scale
     left, right = wheel_speeds[i, 0], wheel_speeds[i, 1]
-    change_left, change_right = v - reach - left, v + reach - right
-    sense_of_both = math.copysign(1.0, change_left * change_right)
-    fewer, more = min(abs(change_left), abs(change_right)), max(abs(change_left), abs(change_right))
-    first = fewer / (acceleration + sense_of_both * coupling)
-    second = first + (more - fewer) / acceleration
-    together = math.copysign(first, sense_of_both)
+    change_left, change_right = v - turn_speed - left, v + turn_speed - right
+    sign = math.copysign(1.0, change_left * change_right)
+    smaller, larger = min(abs(change_left), abs(change_right)), max(abs(change_left), abs(change_right))
+    first_end = smaller / (acceleration + sign * coupling)  # [s] when the first wheel has reached its speed
+    second_end = first_end + (larger - smaller) / acceleration
+    signed_duration = math.copysign(first_end, sign)
 
     x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
-    longest = max(abs(left), abs(right), abs(v) + abs(reach)) * duration
-    free = clearance_at(x, y, index, world) > radius + longest  # then no obstacle matters in this step
-    bumped, covered, turned = False, 0.0, 0.0
-    clock, end = 0.5 * physics_step, duration + 0.5 * physics_step
-    last_left = wheel_speed(left, change_left, together, clock, acceleration, coupling)
-    last_right = wheel_speed(right, change_right, together, clock, acceleration, coupling)
+    max_distance = max(abs(left), abs(right), abs(v) + abs(turn_speed)) * duration
+    is_free = clearance_at(x, y, spatial_index, world_id) > radius + max_distance  # no obstacle matters in this step
+    bumped, distance, total_turn = False, 0.0, 0.0
+    time, end = 0.5 * physics_step, duration + 0.5 * physics_step
+    last_left = wheel_speed(left, change_left, signed_duration, time, acceleration, coupling)
+    last_right = wheel_speed(right, change_right, signed_duration, time, acceleration, coupling)
     for phase in range(3):
-        until = min(first if phase == 0 else second if phase == 1 else end, end)
-        if until <= clock:
+        phase_end = min(first_end if phase == 0 else second_end if phase == 1 else end, end)
+        if phase_end <= time:
             continue
-        next_left = wheel_speed(left, change_left, together, until, acceleration, coupling)
-        next_right = wheel_speed(right, change_right, together, until, acceleration, coupling)
+        next_left = wheel_speed(left, change_left, signed_duration, phase_end, acceleration, coupling)
+        next_right = wheel_speed(right, change_right, signed_duration, phase_end, acceleration, coupling)
         mean_left, mean_right = 0.5 * (last_left + next_left), 0.5 * (last_right + next_right)
-        length = 0.5 * (mean_left + mean_right) * (until - clock)
+        length = 0.5 * (mean_left + mean_right) * (phase_end - time)
         rate = (mean_right - mean_left) / separation
-        turn, lag = rate * (until - clock), 0.5 * rate * physics_step
-        if free:
-            x, y, yaw = along_arc(x, y, yaw - lag, length, turn)
+        turn, lag = rate * (phase_end - time), 0.5 * rate * physics_step
+        if is_free:
+            x, y, yaw = pose_after_arc(x, y, yaw - lag, length, turn)
         else:
-            x, y, yaw, length, hit = move_along_arc(x, y, yaw - lag, length, turn, radius, index, world)
+            x, y, yaw, length, hit = move_along_arc(x, y, yaw - lag, length, turn, radius, spatial_index, world_id)
             bumped = bumped or hit
         yaw += lag
-        covered += length
-        turned += turn
-        last_left, last_right, clock = next_left, next_right, until
+        distance += length
+        total_turn += turn
+        last_left, last_right, time = next_left, next_right, phase_end
     poses[i, 0], poses[i, 1] = x, y
     poses[i, 2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
-    wheel_speeds[i, 0] = wheel_speed(left, change_left, together, duration, acceleration, coupling)
-    wheel_speeds[i, 1] = wheel_speed(right, change_right, together, duration, acceleration, coupling)
-    return covered, turned, bumped
+    wheel_speeds[i, 0] = wheel_speed(left, change_left, signed_duration, duration, acceleration, coupling)
+    wheel_speeds[i, 1] = wheel_speed(right, change_right, signed_duration, duration, acceleration, coupling)
+    return distance, total_turn, bumped
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy", forceinline=True)
-def scan(i, constants, motion, scratch, ranges, obstacles):
-    """Write the laser's ranges [m] of robot `i` into its row of `ranges` (num_envs, beams).
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
+def scan(i, constants, robots, scratch, obstacles):
+    """Write the laser's ranges [m] of robot `i`, the shortest range, and whether a dynamic obstacle is nearest.
 
-    Args:
-        i, constants, motion: The robot, `Constants` and `Motion`.
-        scratch: Two arrays of shape (beams,).
-        ranges: The result.
-        obstacles: Records of dynamic obstacles, shape (num_envs, obstacles); None: there are none.
-
-    Returns:
-        Whether the shortest range is that to a dynamic obstacle.
+    `scratch` consists of two arrays of shape (beams,).
     """
-    robot, poses, index = constants.initial[i], motion.poses, constants.index
-    x, y, yaw, beams = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
+    robot, poses, ranges = constants.initial_states[i], robots.poses, robots.ranges
+    x, y, yaw, beam_count = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
     if robot.mount_x != 0.0 or robot.mount_y != 0.0:
         cos, sin = math.cos(yaw), math.sin(yaw)
         x, y = x + robot.mount_x * cos - robot.mount_y * sin, y + robot.mount_x * sin + robot.mount_y * cos
     yaw += robot.mount_yaw
-    cast_beams(x, y, yaw, constants.beams, index, int(robot.world), scratch, ranges, i)
-    nearest_is_dynamic = False
+    cast_beams((x, y, yaw), constants.beams, constants.spatial_index, int(robot.world), scratch, ranges, i)
     if obstacles is not None:
-        nearest_is_dynamic = cast_at_obstacles(x, y, yaw, constants.beams, obstacles, i, ranges)
+        robots.nearest_is_dynamic[i] = cast_at_obstacles(x, y, yaw, constants.beams, obstacles.obstacles, i, ranges)
     noise = constants.laser_noise if robot.laser_noise < 0.0 else robot.laser_noise
-    key, first = motion.streams[i, 0], motion.streams[i, 1] * np.uint64(beams)
+    key, first_number = robots.streams[i, 0], robots.streams[i, 1] * np.uint64(beam_count)
     if noise > 0.0:
-        for beam in range(beams):
-            ranges[i, beam] += noise * normal(key, first + np.uint64(beam))
+        for beam in range(beam_count):
+            ranges[i, beam] += noise * normal(key, first_number + np.uint64(beam))
     if robot.bias != 0.0:
-        for beam in range(beams):
+        for beam in range(beam_count):
             ranges[i, beam] += robot.bias
     limit_ranges(ranges, i, constants.min_range, constants.max_range)
     if robot.dropped > 0.0:
-        for beam in range(beams):
-            if uniform(key ^ _DROPPED_STREAM, first + np.uint64(beam)) < robot.dropped:
+        for beam in range(beam_count):
+            if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < robot.dropped:
                 ranges[i, beam] = np.inf
-    return nearest_is_dynamic
+    robots.shortest_ranges[i] = shortest_range(ranges, i)
+
+
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def move_among_obstacles(i, constants, robots, duration, obstacles):
+    """Move the dynamic obstacles of robot `i`, and then the robot as `move` does, in each physics step.
+
+    Returns:
+        Distance covered [m], turn [rad], and whether the robot touched a wall, or a dynamic obstacle (two flags).
+    """
+    robot, poses, wheel_speeds = constants.initial_states[i], robots.poses, robots.wheel_speeds
+    spatial_index, world_id, radius = constants.spatial_index, int(robot.world), robot.radius
+    steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as in PyBullet
+    physics_step = duration / steps
+    max_speed = max(abs(wheel_speeds[i, 0]), abs(wheel_speeds[i, 1]), robot.max_speed * robot.wheel_radius)
+    x, y = poses[i, 0], poses[i, 1]
+    if motion.is_out_of_reach(x, y, max_speed, duration, radius, obstacles.obstacles, i):
+        motion.step_obstacles_alone(
+            i, steps, physics_step, obstacles, constants.initial_states, spatial_index, world_id, (x, y)
+        )
+        distance, total_turn, wall_hit = move(i, constants, robots, duration)
+        return distance, total_turn, wall_hit, False
+    wall_hit, obstacle_hit, distance, total_turn = False, False, 0.0, 0.0
+    for step in range(steps):
+        x, y, yaw, v = poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
+        if step % motion.DECISION_STEPS == 0:
+            period = min(motion.DECISION_STEPS, steps - step) * physics_step
+            robot_motion = x, y, v * math.cos(yaw), v * math.sin(yaw)
+            motion.decide(i, period, obstacles, constants.initial_states, spatial_index, world_id, robot_motion)
+        hit = motion.move_obstacles(i, physics_step, obstacles, spatial_index, world_id, x, y, radius)
+        obstacle_hit = hit or obstacle_hit
+        length, turn, hit = move(i, constants, robots, physics_step)
+        wall_hit = hit or wall_hit
+        share = 1.0
+        for k in range(obstacles.obstacles.shape[1]):
+            obstacle = obstacles.obstacles[i, k]
+            if obstacle.length > 0.0:
+                relative = x - obstacle.x, y - obstacle.y, poses[i, 0] - obstacle.x, poses[i, 1] - obstacle.y
+                share = min(share, motion.share_until_contact(*relative, radius, obstacle))
+        if share < 1.0:
+            obstacle_hit = True
+            poses[i, 0], poses[i, 1] = x + share * (poses[i, 0] - x), y + share * (poses[i, 1] - y)
+        distance, total_turn = distance + share * length, total_turn + turn
+    return distance, total_turn, wall_hit, obstacle_hit
+
+
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def _step_robots(first, end, constants, robots, duration, scratch, obstacles):
+    """Loop of `step_block`, without allocations, because numba counts array references in functions that allocate."""
+    poses, wheel_speeds, twists = robots.poses, robots.wheel_speeds, robots.twists
+    for i in range(first, end):
+        x, y, speed = poses[i, 0], poses[i, 1], 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
+        if obstacles is None:
+            distance, turn, robots.bumped[i] = move(i, constants, robots, duration)
+        else:
+            distance, turn, wall_hit, obstacle_hit = move_among_obstacles(i, constants, robots, duration, obstacles)
+            robots.bumped[i] = wall_hit or obstacle_hit
+        robots.arcs[i, 0], robots.arcs[i, 1] = distance, turn
+        robots.travelled[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
+        twists[i, 0] = 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
+        twists[i, 1] = (wheel_speeds[i, 1] - wheel_speeds[i, 0]) / constants.initial_states[i].wheel_separation
+        robots.accelerations[i] = (twists[i, 0] - speed) / duration
+        robots.streams[i, 1] += np.uint64(1)
+        scan(i, constants, robots, scratch, obstacles)
+        if obstacles is not None:
+            robots.nearest_is_dynamic[i] = not wall_hit and (obstacle_hit or robots.nearest_is_dynamic[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def step_block(first, end, constants, robots, duration, obstacles):
+    """Step the robots from `first` to `end` - 1 for a control period of `duration` [s]."""
+    beams = constants.beams[0].size
+    _step_robots(first, end, constants, robots, duration, (np.empty(beams), np.empty(beams)), obstacles)
+
+
+@njit(cache=True, error_model="numpy")
+def scan_robots(indices, constants, robots, obstacles):
+    """Run `scan` for the robots `indices` (n,)."""
+    beams = constants.beams[0].size
+    scratch = np.empty(beams), np.empty(beams)
+    for i in indices:
+        scan(i, constants, robots, scratch, obstacles)
+
+
+@njit(cache=True)
+def reset_robots(indices, new_states, initial_states, robots):
+    """Put the robots `indices` (n,) at rest, and copy their `new_states` (n,) to `initial_states` (num_envs,)."""
+    for row, i in enumerate(indices):
+        start = new_states[row]
+        initial_states[i] = start
+        robots.poses[i, 0], robots.poses[i, 1], robots.poses[i, 2] = start.x, start.y, start.yaw
+        robots.wheel_speeds[i], robots.twists[i], robots.commands[i] = 0.0, 0.0, 0.0
+        robots.accelerations[i], robots.bumped[i] = 0.0, False
+        robots.streams[i, 1] += np.uint64(1)

@@ -1,11 +1,8 @@
-"""A pool of threads for compiled work, which sleep while there is none.
+"""A pool of Python threads for compiled functions that release the interpreter lock (`nogil`).
 
-OpenMP's threads spin while they wait, which slows everything on a busy machine unless a variable prevents it before any
-library loads OpenMP, and a process that is forked after they have run dies in them. Python's threads have neither
-fault, as long as the work releases the interpreter (`nogil`).
+Idle threads sleep. OpenMP's threads are no alternative: they spin while they wait, which slows down a busy machine, and
+a process that is forked after they have run crashes.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Callable
@@ -17,48 +14,48 @@ from typing import Any
 
 import numba
 
-# One for each processor that this process may use, or as many as the shell's variable of this name says.
+# Number of threads: the environment variable NUMBA_NUM_THREADS, or by default the processors of this process.
 THREADS: int = numba.config.NUMBA_NUM_THREADS
 
 
 def parallel_for(work: Callable[..., Any], count: int, lead: int, *arguments: Any) -> None:
-    """Call `work(first, last, *arguments)` for parts of the range from 0 to `count`, one for each thread, and wait.
+    """Divide the range from 0 to `count` among all threads, call `work(first, end, *arguments)` in each, and wait.
 
-    The part of the calling thread is larger by `lead`, because it begins before the others are awake.
+    The part of the calling thread is longer by `lead`, because this thread starts while the others wake up.
     """
-    first = min(count, (count + lead * (THREADS - 1)) // THREADS)
-    borders = [first + (count - first) * number // max(THREADS - 1, 1) for number in range(THREADS)]
-    others = list(pairwise(borders))
-    done: SimpleQueue[BaseException | None] = SimpleQueue()
-    for part in others:
-        _tasks().put((work, (*part, *arguments), done))
+    own_end = min(count, (count + lead * (THREADS - 1)) // THREADS)
+    borders = [own_end + (count - own_end) * i // max(THREADS - 1, 1) for i in range(THREADS)]
+    other_parts = list(pairwise(borders))
+    results: SimpleQueue[BaseException | None] = SimpleQueue()
+    for part in other_parts:
+        _tasks().put((work, (*part, *arguments), results))
     try:
-        work(0, first, *arguments)
+        work(0, own_end, *arguments)
     finally:
-        errors = [done.get() for _ in others]
+        errors = [results.get() for _ in other_parts]
     for error in filter(None, errors):
         raise error
 
 
 @cache
 def _tasks() -> SimpleQueue[Any]:
-    """The queue of work; `concurrent.futures` takes three times as long to hand it over."""
+    """Start the other threads and return their task queue, which is three times as fast as `concurrent.futures`."""
     tasks: SimpleQueue[Any] = SimpleQueue()
     for _ in range(THREADS - 1):
-        Thread(target=_serve, args=(tasks,), daemon=True).start()
+        Thread(target=_run_tasks, args=(tasks,), daemon=True).start()
     return tasks
 
 
-def _serve(tasks: SimpleQueue[Any]) -> None:
+def _run_tasks(tasks: SimpleQueue[Any]) -> None:
     while True:
-        work, arguments, done = tasks.get()
+        work, arguments, results = tasks.get()
         try:
             work(*arguments)
-            done.put(None)
+            results.put(None)
         except BaseException as error:  # the caller raises it again
-            done.put(error)
-        del work, arguments, done  # keeps nothing alive until the next work
+            results.put(error)
+        del work, arguments, results  # so that an idle thread keeps no arrays alive
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_tasks.cache_clear)  # threads stay behind in the parent
+    os.register_at_fork(after_in_child=_tasks.cache_clear)  # a forked process has no copy of the threads

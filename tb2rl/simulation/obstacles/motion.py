@@ -1,79 +1,64 @@
-"""Motion of dynamic obstacles, compiled; all simulators call this, so an episode has the same obstacles in each.
+"""Compiled motion of dynamic obstacles, shared by all simulators, so that an episode has the same obstacles in each.
 
-Posts and boxes go straight, along a path or to random points; people walk as `tb2rl.simulation.obstacles.people` says.
-An obstacle that runs into the robot touches it and stops there, because nothing pushes the robot.
+Posts and boxes move in straight lines, along a path or to random points. People follow the social force model of
+`tb2rl.simulation.obstacles.people`. An obstacle that touches the robot stops, because nothing pushes the robot.
 
-Arguments in common: `arrays` are `ObstacleArrays`, `i` is the environment, `index` and `world` the `WorldIndex` and the
-number of its world there, `initial` the records of the initial states.
+Arguments in common: `arrays` is `ObstacleArrays`, `i` is the environment, `world_id` is its world in the
+`spatial_index`, and `initial_states` has the records of the initial states.
 """
-
-from __future__ import annotations
 
 import math
 
 import numpy as np
 
-from tb2rl.core.compiled import UNCOUNTED, njit
-from tb2rl.simulation.obstacles.outlines import gap_to, outer_radius
-from tb2rl.simulation.obstacles.people import (
-    MAX_SPEED_RATIO,
-    accelerate,
-    head_for_target,
-    repel_each_other,
-    repel_from_walls_and_robot,
-    walk_along_walls,
-)
-from tb2rl.simulation.obstacles.records import EMPTY, PATH, PERSON, STRAIGHT
+from tb2rl.core.compiled import NO_REFCOUNT, njit
+from tb2rl.simulation.obstacles import people
+from tb2rl.simulation.obstacles.outlines import EMPTY, PATH, PERSON, STRAIGHT, distance_to_outline, outer_radius
 from tb2rl.simulation.random_streams import uniform
 from tb2rl.worlds.geometry import clearance_at
 
-DECIDE_EVERY = 4  # physics steps: 20 times a second
-CONTACT = 2e-3  # [m] at which an obstacle touches the robot: PyBullet's bodies push each other from 1 mm on
-_MARGIN = 0.1  # [m] between targets and walls, and on the way
-_ARRIVED = 0.3  # [m] from its target, a person chooses the next one
-_WAITS = 1.0  # [s] for the robot to go away, before another target is chosen
-_TRIES = 4  # directions; the target is in the one with the longest way
-_NEAREST, _FARTHEST = 1.0, 6.0  # [m] to a target
-_TINY = 1e-3  # [m]
+DECISION_STEPS = 4  # physics steps from one call of `decide` to the next, so that there are 20 calls a second
+CONTACT = 2e-3  # [m] an obstacle with a smaller gap to the robot stops; below 1 mm, PyBullet would push the robot
+_MARGIN = 0.1  # [m] gap between walls and an obstacle on its way to a target, if its position has such a gap
+_PERSON_ARRIVAL, _ARRIVAL = 0.3, 1e-3  # [m] a person (a post or box) this near to its target chooses another
+_WAITING_TIME = 1.0  # [s] after a contact with the robot, until another target is chosen
+_DIRECTIONS = 4  # number of random directions; the target is in the direction with the longest free way
+_MIN_DISTANCE, _MAX_DISTANCE = 1.0, 6.0  # [m] range of random distances to a target
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def decide(i, duration, arrays, initial, index, world, robot):
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def decide(i, duration, arrays, initial_states, spatial_index, world_id, robot_motion):
     """Choose targets, and the velocities of people, for the next `duration` [s].
 
-    `robot` is its position x, y [m] and velocity vx, vy [m/s].
+    `robot_motion` is the robot's position x, y [m] and velocity vx, vy [m/s].
     """
     obstacles = arrays.obstacles
     for k in range(obstacles.shape[1]):
         obstacle = obstacles[i, k]
         if obstacle.kind < STRAIGHT:
             continue
-        left = math.hypot(obstacle.target_x - obstacle.x, obstacle.target_y - obstacle.y)
+        distance = math.hypot(obstacle.target_x - obstacle.x, obstacle.target_y - obstacle.y)
         obstacle.patience -= duration
-        if obstacle.patience <= 0.0 or left < (_ARRIVED if obstacle.kind == PERSON else _TINY):
-            _choose_target(i, obstacle, arrays.streams, initial, index, world)
+        if obstacle.patience <= 0.0 or distance < (_PERSON_ARRIVAL if obstacle.kind == PERSON else _ARRIVAL):
+            _choose_target(i, obstacle, arrays.streams, initial_states, spatial_index, world_id)
         if obstacle.kind == PERSON:
-            head_for_target(obstacle)
+            people.attract_to_target(obstacle)
     for k in range(obstacles.shape[1]):
         for other in range(k + 1, obstacles.shape[1]):
-            repel_each_other(obstacles[i, k], obstacles[i, other])
+            people.repel_each_other(obstacles[i, k], obstacles[i, other])
     for k in range(obstacles.shape[1]):
         if obstacles[i, k].kind == PERSON:
-            repel_from_walls_and_robot(obstacles[i, k], index, world, robot, initial[i].radius)
-            accelerate(obstacles[i, k], duration)
+            radius = initial_states[i].radius
+            people.repel_from_walls_and_robot(obstacles[i, k], spatial_index, world_id, robot_motion, radius)
+            people.accelerate(obstacles[i, k], duration)
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def move_obstacles(i, duration, arrays, index, world, x, y, radius):
-    """Move the obstacles of an environment for a physics step, up to where they run into the robot.
-
-    Args:
-        i, arrays, index, world: See the module.
-        duration: [s].
-        x, y, radius: Of the robot [m].
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
+    """Move the obstacles of an environment for a physics step of a `duration` [s], up to the robot at x, y [m].
 
     Returns:
-        Whether one of them ran into it.
+        Whether an obstacle touched the robot.
     """
     touched = False
     for k in range(arrays.obstacles.shape[1]):
@@ -81,27 +66,27 @@ def move_obstacles(i, duration, arrays, index, world, x, y, radius):
         kind, from_x, from_y = obstacle.kind, obstacle.x, obstacle.y
         if kind == EMPTY:
             continue
-        cos, sin, point, stride = obstacle.cos, obstacle.sin, obstacle.next, obstacle.stride
+        cos, sin, next_point = obstacle.cos, obstacle.sin, obstacle.next
         if kind == PATH:
             to_x, to_y = _follow_path(obstacle, arrays.path_points, duration * obstacle.speed)
         elif kind == STRAIGHT:
-            east, north = obstacle.target_x - from_x, obstacle.target_y - from_y
-            share = min(1.0, duration * obstacle.speed / max(math.sqrt(east * east + north * north), 1e-9))
-            to_x, to_y = from_x + share * east, from_y + share * north
+            dx, dy = obstacle.target_x - from_x, obstacle.target_y - from_y
+            share = min(1.0, duration * obstacle.speed / max(math.sqrt(dx * dx + dy * dy), 1e-9))
+            to_x, to_y = from_x + share * dx, from_y + share * dy
         else:
-            to_x, to_y = walk_along_walls(obstacle, duration, index, world)
-        east, north = to_x - from_x, to_y - from_y
-        length = math.sqrt(east * east + north * north)
+            to_x, to_y = people.walk_along_walls(obstacle, duration, spatial_index, world_id)
+        dx, dy = to_x - from_x, to_y - from_y
+        length = math.sqrt(dx * dx + dy * dy)
         if length > 1e-9:
-            obstacle.cos, obstacle.sin = east / length, north / length
+            obstacle.cos, obstacle.sin = dx / length, dy / length
         share = share_until_contact(x - from_x, y - from_y, x - to_x, y - to_y, radius + CONTACT, obstacle)
         if share < 1.0:
             touched = True
             obstacle.vx, obstacle.vy = 0.0, 0.0
-            obstacle.patience = min(obstacle.patience, _WAITS)
-            obstacle.next, obstacle.stride = point, stride
+            obstacle.patience = min(obstacle.patience, _WAITING_TIME)
+            obstacle.next = next_point
             to_x, to_y = from_x + share * (to_x - from_x), from_y + share * (to_y - from_y)
-            if share == 0.0:  # nor does a box turn
+            if share == 0.0:  # a box does not turn if it does not move
                 obstacle.cos, obstacle.sin = cos, sin
         elif kind != PERSON:
             obstacle.vx, obstacle.vy = (to_x - from_x) / duration, (to_y - from_y) / duration
@@ -109,100 +94,87 @@ def move_obstacles(i, duration, arrays, index, world, x, y, radius):
     return touched
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def share_until_contact(from_east, from_north, to_east, to_north, radius, obstacle):
-    """Share of a motion of the robot relative to an obstacle until they touch, in [0, 1]; 1 if they move apart.
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def share_until_contact(from_x, from_y, to_x, to_y, radius, obstacle):
+    """Share in [0, 1] of the robot's motion before it touches an obstacle; 1 without contact, or if they move apart.
 
-    Args:
-        from_east, from_north, to_east, to_north: Positions of the robot relative to the obstacle's centre [m].
-        radius: Of the robot [m].
-        obstacle: Its record.
+    The positions of the robot before and after the motion are relative to the obstacle's centre [m].
     """
-    gap = gap_to(to_east, to_north, obstacle) - radius
-    if gap >= 0.0 or gap > gap_to(from_east, from_north, obstacle) - radius:
+    gap = distance_to_outline(to_x, to_y, obstacle) - radius
+    if gap >= 0.0 or gap > distance_to_outline(from_x, from_y, obstacle) - radius:
         return 1.0
     low, high = 0.0, 1.0
     for _ in range(16):
         middle = 0.5 * (low + high)
-        east, north = from_east + middle * (to_east - from_east), from_north + middle * (to_north - from_north)
-        if gap_to(east, north, obstacle) < radius:
+        x, y = from_x + middle * (to_x - from_x), from_y + middle * (to_y - from_y)
+        if distance_to_outline(x, y, obstacle) < radius:
             high = middle
         else:
             low = middle
     return low
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def out_of_reach(x, y, speed, duration, radius, obstacles, i):
-    """Whether the robot and its obstacles can neither touch nor avoid each other in a control step.
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def is_out_of_reach(x, y, max_speed, duration, radius, obstacles, i):
+    """Whether the robot and its obstacles can neither touch nor avoid each other in a control step of a `duration` [s].
 
-    Then they move independently, which is much faster.
-
-    Args:
-        x, y: Position of the robot [m].
-        speed: Its largest speed in the step [m/s].
-        duration: Of the step [s].
-        radius: Of the robot [m].
-        obstacles: Records, shape (num_envs, obstacles).
-        i: Environment.
+    In this case they move independently, which is much faster. The robot is at x, y [m], below `max_speed` [m/s].
     """
     for k in range(obstacles.shape[1]):
         obstacle = obstacles[i, k]
         if obstacle.length > 0.0:
             distance = math.hypot(obstacle.x - x, obstacle.y - y)
-            covered = duration * (speed + MAX_SPEED_RATIO * obstacle.speed)
-            if obstacle.avoids != 0.0 or distance < radius + CONTACT + outer_radius(obstacle) + covered:
+            approach = duration * (max_speed + people.MAX_SPEED_RATIO * obstacle.speed)
+            if obstacle.avoids != 0.0 or distance < radius + CONTACT + outer_radius(obstacle) + approach:
                 return False
     return True
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def step_obstacles_alone(i, steps, physics_step, arrays, initial, index, world, x, y):
-    """Step the obstacles of a robot that is `out_of_reach` at x, y [m], for some physics steps [s] at once."""
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def step_obstacles_alone(i, steps, physics_step, arrays, initial_states, spatial_index, world_id, position):
+    """Run `steps` steps of `physics_step` [s] of the obstacles; the robot at `position` x, y [m] is out of reach."""
+    x, y = position
     for step in range(steps):
-        if step % DECIDE_EVERY == 0:
-            duration = min(DECIDE_EVERY, steps - step) * physics_step
-            decide(i, duration, arrays, initial, index, world, (x, y, 0.0, 0.0))
-        move_obstacles(i, physics_step, arrays, index, world, x, y, 0.0)
+        if step % DECISION_STEPS == 0:
+            duration = min(DECISION_STEPS, steps - step) * physics_step
+            decide(i, duration, arrays, initial_states, spatial_index, world_id, (x, y, 0.0, 0.0))
+        move_obstacles(i, physics_step, arrays, spatial_index, world_id, x, y, 0.0)
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _follow_path(obstacle, path_points, left):
-    """Position of an obstacle on its path after `left` [m]: there and back, or around."""
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def _follow_path(obstacle, path_points, length):
+    """Position of an obstacle on its path after `length` [m]."""
     x, y, first, count = obstacle.x, obstacle.y, int(obstacle.first), int(obstacle.count)
     for _ in range(count + 1):  # a path may be shorter than a step
-        point, stride = int(obstacle.next), int(obstacle.stride)
-        east, north = path_points[first + point, 0] - x, path_points[first + point, 1] - y
-        distance = math.sqrt(east * east + north * north)
-        if distance > left:
-            return x + left / distance * east, y + left / distance * north
-        x, y, left = x + east, y + north, left - distance
-        if obstacle.closed != 0.0:
-            obstacle.next = (point + 1) % count
-        else:
-            stride = stride if 0 <= point + stride < count else -stride
-            obstacle.next, obstacle.stride = point + stride, stride
+        next_point = int(obstacle.next)
+        dx, dy = path_points[first + next_point, 0] - x, path_points[first + next_point, 1] - y
+        distance = math.sqrt(dx * dx + dy * dy)
+        if distance > length:
+            return x + length / distance * dx, y + length / distance * dy
+        x, y, length = x + dx, y + dy, length - distance
+        obstacle.next = (next_point + 1) % count
     return x, y
 
 
-@njit(cache=True, **UNCOUNTED, error_model="numpy")
-def _choose_target(i, obstacle, streams, initial, index, world):
-    """Draw points that the obstacle can reach straight, and keep the farthest."""
-    x, y, best, bounds = obstacle.x, obstacle.y, 0.0, initial[i]
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def _choose_target(i, obstacle, streams, initial_states, spatial_index, world_id):
+    """Draw random targets in random directions, and choose the one with the longest free way."""
+    x, y, longest_way, bounds = obstacle.x, obstacle.y, 0.0, initial_states[i]
     obstacle.target_x, obstacle.target_y = x, y
-    needed = min(outer_radius(obstacle) + _MARGIN, clearance_at(x, y, index, world))
-    for _ in range(_TRIES):
+    min_clearance = min(outer_radius(obstacle) + _MARGIN, clearance_at(x, y, spatial_index, world_id))
+    for _ in range(_DIRECTIONS):
         angle = math.tau * uniform(streams[i, 0], streams[i, 1])
-        farthest = _NEAREST + (_FARTHEST - _NEAREST) * uniform(streams[i, 0], streams[i, 1] + np.uint64(1))
+        share = uniform(streams[i, 0], streams[i, 1] + np.uint64(1))
+        max_length = _MIN_DISTANCE + (_MAX_DISTANCE - _MIN_DISTANCE) * share
         streams[i, 1] += np.uint64(2)
-        cos, sin, length, free = math.cos(angle), math.sin(angle), 0.0, 0.0
-        while length < farthest:
-            length = min(length + max(free, 0.05), farthest)
-            at_x, at_y = x + length * cos, y + length * sin
-            free = clearance_at(at_x, at_y, index, world) - needed
-            inside = bounds.min_x <= at_x <= bounds.max_x and bounds.min_y <= at_y <= bounds.max_y
-            if free < 0.0 or not inside:
+        cos, sin, length, room = math.cos(angle), math.sin(angle), 0.0, 0.0
+        while length < max_length:  # sphere tracing along the way
+            length = min(length + max(room, 0.05), max_length)
+            point_x, point_y = x + length * cos, y + length * sin
+            room = clearance_at(point_x, point_y, spatial_index, world_id) - min_clearance
+            is_inside = bounds.min_x <= point_x <= bounds.max_x and bounds.min_y <= point_y <= bounds.max_y
+            if room < 0.0 or not is_inside:
                 break
-            if length > best:
-                best, obstacle.target_x, obstacle.target_y = length, at_x, at_y
-    obstacle.patience = 2.0 + 2.0 * best / obstacle.speed if best > 0.0 else 0.0
+            if length > longest_way:
+                longest_way, obstacle.target_x, obstacle.target_y = length, point_x, point_y
+    obstacle.patience = 2.0 + 2.0 * longest_way / obstacle.speed if longest_way > 0.0 else 0.0

@@ -1,28 +1,26 @@
-"""Options and results common to all foreign formats."""
-
-from __future__ import annotations
+"""Import options, and the completion of worlds from foreign formats."""
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import shapely
 from pydantic import BeforeValidator
-from shapely.geometry.base import BaseGeometry
 
-from tb2rl.core.errors import InputError, WorldWarning
+from tb2rl.core.errors import InputError, WorldWarning, one_line
 from tb2rl.core.values import Pose, Positive
 from tb2rl.worlds.world import Bounds, BoxShape, PostShape, World
 
-_FLOOR = 5.0  # [m] of floor on each side of a world that has neither bounds nor walls around
-_AROUND = 1.0  # [m] of floor around a start and a goal beyond the obstacles
-_GAP = 0.15  # [m] from walls: gaps narrower than twice this are too narrow for a robot, and enclose a room
-_ROOM = 0.6  # [m] to all walls: what a task asks of a start by default
-_ROUND = 8  # segments of a quarter circle: a post of 0.2 m is off by 2 mm
-_MOST_OVERLAPS, _SAMPLED = 1_000_000, 100  # pairs of obstacles, estimated from a sample; a union of more takes too long
-_NAMES = 100  # at most in a warning
+_OPEN_MARGIN = 5.0  # [m] of floor on each side of a world without bounds and outer walls
+_MARGIN = 1.0  # [m] of floor around a start or a goal outside the bounding box of the obstacles
+_DOOR_RADIUS = 0.15  # [m] gaps below twice this radius are too narrow for a robot and count as closed
+_START_CLEARANCE = 0.6  # [m] default `start_clearance` of tasks
+_ARC_SEGMENTS = 8  # segments of a quarter circle; the error of a post of 0.2 m is 2 mm
+_MAX_OBSTACLES = 20_000  # limit of a world; a map of a campus has 3 000 obstacles, a noisy map can have too many
+_MAX_OVERLAPS = 1_000_000  # overlapping pairs of obstacles; a union with more overlaps is slow
+_SAMPLE_SIZE = 500  # number of shapes from which the overlaps are estimated
 
 
 def _with_heading(value: Any) -> Any:
@@ -34,42 +32,23 @@ Goal = Annotated[Pose | None, BeforeValidator(_with_heading)]
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Settings beside the file of a world.
+    """Settings that take precedence over a world file.
 
     Attributes:
-        start: x [m], y [m], yaw [rad]; None: that of the file, else the point farthest from all walls.
-        goal: x [m], y [m], and yaw [rad] or nothing; None: that of the file, if it has one.
-        bounds: The rectangle that counts as the world; None: around the obstacles, the start and the goal.
+        start: x [m], y [m], yaw [rad]; None: the start of the file, otherwise the point farthest from all walls.
+        goal: x [m], y [m] and optionally yaw [rad]; None: the goal of the file, if there is one.
+        bounds: Rectangle of the world; None: the bounding box of obstacles, start and goal.
         unknown: Meaning of a map's unknown cells.
         laser_height: Height at which the shapes of an SDF world are cut [m].
-        model_path: Folders of models of an SDF world, before those of the environment's variables.
+        model_path: Folders of SDF models, searched before those of environment variables.
     """
 
     start: Pose | None = None
     goal: Goal = None
     bounds: Bounds | None = None
     unknown: Literal["obstacle", "free"] = "obstacle"
-    laser_height: Positive = 0.25  # half the height of our own walls
+    laser_height: Positive = 0.25  # half the height of tb2rl walls
     model_path: tuple[str, ...] = ()
-
-
-class Omissions:
-    """Parts of a file that a reader leaves out, grouped by reason."""
-
-    def __init__(self) -> None:
-        self._names: dict[str, dict[str, int]] = {}
-
-    def add(self, reason: str, name: str) -> None:
-        """Note a part that is left out."""
-        names = self._names.setdefault(reason, {})
-        names[name] = names.get(name, 0) + 1
-
-    def warn(self, world: str) -> None:
-        """Issue one `WorldWarning` per reason, with the names of the parts."""
-        for reason, counts in self._names.items():
-            names = [f"{name} ({count} times)" if count > 1 else name for name, count in counts.items()]
-            more = f" and {len(names) - _NAMES} more" if len(names) > _NAMES else ""
-            warnings.warn(f"world {world}: {reason}: {', '.join(names[:_NAMES])}{more}", WorldWarning, stacklevel=2)
 
 
 def complete_world(
@@ -81,71 +60,63 @@ def complete_world(
     bounds: Bounds | None = None,
     description: str = "",
 ) -> World:
-    """Make a world from the shapes of a file; choose a start, with a warning, if there is none.
+    """Make a world from the shapes of a file, with a warning if a start must be chosen.
 
     Args:
-        name: Name of the world.
-        boxes: x, y, length, width [m] and yaw [rad] of each.
-        posts: x, y and radius [m] of each.
-        options: The options, and the file's own start and goal.
-        bounds: The file's own bounds; None: around the obstacles, and a start and a goal beyond them.
-        description: One line for people.
+        name, boxes, posts, description: See `World.from_shapes`.
+        options: Import options, with start and goal of the file.
+        bounds: Bounds of the file; None: the bounding box of obstacles, start and goal.
 
     Raises:
-        InputError: If that is no world, or has no start and too many overlapping obstacles to find one.
+        InputError: If a value is invalid, or no start can be found.
     """
-    fixed, empty = options.bounds or bounds, not (boxes or posts)
-    floor = fixed or ((-_FLOOR, -_FLOOR, _FLOOR, _FLOOR) if empty else None)
-    known = World.from_shapes(name, boxes, posts, start=(0.0, 0.0, 0.0), bounds=floor)
-    bounds = fixed or _around(known.bounds, [pose for pose in (options.start, options.goal) if pose is not None])
-    start = options.start or _farthest_from_walls(known)
-    if start is None and fixed is None:  # only a wall or a post: there is floor around it
-        x0, y0, x1, y1 = bounds
-        bounds = x0 - _FLOOR, y0 - _FLOOR, x1 + _FLOOR, y1 + _FLOOR
-        start = _farthest_from_walls(replace(known, bounds=bounds))
+    if len(boxes) + len(posts) > _MAX_OBSTACLES:
+        raise InputError(f"world {name} has {len(boxes) + len(posts)} obstacles, the limit is {_MAX_OBSTACLES}")
+    fixed = options.bounds or bounds
+    known_bounds = fixed or (None if boxes or posts else (-_OPEN_MARGIN, -_OPEN_MARGIN, _OPEN_MARGIN, _OPEN_MARGIN))
+    world = World.from_shapes(name, boxes, posts, start=(0.0, 0.0, 0.0), bounds=known_bounds, description=description)
+    x0, y0, x1, y1 = world.bounds
+    for pose in (options.start, options.goal):
+        if fixed is None and pose is not None and not (x0 <= pose[0] <= x1 and y0 <= pose[1] <= y1):
+            x0, y0 = min(x0, pose[0] - _MARGIN), min(y0, pose[1] - _MARGIN)
+            x1, y1 = max(x1, pose[0] + _MARGIN), max(y1, pose[1] + _MARGIN)
+    start = options.start or _farthest_from_walls(world)
+    if start is None and fixed is None:  # a single wall or post fills its bounding box
+        x0, y0, x1, y1 = x0 - _OPEN_MARGIN, y0 - _OPEN_MARGIN, x1 + _OPEN_MARGIN, y1 + _OPEN_MARGIN
+        start = _farthest_from_walls(replace(world, bounds=(x0, y0, x1, y1)))
     if start is None:
-        raise InputError(f"world {name}: obstacles are everywhere, there is no floor to start on")
+        raise InputError(f"world {name}: there is no free floor for a start")
     if options.start is None:
-        shown = f"[{start[0]:g}, {start[1]:g}, 0]"
-        text = f"world {name}: no start is given, so it is {shown}, the point farthest from all walls"
-        warnings.warn(text, WorldWarning, stacklevel=2)
-    goal = options.goal
-    return World.from_shapes(name, boxes, posts, start=start, goal=goal, bounds=bounds, description=description)
+        start_text = f"[{start[0]:g}, {start[1]:g}, 0]"
+        warn(f"world {name}: no start is given, so the start is {start_text}, the point farthest from all walls")
+    return replace(world, start=start, goal=options.goal, bounds=(x0, y0, x1, y1))
 
 
-def _around(bounds: Bounds, poses: Iterable[Pose]) -> Bounds:
-    """Extend bounds by some floor around the poses outside of them."""
-    x0, y0, x1, y1 = bounds
-    for x, y, _ in poses:
-        if not (x0 <= x <= x1 and y0 <= y <= y1):
-            x0, y0, x1, y1 = min(x0, x - _AROUND), min(y0, y - _AROUND), max(x1, x + _AROUND), max(y1, y + _AROUND)
-    return x0, y0, x1, y1
+def mean_overlaps(shapes: np.ndarray) -> float:
+    """Mean number of bounding boxes that the bounding box of a shape overlaps, estimated from a sample."""
+    sample = np.random.default_rng(0).permutation(shapes)[:_SAMPLE_SIZE]
+    return shapely.STRtree(shapes).query(sample).shape[1] / max(len(sample), 1)
 
 
 def _farthest_from_walls(world: World) -> Pose | None:
-    """The point of the floor farthest from all walls, in an enclosed room if one has space; None without floor."""
-    outside = shapely.box(*world.bounds).buffer(_AROUND, join_style="mitre")
-    rooms = shapely.get_parts(outside.difference(_union(world.outlines(_GAP, _ROUND), world.name)))
-    enclosed = ~shapely.intersects(rooms, outside.exterior)
-    rooms, room = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
-    rooms, enclosed = rooms[shapely.area(rooms) > 0], enclosed[room][shapely.area(rooms) > 0]
+    """Point farthest from all walls, preferably in an enclosed room; None without free floor."""
+    outlines = world.outlines(_DOOR_RADIUS, _ARC_SEGMENTS)
+    if mean_overlaps(outlines) * len(outlines) > _MAX_OVERLAPS:
+        raise InputError(f"world {world.name}: its obstacles overlap too often to find a start; set one")
+    outside = shapely.box(*world.bounds).buffer(_MARGIN, join_style="mitre")
+    rooms = shapely.get_parts(outside.difference(shapely.disjoint_subset_union_all(outlines)))
+    is_enclosed = ~shapely.intersects(rooms, outside.exterior)
+    rooms, indices = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
+    rooms, is_enclosed = rooms[shapely.area(rooms) > 0], is_enclosed[indices][shapely.area(rooms) > 0]
     if len(rooms) == 0:
         return None
-    circles = shapely.maximum_inscribed_circle(rooms, tolerance=0.01)  # lines from their centres to the walls
+    circles = shapely.maximum_inscribed_circle(rooms, tolerance=0.01)  # lines from centre to boundary
     radii = shapely.length(circles)
-    indoors = enclosed & (radii > _ROOM - _GAP)
-    x, y = circles[np.where(indoors if indoors.any() else True, radii, -1.0).argmax()].coords[0]
+    is_indoors = is_enclosed & (radii > _START_CLEARANCE - _DOOR_RADIUS)
+    x, y = circles[np.where(is_indoors if is_indoors.any() else True, radii, -1.0).argmax()].coords[0]
     return round(x, 3) + 0.0, round(y, 3) + 0.0, 0.0  # + 0.0: no -0
 
 
-def _union(outlines: np.ndarray, name: str) -> BaseGeometry:
-    """Union of polygons.
-
-    Raises:
-        InputError: If so many of them overlap that it would take minutes.
-    """
-    some = np.random.default_rng(0).permutation(outlines)[:_SAMPLED]
-    overlaps = shapely.STRtree(outlines).query(some).shape[1] * len(outlines)
-    if overlaps > _MOST_OVERLAPS * len(some):
-        raise InputError(f"world {name}: its obstacles overlap too often to find a start; give one")
-    return shapely.disjoint_subset_union_all(outlines)
+def warn(text: str) -> None:
+    """Issue a `WorldWarning` of one line."""
+    warnings.warn(one_line(text, 4000), WorldWarning, stacklevel=3)

@@ -1,10 +1,6 @@
-"""XML from strangers, with the standard library's parser: limited size, no entities, finite numbers."""
+"""Safe parsing of untrusted XML: limited size, no entities, finite numbers."""
 
-from __future__ import annotations
-
-import math
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 from xml.etree import ElementTree
@@ -12,85 +8,78 @@ from xml.etree.ElementTree import Element
 
 from tb2rl.core.errors import InputError, one_line
 
-LARGEST_FILE = 8 * 2**20  # [bytes] a world of BARN has 0.7 MB
-LARGEST_NUMBER = 1e6  # [m] beyond any position or size of a world
+MAX_FILE_SIZE = 8 * 2**20  # [bytes] a BARN world has 0.7 MB
+MAX_NUMBER = 1e6  # [m] larger than any position or size in a world
 
 
 class _NoEntities(ElementTree.TreeBuilder):
     def doctype(self, name: str, public: str | None, system: str | None) -> NoReturn:
-        # Entities are declared there, and a few of them expand to gigabytes; neither SDF nor COLLADA needs any.
-        raise InputError("it has a <!DOCTYPE>, which is not read: take that line out")
+        # A document type can declare entities that expand to gigabytes. Neither SDF nor COLLADA needs one.
+        raise ValueError("it has a <!DOCTYPE>, which is not allowed; remove the <!DOCTYPE>")
 
 
 def read_xml(path: Path) -> Element:
-    """Read the root of an XML file.
+    """Parse an XML file and return its root.
 
     Raises:
-        InputError: If it cannot be read, is larger than `LARGEST_FILE`, declares a document type, or is not XML.
+        InputError: If the file cannot be read, is larger than `MAX_FILE_SIZE`, declares a document type, or is not XML.
     """
     content = read_limited(path)
     try:
         return ElementTree.fromstring(content, ElementTree.XMLParser(target=_NoEntities()))
-    except InputError as error:
-        raise InputError(f"cannot read {path}: {error}") from None
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two for its encoding
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two also from the encoding
         raise InputError(one_line(f"{path} is not XML: {error}")) from None
 
 
-def read_limited(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Read a regular file of at most `largest` bytes.
+def read_limited(path: Path) -> bytes:
+    """Read a regular file of at most `MAX_FILE_SIZE` bytes.
 
     Raises:
-        InputError: If it is no such file, or cannot be read.
+        InputError: If the path is no such file.
+        OSError: If the file cannot be read.
     """
     if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
-        raise InputError(one_line(f"there is no file {path}"))  # nor a pipe or a device, which would never end
-    try:
-        if (size := path.stat().st_size) > largest:
-            raise InputError(f"{path} is too large: {size / 2**20:.0f} MB, the limit is {largest >> 20}")
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(one_line(f"cannot read {path}: {error}")) from None
+        raise InputError(one_line(f"there is no file {path}"))  # reading a pipe or a device might never end
+    if (size := path.stat().st_size) > MAX_FILE_SIZE:
+        raise InputError(f"{path} is too large: {size / 2**20:.0f} MB, the limit is {MAX_FILE_SIZE >> 20} MB")
+    return path.read_bytes()
 
 
-def name_of(element: Element) -> str:
-    """Name of an element in messages: its attribute `name`, or else its tag."""
+def element_name(element: Element) -> str:
+    """Name of an element in messages: its attribute `name`, otherwise its tag."""
     return element.get("name") or f"<{element.tag}>"
 
 
-def text_of(element: Element | None) -> str:
-    """Text in an element, stripped; "" for None."""
+def element_text(element: Element | None) -> str:
+    """Stripped text of an element, or an empty string for None."""
     return "" if element is None else (element.text or "").strip()
 
 
-def numbers(element: Element, count: int) -> list[float]:
-    """Parse `count` finite numbers in an element's text.
+def parse_numbers(element: Element, count: int, *, positive: bool = False) -> list[float]:
+    """Parse `count` numbers in the text of an element.
 
     Raises:
-        InputError: If they are not numbers, beyond `LARGEST_NUMBER`, or not as many.
+        InputError: If the text is not `count` finite numbers up to `MAX_NUMBER`, all above 0 if `positive`.
     """
-    words = text_of(element).split()
+    text = element_text(element)
     try:
-        values = [float(word) for word in words]
+        numbers = [float(word) for word in text.split()]
     except ValueError:
-        values = [math.nan]
-    if not all(abs(value) <= LARGEST_NUMBER for value in values):
-        raise InputError(one_line(f"<{element.tag}> must be finite numbers, got {' '.join(words)!r}", 200))
-    if len(values) != count:
-        raise InputError(one_line(f"<{element.tag}> must be {count} numbers, got {' '.join(words)!r}", 200))
-    return values
+        numbers = []
+    if len(numbers) != count or not all(abs(number) <= MAX_NUMBER for number in numbers):
+        raise InputError(one_line(f"<{element.tag}> must be {count} finite numbers, got {text!r}", 200))
+    if positive and min(numbers) <= 0:
+        raise InputError(f"<{element.tag}> must be above 0, got {text}")
+    return numbers
 
 
-def sizes(parent: Element, tag: str, count: int) -> Sequence[float]:
-    """Parse the numbers above 0 in a required child, such as the <size> of a box.
+def parse_sizes(parent: Element, tag: str, count: int) -> list[float]:
+    """Parse `count` numbers above 0 in a required child, such as the <size> of a box.
 
     Raises:
-        InputError: If there is no such child, or a number is not above 0.
+        InputError: If the child is missing or invalid.
     """
     child = parent.find(tag)
     if child is None:
         raise InputError(f"<{parent.tag}> has no <{tag}>")
-    values = numbers(child, count)
-    if min(values) <= 0:
-        raise InputError(f"<{tag}> of a <{parent.tag}> must be above 0, got {text_of(child)}")
-    return values
+    return parse_numbers(child, count, positive=True)

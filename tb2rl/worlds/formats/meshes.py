@@ -1,114 +1,80 @@
-"""Meshes cut by a plane, with the library trimesh: the extra `meshes`."""
-
-from __future__ import annotations
+"""Horizontal cuts of meshes, by trimesh (the extra `meshes`)."""
 
 import io
-import math
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 import shapely
 
-from tb2rl.core.errors import install_extra
-from tb2rl.worlds.formats.markup import LARGEST_NUMBER, read_limited, read_xml
-from tb2rl.worlds.formats.slices import STRAIGHT, LeftOut, Slice
+from tb2rl.core.errors import install_extra, one_line
+from tb2rl.worlds.formats.imports import mean_overlaps
+from tb2rl.worlds.formats.markup import read_limited, read_xml
+from tb2rl.worlds.formats.slices import OUTLINE_TOLERANCE, OmittedShape, Slice
 
-ENDINGS = (".dae", ".obj", ".stl")  # Gazebo's formats; they reference no other files that matter
-_GRID = 1e-5  # [m] ends of lines that are nearer than this are one point
-_MOST_LINES = 30_000  # in a cut
-_MOST_CROSSED, _SAMPLED = 40, 500  # lines that one line crosses on average, estimated from a sample
-_OPEN = 0.25  # [m] an open body is filled where no robot of this radius could be inside
+EXTENSIONS = (".dae", ".obj", ".stl")  # formats of Gazebo; files that they reference do not affect the shape
+_GRID = 1e-5  # [m] end points of lines are rounded to this grid, so that adjacent lines meet
+_MAX_LINES = 30_000  # limit of the number of lines in a cut
+_MAX_CROSSINGS = 40  # limit of the mean number of lines that a line crosses
+_ROBOT_RADIUS = 0.25  # [m] faces of an open body are solid if they have no room for a robot of this radius
 
 
 def load_mesh(path: Path) -> Any:
     """Load a mesh with trimesh, in metres.
 
     Raises:
-        LeftOut: If it is no such file, or trimesh is missing.
-        InputError: If it is too large, or declares entities.
+        OmittedShape: If the file is not a mesh, or trimesh is missing.
+        InputError: If the file is too large, or declares entities.
     """
-    ending = path.suffix.lower()
-    if ending not in ENDINGS:
-        raise LeftOut(f"meshes of other kinds than {', '.join(ENDINGS)}")
+    extension = path.suffix.lower()
+    if extension not in EXTENSIONS:
+        raise OmittedShape(f"unsupported mesh formats, other than {', '.join(EXTENSIONS)}")
     try:
+        import collada  # noqa: F401 (trimesh needs it for .dae)
         import trimesh
-
-        if ending == ".dae":
-            import collada  # noqa: F401 (trimesh reads these with it)
     except ImportError:
-        raise LeftOut(f"meshes that take the extra `meshes`: {install_extra('meshes')}") from None
-    # Our own parser refuses entities before another one would expand them.
-    metres = _metres(read_xml(path)) if ending == ".dae" else 1.0
-    content = read_limited(path)
+        raise OmittedShape(f"meshes need the extra `meshes`: {install_extra('meshes')}") from None
+    # `read_xml` raises an error for entities, which the parser of trimesh would expand.
+    unit = read_xml(path).find("{*}asset/{*}unit") if extension == ".dae" else None
     try:
-        mesh: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], force="mesh", skip_materials=True)
+        file = io.BytesIO(read_limited(path))
+        mesh: Any = trimesh.load(file, file_type=extension[1:], force="mesh", skip_materials=True)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        usable = len(mesh.faces) > 0 and bool(np.isfinite(mesh.vertices).all())
+        mesh.apply_scale(1.0 if unit is None else float(unit.get("meter", "1")))  # the up axis is ignored, as in Gazebo
+        if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+            raise ValueError("it has no faces, or infinite numbers")
     except Exception as error:  # any error that a broken file causes
-        raise LeftOut(f"meshes that cannot be read ({type(error).__name__})") from None
-    if not usable:
-        raise LeftOut("meshes without faces")
-    return mesh.apply_scale(metres)
+        raise OmittedShape(one_line(f"unreadable meshes ({error})", 200)) from None
+    return mesh
 
 
-def cut(mesh: Any, pose: np.ndarray, scale: np.ndarray, into: Slice) -> None:
-    """Add a mesh to a slice.
-
-    Args:
-        mesh: From `load_mesh`.
-        pose: Shape (4, 4).
-        scale: Along its own axes, shape (3,).
-        into: The slice.
-    """
+def add_mesh(mesh: Any, pose: np.ndarray, scale: np.ndarray, cut: Slice) -> None:
+    """Add a mesh from `load_mesh`, with a pose (4, 4) and a scale (3,), to a slice."""
     import trimesh
 
     placed = mesh.copy()
     placed.apply_transform(pose @ np.diag([*scale, 1.0]))
-    into.check_height(*placed.bounds[:, 2])
-    lines = trimesh.intersections.mesh_plane(placed, (0.0, 0.0, 1.0), (0.0, 0.0, into.height))
-    drawn = _union(shapely.linestrings(lines[:, :, :2]))
-    faces = shapely.get_parts(shapely.polygonize([drawn]))
-    body = shapely.union_all([face for face in faces if _is_solid(face, drawn, bool(placed.is_watertight))])
-    into.add_outline(body)
-    rest = shapely.line_merge(drawn.difference(body.buffer(2 * _GRID)))
-    into.add_sheets(line.coords for line in shapely.get_parts(shapely.simplify(rest, STRAIGHT)))
+    cut.check_height(*placed.bounds[:, 2])
+    segments = trimesh.intersections.mesh_plane(placed, (0.0, 0.0, 1.0), (0.0, 0.0, cut.height))
+    lines = shapely.linestrings(segments[:, :, :2])
+    if len(lines) > _MAX_LINES or mean_overlaps(lines) > _MAX_CROSSINGS:  # their union would take hours
+        raise OmittedShape("meshes that are too fine, or whose faces cut each other everywhere")
+    outline = shapely.union_all(lines, grid_size=_GRID)
+    faces = shapely.get_parts(shapely.polygonize([outline]))
+    body = shapely.union_all([face for face in faces if _is_solid(face, outline, bool(placed.is_watertight))])
+    cut.add_outline(body)
+    open_lines = shapely.line_merge(outline.difference(body.buffer(2 * _GRID)))
+    cut.add_thin_walls(shapely.get_parts(shapely.simplify(open_lines, OUTLINE_TOLERANCE)))
 
 
-def _union(lines: np.ndarray) -> shapely.Geometry:
-    """Union of lines, split where they cross.
+def _is_solid(face: shapely.Polygon, outline: shapely.Geometry, closed: bool) -> bool:
+    """Whether a face of a cut is inside the body, so that a ray from it crosses the outline an odd number of times.
 
-    Raises:
-        LeftOut: If they are too many, or cross each other everywhere: their union would take hours.
+    In an open body, such as a house of thin walls, faces with room for a robot are not solid.
     """
-    some = np.random.default_rng(0).permutation(lines)[:_SAMPLED]
-    crossed = shapely.STRtree(lines).query(some).shape[1] / len(some) if len(lines) <= _MOST_LINES else math.inf
-    if crossed > _MOST_CROSSED:
-        raise LeftOut("meshes that are too fine, or whose faces cut each other everywhere")
-    return shapely.union_all(lines, grid_size=_GRID)
-
-
-def _is_solid(face: shapely.Polygon, drawn: shapely.Geometry, closed: bool) -> bool:
-    """Whether a face between the lines of a cut is inside the body: a ray from there crosses an odd number of lines.
-
-    The inside of an open body, such as a house of thin walls, is only where no robot fits.
-    """
-    if not closed and shapely.maximum_inscribed_circle(face, tolerance=0.01).length > _OPEN:
+    if not closed and shapely.maximum_inscribed_circle(face, tolerance=0.01).length > _ROBOT_RADIUS:
         return False
     inside = face.representative_point()
-    end = (drawn.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew, so that the ray meets no corner
-    crossed = shapely.LineString([inside, end]).intersection(drawn)
+    end = (outline.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew, so that the ray meets no corner
+    crossed = shapely.LineString([inside, end]).intersection(outline)
     return len(shapely.get_parts(crossed)) % 2 == 1
-
-
-def _metres(root: Element) -> float:
-    """The unit of a COLLADA file [m]; its up axis is ignored, as in Gazebo."""
-    unit = root.find("{*}asset/{*}unit")
-    try:
-        metres = float("1" if unit is None else unit.get("meter", "1"))
-    except ValueError:
-        metres = math.nan
-    if not 0 < metres <= LARGEST_NUMBER:
-        raise LeftOut("meshes whose unit is no length")
-    return metres

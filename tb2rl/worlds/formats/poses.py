@@ -1,45 +1,44 @@
-"""Poses and frames of SDF (http://sdformat.org/tutorials?tut=pose_frame_semantics); poses are matrices (4, 4)."""
+"""Poses, frames and saved states of SDF; poses are homogeneous transforms (4, 4).
+
+http://sdformat.org/tutorials?tut=pose_frame_semantics
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from tb2rl.core.errors import InputError
-from tb2rl.worlds.formats.markup import name_of, numbers
+from tb2rl.worlds.formats.markup import element_name, element_text, parse_numbers
 
 IDENTITY = np.eye(4)
-_FRAMES = ("frame", "link", "model")  # elements that a pose can be relative to
-_DEEPEST = 100  # length of a chain of frames
 
 
-def matrix(pose: Element | None) -> np.ndarray:
-    """Parse a <pose>; None and an empty one are the identity.
+def parse_pose(pose: Element | None) -> np.ndarray:
+    """Parse a <pose>; the result is the identity for None and for an empty element.
 
     Raises:
-        InputError: If it is not six finite numbers (or seven, with a quaternion).
+        InputError: If the text is not six finite numbers (seven for a quaternion).
     """
-    if pose is None or not (pose.text or "").strip():
+    if pose is None or not element_text(pose):
         return IDENTITY
-    placed = np.eye(4)
+    transform = np.eye(4)
     if pose.get("rotation_format") == "quat_xyzw":
-        *position, x, y, z, w = numbers(pose, 7)
-        placed[:3, :3] = _from_quaternion(x, y, z, w)
+        *position, x, y, z, w = parse_numbers(pose, 7)
+        transform[:3, :3] = _from_quaternion(x, y, z, w)
     else:
-        *position, roll, pitch, yaw = numbers(pose, 6)
-        turn = math.radians if pose.get("degrees") in ("1", "true") else float
-        placed[:3, :3] = from_angles(turn(roll), turn(pitch), turn(yaw))
-    placed[:3, 3] = position
-    return placed
+        *position, roll, pitch, yaw = parse_numbers(pose, 6)
+        radians = math.radians if pose.get("degrees") in ("1", "true") else float
+        transform[:3, :3] = rotation_from_rpy(radians(roll), radians(pitch), radians(yaw))
+    transform[:3, 3] = position
+    return transform
 
 
-def from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Rotation about the fixed axes x, y and z, in this order, shape (3, 3)."""
+def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Rotation matrix of roll, pitch and yaw about fixed axes [rad], shape (3, 3)."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
     return np.array([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -49,9 +48,7 @@ def from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 
 def _from_quaternion(x: float, y: float, z: float, w: float) -> np.ndarray:
-    length = math.hypot(x, y, z, w)
-    if length == 0:
-        raise InputError("<pose> has a quaternion of length 0")
+    length = math.hypot(x, y, z, w) or 1.0  # as in Gazebo, a quaternion of length 0 means no rotation
     x, y, z, w = x / length, y / length, z / length, w / length
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -62,59 +59,75 @@ def _from_quaternion(x: float, y: float, z: float, w: float) -> np.ndarray:
 
 @dataclass
 class Scope:
-    """The frames of one model, or of the world itself.
+    """Scope of frame names: a <model> or <world> with its pose in the world, shape (4, 4).
 
-    Attributes:
-        element: The <model> or <world>.
-        own: Its pose in the world.
-        warn: Called with a reason and a name for an unknown frame.
+    For an unknown frame, `warn` is called with the reason and the names of the frame and its user.
     """
 
     element: Element
-    own: np.ndarray
+    pose: np.ndarray
     warn: Callable[[str, str], None]
-    _resolving: set[str] = field(default_factory=set)
-    _placed: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def place(self, element: Element, default: np.ndarray | None = None) -> np.ndarray:
-        """Pose in the world of an element in the scope.
+    def __post_init__(self) -> None:
+        self._poses = {"world": IDENTITY, "__model__": self.pose}
+        frames = [child for child in self.element if child.tag in ("frame", "link", "model")]
+        self._frames = {frame.get("name", ""): frame for frame in reversed(frames)}  # the first of equal names is kept
 
-        Args:
-            element: A link, a nested model, a frame, a collision, an <include>.
-            default: Pose in the world that its pose is relative to if it names no frame; None: that of the scope.
+    def world_pose(self, element: Element, parent: np.ndarray | None = None) -> np.ndarray:
+        """Pose of an element in the world; without a frame, its pose is relative to `parent` (None: the scope).
 
         Raises:
-            InputError: If its pose is invalid, or frames are relative to each other in a circle, or in a long chain.
+            InputError: If a pose is invalid.
+            RecursionError: If frames form a circle or a long chain.
         """
         pose = element.find("pose")
-        named = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
-        named = named or (element.get("attached_to") or "" if element.tag == "frame" else "")
-        around = self.frame(named, name_of(element)) if named else None
-        if around is None:
-            around = self.own if default is None else default
-        return around @ matrix(pose)
+        frame = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
+        frame = frame or (element.get("attached_to") or "" if element.tag == "frame" else "")
+        origin = self.frame_pose(frame, element_name(element)) if frame else None
+        if origin is None:
+            origin = self.pose if parent is None else parent
+        return origin @ parse_pose(pose)
 
-    @cached_property
-    def _frames(self) -> dict[str, Element]:
-        """Frames by name; the first of a name counts."""
-        return {child.get("name", ""): child for child in reversed(self.element) if child.tag in _FRAMES}
+    def frame_pose(self, name: str, user: str) -> np.ndarray | None:
+        """Pose of a frame in the world; None with a warning if the frame is unknown.
 
-    def frame(self, name: str, user: str) -> np.ndarray | None:
-        """Pose of a frame in the world; None, and a warning that names its user, if it is unknown."""
-        if name == "world":
-            return IDENTITY
-        if name == "__model__":
-            return self.own
-        if name in self._placed:
-            return self._placed[name]
-        if name not in self._frames:
-            self.warn("frames that poses are relative to, but that are not known", f"{name} (of {user})")
-            return None
-        if name in self._resolving:
-            raise InputError(f"the frame {name} is relative to itself")
-        if len(self._resolving) == _DEEPEST:
-            raise InputError(f"more than {_DEEPEST} frames are each relative to the next")
-        self._resolving.add(name)
-        self._placed[name] = self.place(self._frames[name])
-        self._resolving.remove(name)
-        return self._placed[name]
+        `user` is the name of the element that refers to the frame.
+        """
+        if name not in self._poses:
+            if name not in self._frames:
+                self.warn("poses refer to unknown frames", f"{name} (of {user})")
+                return None
+            self._poses[name] = self.world_pose(self._frames[name])
+        return self._poses[name]
+
+
+class State:
+    """State of a world or a model.
+
+    Args:
+        element: The <state>, or a <model> or <link> in a <state>; None: no saved state.
+        scale: Scale of the parent model, shape (3,).
+
+    Attributes:
+        pose: Saved pose in the world, also of links and nested models, shape (4, 4); None: no saved pose.
+        scale: Scale of the shapes of the model along their axes, shape (3,).
+        inserted: Models that were inserted during the simulation.
+        deleted: Names of models that were deleted.
+        unused: Names of the models and links for which `of` was not called.
+    """
+
+    def __init__(self, element: Element | None, scale: np.ndarray) -> None:
+        element = Element("state") if element is None else element
+        self.inserted = element.findall("insertions/model")
+        self.deleted = {element_text(name) for name in element.findall("deletions/name")}
+        self.unused = {element_name(part) for part in element if part.tag in ("model", "link")}
+        own_scale = element.find("scale")
+        self.scale = scale if own_scale is None else np.array(parse_numbers(own_scale, 3, positive=True))
+        pose = element.find("pose")
+        self.pose = None if pose is None else parse_pose(pose)
+        self._parts = {(part.tag, element_name(part)): part for part in element}
+
+    def of(self, part: Element) -> State:
+        """State of a model or a link in this model or world."""
+        self.unused.discard(element_name(part))
+        return State(self._parts.get((part.tag, element_name(part))), self.scale)

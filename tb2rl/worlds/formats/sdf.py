@@ -1,41 +1,34 @@
-"""Gazebo's worlds: SDF files (http://sdformat.org/spec), cut at the height of the laser.
+"""Reader of Gazebo worlds: SDF files (http://sdformat.org/spec), cut at the height of the laser.
 
-The obstacles are the collision shapes of all models. Parts that are not understood are named in a `WorldWarning`.
+Obstacles are the collision shapes of all models. A `WorldWarning` lists unsupported parts.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
 from functools import cache
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import shapely
 
 from tb2rl.core.errors import InputError
-from tb2rl.worlds.formats.imports import ImportOptions, Omissions, complete_world
-from tb2rl.worlds.formats.markup import name_of, read_xml, text_of
-from tb2rl.worlds.formats.model_path import ModelPath, is_remote, model_file
-from tb2rl.worlds.formats.poses import IDENTITY, Scope
-from tb2rl.worlds.formats.shapes import Placement, Shapes
-from tb2rl.worlds.formats.state import State
+from tb2rl.worlds.formats.imports import ImportOptions, complete_world, warn
+from tb2rl.worlds.formats.markup import element_name, element_text, parse_numbers, parse_sizes, read_xml
+from tb2rl.worlds.formats.meshes import add_mesh, load_mesh
+from tb2rl.worlds.formats.model_path import ModelPath
+from tb2rl.worlds.formats.poses import IDENTITY, Scope, State
+from tb2rl.worlds.formats.slices import OmittedShape, Slice, is_upright
 from tb2rl.worlds.world import World
 
-_DEEPEST = 20  # models within models, and files within files
-_MOST = 20_000  # models and shapes in a world: files that include each other can make any number
-_NO_OBSTACLE = {  # elements of a world or a model without collision shapes
-    "atmosphere", "audio", "frame", "gravity", "gripper", "gui", "joint", "light", "link", "magnetic_field", "model",
-    "include", "physics", "pose", "scene", "self_collide", "spherical_coordinates", "static", "wind", "plugin", "state",
-    "allow_auto_disable", "enable_wind", "name", "uri", "placement_frame",
-}  # fmt: skip
+_MAX_PARTS = 20_000  # limit of models and shapes, because small files can include each other very often
+_NOT_FOUND = "models and meshes were not found, and nothing is downloaded; add their folders to GAZEBO_MODEL_PATH"
 
 
 def read_sdf(path: Path, options: ImportOptions) -> World:
-    """Read the world of an SDF file (.world or .sdf), which may be a single model.
+    """Read a world from an SDF file (.world or .sdf) of a world or a model.
 
     Raises:
-        InputError: If it is no such file, or no world.
+        InputError: If the file is not SDF, or its world is invalid.
     """
     root = read_xml(path)
     if root.tag != "sdf":
@@ -45,139 +38,160 @@ def read_sdf(path: Path, options: ImportOptions) -> World:
         reader.read(root)
     except InputError as error:
         raise InputError(f"world {path.stem}: {error}") from None
-    reader.omissions.warn(path.stem)
-    found = reader.shapes.found
-    return complete_world(path.stem, found.boxes, found.posts, options, description=f"from {path.name}")
+    except RecursionError:
+        raise InputError(f"world {path.stem}: models, files or frames nest too deep, or contain themselves") from None
+    for reason, names in reader.omissions.items():
+        listed = [f"{name} ({count} times)" if count > 1 else name for name, count in names.items()]
+        warn(f"world {path.stem}: {reason}: {', '.join(listed)}")
+    return complete_world(path.stem, reader.slice.boxes, reader.slice.posts, options, description=f"from {path.name}")
 
 
-@dataclass
 class _Reader:
-    """A walk through a world, with all that it includes."""
+    """Reader of a world with all included files; collects its obstacles in `slice`."""
 
-    path: Path
-    options: ImportOptions
-    omissions: Omissions = field(default_factory=Omissions)
-    _including: list[Path] = field(default_factory=list)
-    _seen: int = 0
-
-    def __post_init__(self) -> None:
-        self._models = ModelPath(self.path, self.options.model_path)
-        self.shapes = Shapes(self.options.laser_height, self._models, self.omissions)
-        self._root, self._find = cache(read_xml), cache(self._find_model)
+    def __init__(self, path: Path, options: ImportOptions) -> None:
+        self.omissions: defaultdict[str, Counter[str]] = defaultdict(Counter)  # names by reason
+        self.slice = Slice(options.laser_height)
+        self._path, self._models, self._part_count = path, ModelPath(path, options.model_path), 0
+        self._read_xml, self._load_mesh = cache(read_xml), cache(load_mesh)
+        self._find_model = cache(self._models.find_model)
 
     def read(self, root: Element) -> None:
-        """Read the first world of an <sdf>, or its models."""
+        """Read the first world of an <sdf>, or its models without a world."""
         worlds = root.findall("world")
         for world in worlds[1:]:
-            self.omissions.add("only the first world of the file is read, not", name_of(world))
+            self._omit("only the first world of the file is read, not", element_name(world))
         if not worlds and root.find("model") is None:
-            raise InputError("it holds neither a <world> nor a <model>")
-        top = worlds[0] if worlds else root
-        self._note_plugins(top)
-        for link in top.findall("link"):
-            self.omissions.add("a <link> stands in a <model>, and not alone", name_of(link))
-        state = State(top.find("state"))
-        scope = Scope(top, IDENTITY, self.omissions.add)
-        self._read_scope(scope, self.path, state)
+            raise InputError("the file has neither a <world> nor a <model>")
+        container = worlds[0] if worlds else root
+        state, scope = State(container.find("state"), np.ones(3)), Scope(container, IDENTITY, self._omit)
+        self._read_scope(scope, self._path, state)
         for model in state.inserted:
-            self._read_model(model, scope, self.path, state.of(model))
-        for name in state.missing():
-            self.omissions.add("the state names models and links that are not there", name)
+            self._read_model(model, scope, self._path, state)
+        for name in sorted(state.unused):
+            self._omit("the <state> has unknown models", name)
 
     def _read_scope(self, scope: Scope, file: Path, state: State) -> None:
         """Read the models in a world or a model."""
+        self._omit_plugins(scope.element)
         for child in scope.element:
             if child.tag == "model":
-                if not state.deletes(name_of(child)):
-                    self._read_model(child, scope, file, state.of(child))
+                self._read_model(child, scope, file, state)
             elif child.tag == "include":
                 self._read_include(child, scope, file, state)
-            elif child.tag not in _NO_OBSTACLE:
-                name = f"{name_of(child)} (<{child.tag}>)" if child.get("name") else name_of(child)
-                self.omissions.add("not understood", name)
+            elif child.tag in ("actor", "population", "road"):  # they could be obstacles
+                self._omit("unsupported elements", f"{element_name(child)} (<{child.tag}>)")
 
-    def _read_model(
-        self, model: Element, around: Scope, file: Path, state: State, pose: np.ndarray | None = None
-    ) -> None:
-        """Read a model.
-
-        Args:
-            model: The <model>.
-            around: The scope that contains it.
-            file: The file that contains it.
-            state: Its saved state.
-            pose: Pose in the world, instead of the model's own one, shape (4, 4).
-        """
-        self._count()
-        if len(self._including) > _DEEPEST or state.depth > _DEEPEST:
-            raise InputError(f"models stand within models, or files include files, more than {_DEEPEST} deep")
-        own = state.pose
-        if own is None:
-            own = (around.place(model) if pose is None else pose) @ self._from_placement_frame(model)
-        scope = Scope(model, own, self.omissions.add)
-        self._note_plugins(model)
+    def _read_model(self, model: Element, parent: Scope, file: Path, state: State) -> None:
+        """Read a model in a scope, unless the saved state of the scope lists the model as deleted."""
+        if element_name(model) in state.deleted:
+            return
+        self._part_count += 1 + len(model.findall("link/collision"))
+        if self._part_count > _MAX_PARTS:
+            raise InputError(f"the file has more than {_MAX_PARTS} models and shapes, with all included files")
+        state = state.of(model)
+        pose = state.pose
+        if pose is None:
+            pose, frame = parent.world_pose(model), model.get("placement_frame")
+            frame_pose = Scope(model, IDENTITY, self._omit).frame_pose(frame, element_name(model)) if frame else None
+            pose = pose if frame_pose is None else pose @ np.linalg.inv(frame_pose)
+        scope = Scope(model, pose, self._omit)
         for link in model.findall("link"):
-            self._note_plugins(link)
-            at = state.link(link)
-            at = scope.place(link) if at is None else at
+            self._omit_plugins(link)
+            link_pose = state.of(link).pose
+            link_pose = scope.world_pose(link) if link_pose is None else link_pose
             for collision in link.findall("collision"):
-                self._count()
-                label = f"{name_of(model)}/{name_of(collision)}"
-                placed = Placement(scope.place(collision, at), np.array(state.scale), file, label)
-                self.shapes.add(collision, placed)
+                label = f"{element_name(model)}/{element_name(collision)}"
+                self._add_collision(collision, scope.world_pose(collision, link_pose), state.scale, file, label)
         self._read_scope(scope, file, state)
 
-    def _from_placement_frame(self, model: Element) -> np.ndarray:
-        """Pose of the model relative to its placement frame, shape (4, 4)."""
-        named = model.get("placement_frame")
-        placed = Scope(model, IDENTITY, self.omissions.add).frame(named, name_of(model)) if named else None
-        return IDENTITY if placed is None else np.linalg.inv(placed)
-
-    def _read_include(self, include: Element, around: Scope, file: Path, state: State) -> None:
-        """Read the model that an <include> names; name and pose of the <include> take precedence."""
-        self._count()
-        uri = text_of(include.find("uri"))
-        if is_remote(uri):
-            self.omissions.add("nothing is downloaded, so these are not read", uri)
-            return
-        sdf = self._find(uri, file.parent)
+    def _read_include(self, include: Element, parent: Scope, file: Path, state: State) -> None:
+        """Read the models of an <include>; the name and pose of the <include> take precedence."""
+        uri = element_text(include.find("uri"))
+        sdf = self._find_model(uri, file.parent)
         if sdf is None:
-            missing = "models that are in none of the folders (set GAZEBO_MODEL_PATH to theirs)"
-            self.omissions.add(missing, uri or name_of(include))
+            self._omit(_NOT_FOUND, uri or element_name(include))
             return
-        if sdf in self._including or sdf == self.path.absolute():
-            raise InputError(f"{sdf.name} includes itself, by way of {uri}")
-        self._note_plugins(include)
-        self._including.append(sdf)
-        given = {tag: text_of(include.find(tag)) for tag in ("name", "placement_frame")}
-        for original in self._models_in(sdf):
-            model = Element("model", {**original.attrib, **{key: value for key, value in given.items() if value}})
-            model.extend(original)
-            if not state.deletes(name_of(model)):
-                pose = None if include.find("pose") is None else around.place(include)
-                self._read_model(model, around, sdf, state.of(model), pose)
-        self._including.pop()
-
-    def _find_model(self, uri: str, folder: Path) -> Path | None:
-        """The file of the model that a URI in a file of a folder names; None if there is none."""
-        place = self._models.find(uri, folder) if uri else None
-        sdf = None if place is None else model_file(place)
-        return sdf if sdf is not None and sdf.is_file() else None
-
-    def _models_in(self, sdf: Path) -> Iterator[Element]:
-        for child in self._root(sdf):
+        self._omit_plugins(include)
+        overrides = {tag: text for tag in ("name", "placement_frame") if (text := element_text(include.find(tag)))}
+        for child in self._read_xml(sdf):
             if child.tag == "model":
-                yield child
+                model = Element("model", {**child.attrib, **overrides})
+                model.extend([*include.findall("pose"), *child])  # the first <pose> is used
+                self._read_model(model, parent, sdf, state)
             elif child.tag != "light":
-                self.omissions.add("not understood", f"{name_of(child)} in {sdf.name}")
+                self._omit("unsupported elements", f"{element_name(child)} in {sdf.name}")
 
-    def _note_plugins(self, owner: Element) -> None:
+    def _add_collision(self, collision: Element, pose: np.ndarray, scale: np.ndarray, file: Path, label: str) -> None:
+        """Add the shape of a <collision>; several <polyline> elements are one shape."""
+        shapes = collision.findall("geometry/*") or [Element("empty")]
+        try:
+            if shapes[0].tag == "mesh":
+                label = f"{label} ({element_text(shapes[0].find('uri'))})"
+                self._add_mesh(shapes[0], pose, scale, file)
+            else:
+                _add_shape(shapes, pose, scale, self.slice)
+        except OmittedShape as reason:
+            self._omit(str(reason), label)
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from None
+
+    def _add_mesh(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path) -> None:
+        path = self._models.find(element_text(shape.find("uri")), file.parent)
+        if path is None:
+            raise OmittedShape(_NOT_FOUND)
+        if shape.find("submesh") is not None:
+            self._omit("the whole mesh is used instead of a <submesh>", path.name)
+        mesh_scale = np.array(parse_sizes(shape, "scale", 3)) if shape.find("scale") is not None else np.ones(3)
+        add_mesh(self._load_mesh(path), pose, mesh_scale * scale, self.slice)
+
+    def _omit(self, reason: str, name: str) -> None:
+        self.omissions[reason][name] += 1
+
+    def _omit_plugins(self, owner: Element) -> None:
         for plugin in owner.findall("plugin"):
-            name = owner.get("name") or text_of(owner.find("name")) or text_of(owner.find("uri"))
+            name = owner.get("name") or element_text(owner.find("name")) or element_text(owner.find("uri"))
             label = f"{plugin.get('name') or plugin.get('filename')} of {name}"
-            self.omissions.add("plugins are not run, so what they move stands still", label)
+            self._omit("plugins do not run, so objects that they move stand still", label)
 
-    def _count(self) -> None:
-        self._seen += 1
-        if self._seen > _MOST:
-            raise InputError(f"it has more than {_MOST} models and shapes, includes counted each time")
+
+def _add_shape(shapes: list[Element], pose: np.ndarray, scale: np.ndarray, cut: Slice) -> None:
+    """Add a shape to a slice: all <polyline> elements together, or a single element other than a mesh."""
+    shape = shapes[0]
+    if shape.tag == "plane":
+        normal = shape.find("normal")
+        if not is_upright(pose) or (normal is not None and parse_numbers(normal, 3)[:2] != [0.0, 0.0]):
+            raise OmittedShape("only horizontal planes are supported")
+    elif shape.tag == "box":
+        cut.add_box(pose, np.array(parse_sizes(shape, "size", 3)) * scale / 2)
+    elif shape.tag == "cylinder":
+        (radius,), (length,) = parse_sizes(shape, "radius", 1), parse_sizes(shape, "length", 1)
+        cut.add_cylinder(pose, radius * max(scale[:2]), length * scale[2])
+    elif shape.tag == "sphere":
+        (radius,) = parse_sizes(shape, "radius", 1)
+        cut.add_sphere(pose, radius * max(scale))
+    elif shape.tag == "polyline":
+        _add_polyline(shapes, pose, scale, cut)
+    elif shape.tag != "empty":
+        raise OmittedShape(f"<{shape.tag}> shapes are not supported")
+
+
+def _add_polyline(lines: list[Element], pose: np.ndarray, scale: np.ndarray, cut: Slice) -> None:
+    """Add the area inside an odd number of lines; as in Gazebo, a line inside another line is the outline of a hole."""
+    (height,) = np.array(parse_sizes(lines[0], "height", 1)) * scale[2]
+    corners = [[np.array(parse_numbers(point, 2)) * scale[:2] for point in line.findall("point")] for line in lines]
+    outlines = [shapely.Polygon(points) if len(points) > 2 else shapely.Polygon() for points in corners]
+    if not all(outline.is_valid and outline.area > 0 for outline in outlines):
+        raise InputError("a <polyline> must have at least three <point>, and an outline without crossings")
+    area = outlines[0]
+    if len(outlines) > 1:
+        rings = shapely.multilinestrings([outline.exterior for outline in outlines])
+        if not rings.is_simple:
+            raise InputError("the <polyline> elements of a shape must not touch or cross each other")
+        area = shapely.build_area(rings)
+    if is_upright(pose):
+        cut.check_height(*sorted((pose[2, 3], pose[2, 3] + pose[2, 2] * height)))
+        cut.add_outline(shapely.transform(area, lambda points: points @ pose[:2, :2].T + pose[:2, 3]))
+    else:
+        triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(area))
+        cut.add_prisms(pose, [np.array(part.exterior.coords[:3]) for part in triangles], 0.0, height)

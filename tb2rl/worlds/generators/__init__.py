@@ -1,10 +1,9 @@
-"""Generators of worlds, one file per family; README.md says how to add one."""
+"""World generators, one file per family; README.md describes how to add one."""
 
 from tb2rl.worlds.generators.cells import cells
 from tb2rl.worlds.generators.circuit import circuit
 from tb2rl.worlds.generators.clutter import clutter
-from tb2rl.worlds.generators.enclosure import solvable
-from tb2rl.worlds.generators.generated import GeneratorSettings, Purpose, WorldMaker, generate, world_rng
+from tb2rl.worlds.generators.generated import GeneratorSettings, Purpose, WorldMaker, generate, solvable, world_rng
 from tb2rl.worlds.generators.maze import maze
 from tb2rl.worlds.generators.rooms import rooms
 

@@ -1,59 +1,56 @@
-"""`circuit`: one closed corridor with bends to both sides, without junctions or dead ends.
+"""`circuit`: one closed corridor with bends to both sides, without junctions and dead ends.
 
-It runs around a spanning tree of blocks of two by two fields, and so returns to where it began.
+The corridor runs around a spanning tree of blocks of two by two cells, and is closed for this reason.
 """
 
-from __future__ import annotations
+from itertools import pairwise
 
 import numpy as np
 
-from tb2rl.worlds.generators.enclosure import NARROW, Shapes, Size, solvable
-from tb2rl.worlds.generators.lattice import Field, spanning_tree, spread, walls
+from tb2rl.worlds.generators.generated import MIN_PASSAGE, Shapes, Size, solvable
+from tb2rl.worlds.generators.lattice import Pairs, random_sizes, spanning_tree, walls
 from tb2rl.worlds.world import World
 
-CORRIDOR = (1.6, 1.0)  # [m] its width at difficulty 0 and 1, at least
-WALL = 0.16  # [m] its thickness
-_PASSAGE = 2 * NARROW / CORRIDOR[0]  # share of a corridor's width that is required as passage on a small floor
-_USED = 0.75  # least share of the blocks in the tree; the others are solid
+CORRIDOR = (1.6, 1.0)  # [m] minimum width at difficulty 0 and 1
+WALL = 0.16  # [m] thickness
+_PASSAGE = 2 * MIN_PASSAGE / CORRIDOR[0]  # required passage on a small floor, as a share of the corridor's width
+_MIN_TREE = 0.75  # minimum share of the blocks in the tree; the other blocks are solid
 
 
 def circuit(rng: np.random.Generator, difficulty: float, size: Size) -> World:
-    """Each stretch of the corridor has a width of its own."""
-    narrowest = min(_fields(difficulty, length)[1] for length in size)
-    return solvable(_draw, rng, difficulty, size, widest=_PASSAGE * narrowest)
+    """A circuit whose corridor varies in width."""
+    narrowest = min(_blocks(difficulty, length)[1] for length in size)
+    return solvable(_draw, rng, difficulty, size, max_passage=_PASSAGE * narrowest)
 
 
 def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
-    (columns, least_width), (rows, least_height) = (_fields(difficulty, length) for length in size)
-    fields = int(rng.integers(int(np.ceil(_USED * columns * rows)), columns * rows + 1))
-    joined = _around(spanning_tree(rng, columns, rows, fields))
-    widths = spread(rng, size[0] - (2 * columns - 1) * WALL, least_width, 2 * columns)
-    heights = spread(rng, size[1] - (2 * rows - 1) * WALL, least_height, 2 * rows)
-    return walls(joined, widths, heights, WALL), []
+    (columns, min_width), (rows, min_height) = (_blocks(difficulty, length) for length in size)
+    block_count = int(rng.integers(int(np.ceil(_MIN_TREE * columns * rows)), columns * rows + 1))
+    connections = _outline(spanning_tree(rng, columns, rows, block_count))
+    widths = random_sizes(rng, size[0] - (2 * columns - 1) * WALL, min_width, 2 * columns)
+    heights = random_sizes(rng, size[1] - (2 * rows - 1) * WALL, min_height, 2 * rows)
+    return walls(connections, widths, heights, WALL), []
 
 
-def _fields(difficulty: float, length: float) -> tuple[int, float]:
-    """Number of blocks along a side of the floor, and least width of their corridors [m]."""
+def _blocks(difficulty: float, length: float) -> tuple[int, float]:
+    """Number of blocks along a side of the floor, and minimum width of the corridor [m]."""
     width = float(np.interp(difficulty, (0.0, 1.0), CORRIDOR))
     count = max(2, int((length + WALL) / (width + WALL) / 2))
     return count, min(width, (length - (2 * count - 1) * WALL) / (2 * count))
 
 
-def _around(tree: set[frozenset[Field]]) -> set[frozenset[Field]]:
-    """Pairs of adjacent fields along the way around a tree."""
-    joined = set[frozenset[Field]]()
-    for column, row in {field for pair in tree for field in pair}:
+def _outline(tree: Pairs) -> Pairs:
+    """Pairs of adjacent cells of the closed corridor around a tree of blocks."""
+    connections = Pairs()
+    for column, row in {block for pair in tree for block in pair}:
         x, y = 2 * column, 2 * row
-        sides = {  # the neighbouring block, and the two fields on its side
-            (column, row - 1): ((x, y), (x + 1, y)),
-            (column, row + 1): ((x, y + 1), (x + 1, y + 1)),
-            (column - 1, row): ((x, y), (x, y + 1)),
-            (column + 1, row): ((x + 1, y), (x + 1, y + 1)),
-        }
-        for other, quarters in sides.items():
-            if frozenset(((column, row), other)) in tree:  # one corridor there, and one back
-                dx, dy = other[0] - column, other[1] - row
-                joined |= {frozenset((quarter, (quarter[0] + dx, quarter[1] + dy))) for quarter in quarters}
-            else:
-                joined.add(frozenset(quarters))
-    return joined
+        ring = [(x, y), (x + 1, y), (x + 1, y + 1), (x, y + 1), (x, y)]
+        connections |= {frozenset(pair) for pair in pairwise(ring)}
+    for pair in tree:  # joins two rings by two passages between the blocks
+        (c0, r0), (c1, r1) = sorted(pair)
+        dx, dy = c1 - c0, r1 - r0
+        near = (2 * c0 + dx, 2 * r0 + dy), (2 * c0 + 1, 2 * r0 + 1)
+        far = [(x + dx, y + dy) for x, y in near]
+        connections -= {frozenset(near), frozenset(far)}
+        connections |= {frozenset(passage) for passage in zip(near, far, strict=True)}
+    return connections

@@ -1,14 +1,13 @@
 """SDF worlds that the tests write themselves, and how they are read."""
 
-from __future__ import annotations
-
 import warnings
 
 import pytest
 
 from tb2rl.core.errors import WorldWarning
 from tb2rl.worlds.formats.imports import ImportOptions
-from tb2rl.worlds.readers import read_world
+from tb2rl.worlds.formats.model_path import VARIABLES
+from tb2rl.worlds.registry import read_world
 
 
 class Sdf:
@@ -49,7 +48,7 @@ def sdf():
 @pytest.fixture
 def write(tmp_path, monkeypatch):
     """A function that writes a file below the folder of the test, whose models are found through no variable."""
-    for name in ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH"):
+    for name in VARIABLES:
         monkeypatch.delenv(name, raising=False)
 
     def write_file(name: str, content: str | bytes):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tb2rl.worlds import World
-from tb2rl.worlds.geometry import cast_many, clearance_one
-from tb2rl.worlds.index import index_of, join
+from tb2rl.worlds.geometry import cast_many, clearance_at
 from tb2rl.worlds.registry import find_world
+from tb2rl.worlds.spatial_index import build_index, join_indices
 
 BEAMS = np.cos(np.linspace(-3, 3, 60)), np.sin(np.linspace(-3, 3, 60))
 
@@ -59,21 +59,21 @@ def poses_in(world, rng, count):
 
 def ranges_from(poses, index, beams=BEAMS, world_of=None):
     ranges = np.empty((len(poses), len(beams[0])))
-    cast_many(poses, np.zeros(len(poses)) if world_of is None else world_of, *beams, *index, ranges)
+    cast_many(poses, np.zeros(len(poses)) if world_of is None else world_of, beams, index, ranges)
     return ranges
 
 
 def clearances(poses, index, world=0):
-    return np.array([clearance_one(x, y, *index, world) for x, y, _ in poses])
+    return np.array([clearance_at(x, y, index, world) for x, y, _ in poses])
 
 
 @pytest.mark.parametrize("make", WORLDS)
 def test_a_grid_finds_what_testing_every_obstacle_finds(make):
     rng = np.random.default_rng(0)
     world = make(rng)
-    grid, plain = (index_of(world.boxes, world.posts, grid_above) for grid_above in (0, 10**9))
-    assert len(grid.lists) <= 40 * (len(world.boxes) + len(world.posts)), "it stays small where obstacles overlap"
-    x0, y0, side, columns, rows = grid.parts[0, :5]
+    grid, plain = (build_index(world.boxes, world.posts, grid_above) for grid_above in (0, 10**9))
+    assert len(grid.cell_lists) <= 40 * (len(world.boxes) + len(world.posts)), "it stays small where obstacles overlap"
+    x0, y0, side, columns, rows = grid.worlds[0, :5]
     lines = np.array([(x0 + side * i, y0 + side * j, 0.0) for i in range(int(columns)) for j in range(int(rows))])
     quarters = np.array([1.0, 0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0, -1.0])  # beams along the lines of the grid
     for poses, beams in ((poses_in(world, rng, 500), BEAMS), (rng.permutation(lines)[:500], quarters)):
@@ -86,10 +86,10 @@ def test_a_grid_finds_what_testing_every_obstacle_finds(make):
 def test_each_environment_sees_its_own_world():
     rng = np.random.default_rng(0)
     worlds = [find_world("round"), scattered(rng), find_world("loop"), cells_of_a_map(rng), scattered(rng, 0, 200)]
-    index, poses = join([world.index for world in worlds]), poses_in(worlds[1], rng, 300)
+    index, poses = join_indices([world.spatial_index for world in worlds]), poses_in(worlds[1], rng, 300)
     world_of = rng.integers(len(worlds), size=len(poses)).astype(float)
     ranges = ranges_from(poses, index, world_of=world_of)
     for number, world in enumerate(worlds):
         own = poses[world_of == number]
-        assert (ranges[world_of == number] == ranges_from(own, world.index)).all()
-        assert (clearances(own, index, number) == clearances(own, world.index)).all()
+        assert (ranges[world_of == number] == ranges_from(own, world.spatial_index)).all()
+        assert (clearances(own, index, number) == clearances(own, world.spatial_index)).all()

@@ -1,0 +1,227 @@
+"""The parts of a task: sensors and filters from its settings, and a dry run of its methods."""
+
+import inspect
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tb2rl.core import InputError, find_plugin, import_object, make_part, one_line, unknown
+from tb2rl.envs import filters
+from tb2rl.envs.filters import Filter
+from tb2rl.sensors import Sensor, camera, goal, laser, motion
+from tb2rl.simulation import InitialState, RobotState, SimulationSpec
+from tb2rl.simulation.random_streams import GeneratorSource
+from tb2rl.tasks import Actions, Outcome, Task
+
+_NUM_ENVS = 2  # of a dry run; with one, `if after.bumped` and arrays without a leading axis would pass
+
+SENSORS: dict[str, tuple[type[Sensor], ...]] = {  # by name in `task.observe`
+    "bumper": (motion.Bumper,),
+    "camera": (camera.Camera,),
+    "free_paths": (laser.FreePaths,),
+    "goal": (goal.GoalDistance, goal.GoalBearing),
+    "goal_direction": (goal.GoalDirection,),
+    "imu": (motion.YawRate, motion.ForwardAcceleration),
+    "laser": (laser.LaserRanges,),
+    "last_action": (motion.LastAction,),
+    "twist": (motion.ForwardSpeed, motion.TurnRate),
+    "visited": (motion.Visited,),
+    "waypoint": (goal.Waypoint,),
+    "waypoint_bearing": (goal.WaypointBearing,),
+}
+
+
+def observed_sensors(task: Task, task_sensors: tuple[Sensor, ...], spec: SimulationSpec) -> tuple[Sensor, ...]:
+    """The sensors in `task.observe`, or `task_sensors` if `task.observe` is None.
+
+    If `task_sensors` or `task.available_sensors` has a sensor of the same class, an entry without arguments selects
+    that sensor, with its settings.
+
+    Args:
+        task: The task.
+        task_sensors: The result of `task.sensors`.
+        spec: The robot and the worlds.
+
+    Raises:
+        InputError: If a name is unknown, an argument is invalid, or a sensor is listed twice.
+    """
+    if task.observe is None:
+        return task_sensors
+    configured = {type(sensor): sensor for sensor in reversed([*task_sensors, *task.available_sensors(spec)])}
+    scene_parts = {"robot": spec.robot, "laser": spec.laser, "camera": spec.robot.camera, "worlds": spec.worlds}
+    sensors: list[Sensor] = []
+    for name, arguments in _entries(task.observe):
+        if ":" not in name and name not in SENSORS:
+            raise unknown("sensor of task.observe:", name, SENSORS)
+        label = f"task.observe: {name!r}"
+        classes = (_checked_class(import_object(name), Sensor, label),) if ":" in name else SENSORS[name]
+        if arguments and len(classes) > 1:
+            references = " and ".join(f"{cls.__module__}:{cls.__name__}" for cls in classes)
+            raise InputError(f"task.observe.{name} is several sensors; give arguments to {references} instead")
+        for cls in classes:
+            if cls in configured and not arguments:
+                sensors.append(configured[cls])
+            else:
+                given = {key: scene_parts[key] for key in inspect.signature(cls).parameters if key in scene_parts}
+                sensors.append(make_part(cls, arguments, f"task.observe.{name}", given))
+    names = [sensor.name for sensor in sensors]
+    duplicates = [name for name in names if names.count(name) > 1]
+    if duplicates:
+        raise InputError(one_line(f"task.observe: sensor {duplicates[0]!r} is listed twice"))
+    return tuple(sensors)
+
+
+def task_filters(task: Task) -> tuple[Filter, ...]:
+    """New filters, in the order of `task.filters`.
+
+    Raises:
+        InputError: If there is no such filter, or an argument is invalid.
+    """
+    return tuple(make_part(cls, arguments, f"task.filters.{cls.__name__}") for cls, arguments in _filters(task))
+
+
+def describe_filters(task: Task) -> tuple[list[dict[str, Any]], list[Path]]:
+    """Describe the filters of a task for an exported policy.
+
+    Returns:
+        Class name and arguments of each filter, and the files of users' filter classes.
+    """
+    entries = [{"class": cls.__name__, "arguments": dict(arguments)} for cls, arguments in _filters(task)]
+    files = [Path(inspect.getfile(cls)) for cls, _ in _filters(task)]
+    return entries, [file for file in dict.fromkeys(files) if file != Path(filters.__file__)]
+
+
+def _filters(task: Task) -> Iterator[tuple[type[Filter], Mapping[str, Any]]]:
+    for name, arguments in _entries(task.filters):
+        yield _checked_class(find_plugin("filter", name), Filter, f"task.filters: {name!r}"), arguments
+
+
+def _entries(setting: Sequence[str | Mapping[str, Any]]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Name and arguments of each entry, which is a name, or {name: arguments}."""
+    for entry in setting:
+        ((name, arguments),) = [(entry, None)] if isinstance(entry, str) else entry.items()
+        yield name, arguments or {}
+
+
+def _checked_class(found: Any, base: type, where: str) -> Any:
+    """Return `found` if it is a concrete class derived from `base`."""
+    if not (isinstance(found, type) and issubclass(found, base)) or inspect.isabstract(found):
+        raise InputError(one_line(f"{where} is not a class derived from {base.__module__}.{base.__name__}"))
+    return found
+
+
+def checked_task_parts(task: Task, spec: SimulationSpec) -> tuple[Actions, tuple[Sensor, ...]]:
+    """The actions and sensors of a task, after a dry run of its methods in two environments without a simulator.
+
+    Raises:
+        InputError: If a method returns a wrong type or shape. Exceptions inside a method pass unchanged.
+    """
+    actions, where = task.actions, f"task {type(task).__name__}"
+    hint = ", or @property is missing above it" if callable(actions) else ""
+    _require(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
+    with np.errstate(all="ignore"):  # some tasks divide by a speed, which is 0 here
+        goalless_worlds = [index for index, world in enumerate(spec.worlds) if task.goal_task and world.goal is None]
+        for start_spec in (*map(spec.for_world, {0, *goalless_worlds}), spec):
+            random = GeneratorSource(np.random.default_rng(0), _NUM_ENVS)
+            initial_state = task.initial_state(start_spec, random)
+            _check_initial_state(initial_state, task, spec, f"{where}: initial_state must")
+            task.resolved_variation.vary(initial_state, random)
+        robot_state, task_sensors = _state_at_rest(initial_state, spec), task.sensors(spec)
+        is_sequence = isinstance(task_sensors, tuple | list)
+        _require(is_sequence, f"{where}: sensors must return a tuple: (Compass(),)", task_sensors)
+        for sensor in task_sensors:
+            hint = f": write {sensor.__name__}()" if isinstance(sensor, type) else ""
+            _require(isinstance(sensor, Sensor), f"{where}: sensors must return sensors{hint}", sensor)
+        sensors = observed_sensors(task, tuple(task_sensors), spec)
+        for sensor in sensors:
+            _check_sensor(sensor, robot_state)
+        action = np.zeros((_NUM_ENVS, *(actions.space.shape or ())), actions.space.dtype)
+        _check_outcome(task.outcome(robot_state, action, robot_state), task.goal_task, where)
+    return actions, sensors
+
+
+@dataclass(frozen=True)
+class _BlankCamera:
+    """A camera source whose images are black and infinitely deep."""
+
+    spec: SimulationSpec
+
+    def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        shape = len(robot_state.pose), height, width
+        return np.zeros((*shape, 3), dtype=np.uint8), np.full(shape, np.inf, dtype=np.float32)
+
+
+def _check_initial_state(initial_state: Any, task: Task, spec: SimulationSpec, prefix: str) -> None:
+    """Check the result of `Task.initial_state`; error messages begin with `prefix`."""
+    _require(isinstance(initial_state, InitialState), f"{prefix} return an InitialState", initial_state)
+    shape, table = (_NUM_ENVS, spec.table.shape[1]), initial_state.table
+    _require(np.shape(table) == shape, f"{prefix} return random.num_envs rows, here a table of shape {shape}", table)
+    worlds, num_worlds = initial_state.world.tolist(), len(spec.worlds)
+    _require(set(worlds) <= set(range(num_worlds)), f"{prefix} use indices of worlds, below {num_worlds}", worlds)
+    _require(np.isfinite(initial_state.pose).all(), f"{prefix} return finite poses", initial_state.pose.tolist())
+    without_goal = np.isnan(initial_state.goal).any(axis=1)
+    if task.goal_task and without_goal.any():
+        world = spec.worlds[int(initial_state.world[without_goal.argmax()])].name
+        fix = "task.goal to [x, y]" if hasattr(task, "goal") else "initial_state.goal in initial_state"
+        raise InputError(f"world {world} has no goal; set {fix}, or a goal in the world's file")
+
+
+def _state_at_rest(initial_state: InitialState, spec: SimulationSpec) -> RobotState:
+    """A read-only robot state at the start of episodes, far from all obstacles."""
+    pose, ranges = initial_state.pose.copy(), np.full((_NUM_ENVS, len(spec.laser.angles)), spec.laser.max_range)
+    twist, acceleration, no_contact = np.zeros((_NUM_ENVS, 2)), np.zeros(_NUM_ENVS), np.zeros(_NUM_ENVS, bool)
+    table, nearest, outlines = initial_state.table.copy(), ranges.min(axis=1), np.zeros((_NUM_ENVS, 1, 6))
+    for array in (pose, ranges, twist, acceleration, no_contact, table, nearest, outlines):
+        array.flags.writeable = False
+    values = pose, twist, pose, twist, ranges, no_contact, twist, acceleration
+    obstacles = (outlines, no_contact) if spec.has_dynamic_obstacles else ()
+    return RobotState(*values, InitialState(table), _BlankCamera(spec), *obstacles, nearest_range=nearest)
+
+
+def _check_sensor(sensor: Sensor, robot_state: RobotState) -> None:
+    where, shape = f"sensor {type(sensor).__name__}", sensor.shape
+    declared: list[Any] = [getattr(sensor, key, None) for key in ("name", "low", "high")]
+    name, low, high = declared
+    _require(isinstance(name, str), f"{where}: name must be a string", name)
+    is_shape = isinstance(shape, tuple) and all(isinstance(count, int | np.integer) and count > 0 for count in shape)
+    _require(is_shape, f"{where}: shape must be a tuple of counts, such as (1,)", shape)
+    dtype: type = np.uint8 if len(shape) == 3 else float
+    has_limits = dtype is np.uint8 or (_is_numeric(low) and _is_numeric(high) and np.all(np.less(low, high)))
+    _require(has_limits, f"{where}: low and high must be numbers, low the smaller one", (low, high))
+    values = sensor.read(robot_state)
+    is_valid = _is_array(values, shape, dtype)
+    hint = " (episodes of this task have no goal)" if is_valid and np.isnan(robot_state.goal).any() else ""
+    expected = f"an array of shape {('num_envs', *shape)}, {dtype.__name__}, not NaN{hint}"
+    _require(is_valid and not np.isnan(values).any(), f"sensor {name} must read {expected}", values)
+
+
+def _check_outcome(outcome: Any, goal_task: bool, where: str) -> None:
+    _require(isinstance(outcome, Outcome), f"{where}: outcome must return an Outcome", outcome)
+    reward, succeeded = outcome.reward, outcome.succeeded
+    _require(_is_array(reward, (), float), f"{where}: outcome's reward must have shape (num_envs,)", reward)
+    for key, endings in (("failed", outcome.failed), ("succeeded", {} if succeeded is None else succeeded)):
+        _require(isinstance(endings, Mapping), f'{where}: outcome must return {key}={{"name": mask}}', endings)
+        for name, mask in endings.items():
+            _require(_is_array(mask, (), bool), f"{where}: {key}[{name!r}] must be bool, shape (num_envs,)", mask)
+    if goal_task and succeeded is None:
+        raise InputError(f'{where}: goal_task is True, so outcome must return succeeded={{"goal": mask}}')
+    if succeeded is not None and not goal_task:
+        raise InputError(f"{where}: outcome returns an Outcome with succeeded, so set goal_task = True in the class")
+
+
+def _is_array(value: Any, shape: tuple[int, ...], dtype: type) -> bool:
+    return isinstance(value, np.ndarray) and value.shape == (_NUM_ENVS, *shape) and np.can_cast(value.dtype, dtype)
+
+
+def _is_numeric(value: Any) -> bool:
+    return np.asarray(value).dtype.kind in "iuf"
+
+
+def _require(condition: Any, requirement: str, value: Any) -> None:
+    if not condition:
+        is_array = isinstance(value, np.ndarray) and value.ndim > 0
+        shown = f"an array of {value.dtype}, shape {value.shape}" if is_array else one_line(repr(value), 60)
+        raise InputError(f"{requirement}; got {shown}")
