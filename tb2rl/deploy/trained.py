@@ -1,39 +1,36 @@
-"""Runs a policy of tb2rl for a driver: sensor data becomes the observation of its training."""
-
-from __future__ import annotations
+"""A policy of tb2rl for a driver, which converts sensor data to the observations of the training."""
 
 from copy import deepcopy
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from tb2rl.deploy.needs import needs_in
+from tb2rl.deploy.description import find_needs
 from tb2rl.deploy.portable.policy_contract import SensorData, Speeds
-from tb2rl.envs.encodings import rows
+from tb2rl.envs.encodings import take_rows
 from tb2rl.envs.observation_pipeline import ObservationPipeline
-from tb2rl.runs.config import Config
-from tb2rl.runs.loading import config_of, load
+from tb2rl.runs import Config, config_of, load
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.worlds import World
 
-_MARGIN = 5.0  # [m] of the map around a robot and its goal
+_MARGIN = 5.0  # [m] of an empty world around the robot and its goal
 
 
 class TrainedPolicy:
     """A policy with the observations and actions of its training; a `tb2rl.deploy.Policy`.
 
-    A task with `map: online` draws its map itself; for one with `map: known`, the driver needs a plan. Goals are in the
-    odometry frame, and the odometry counts as the true pose.
+    With `map: online` the policy maps its surroundings itself; with `map: known` the driver needs a plan. Goals are in
+    the odometry frame, and odometry replaces the true pose.
 
     Args:
         policy: A policy from `tb2rl.load` or `tb2rl.train`, or an argument of `tb2rl.load`.
-        config: Its task; None: the task of its training. A policy that was not trained here needs one.
+        config: The configuration with the task; by default that of the training, if there was one.
 
     Attributes:
-        needs: Its requirements.
-        filters: The filters of its commands.
+        needs: The requirements of the policy.
+        filters: The filters of the commands.
 
     Raises:
         InputError: If there is no such policy, or it observes what no robot can sense.
@@ -43,82 +40,57 @@ class TrainedPolicy:
         if isinstance(policy, str | Path):
             policy = load(policy)
         self._scene = (config or config_of(policy)).scene
-        self.needs, self.filters = needs_in(self._scene), list(deepcopy(self._scene.filters))
+        self.needs, self.filters = find_needs(self._scene), list(deepcopy(self._scene.filters))
         self._policy = getattr(policy, "policy", policy)
-        self._compile()
+        sensor_data = SensorData(np.full(len(self.needs.beams), np.inf), goal=(2.0, 0.0), waypoint=(1.0, 0.0))
+        self.reset()
+        for _ in range(2):  # because compilation during the first two steps would delay a drive
+            self.act(sensor_data)
+        self.reset()
 
     def reset(self) -> None:
         """Start a new episode."""
         self._observation_pipeline: ObservationPipeline | None = None
-        self._memory: Any = None  # of a recurrent policy
+        self._recurrent_state: Any = None
         self._speed = 0.0
 
-    def act(self, sensed: SensorData) -> Speeds:
+    def act(self, sensor_data: SensorData) -> Speeds:
         """The greedy command of the next control step."""
         if self._observation_pipeline is None:
-            self._observation_pipeline = self._new_episode(sensed)
-            observations = self._observation_pipeline.reset(self._robot_state(sensed))
+            self._observation_pipeline = self._new_episode(sensor_data)
+            observations = self._observation_pipeline.reset(self._robot_state(sensor_data))
         else:
-            self._observation_pipeline.remember(np.array([sensed.command], dtype=float))
-            observations = self._observation_pipeline.step(self._robot_state(sensed))
-        memory = {} if self._memory is None else {"state": self._memory}
-        action, self._memory = self._policy.predict(rows(observations, 0), deterministic=True, **memory)
-        v, w = self._scene.actions.commands(self._scene.actions.checked(action))[0].tolist()
-        return v, w
+            robot_state = self._robot_state(sensor_data)
+            observations = self._observation_pipeline.step(robot_state, robot_state.command)
+        keywords = {} if self._recurrent_state is None else {"state": self._recurrent_state}
+        action, self._recurrent_state = self._policy.predict(take_rows(observations, 0), deterministic=True, **keywords)
+        return tuple(self._scene.actions.commands(self._scene.actions.checked(action))[0].tolist())
 
-    def _compile(self) -> None:
-        """Compile now what two steps compile, because compilation would delay the first steps of a drive."""
-        sensed = SensorData(np.full(len(self.needs.beams), np.inf), goal=(2.0, 0.0), waypoint=(1.0, 0.0))
-        self.reset()
-        for _ in range(2):
-            self.act(sensed)
-        self.reset()
-
-    def _new_episode(self, sensed: SensorData) -> ObservationPipeline:
-        scene = self._scene
-        place = sensed.pose[:2]
-        world = floor(place, sensed.goal or place) if scene.task.maps_online else floor()
+    def _new_episode(self, sensor_data: SensorData) -> ObservationPipeline:
+        scene, position = self._scene, sensor_data.pose[:2]
+        points = (position, sensor_data.goal or position) if scene.task.maps_online else ((0.0, 0.0),)
+        world = make_empty_world(*points)
         spec = SimulationSpec(scene.robot, scene.laser, (world,))
         self._initial_state = InitialState.default(spec, 1)
-        states = scene.episode_states(spec)
-        return ObservationPipeline(
-            scene.encoding, scene.observation_space, scene.task.frame_stack, episode_states=states
-        )
+        return scene.observation_pipeline(spec)
 
-    def _robot_state(self, sensed: SensorData) -> RobotState:
-        """The sensor data in the form of the simulators."""
-        if sensed.goal is not None:
-            self._initial_state.goal[:] = sensed.goal
-        pose, twist = np.array([sensed.pose], dtype=float), np.array([sensed.twist], dtype=float)
-        faster, self._speed = sensed.twist[0] - self._speed, sensed.twist[0]
-        return RobotState(
-            pose=pose,
-            twist=twist,
-            odometry=pose,
-            odometry_twist=twist,
-            ranges=np.array([sensed.ranges], dtype=float),
-            bumped=np.array([sensed.bumped]),
-            command=np.array([sensed.command], dtype=float),
-            acceleration=np.array([faster / self.needs.period]),
-            initial_state=self._initial_state,
-            occupancy_map=None if sensed.waypoint is None else _Plan(np.array([sensed.waypoint], dtype=float)),
-        )
+    def _robot_state(self, sensor_data: SensorData) -> RobotState:
+        """The sensor data as the robot state of a simulator."""
+        if sensor_data.goal is not None:
+            self._initial_state.goal[:] = sensor_data.goal
+        measurements = sensor_data.pose, sensor_data.twist, sensor_data.ranges, sensor_data.command
+        pose, twist, ranges, command = (np.array([values], dtype=float) for values in measurements)
+        acceleration, self._speed = (sensor_data.twist[0] - self._speed) / self.needs.period, sensor_data.twist[0]
+        other_fields = np.array([sensor_data.bumped]), command, np.array([acceleration]), self._initial_state
+        plan: Any = None
+        if sensor_data.waypoint is not None:  # the only known point of the plan
+            waypoint = np.array([sensor_data.waypoint], dtype=float)
+            plan = SimpleNamespace(lookahead_point=lambda robot_state, lookahead: waypoint)
+        return RobotState(pose, twist, pose, twist, ranges, *other_fields, occupancy_map=plan)
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """A plan from outside, of which one point is known."""
-
-    waypoint: np.ndarray
-
-    def lookahead_point(self, robot_state: RobotState, lookahead: float) -> np.ndarray:
-        """See `RobotState.lookahead_point`."""
-        return self.waypoint
-
-
-def floor(*places: tuple[float, float]) -> World:
-    """An empty world around some places."""
-    x, y = np.array(places or ((0.0, 0.0),)).T
-    left, bottom, right, top = (float(side) for side in (x.min(), y.min(), x.max(), y.max()))
+def make_empty_world(*points: tuple[float, float]) -> World:
+    """Make a world without obstacles around some points x, y [m]."""
+    (left, bottom), (right, top) = np.min(points, axis=0).tolist(), np.max(points, axis=0).tolist()
     bounds = (left - _MARGIN, bottom - _MARGIN, right + _MARGIN, top + _MARGIN)
     return World.from_shapes("floor", start=(left, bottom, 0.0), bounds=bounds)

@@ -1,5 +1,4 @@
-"""How good a policy is: an episode driven, many of them evaluated, and the figures with their intervals.
+"""Evaluation of policies: episodes, metrics, confidence intervals and suites.
 
-What is judged comes back as a value: nothing here writes a file or prints a table. Imported from here:
-robots with ROS and below.
+Functions return their results; they write no files and print no tables. Imports `deploy` and the packages below it.
 """

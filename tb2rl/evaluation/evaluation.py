@@ -1,9 +1,7 @@
-"""The result of an evaluation: its episodes, its conditions, and the figures of its metrics."""
-
-from __future__ import annotations
+"""The result of an evaluation, and how a run folder stores it."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -14,24 +12,22 @@ from tb2rl.core.values import Count, checked, type_with_checks
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import Episode
 from tb2rl.evaluation.metrics import figures, shown_metrics
-from tb2rl.runs.config import Config, config_from
-from tb2rl.runs.folder import EVALUATION, Run
-from tb2rl.runs.versions import versions
+from tb2rl.runs import EVALUATION, Config, Run, config_from, versions
 from tb2rl.simulation import find_simulator
 from tb2rl.tasks import Task
 
-_ARRAYS = ("path", "actions")
-_FIGURES = tuple(field.name for field in fields(Episode) if field.name not in _ARRAYS)
+_ARRAYS = ("path", "actions")  # fields of `Episode` that a run folder stores as arrays
+_PLAIN_FIELDS = tuple(field.name for field in fields(Episode) if field.name not in _ARRAYS)
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The episodes of a policy and their conditions.
+    """The episodes of a policy.
 
     Attributes:
         episodes: At least one.
-        scene: The task and the worlds; its time limit is that of the episodes.
-        seed: Of the initial states and of all noise.
+        scene: The task, with the time limit of the episodes, and the worlds.
+        seed: Seed of the initial states and of all noise.
         simulation: Name of the simulator.
     """
 
@@ -43,12 +39,13 @@ class Evaluation:
     def __repr__(self) -> str:
         """The table of `rows`, for notebooks and `print`."""
         rows = [(f"{len(self.episodes)} episodes of at most {self.steps} steps", "value", ""), *self.rows()]
-        first, second = (max(len(row[column]) for row in rows) for column in (0, 1))
-        return "\n".join(f"{name:{first}}  {value:>{second}}  {more}".rstrip() for name, value, more in rows)
+        label_width, value_width = (max(len(row[column]) for row in rows) for column in (0, 1))
+        lines = (f"{label:{label_width}}  {value:>{value_width}}  {spread}" for label, value, spread in rows)
+        return "\n".join(line.rstrip() for line in lines)
 
     @property
     def task(self) -> Task:
-        """The task, with the time limit of the episodes."""
+        """The task of the scene."""
         return self.scene.task
 
     @property
@@ -57,85 +54,81 @@ class Evaluation:
         return self.task.episode_steps
 
     def summary(self) -> dict[str, Any]:
-        """Conditions, figures of all metrics, and counts of endings, as JSON keeps them."""
+        """Options of the evaluation, figures of all metrics, and counts of the endings, for JSON."""
         return {
             "episodes": len(self.episodes),
             "steps": self.steps,
             "seed": self.seed,
             "simulation": self.simulation,
             **figures(self.episodes, self.task.control_period),
-            "endings": dict(sorted(Counter(self._each("ended")).items())),
+            "endings": dict(sorted(Counter(self._column("ended")).items())),
         }
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """The table: label, figure, and unit with spread or interval."""
+        """Rows of a table: label, figure, and spread or interval with the unit."""
         summary = self.summary()
         endings = ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items())
         return [*(metric.row(summary) for metric in shown_metrics(self.task.goal_task)), ("endings", "", endings)]
 
     @property
     def score(self) -> tuple[float, float]:
-        """By which checkpoints are compared: the success rate, then the mean return.
+        """The key by which training compares checkpoints: the rounded success rate, then the mean return.
 
-        Rates of the same half percent are equal, because one episode of a thousand more is chance, and a training would
-        keep a slow policy for it.
+        Success rates are rounded to half percents, so that one more success in a thousand episodes, which is chance,
+        does not outweigh a higher return.
         """
-        half_percents = round(200 * float(np.mean(self._each("success"))))
-        return half_percents / 200, float(np.mean(self._each("episode_return")))
+        success_rate, mean_return = (float(np.mean(self._column(name))) for name in ("success", "episode_return"))
+        return round(200 * success_rate) / 200, mean_return
 
     @property
     def good_rate(self) -> float:
-        """The share of episodes that reach the goal or, at a task without one, do not fail."""
-        good = self._each("success") if self.task.goal_task else [not failed for failed in self._each("failed")]
+        """The success rate; for a task without a goal the share of episodes that do not fail."""
+        good = self._column("success") if self.task.goal_task else np.logical_not(self._column("failed"))
         return float(np.mean(good))
 
-    def tree(self, config: Config, policy: str) -> tuple[dict[str, Any], dict[str, list[np.ndarray]]]:
-        """All of it for a run folder, see `Run.write_evaluation` and `kept_evaluation`.
+    def serialize(self, config: Config, policy: str) -> tuple[dict[str, Any], dict[str, list[np.ndarray]]]:
+        """The content of the files that `Run.write_evaluation` writes and `load_evaluation` reads.
 
         Args:
-            config: Of the policy's training.
-            policy: Its name, or that of its file.
+            config: The config of the policy's training.
+            policy: Name or file of the policy.
 
         Returns:
-            Plain values: the summary, the conditions, and every episode as "each"; and the arrays of the episodes.
+            Plain values with all episodes under the key "each", and the arrays of the episodes by name.
         """
-        each = [{name: getattr(episode, name) for name in _FIGURES} for episode in self.episodes]
-        about = {"policy": policy, "config": config.to_dict(), "versions": versions()}
-        return {**self.summary(), **about, "each": each}, {name: self._each(name) for name in _ARRAYS}
+        episodes = [{name: getattr(episode, name) for name in _PLAIN_FIELDS} for episode in self.episodes]
+        origin = {"policy": policy, "config": config.to_dict(), "versions": versions()}
+        return {**self.summary(), **origin, "each": episodes}, {name: self._column(name) for name in _ARRAYS}
 
-    def _each(self, name: str) -> list[Any]:
+    def _column(self, name: str) -> list[Any]:
         return [getattr(episode, name) for episode in self.episodes]
 
 
-def kept_evaluation(run: Run) -> Evaluation:
-    """The standard evaluation that a run folder keeps.
+def load_evaluation(run: Run) -> Evaluation:
+    """Load the standard evaluation of a run folder.
 
     Raises:
-        InputError: If there is none, its files are damaged or do not belong together, or it is not of the run's task.
+        InputError: If there is none, its files are damaged or inconsistent, or it belongs to another task.
     """
     tree, arrays = run.read_evaluation()
     try:
-        episodes = _episodes_from(tree["each"], arrays)
-        steps, seed = checked(Count, tree["steps"], "steps"), checked(int, tree["seed"], "seed")
-        simulation = find_simulator(tree["simulation"]).name
-        task = config_from(tree["config"]).task
+        stored_rows = zip(tree["each"], *(arrays[name] for name in _ARRAYS), strict=True)
+        fields_of_episodes = [{**plain, **dict(zip(_ARRAYS, values, strict=True))} for plain, *values in stored_rows]
+        episodes: list[Episode] = checked(list[type_with_checks(Episode)], fields_of_episodes, "each")  # type: ignore[misc]
+        scene = run.config.scene.for_purpose("test").with_time_limit(checked(Count, tree["steps"], "steps"))
+        if config_from(tree["config"]).task != run.config.task or not _are_possible(episodes, scene):
+            raise ValueError("its task or its episodes do not match the task in config.yaml")
+        seed, simulation = checked(int, tree["seed"], "seed"), find_simulator(tree["simulation"]).name
     except (LookupError, TypeError, ValueError) as error:  # an InputError is a ValueError
         raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation: {error!s}")) from None
-    if task != run.config.task:
-        raise InputError(f"{run.folder}: {EVALUATION} is not of the task in config.yaml")
-    scene = run.config.scene.worlds_for("test").with_time_limit(steps)
-    if any(episode.actions.shape[1:] != scene.action_space.shape for episode in episodes):
-        raise InputError(f"{run.folder}: {EVALUATION} has other actions than the task in config.yaml")
-    if any(episode.world >= len(scene.spec.worlds) for episode in episodes):
-        raise InputError(f"{run.folder}: {EVALUATION} has more worlds than the task in config.yaml")
     return Evaluation(episodes, scene, seed, simulation)
 
 
-def _episodes_from(each: Sequence[Mapping[str, Any]], arrays: Mapping[str, Sequence[np.ndarray]]) -> list[Episode]:
-    columns = [arrays[name] for name in _ARRAYS]
-    trees = [{**figures, **dict(zip(_ARRAYS, row, strict=True))} for figures, *row in zip(each, *columns, strict=True)]
-    episodes: list[Episode] = checked(list[type_with_checks(Episode)], trees, "each")  # type: ignore[misc]
-    fits = [(e.path.shape, len(e.actions)) == ((e.length + 1, 2), e.length) for e in episodes]
-    if not episodes or not all(fits):
-        raise ValueError("its episodes have other lengths than their paths and actions")
-    return episodes
+def _are_possible(episodes: Sequence[Episode], scene: Scene) -> bool:
+    """Whether there are episodes, and their paths, actions and worlds are possible in a scene."""
+    return bool(episodes) and all(
+        episode.path.shape == (episode.length + 1, 2)
+        and episode.actions.shape == (episode.length, *(scene.action_space.shape or ()))
+        and episode.world < len(scene.spec.worlds)
+        for episode in episodes
+    )

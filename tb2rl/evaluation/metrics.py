@@ -1,6 +1,4 @@
-"""The metrics of an evaluation: the one list from which tables, JSON, TensorBoard, pages and cards are made."""
-
-from __future__ import annotations
+"""The list of metrics that tables, JSON files, TensorBoard, reports and the zoo's cards show."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,89 +12,85 @@ from tb2rl.evaluation.statistics import wilson_interval
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure of an evaluation.
+    """A statistic of the episodes of an evaluation.
 
     Attributes:
-        name: Its key; a rate has the keys NAME_rate and NAME_interval, a mean mean_NAME and std_NAME, others NAME.
-        label: In tables.
-        unit: Of the figure, "" for none.
-        value: Of one episode, from the episode and its duration [s].
-        kind: "rate" of episodes, with its 95 % interval; "mean" with standard deviation; "median"; "ratio" of the sum
-            of values to the sum of `per`.
-        per: Divisor of a ratio, from the same.
-        higher_is_better: None: neither is better.
-        goals_only: Whether only tasks with a goal show it in tables.
-        in_tables: Whether tables show it at all.
+        name: Keys in JSON are NAME_rate and NAME_interval for a rate, mean_NAME and std_NAME for a mean, else NAME.
+        label: Label in tables.
+        unit: Unit in tables, or "".
+        value: Function from an episode to its value.
+        statistic: Statistic of the values: a "rate" with its 95 % interval, a "mean" with the standard deviation, the
+            "median", or the sum "per second" of simulated time.
+        goals_only: Whether tables show the metric for tasks with a goal only.
+        in_tables: Whether tables show the metric at all.
     """
 
     name: str
     label: str
     unit: str
-    value: Callable[[Episode, float], float]
-    kind: Literal["rate", "mean", "median", "ratio"] = "mean"
-    per: Callable[[Episode, float], float] | None = None
-    higher_is_better: bool | None = True
+    value: Callable[[Episode], float]
+    statistic: Literal["rate", "mean", "median", "per second"] = "mean"
     goals_only: bool = False
     in_tables: bool = True
 
     @property
     def key(self) -> str:
-        """The key of its main figure in `figures`."""
-        return {"rate": f"{self.name}_rate", "mean": f"mean_{self.name}"}.get(self.kind, self.name)
+        """The key of the statistic in `figures`."""
+        return {"rate": f"{self.name}_rate", "mean": f"mean_{self.name}"}.get(self.statistic, self.name)
 
     def figures(self, episodes: Sequence[Episode], control_period: float) -> dict[str, Any]:
-        """The figure and its spread, by their keys."""
-        durations = [episode.length * control_period for episode in episodes]
-        values = [self.value(episode, time) for episode, time in zip(episodes, durations, strict=True)]
-        if self.kind == "rate":
+        """The statistic, and its interval or standard deviation, by key."""
+        values = [self.value(episode) for episode in episodes]
+        if self.statistic == "rate":
             interval = wilson_interval(sum(map(bool, values)), len(values))
             return {self.key: float(np.mean(values)), f"{self.name}_interval": interval}
-        if self.kind == "mean":
+        if self.statistic == "mean":
             return {self.key: float(np.mean(values)), f"std_{self.name}": float(np.std(values))}
-        if self.per is not None:
-            return {self.key: sum(values) / sum(map(self.per, episodes, durations))}
+        if self.statistic == "per second":
+            return {self.key: sum(values) / sum(episode.length * control_period for episode in episodes)}
         return {self.key: float(np.median(values))}
 
     def format(self, figure: float) -> str:
-        """A figure as text, rates in percent."""
-        if self.kind == "rate":
+        """The statistic as text, rates in percent."""
+        if self.statistic == "rate":
             return f"{100 * figure:.1f} %"
-        return f"{figure:.1f}" if self.kind == "mean" else f"{figure:.3f}" if self.kind == "ratio" else f"{figure:g}"
+        style = {"mean": ".1f", "per second": ".3f"}.get(self.statistic, "g")
+        return f"{figure:{style}}"
 
     def spread(self, figures: Mapping[str, Any]) -> str:
-        """The 95 % interval of a rate or the standard deviation of a mean; else ""."""
-        if self.kind == "rate":
+        """The 95 % interval of a rate or the standard deviation of a mean as text, else ""."""
+        if self.statistic == "rate":
             low, high = figures[f"{self.name}_interval"]
             return f"{100 * low:.1f} to {100 * high:.1f} %"
-        return f"\u00b1 {figures[f'std_{self.name}']:.1f}" if self.kind == "mean" else ""
+        return f"\u00b1 {figures[f'std_{self.name}']:.1f}" if self.statistic == "mean" else ""
 
     def row(self, figures: Mapping[str, Any]) -> tuple[str, str, str]:
-        """Label, figure, and spread with unit, for a table."""
-        spread = f"95 % interval {self.spread(figures)}" if self.kind == "rate" else self.spread(figures)
-        return self.label, self.format(figures[self.key]), f"{spread} {self.unit}".strip()
+        """Label, statistic, and spread with unit, for a table."""
+        prefix = "95 % interval " if self.statistic == "rate" else ""
+        return self.label, self.format(figures[self.key]), f"{prefix}{self.spread(figures)} {self.unit}".strip()
 
 
-def squares(path: np.ndarray) -> int:
-    """Number of squares of 1 m that a path x, y [m], shape (n, 2), has points in."""
+def _count_squares(path: np.ndarray) -> int:
+    """Number of squares of 1 m that contain points of a path x, y [m], shape (n, 2)."""
     x, y = np.floor(path).astype(np.int64).T
-    return len(np.unique(x * 2**31 + y))  # one number for each square: faster than unique rows
+    return len(np.unique(x * 2**31 + y))  # faster than unique rows
 
 
 METRICS = (
-    Metric("failure_free", "failure-free", "", lambda episode, _: not episode.failed, "rate"),
-    Metric("success", "goal reached", "", lambda episode, _: episode.success, "rate", goals_only=True),
-    Metric("touch_free", "touch-free", "", lambda episode, _: not episode.touched, "rate", in_tables=False),
-    Metric("distance", "distance", "m", lambda episode, _: episode.distance),
-    Metric("return", "return", "", lambda episode, _: episode.episode_return),
-    Metric("length", "length", "steps", lambda episode, _: episode.length, higher_is_better=None),
-    Metric("mean_speed", "speed", "m/s", lambda episode, _: episode.distance, "ratio", per=lambda _, time: time),
-    # Circling visits few squares.
-    Metric("median_squares", "visited", "squares of 1 m (median)", lambda episode, _: squares(episode.path), "median"),
+    Metric("failure_free", "failure-free", "", lambda episode: not episode.failed, "rate"),
+    Metric("success", "goal reached", "", lambda episode: episode.success, "rate", goals_only=True),
+    Metric("touch_free", "touch-free", "", lambda episode: not episode.touched, "rate", in_tables=False),
+    Metric("distance", "distance", "m", lambda episode: episode.distance),
+    Metric("return", "return", "", lambda episode: episode.episode_return),
+    Metric("length", "length", "steps", lambda episode: episode.length),
+    Metric("mean_speed", "speed", "m/s", lambda episode: episode.distance, "per second"),
+    # Shows robots that only drive in circles, because they visit few squares.
+    Metric("median_squares", "visited", "squares of 1 m (median)", lambda e: _count_squares(e.path), "median"),
 )
 
 
 def figures(episodes: Sequence[Episode], control_period: float) -> dict[str, Any]:
-    """The figures of all metrics, by their keys."""
+    """The figures of all metrics, by key."""
     return {key: figure for metric in METRICS for key, figure in metric.figures(episodes, control_period).items()}
 
 

@@ -1,4 +1,4 @@
-"""Progress bars for work of more than a few seconds: on a terminal only, and removed at the end."""
+"""Progress bars, shown on a terminal only, and removed at the end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class _Bar(tqdm):
-    """A bar whose clock starts when the first item is done, because that one may wait for a compilation."""
+    """A bar whose clock starts after the first item, because the first item may wait for a compilation."""
 
     def update(self, n: float | None = 1) -> bool | None:
         if not self.disable and not self.n:
@@ -20,26 +20,25 @@ class _Bar(tqdm):
         return super().update(n)
 
 
-def progress(items: Iterable[T] | None, what: str, unit: str, total: int | None = None, shown: bool = True) -> tqdm[T]:
-    """A progress bar over some items.
+def progress(items: Iterable[T] | None, title: str, unit: str, total: int | None = None, shown: bool = True) -> tqdm[T]:
+    """A progress bar over items.
 
     Args:
         items: The items; None: the caller advances the bar with `update`.
-        what: Text before the bar, for example "evaluating".
-        unit: Of the count, for example "episode".
-        total: Number of items, if `items` has no length.
-        shown: Whether to draw the bar at all.
+        title: Text before the bar, for example "evaluating".
+        unit: Name of an item, for example "episode".
+        total: Number of items; needed if `items` has no length.
+        shown: Whether to show the bar if stderr is a terminal.
 
     Returns:
-        The bar: an iterable over `items`, and a context manager that removes it.
+        The bar, an iterable over `items` and a context manager that removes the bar.
     """
-    hidden = None if shown else True  # None: tqdm hides the bar where stderr is not a terminal
-    options = {"desc": what, "unit": f" {unit}", "total": total}
-    options["smoothing"] = 0  # the mean rate, because items come in blocks
-    return _Bar(items, **options, file=sys.stderr, leave=False, disable=hidden)
+    disable = None if shown else True  # None: tqdm hides the bar if stderr is not a terminal
+    options: dict[str, Any] = {"unit": f" {unit}", "leave": False, "file": sys.stderr, "disable": disable}
+    return _Bar(items, title, total, smoothing=0, **options)  # 0: estimate by the mean rate, as items come in blocks
 
 
 def say(line: Any) -> None:
-    """Print a line to stdout, above the present bars."""
+    """Print a line to stdout, above the progress bars."""
     tqdm.write(str(line), file=sys.stdout)
     sys.stdout.flush()

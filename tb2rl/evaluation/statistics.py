@@ -1,14 +1,23 @@
-"""Confidence intervals of rates and means."""
+"""Confidence intervals of rates and means, and comparisons of two sets of trainings (Agarwal et al. 2021, NeurIPS).
+
+The library rliable, with which tests compare the results, is not a dependency, because it brings 300 MB, fails with the
+newest pandas and arch, and draws its intervals from NumPy's global state.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+Scores = Sequence[np.ndarray]  # an array for each task, with the score of each training, shape (trainings,)
+# Seeds for each task: with fewer than `MIN_SEEDS` intervals are meaningless, with fewer than `GOOD_SEEDS` too narrow.
+MIN_SEEDS, GOOD_SEEDS = 5, 10
 _Z = 1.959964  # 97.5th percentile of the standard normal distribution
-_RESAMPLES = 10_000
+_PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
+_SET_RESAMPLES, _MEAN_RESAMPLES = 5000, 10_000  # bootstrap samples for statistics of sets, and for a mean
 
 
 def wilson_interval(count: int, total: int) -> tuple[float, float]:
@@ -17,27 +26,82 @@ def wilson_interval(count: int, total: int) -> tuple[float, float]:
     Args:
         count: Number of successes.
         total: Number of trials, at least 1.
-
-    Returns:
-        The lower and the upper end, both in [0, 1].
     """
     rate, spread = count / total, _Z * _Z / total
     centre = (rate + spread / 2) / (1 + spread)
-    half = _Z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
-    return max(0.0, centre - half), min(1.0, centre + half)
+    half_width = _Z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
+    return max(0.0, centre - half_width), min(1.0, centre + half_width)
 
 
 def bootstrap_interval(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """The 95 % interval of the mean of a few trainings (percentile bootstrap, Agarwal et al. 2021).
+    """The 95 % interval of the mean of a few trainings (percentile bootstrap); `values` has shape (trainings,).
 
-    It is too narrow for fewer than ten values; for two or three it is their range.
-
-    Args:
-        values: One for each training, shape (trainings,).
-
-    Returns:
-        The lower and the upper end, in the unit of the values.
+    The interval is too narrow for fewer than ten values; for two or three values it is their range.
     """
-    drawn = np.random.default_rng(0).choice(np.asarray(values), size=(_RESAMPLES, len(values)))
-    low, high = np.percentile(drawn.mean(axis=1), [2.5, 97.5])
+    samples = np.random.default_rng(0).choice(np.asarray(values), size=(_MEAN_RESAMPLES, len(values)))
+    low, high = np.percentile(samples.mean(axis=1), _PERCENTILES)
     return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A statistic and its 95 % bootstrap interval over trainings."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, statistic: Callable[..., np.ndarray], *sets: Scores) -> Estimate:
+        """The estimate of a statistic of one or two sets."""
+        samples = [resample(scores, seed) for seed, scores in enumerate(sets)]
+        return cls(float(statistic(*sets)), *np.percentile(statistic(*samples), _PERCENTILES).tolist())
+
+
+def interquartile_mean(scores: Scores) -> np.ndarray:
+    """The mean of the middle half of all scores, shape (...) for scores of shape (..., trainings)."""
+    pooled = np.sort(np.concatenate(scores, axis=-1), axis=-1)
+    quarter = pooled.shape[-1] // 4
+    return pooled[..., quarter : pooled.shape[-1] - quarter].mean(axis=-1)
+
+
+def interquartile_difference(first: Scores, second: Scores) -> np.ndarray:
+    """The interquartile mean of the first set minus that of the second."""
+    return interquartile_mean(first) - interquartile_mean(second)
+
+
+def improvement_probability(first: Scores, second: Scores) -> np.ndarray:
+    """Probability that a training of the first set has a higher score than one of the second, averaged over tasks.
+
+    Equal scores have the probability 0.5. Shapes are as for `interquartile_mean`.
+    """
+    signs = [np.sign(a[..., :, None] - b[..., None, :]) for a, b in zip(first, second, strict=True)]
+    return np.mean([(sign.mean(axis=(-1, -2)) + 1) / 2 for sign in signs], axis=0)
+
+
+def resample(scores: Scores, seed: int = 0) -> list[np.ndarray]:
+    """Stratified bootstrap samples: trainings are drawn within each task, shape (_SET_RESAMPLES, trainings)."""
+    rng = np.random.default_rng(seed)
+    return [task[rng.integers(len(task), size=(_SET_RESAMPLES, len(task)))] for task in scores]
+
+
+def performance_profile(scores: Scores, thresholds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The share of trainings above each threshold, and the ends of its 95 % interval, each of shape (thresholds,)."""
+    pooled, samples = np.concatenate(scores), np.concatenate(resample(scores), axis=1)
+    shares = np.array([(samples > threshold).mean(axis=1) for threshold in thresholds])
+    low, high = np.percentile(shares, _PERCENTILES, axis=1)
+    return (pooled > thresholds[:, None]).mean(axis=1), low, high
+
+
+def verdict(first: Scores, second: Scores, names: tuple[str, str]) -> str:
+    """A sentence on which of two sets is better; `names` are the names of the sets."""
+    num_seeds = min(len(task) for task in (*first, *second))
+    if num_seeds < MIN_SEEDS:
+        seeds = "1 seed" if num_seeds == 1 else f"{num_seeds} seeds"
+        return f"Too few seeds to tell: {seeds} where at least {MIN_SEEDS} are needed, and {GOOD_SEEDS} are better."
+    difference = Estimate.of(interquartile_difference, first, second)
+    hint = f" With fewer than {GOOD_SEEDS} seeds the intervals are too narrow." if num_seeds < GOOD_SEEDS else ""
+    if difference.low <= 0 <= difference.high:
+        return f"These seeds do not tell {' and '.join(names)} apart: the interval of the difference contains 0.{hint}"
+    better, worse = names if difference.value > 0 else names[::-1]
+    return f"{better} is better than {worse}: the interval of the difference is on one side of 0.{hint}"

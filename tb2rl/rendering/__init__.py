@@ -1,1 +1,1 @@
-"""Drawing of a world and a robot from above, without a window, from numbers alone: `env.render()` and films use it."""
+"""Pictures of a world and a robot from above, for `env.render()` and films; no window is needed."""

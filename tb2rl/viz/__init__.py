@@ -1,3 +1,4 @@
-"""Pictures, films, PyBullet's window, keyboard driving, charts, tables and the report's page. No code here is specific
-to a robot, task or world.
+"""Pictures, films, PyBullet's window, teleoperation, charts, tables and the report.
+
+No code in this package is specific to a robot, task or world.
 """

@@ -1,73 +1,136 @@
-"""The cameras of a film: the world from above, and the robot in 3D from behind. Both need `close`."""
+"""Frames of a film, interpolated between control steps, and cameras that draw them."""
 
-from __future__ import annotations
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from tb2rl.envs.scene import Scene
+from tb2rl.evaluation.episodes import EpisodeStep
 from tb2rl.rendering.above import WorldPicture
+from tb2rl.rendering.colours import BODY, FAILED, FLOOR, LABEL, STRIP
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.bullet import SIMULATOR
-from tb2rl.simulation.obstacles.outlines import cast_at_outlines
-from tb2rl.viz.film_frames import FilmFrame, goal_of
+from tb2rl.simulation.obstacles.outlines import X, Y, cast_at_outlines
+from tb2rl.tasks import Task
 from tb2rl.worlds.geometry import cast_many
 
-_CHASE_SIZE = (640, 360)  # [px]
+_LAST_FRAME_DURATION = 1.0  # [s] in the film, at any playback speed
+_CHASE_SIZE = (640, 360)  # [px] width and height of a chase picture
+CAPTION_HEIGHT = 48  # [px]
+_MIN_CAPTION_WIDTH = 560  # [px]
+_LABEL_SIZE, _VALUE_SIZE = 13, 19  # [px] font sizes of a caption
+
+
+@dataclass(frozen=True)
+class FilmFrame:
+    """One instant of an episode."""
+
+    step: EpisodeStep  # the control step that contains the instant
+    time: float  # [s] time since the reset
+    pose: np.ndarray  # x [m], y [m], yaw [rad], shape (3,)
+    path: Sequence[np.ndarray]  # poses (3,) at the start of this and all earlier control steps
+    ended: str | None  # name of the ending in the last frame of an episode, else None
+    dynamic_obstacles: np.ndarray | None  # outlines as in `RobotState.dynamic_obstacles`, shape (obstacles, 6)
+
+
+def film_frames(steps: Iterable[EpisodeStep], period: float, rate: float, speed: float = 1.0) -> Iterator[FilmFrame]:
+    """The frames of an episode; the last frame is repeated for a second.
+
+    Args:
+        steps: The control steps of the episode.
+        period: Duration of a control step [s].
+        rate: Frames per second.
+        speed: Playback speed; 1 is real time.
+    """
+    index = 0  # index of the next frame
+    path: tuple[np.ndarray, ...] = ()
+    for step in steps:
+        before, after = step.before.pose[0], step.after.pose[0]
+        path, ended, end_time = (*path, before), step.info["ended"], step.number * period
+        last_frame = FilmFrame(step, end_time, after, path, ended, _interpolate_outlines(step, 1.0))
+        while (time := index * speed / rate) < end_time - 1e-9:
+            fraction = time / period - (step.number - 1)
+            pose, outlines = interpolate_pose(before, after, fraction), _interpolate_outlines(step, fraction)
+            yield replace(last_frame, time=time, pose=pose, ended=None, dynamic_obstacles=outlines)
+            index += 1
+        if ended:
+            yield from [last_frame] * round(_LAST_FRAME_DURATION * rate)
+
+
+def interpolate_pose(before: np.ndarray, after: np.ndarray, fraction: float) -> np.ndarray:
+    """Linear interpolation between two poses (3,), with the shorter of both turns."""
+    difference = after - before
+    difference[2] = math.remainder(difference[2], math.tau)
+    return before + fraction * difference
+
+
+def _interpolate_outlines(step: EpisodeStep, fraction: float) -> np.ndarray | None:
+    """Outlines of dynamic obstacles (obstacles, 6) with interpolated positions and the orientations after the step."""
+    before, after = step.before.dynamic_obstacles, step.after.dynamic_obstacles
+    if before is None or after is None:
+        return None
+    outlines = after[0].copy()
+    outlines[:, [X, Y]] = (1 - fraction) * before[0][:, [X, Y]] + fraction * after[0][:, [X, Y]]
+    return outlines
+
+
+def goal_of(task: Task, initial_state: InitialState) -> np.ndarray:
+    """Goal x, y [m] of the first environment, shape (2,); NaN for a task without a goal."""
+    return initial_state.goal[0] if task.goal_task else np.full(2, np.nan)
 
 
 class AboveCamera:
-    """The world from above, with the robot's beams and its path."""
+    """Draws the world from above, with the robot, its laser beams and its path."""
 
-    rate = 15  # pictures a second, at most
+    max_rate = 15  # pictures per second
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._beams = np.cos(scene.laser.angles), np.sin(scene.laser.angles)
-        self._ranges = np.empty((1, len(scene.laser.angles)))
         self._initial_state: InitialState | None = None
 
     def picture(self, frame: FilmFrame) -> np.ndarray:
-        """The world in a frame, shape (height, width, 3), uint8, with even sides."""
-        if frame.initial_state is not self._initial_state:
-            self._reset(frame.initial_state)
-        return self._picture.draw(
-            frame.pose, self._ranges_in(frame), [*frame.path, frame.pose], frame.dynamic_obstacles
-        )
+        """The picture of a frame, shape (height, width, 3), uint8; height and width are even."""
+        scene, initial_state = self._scene, frame.step.after.initial_state
+        if initial_state is not self._initial_state:  # a new episode
+            self._initial_state, self._world = initial_state, scene.spec.worlds[int(initial_state.world[0])]
+            self._picture = WorldPicture(self._world, scene.robot, scene.laser, goal_of(scene.task, initial_state))
+        return self._picture.draw(frame.pose, self.ranges(frame), [*frame.path, frame.pose], frame.dynamic_obstacles)
 
-    def _reset(self, initial_state: InitialState) -> None:
-        scene = self._scene
-        self._initial_state, self._world = initial_state, scene.spec.worlds[int(initial_state.world[0])]
-        self._picture = WorldPicture(self._world, scene.robot, scene.laser, goal_of(scene.task, initial_state))
-
-    def _ranges_in(self, frame: FilmFrame) -> np.ndarray:
-        """Ranges [m], shape (beams,): measured ones in a world without obstacles (a real robot's), else exact ones."""
-        obstacles = len(self._world.boxes) + len(self._world.posts)
-        if frame.ranges is not None and frame.dynamic_obstacles is None and not obstacles:
-            return frame.ranges
-        cast_many(frame.pose[None], np.zeros(1), *self._beams, *self._world.index, self._ranges)
+    def ranges(self, frame: FilmFrame) -> np.ndarray:
+        """Exact ranges [m], shape (beams,); in a world without obstacles, as of a real robot, the measured ranges."""
+        if frame.dynamic_obstacles is None and not len(self._world.boxes) + len(self._world.posts):
+            return frame.step.after.ranges[0]
+        ranges = np.empty((1, len(self._beams[0])))
+        cast_many(frame.pose[None], np.zeros(1), self._beams, self._world.spatial_index, ranges)
         if frame.dynamic_obstacles is not None:
-            cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], self._ranges)
-        return self._ranges[0]
+            cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], ranges)
+        return ranges[0]
 
     def close(self) -> None:
         pass
 
 
 class ChaseCamera:
-    """The robot in 3D, from behind and above."""
+    """Renders the robot from behind and above."""
 
-    rate = 10  # lower, because a picture takes several times as long as one from above
+    max_rate = 10  # pictures per second; lower, because a picture takes several times as long as one from above
 
     def __init__(self, scene: Scene) -> None:
         SIMULATOR.check("camera 'chase' (unlike 'above')")
-        from tb2rl.viz.scene_view import SceneView  # PyBullet may be missing
+        from tb2rl.viz.scene_view import SceneView  # imports PyBullet, which may be missing
 
         self._task, self._view = scene.task, SceneView(scene.spec)
 
     def picture(self, frame: FilmFrame) -> np.ndarray:
-        """As in `AboveCamera`."""
-        self._view.show_world(int(frame.initial_state.world[0]), goal_of(self._task, frame.initial_state))
-        self._view.place(frame.pose, frame.dynamic_obstacles)
+        """The picture of a frame, shape (height, width, 3), uint8; height and width are even."""
+        initial_state = frame.step.after.initial_state
+        goal = goal_of(self._task, initial_state)
+        self._view.show(int(initial_state.world[0]), goal, frame.pose, frame.dynamic_obstacles)
         return self._view.chase_picture(*_CHASE_SIZE)
 
     def close(self) -> None:
@@ -75,3 +138,41 @@ class ChaseCamera:
 
 
 CAMERAS: dict[str, type[AboveCamera] | type[ChaseCamera]] = {"above": AboveCamera, "chase": ChaseCamera}
+
+
+def add_caption(picture: np.ndarray, frame: FilmFrame, scene: Scene) -> np.ndarray:
+    """Add a caption below a picture (height, width, 3), uint8, and centre the picture if the caption is wider."""
+    height, width, _ = picture.shape
+    failed = bool(frame.step.info["failed"])
+    caption = draw_caption(max(_MIN_CAPTION_WIDTH, width), caption_values(frame, scene), failed)
+    image = Image.new("RGB", (caption.width, height + CAPTION_HEIGHT), FLOOR)
+    image.paste(Image.fromarray(picture), ((image.width - width) // 2, 0))
+    image.paste(caption, (0, height))
+    return np.array(image)
+
+
+def caption_values(frame: FilmFrame, scene: Scene) -> dict[str, str]:
+    """Texts of a caption by label."""
+    step, (v, w) = frame.step, frame.step.after.twist[0]
+    status = {"ended": frame.ended} if frame.ended else {"action": scene.actions.describe(step.action)}
+    speeds = {"v [m/s]": f"{v:z.2f}", "w [rad/s]": f"{w:+z.2f}"}
+    reward = {"reward": f"{step.reward:+g}", "return": f"{step.episode_return:g}"}
+    return {"time [s]": f"{frame.time:.1f}", **speeds, **status, **reward}
+
+
+def draw_caption(width: int, values: Mapping[str, str], failed: bool = False) -> Image.Image:
+    """Draw each value below its label; the ending of a failed episode is red."""
+    image, column_width = Image.new("RGB", (width, CAPTION_HEIGHT), STRIP), width / len(values)
+    draw = ImageDraw.Draw(image)
+    for column, (label, value) in enumerate(values.items()):
+        x, colour = (column + 0.5) * column_width, FAILED if failed and label == "ended" else BODY
+        draw.text((x, 13), label, LABEL, _font(label, _LABEL_SIZE, column_width), anchor="mm")
+        draw.text((x, 33), value, colour, _font(value, _VALUE_SIZE, column_width), anchor="mm")
+    return image
+
+
+@lru_cache(maxsize=256)
+def _font(text: str, size: int, max_width: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The font of a size [px], or a smaller one if the text would exceed `max_width` [px]."""
+    width = ImageFont.load_default(size).getlength(text) + 6
+    return ImageFont.load_default(min(size, size * max_width / width))

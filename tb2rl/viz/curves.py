@@ -1,4 +1,4 @@
-"""Learning curves: read from the files of a run folder, and averaged over seeds."""
+"""Learning curves of run folders, and their mean over seeds."""
 
 from __future__ import annotations
 
@@ -13,30 +13,32 @@ from tensorboard.backend.event_processing.event_accumulator import SCALARS, Even
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.evaluation.statistics import bootstrap_interval
-from tb2rl.runs.journal import read_lines
+from tb2rl.runs import EVALUATIONS, read_lines
 
-POINTS = 120  # of a drawn curve, at most
-_TAGS = ("rollout/ep_rew_mean", "rollout/ep_len_mean", "rollout/failure_rate")
+MAX_POINTS = 120  # maximum number of points of a drawn curve
+TRAINING_CURVES = {  # by TensorBoard tag: title, label of the y axis, whether the values are rates
+    "rollout/ep_rew_mean": ("Return in training", "return of an episode", False),
+    "rollout/ep_len_mean": ("Length in training", "steps of an episode", False),
+    "rollout/failure_rate": ("Failures in training", "failed episodes", True),
+}
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Values of one training by control step."""
+    """A quantity of one training over control steps."""
 
-    steps: np.ndarray  # ascending, shape (points,)
+    steps: np.ndarray  # [control steps], ascending, shape (points,)
     values: np.ndarray  # shape (points,)
 
-    def thinned(self) -> Curve:
-        """At most `POINTS` of the points, ends included."""
-        if len(self.steps) <= POINTS:
-            return self
-        kept = np.linspace(0, len(self.steps) - 1, POINTS).round().astype(int)
-        return Curve(self.steps[kept], self.values[kept])
+    def downsample(self) -> Curve:
+        """At most `MAX_POINTS` of the points, including the first and the last one."""
+        selected = np.linspace(0, len(self.steps) - 1, min(MAX_POINTS, len(self.steps))).round().astype(int)
+        return Curve(self.steps[selected], self.values[selected])
 
 
 @dataclass(frozen=True)
 class SeedCurves:
-    """The curves of trainings that differ only in their seed; none is empty."""
+    """Curves of trainings that differ only in their seed; each has at least one point."""
 
     name: str
     colour: str
@@ -44,63 +46,46 @@ class SeedCurves:
 
     @cached_property
     def mean(self) -> Curve:
-        """The mean over the steps that all curves cover."""
+        """The mean curve over the steps that all curves cover."""
         first = max(curve.steps[0] for curve in self.curves)
         last = min(curve.steps[-1] for curve in self.curves)
         steps = np.unique(np.concatenate([curve.steps for curve in self.curves]))
         steps = steps[(steps >= first) & (steps <= last)]
-        return Curve(steps, self._values(steps).mean(axis=0)).thinned()
+        return Curve(steps, self._interpolate(steps).mean(axis=0)).downsample()
 
     @cached_property
     def interval(self) -> np.ndarray:
         """The 95 % bootstrap interval of each point of `mean`, shape (points, 2)."""
-        columns = self._values(self.mean.steps).T
-        return np.array([bootstrap_interval(column) for column in columns]).reshape(-1, 2)
+        values_by_step = self._interpolate(self.mean.steps).T
+        return np.array([bootstrap_interval(values) for values in values_by_step]).reshape(-1, 2)
 
     @property
     def is_cut(self) -> bool:
-        """Whether some curves go beyond the last step of `mean`."""
+        """Whether some curves continue after the last step of `mean`."""
         return len({curve.steps[-1] for curve in self.curves}) > 1
 
-    def _values(self, steps: np.ndarray) -> np.ndarray:
+    def _interpolate(self, steps: np.ndarray) -> np.ndarray:
+        """Values of all curves at some steps, shape (curves, len(steps))."""
         return np.array([np.interp(steps, curve.steps, curve.values) for curve in self.curves])
 
 
-def read_curves(folder: Path) -> dict[str, Curve]:
-    """The curves of a run folder, by the tag in TensorBoard or the key in evaluations.jsonl.
+def read_curves(folder: Path, goal_task: bool) -> dict[str, Curve]:
+    """Read the existing curves of a run folder, by TensorBoard tag or by key of a metric.
 
     Raises:
-        InputError: If evaluations.jsonl is damaged.
+        InputError: If the file of the evaluations during training is damaged.
     """
-    return {**_read_events(folder / "tensorboard"), **_read_evaluations(folder / "evaluations.jsonl")}
-
-
-def _read_events(folder: Path) -> dict[str, Curve]:
-    if not folder.is_dir():
-        return {}
-    events = EventAccumulator(str(folder), size_guidance={SCALARS: 0})  # 0: all of them
-    events.Reload()
-    scalars = {tag: events.Scalars(tag) for tag in _TAGS if tag in events.Tags()["scalars"]}
-    return {
-        tag: _curve([each.step for each in found], [each.value for each in found]) for tag, found in scalars.items()
-    }
-
-
-def _read_evaluations(file: Path) -> dict[str, Curve]:
+    points = {}
+    if (folder / "tensorboard").is_dir():
+        events = EventAccumulator(str(folder / "tensorboard"), size_guidance={SCALARS: 0}).Reload()  # 0: no limit
+        tags = [tag for tag in TRAINING_CURVES if tag in events.Tags()[SCALARS]]
+        points = {tag: [(event.step, event.value) for event in events.Scalars(tag)] for tag in tags}
+    file = folder / EVALUATIONS
     lines = read_lines(file) if file.is_file() else []
-    if not lines:
-        return {}
+    keys = [metric.key for metric in shown_metrics(goal_task) if metric.statistic == "rate" and lines]
     try:
-        steps = [float(line["timesteps"]) for line in lines]
-        rates = [metric.key for metric in shown_metrics(goal_task=True) if metric.kind == "rate"]
-        curves = {key: _curve(steps, [float(line[key]) for line in lines]) for key in rates}
-        if not all(np.isfinite([curve.steps, curve.values]).all() for curve in curves.values()):
-            raise ValueError("some of its numbers are not finite")
+        points |= {key: [(line["timesteps"], line[key]) for line in lines] for key in keys}
+        tables = {key: np.asarray_chkfinite(rows, dtype=float) for key, rows in points.items()}
+        return {key: Curve(*rows[np.argsort(rows[:, 0], kind="stable")].T) for key, rows in tables.items()}
     except (LookupError, OverflowError, TypeError, ValueError) as error:
-        raise InputError(one_line(f"{file} is damaged: {error or type(error).__name__}")) from None
-    return curves
-
-
-def _curve(steps: Sequence[float], values: Sequence[float]) -> Curve:
-    order = np.argsort(steps, kind="stable")
-    return Curve(np.array(steps, dtype=float)[order], np.array(values, dtype=float)[order])
+        raise InputError(one_line(f"{file} is damaged: {error!r}")) from None

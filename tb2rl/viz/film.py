@@ -1,10 +1,8 @@
-"""Films of a driving policy, as MP4 or GIF files, and bags of ROS."""
+"""Films (MP4 or GIF) and ROS bags of a policy's episodes."""
 
-from __future__ import annotations
-
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -13,173 +11,235 @@ import av
 import numpy as np
 from PIL import Image, ImageColor
 
-from tb2rl.core.errors import InputError, one_line
-from tb2rl.core.files import replacing
-from tb2rl.deploy.bags.recorder import check_bag, open_bag
+from tb2rl.core import InputError, check_output, one_line, unknown
+from tb2rl.core.files import atomic_write
+from tb2rl.deploy.bags.recorder import checked_bag_path, open_bag
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.scene import Scene
-from tb2rl.evaluation.episodes import Policy
-from tb2rl.evaluation.moments import Moment
+from tb2rl.evaluation.episodes import LARGEST_SEED, EpisodeStep, Policy, check_spaces, roll_out
+from tb2rl.evaluation.evaluate import time_limit
+from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.rendering.colours import FILM_PALETTE
-from tb2rl.runs.config import Config
-from tb2rl.viz.cameras import CAMERAS
-from tb2rl.viz.caption import add_caption
-from tb2rl.viz.episodes import DEFAULT_OPTIONS, FilmOptions, load_policy, roll_out_episodes
-from tb2rl.viz.film_frames import film_frames
+from tb2rl.runs import Config, config_of, load
+from tb2rl.simulation.simulator import SimulatorType, default_simulator, find_simulator
+from tb2rl.viz.cameras import CAMERAS, add_caption, film_frames
+from tb2rl.viz.pictures import extend_bounds
 
-_MARGIN = 1.0  # [m] around the path of a real robot
+FILM_STEPS = 300  # default time limit of a filmed episode [control steps]
 _GIF_COLOURS = 64
 
-# Takes the file, pictures with even sides, shape (height, width, 3), uint8, and their number a second.
-Writer = Callable[[Path, Iterator[np.ndarray], int], None]
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """Options of `film`, `record` and the command `play`.
+
+    Attributes:
+        episodes: Number of episodes.
+        steps: Time limit of an episode [control steps]; None: the setting `episode_steps`, or 300 without this setting.
+        seed: Seed of the first episode; each further episode adds 1.
+        camera: "above" or "chase".
+        speed: Playback speed; 1 is real time.
+        simulation: An argument of `find_simulator`; None: `default_simulator`. "ros" or a `RosRobot` films a real robot
+            by its odometry and its laser.
+        on_episode_end: Function that is called with a line of text about each finished episode.
+        progress: Whether to show a progress bar if there is a terminal.
+
+    Raises:
+        InputError: If a number is out of range, or the camera is unknown.
+    """
+
+    episodes: int = 1
+    steps: int | None = None
+    seed: int = 0
+    camera: str = "above"
+    speed: float = 1.0
+    simulation: Any = None
+    on_episode_end: Callable[[str], None] | None = None
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1 or (self.steps is not None and self.steps < 1) or not 0 <= self.seed <= LARGEST_SEED:
+            raise InputError(f"episodes and steps must be at least 1, and the seed from 0 to {LARGEST_SEED}")
+        if not 0.1 <= self.speed <= 100.0:
+            raise InputError(f"the speed must be from 0.1 to 100, got {self.speed:g}")
+        if self.camera not in CAMERAS:
+            raise unknown("camera", self.camera, CAMERAS)
+
+    @property
+    def simulator(self) -> SimulatorType:
+        """The type of the selected simulator."""
+        return default_simulator() if self.simulation is None else find_simulator(self.simulation)
+
+
+DEFAULT_OPTIONS = FilmOptions()
+AnyPolicy = Policy | str | Path  # a policy, or a reference for `load`
 
 
 def film(
-    policy: Policy | str | Path,
+    policy: AnyPolicy,
     path: str | Path,
     config: Config | None = None,
     settings: Mapping[str, Any] | None = None,
     options: FilmOptions = DEFAULT_OPTIONS,
 ) -> Path:
-    """Film a policy at the task that it was trained for. In a notebook: `IPython.display.Video(path, embed=True)`.
+    """Film a policy at the task of its training or of another config.
+
+    A notebook shows the film with `IPython.display.Video(path, embed=True)`.
 
     Args:
-        policy: A loaded policy, a reference that `load` takes, or any object with `predict`.
-        path: The film, .mp4 or .gif; an older one is replaced once the new one is complete.
-        config: Another task; None: the one of the training.
-        settings: Changes to the task by name, for example {"world": "circuit"}.
+        policy: A loaded policy, a reference for `load`, or an object with `predict`.
+        path: The file of the film, .mp4 or .gif; the complete film replaces an existing file.
+        config: A config with the task; None: the config that the policy was trained with.
+        settings: Task settings to change, for example {"world": "circuit"}.
         options: Episodes, camera, playback speed and simulator.
 
     Returns:
-        The path.
+        The path of the film.
 
     Raises:
-        InputError: If an argument does not fit, or the film cannot be written.
+        InputError: If an argument is invalid, or the film cannot be written.
     """
-    path = check_film(path)
-    policy, scene = load_policy(policy, config, settings, options)
-    loop = ControlLoop.open(scene, options.simulator)
-    with closing(loop), options.progress_bar("filming", scene) as bar:
-        episodes = roll_out_episodes(loop, policy, options, bar.update)
-        if not options.simulator.is_robot:
-            write_film(path, episodes, loop.scene, options.camera, options.speed)
+    path = Path(path)
+    if path.suffix.lower() not in WRITERS:
+        raise InputError(f"a film must end in {' or '.join(WRITERS)}, got {str(path)!r}")
+    check_output(path)
+    with open_episodes(policy, config, settings, options, "filming") as (scene, episodes):
+        if not options.simulator.is_external:
+            write_film(path, episodes, scene, options.camera, options.speed)
             return path
-        complete = [list(moments) for moments in episodes]  # because a robot does not wait for the pictures
-    write_film(path, complete, _extend_bounds(loop.scene, complete), options.camera, options.speed)
+        recorded_episodes = [list(steps) for steps in episodes]  # drawn later, because a real robot does not wait
+    points = np.array([step.after.pose[0, :2] for steps in recorded_episodes for step in steps])
+    world = extend_bounds(scene.world, points)  # because the bounds of a real robot's surroundings are unknown
+    write_film(path, recorded_episodes, scene.in_worlds((world,)), options.camera, options.speed)
     return path
 
 
-def _extend_bounds(scene: Scene, episodes: Sequence[Sequence[Moment]]) -> Scene:
-    """The scene with bounds around the path of a robot, whose surroundings are unknown before it drives."""
-    points = np.array([moment.after.pose[0, :2] for moments in episodes for moment in moments])
-    x0, y0, x1, y1 = scene.world.bounds
-    low, high = np.minimum((x0, y0), points.min(axis=0) - _MARGIN), np.maximum((x1, y1), points.max(axis=0) + _MARGIN)
-    bounds = (*low.tolist(), *high.tolist())
-    return scene.in_worlds((scene.world.with_places(None, None, bounds),))
+def record(
+    policy: AnyPolicy,
+    path: str | Path,
+    config: Config | None = None,
+    settings: Mapping[str, Any] | None = None,
+    options: FilmOptions = DEFAULT_OPTIONS,
+) -> list[Path]:
+    """Record a ROS bag of each simulated episode; `tb2rl.deploy.bags.recorder` lists the topics.
+
+    Args:
+        path: A .bag file for ROS 1, or a folder for ROS 2; for several episodes, numbers are added to the name.
+        policy, config, settings, options: As for `film`; `camera` and `speed` have no effect.
+
+    Returns:
+        The paths of the bags.
+
+    Raises:
+        InputError: If an argument is invalid, a bag cannot be written, or `rosbags` is not installed.
+    """
+    if options.simulator.is_external:
+        raise InputError(f"record works in simulation only, got {options.simulation!r}; use rosbag for a real robot")
+    path = Path(path)
+    labels = [""] if options.episodes == 1 else [f"-{index + 1}" for index in range(options.episodes)]
+    bags = [checked_bag_path(path.with_name(f"{path.stem}{label}{path.suffix}")) for label in labels]
+    with open_episodes(policy, config, settings, options, "recording") as (scene, episodes):
+        for bag, steps in zip(bags, episodes, strict=True):
+            with open_bag(bag, scene) as recorder:
+                for step in steps:
+                    if step.number == 1:
+                        recorder.reset(step.before)
+                    command = scene.actions.commands(scene.actions.checked(step.action))[0]
+                    recorder.step(command, step.reward, step.after)
+    return bags
+
+
+@contextmanager
+def open_episodes(
+    policy: AnyPolicy, config: Config | None, settings: Mapping[str, Any] | None, options: FilmOptions, title: str
+) -> Iterator[tuple[Scene, Iterator[Iterator[EpisodeStep]]]]:
+    """Yield the scene and the episodes, each as an iterator of control steps.
+
+    All episodes use one control loop, so each must be consumed before the next one.
+
+    Args:
+        policy, config, settings, options: As for `film`.
+        title: Title of the progress bar.
+
+    Raises:
+        InputError: If the policy does not exist, or has other spaces than the task.
+    """
+    settings = settings or {}
+    steps = time_limit(options.steps, settings, FILM_STEPS)
+    policy = load(policy) if isinstance(policy, str | Path) else policy
+    scene = (config or config_of(policy)).with_task({**settings, "episode_steps": steps}).scene.for_purpose("test")
+    check_spaces(policy, scene)
+    loop, max_steps = ControlLoop.open(scene, options.simulator), options.episodes * scene.task.episode_steps
+    with closing(loop), progress_bar(None, title, "step", total=max_steps, shown=options.progress) as bar:
+        yield loop.scene, (_roll_out(loop, policy, options, index, bar) for index in range(options.episodes))
+
+
+def _roll_out(loop: ControlLoop, policy: Policy, options: FilmOptions, index: int, bar: Any) -> Iterator[EpisodeStep]:
+    for step in roll_out(loop, policy, options.seed + index):
+        if (ended := step.info["ended"]) and options.on_episode_end:
+            distance, time = step.info["distance"], step.number * loop.task.control_period
+            details = f"{distance:.1f} m, {distance / time:.3f} m/s, return {step.episode_return:g}"
+            options.on_episode_end(f"episode {index + 1}: {ended} after {step.number} steps ({time:.1f} s), {details}")
+        yield step
+        bar.update()
 
 
 def write_film(
-    path: Path, episodes: Iterable[Iterable[Moment]], scene: Scene, camera: str = "above", speed: float = 1.0
+    path: Path, episodes: Iterable[Iterable[EpisodeStep]], scene: Scene, camera: str = "above", speed: float = 1.0
 ) -> None:
-    """Write the film of consecutive episodes.
+    """Write a film of several episodes.
 
     Raises:
-        InputError: If it cannot be written.
+        InputError: If the file cannot be written.
     """
     write, max_rate = WRITERS[path.suffix.lower()]
     with closing(CAMERAS[camera](scene)) as view:
-        rate, period = min(max_rate, view.rate), scene.task.control_period
-        frames = (frame for moments in episodes for frame in film_frames(moments, period, rate, speed))
+        rate, period = min(max_rate, view.max_rate), scene.task.control_period
+        frames = (frame for steps in episodes for frame in film_frames(steps, period, rate, speed))
         pictures = (add_caption(view.picture(frame), frame, scene) for frame in frames)
         try:
-            with replacing(path) as temporary:
+            with atomic_write(path) as temporary:
                 write(temporary, pictures, rate)
-        except BrokenPipeError:  # from stdout, not from the film
+        except BrokenPipeError:  # raised by printing to a closed stdout, not by the file
             raise
         except (OSError, av.error.FFmpegError) as error:
             raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
 
 
 def write_mp4(path: Path, pictures: Iterator[np.ndarray], rate: int) -> None:
-    """Write an MP4 file with H.264, which browsers and notebooks play."""
+    """Write an MP4 file in H.264, which browsers and notebooks can play.
+
+    Args:
+        path: The file.
+        pictures: RGB pictures, shape (height, width, 3), uint8; height and width are even.
+        rate: Pictures per second.
+    """
     with av.open(str(path.absolute()), "w", format="mp4", options={"movflags": "faststart"}) as container:
-        # Drawings move little, so a short motion search is enough: 8 % larger files, a sixth less work.
+        # The pictures change little, so a short motion search makes files only 8 % larger, in 1/6 less CPU time.
         options = {"preset": "veryfast", "crf": "22", "x264-params": "subme=1:me=dia"}
         stream = container.add_stream("libx264", rate=rate, options=options)
         stream.pix_fmt = "yuv420p"
-        stream.thread_count = 1  # a second thread costs a quarter more work and gains little beside the drawing
-        for number, picture in enumerate(pictures):
-            if number == 0:
+        stream.thread_count = 1  # because drawing takes longer than encoding
+        for index, picture in enumerate(pictures):
+            if index == 0:
                 stream.height, stream.width, _ = picture.shape
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode())
 
 
 def write_gif(path: Path, pictures: Iterator[np.ndarray], rate: int) -> None:
-    """Write a GIF file that repeats; all pictures share one palette, so that static regions take no space."""
+    """Write a looping GIF file; arguments as for `write_mp4`.
+
+    The pictures share a palette, so that static regions take no space.
+    """
     first = next(pictures)
-    samples = [np.full((len(first), 8, 3), ImageColor.getrgb(colour), dtype=np.uint8) for colour in FILM_PALETTE]
-    palette = Image.fromarray(np.hstack([first, *samples])).quantize(_GIF_COLOURS)
-    images = (
-        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-        for picture in chain([first], pictures)
-    )
-    options = {"save_all": True, "append_images": images, "duration": 1000 // rate, "loop": 0, "optimize": True}
-    next(images).save(path, format="GIF", **options)
+    # Add an area of each colour to the first picture, so that the palette contains colours that appear later.
+    swatches = [np.full((len(first), 8, 3), ImageColor.getrgb(colour), dtype=np.uint8) for colour in FILM_PALETTE]
+    palette = Image.fromarray(np.hstack([first, *swatches])).quantize(_GIF_COLOURS)
+    no_dither: Any = Image.Dither.NONE
+    images = (Image.fromarray(p).quantize(palette=palette, dither=no_dither) for p in chain([first], pictures))
+    animation: dict[str, Any] = {"duration": 1000 // rate, "loop": 0, "optimize": True}
+    next(images).save(path, format="GIF", save_all=True, append_images=images, **animation)
 
 
-WRITERS: dict[str, tuple[Writer, int]] = {".mp4": (write_mp4, 30), ".gif": (write_gif, 10)}  # with the highest rate
-
-
-def check_film(path: str | Path) -> Path:
-    """The path of a film that can be written.
-
-    Raises:
-        InputError: If it cannot be written.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in WRITERS:
-        raise InputError(f"a film is {' or '.join(WRITERS)}, got {str(path)!r}")
-    folder = path.absolute().parent
-    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(f"cannot write {path}: name a file in a writable folder")
-    return path
-
-
-def record(
-    policy: Policy | str | Path,
-    path: str | Path,
-    config: Config | None = None,
-    settings: Mapping[str, Any] | None = None,
-    options: FilmOptions = DEFAULT_OPTIONS,
-) -> list[Path]:
-    """Record a policy at the task that it was trained for; `tb2rl.deploy.bags.recorder` lists the topics.
-
-    Args:
-        path: A file .bag for ROS 1, or a folder for ROS 2; the bags of several episodes are numbered.
-        policy, config, settings, options: As in `film`; `camera` and `speed` have no effect.
-
-    Returns:
-        The bags.
-
-    Raises:
-        InputError: If an argument does not fit, a bag cannot be written, or `rosbags` is not installed.
-    """
-    if options.simulator.is_robot:
-        raise InputError(f"bags are recorded in simulators, got {options.simulation!r}; use rosbag for a real robot")
-    path = Path(path)
-    names = [path.name]
-    if options.episodes > 1:
-        names = [f"{path.stem}-{number + 1}{path.suffix}" for number in range(options.episodes)]
-    bags = [check_bag(path.with_name(name)) for name in names]
-    policy, scene = load_policy(policy, config, settings, options)
-    loop = ControlLoop.open(scene, options.simulator)
-    with closing(loop), options.progress_bar("recording", scene) as bar:
-        for bag, moments in zip(bags, roll_out_episodes(loop, policy, options, bar.update), strict=True):
-            with open_bag(bag, scene) as recorder:
-                for moment in moments:
-                    if moment.step == 1:
-                        recorder.reset(moment.before)
-                    command = scene.actions.commands(scene.actions.checked(moment.action))[0]
-                    recorder.step(command, moment.reward, moment.after)
-    return bags
+WRITERS = {".mp4": (write_mp4, 30), ".gif": (write_gif, 10)}  # function and maximum rate [pictures/s] by suffix

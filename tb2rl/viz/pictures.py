@@ -1,46 +1,34 @@
-"""Pictures of the paths of many episodes from above."""
-
-from __future__ import annotations
+"""Pictures from above with the paths of many episodes."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from PIL import Image
 
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.evaluation import Episode
-from tb2rl.rendering.above import draw_goal, draw_routes
-from tb2rl.rendering.canvas import Canvas
+from tb2rl.rendering.above import draw_goal, draw_routes, make_grid
+from tb2rl.rendering.canvas import SIDE, Canvas
 from tb2rl.rendering.colours import FAILED, PATH, START
+from tb2rl.worlds import World
 
-_COLUMNS = 6  # worlds in a row
+_PATH_MARGIN = 0.5  # [m] minimum distance between a path and extended bounds
+_MAX_LARGE_PICTURES = 6  # in a grid; with more pictures, all are half as large
 
 
 def draw_paths(scene: Scene, episodes: Sequence[Episode]) -> np.ndarray:
     """Draw paths, a dot at each start, a red dot at the end of each failed episode, and routes of dynamic obstacles.
 
     Args:
-        scene: The scene of the episodes; each of its worlds has a picture, side by side and in rows.
-        episodes: At least one.
+        scene: The scene of the episodes. Each world in which episodes took place has a picture in a grid.
+        episodes: At least one episode.
 
     Returns:
         Shape (height, width, 3), uint8.
     """
-    by_world = group_by_world(episodes).items()
-    pictures = [Image.fromarray(_draw_world(scene, world, driven)) for world, driven in by_world]
-    if len(pictures) > _COLUMNS:
-        pictures = [picture.reduce(2) for picture in pictures]
-    rows = [pictures[i : i + _COLUMNS] for i in range(0, len(pictures), _COLUMNS)]
-    width = max(sum(picture.width for picture in row) for row in rows)
-    heights = [max(picture.height for picture in row) for row in rows]
-    grid, top = Image.new("RGB", (width, sum(heights)), "white"), 0
-    for row, height in zip(rows, heights, strict=True):
-        left = 0
-        for picture in row:
-            grid.paste(picture, (left, top))
-            left += picture.width
-        top += height
-    return np.array(grid)
+    by_world = group_by_world(episodes)
+    pictures = [_draw_world(scene, world, world_episodes) for world, world_episodes in by_world.items()]
+    side = SIDE if len(pictures) <= _MAX_LARGE_PICTURES else SIDE // 2
+    return make_grid(pictures, [scene.spec.worlds[world].name for world in by_world], side=side)
 
 
 def _draw_world(scene: Scene, world: int, episodes: Sequence[Episode]) -> np.ndarray:
@@ -49,8 +37,7 @@ def _draw_world(scene: Scene, world: int, episodes: Sequence[Episode]) -> np.nda
     for goal in goals_in(scene, world, episodes):
         draw_goal(canvas, goal)
     for episode in episodes:
-        if len(episode.path) > 1:
-            canvas.line(episode.path, PATH, 0.02)
+        canvas.line(episode.path, PATH, 0.02)
     for episode in episodes:
         (x, y), (end_x, end_y) = episode.path[0], episode.path[-1]
         canvas.disc(x, y, 0.08, START)
@@ -60,14 +47,19 @@ def _draw_world(scene: Scene, world: int, episodes: Sequence[Episode]) -> np.nda
 
 
 def group_by_world(episodes: Sequence[Episode]) -> dict[int, list[Episode]]:
-    """Episodes by the index of their world, in the order of the worlds' first episodes."""
-    by_world: dict[int, list[Episode]] = {}
-    for episode in episodes:
-        by_world.setdefault(episode.world, []).append(episode)
-    return by_world
+    """Group episodes by the index of their world, in the order of the first episode in each world."""
+    worlds = dict.fromkeys(episode.world for episode in episodes)
+    return {world: [episode for episode in episodes if episode.world == world] for world in worlds}
 
 
 def goals_in(scene: Scene, world: int, episodes: Sequence[Episode]) -> list[tuple[float, float]]:
-    """Goals of the episodes in a world, x, y [m], without duplicates; empty for a task without a goal."""
+    """The different goals x, y [m] of episodes in a world; empty for a task without a goal."""
     goals = {episode.goal or scene.goal_in(world) for episode in episodes}
     return sorted(goal for goal in goals if goal is not None)
+
+
+def extend_bounds(world: World, path: np.ndarray) -> World:
+    """Extend the bounds of a world to contain a path x, y [m], shape (n, 2)."""
+    low = np.minimum(world.bounds[:2], path.min(axis=0) - _PATH_MARGIN)
+    high = np.maximum(world.bounds[2:], path.max(axis=0) + _PATH_MARGIN)
+    return world.with_start_and_goal(None, None, (*low.tolist(), *high.tolist()))

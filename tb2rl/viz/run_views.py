@@ -1,11 +1,8 @@
-"""The runs on a report's page: found by reference, read from their folders, and grouped by all but their seeds."""
+"""The data of runs for the report, and groups of runs that differ only in their seed."""
 
-from __future__ import annotations
-
-import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,68 +10,55 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.core.errors import InputError, one_line
-from tb2rl.core.files import top_folder
+from tb2rl.core import InputError, one_line, top_folder
 from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluation import Evaluation, kept_evaluation
-from tb2rl.evaluation.metrics import shown_metrics
+from tb2rl.evaluation.evaluation import Evaluation, load_evaluation
 from tb2rl.evaluation.statistics import bootstrap_interval
-from tb2rl.runs.config import Config
-from tb2rl.runs.folder import Run, config_file, read_config
-from tb2rl.runs.hub import HUB, cached_reference
+from tb2rl.runs import HUB, Config, Run, cached_reference, config_file, flatten, read_config
 from tb2rl.runs.loading import checkpoint_file, config_of, load
 from tb2rl.viz.charts import GROUP_COLOURS, distinct_colours
 from tb2rl.viz.curves import Curve, read_curves
 
-_EPISODES = 20  # of an evaluation that is made for the page
+_EPISODES = 20  # number of episodes of an evaluation for the report
 
 
 @dataclass(frozen=True)
 class RunView:
-    """A run as the page shows it.
+    """The data of a run for the report."""
 
-    Attributes:
-        name: Its name on the page.
-        config: Its config.
-        versions: Versions of the packages that trained it.
-        policy: The best one.
-        curves: By the tag in TensorBoard or the key in evaluations.jsonl.
-        evaluation: The standard evaluation, or a shorter one.
-        is_stored: Whether the evaluation comes from the run folder.
-    """
-
-    name: str
+    name: str  # name in the report
     config: Config
-    versions: Mapping[str, str]
-    policy: BaseAlgorithm
-    curves: Mapping[str, Curve]
-    evaluation: Evaluation
-    is_stored: bool
+    versions: Mapping[str, str]  # versions of the packages during the training
+    policy: BaseAlgorithm  # the best policy
+    curves: Mapping[str, Curve]  # see `read_curves`
+    evaluation: Evaluation  # the standard evaluation if it is stored, else a shorter one
+    is_stored: bool  # whether the run folder contains the evaluation
 
     @property
     def trained_steps(self) -> int:
-        """Control steps of the training so far, by its files."""
+        """Control steps of the training so far."""
         return int(max([self.policy.num_timesteps, *(curve.steps[-1] for curve in self.curves.values())]))
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """All settings and the versions of the packages, by dotted key."""
+        leaves = flatten({**self.config.to_dict(), "version": self.versions})
+        return {key: "none" if value is None else str(value) for key, value in leaves.items()}
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         return self.evaluation.summary()
 
-    @property
-    def action_names(self) -> Sequence[str]:
-        """Names of the kinds of actions."""
-        return self.evaluation.scene.actions.names
-
     @cached_property
     def action_shares(self) -> np.ndarray:
         """Share of each kind of action among the evaluation's steps, shape (kinds,)."""
-        actions = np.concatenate([episode.actions for episode in self.evaluation.episodes])
-        kinds = self.evaluation.scene.actions.kinds(actions)
-        return np.bincount(kinds, minlength=len(self.action_names)) / len(kinds)
+        actions = self.evaluation.scene.actions
+        kinds = actions.kinds(np.concatenate([episode.actions for episode in self.evaluation.episodes]))
+        return np.bincount(kinds, minlength=len(actions.names)) / len(kinds)
 
     @property
     def coverage(self) -> dict[str, float] | None:
-        """How much of a table of states and actions was updated; None for other policies."""
+        """Statistics on the updates of a Q-table; None for other policies."""
         policy: Any = self.policy.policy
         if not hasattr(policy, "visits"):
             return None
@@ -97,45 +81,34 @@ class RunGroup:
     views: Sequence[RunView]
 
     @property
-    def config(self) -> Config:
-        """The config of the first run; the others differ only in the seed."""
-        return self.views[0].config
-
-    @property
     def seeds(self) -> list[int]:
+        """The seeds of the runs, ascending."""
         return [view.config.train.seed for view in self.views]
-
-    @property
-    def trained_steps(self) -> list[int]:
-        """Control steps of the shortest and of the longest training, once if they are equal."""
-        steps = [view.trained_steps for view in self.views]
-        return sorted({min(steps), max(steps)})
 
     @property
     def settings(self) -> dict[str, str]:
         """All settings and the versions of the packages, by dotted key."""
-        seeds = ", ".join(map(str, self.seeds))
-        return {**_flat(self.config.to_dict()), "train.seed": seeds, **_flat({"version": self.views[0].versions})}
+        return {**self.views[0].settings, "train.seed": ", ".join(map(str, self.seeds))}
 
     def mean(self, key: str) -> tuple[float, tuple[float, float]]:
-        """Mean over the runs and its 95 % bootstrap interval, for a key of `Evaluation.summary`."""
+        """Mean over the runs of the value `key` of `Evaluation.summary`, and its 95 % bootstrap interval."""
         values = [view.summary[key] for view in self.views]
         return float(np.mean(values)), bootstrap_interval(values)
 
 
 def run_folders(references: Sequence[str]) -> list[Path]:
-    """The folders of the runs that references name, without duplicates.
+    """Find run folders, without duplicates.
 
     Args:
-        references: Run folders, folders of run folders, or policies of the zoo or the hub.
+        references: Run folders, folders that contain run folders, or policies of the zoo or the hub.
 
     Raises:
-        InputError: If a reference names no run.
+        InputError: If a reference has no run.
     """
-    return list(dict.fromkeys(folder.resolve() for reference in references for folder in _folders(reference)))
+    return list(dict.fromkeys(folder.resolve() for reference in references for folder in _find_folders(reference)))
 
 
-def _folders(reference: str) -> list[Path]:
+def _find_folders(reference: str) -> list[Path]:
     if reference.startswith(("zoo:", HUB)):
         return [checkpoint_file(reference).parents[1]]
     folder = Path(reference)
@@ -146,96 +119,75 @@ def _folders(reference: str) -> list[Path]:
     runs = sorted(file.parent for file in folder.glob("*/config.yaml"))
     if not runs:
         hint = next((f"; use {file.parent.parent}" for file in sorted(folder.rglob("config.yaml"))), "")
-        raise InputError(f"{folder} is neither a run folder nor a folder of them: it has no config.yaml{hint}")
+        raise InputError(f"{folder} is neither a run folder nor contains run folders: it has no config.yaml{hint}")
     return runs
 
 
 def display_names(folders: Sequence[Path]) -> list[str]:
-    """Names of runs on the page: references of zoo and hub, and other paths without their common part."""
+    """Names of runs in the report: a reference to the zoo or the hub, or the path relative to the common folder."""
     zoo = top_folder("zoo").resolve()
-    known = {folder: f"zoo:{folder.name}" if folder.parent == zoo else cached_reference(folder) for folder in folders}
-    shared = _common_path([str(folder.parent) for folder in folders if known[folder] is None])
-    return [known[folder] or str(folder.relative_to(shared) if shared else folder) for folder in folders]
+    references = {path: f"zoo:{path.name}" if path.parent == zoo else cached_reference(path) for path in folders}
+    common = _common_path([str(folder.parent) for folder in folders if references[folder] is None])
+    return [references[folder] or str(folder.relative_to(common) if common else folder) for folder in folders]
 
 
 def _common_path(paths: Sequence[str]) -> str:
     try:
         return os.path.commonpath(paths)
-    except ValueError:  # no paths, or on two drives of Windows
+    except ValueError:  # there are no paths, or they are on different drives of Windows
         return ""
 
 
 def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool = False) -> RunView:
-    """Read a run folder, and evaluate a run that has no stored standard evaluation.
+    """Read a run folder, and evaluate the run if there is no stored standard evaluation.
 
     Args:
         folder: The run folder.
-        name: Name on the page.
+        name: The name in the report.
         progress: Whether to show a progress bar if there is a terminal.
-        trust: Import any module that a shared run names.
+        trust: See `Run.open`.
 
     Raises:
         InputError: If a file of the folder is missing or damaged.
     """
     run = Run.open(folder, trust)
-    curves = read_curves(folder)
-    goal_task = run.config.task.goal_task
-    for metric in shown_metrics(goal_task=True):
-        if metric.goals_only and not goal_task:
-            curves.pop(metric.key, None)
-    policy = load(folder, trust)
-    trained, found = ({**config.to_dict(), "train": None} for config in (config_of(policy), run.config))
-    if trained != found:
-        raise InputError(f"{folder}: {config_file(folder).name} is not the config that its policy was trained with")
+    curves, policy = read_curves(folder, run.config.task.goal_task), load(folder, trust)
+    policy_config, run_config = ({**config.to_dict(), "train": None} for config in (config_of(policy), run.config))
+    if policy_config != run_config:
+        raise InputError(f"{folder}: {config_file(folder).name} differs from the config in the policy's checkpoint")
     is_stored = run.has_evaluation
-    evaluation = kept_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress=progress)
+    evaluation = load_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress=progress)
     versions = {str(key): str(value) for key, value in (read_config(folder).get("versions") or {}).items()}
     return RunView(name, run.config, versions, policy, curves, evaluation, is_stored)
 
 
 def group_runs(views: Iterable[RunView]) -> list[RunGroup]:
-    """Group runs that differ only in their seed, sorted by seed.
+    """Group runs that differ only in their seed, and sort each group by seed.
 
     Raises:
-        InputError: If two runs have the same seed as well, because a mean would count one training twice.
+        InputError: If two runs differ in nothing, because a mean would count the same training twice.
     """
-    groups: dict[str, dict[int, RunView]] = {}
+    views_by_seed: dict[frozenset[tuple[str, str]], dict[int, RunView]] = {}
     for view in views:
-        unseeded = replace(view.config, train=replace(view.config.train, seed=0))
-        settings = {**unseeded.to_dict(), "versions": view.versions}
-        seeds = groups.setdefault(json.dumps(settings, sort_keys=True), {})
-        other = seeds.setdefault(view.config.train.seed, view)
+        group = views_by_seed.setdefault(frozenset({**view.settings, "train.seed": ""}.items()), {})
+        other = group.setdefault(view.config.train.seed, view)
         if other is not view:
-            raise InputError(f"{other.name} and {view.name} are the same training: name one of them")
-    names = [view.name for seeds in groups.values() for view in seeds.values()]
+            raise InputError(f"{other.name} and {view.name} are the same training; give only one of them")
+    groups = [[group[seed] for seed in sorted(group)] for group in views_by_seed.values()]
     colours = distinct_colours(len(groups), GROUP_COLOURS)
-    return [
-        RunGroup(_group_name([view.name for view in seeds.values()], names), colour, [seeds[i] for i in sorted(seeds)])
-        for seeds, colour in zip(groups.values(), colours, strict=True)
-    ]
+    return [RunGroup(_group_name(i, groups), colours[i], group) for i, group in enumerate(groups)]
 
 
-def _group_name(names: Sequence[str], all_names: Sequence[str]) -> str:
-    """The common path of names, or the first name if other names have the same path."""
-    shared = _common_path(names)
-    inside = [name for name in all_names if shared and Path(name).is_relative_to(shared)]
-    return shared if len(names) == 1 or inside == list(names) else f"{names[0]} and {len(names) - 1} more"
+def _group_name(index: int, groups: Sequence[Sequence[RunView]]) -> str:
+    """The common path of the group's names; "NAME and N more" if there is none, or other groups lie in it."""
+    group, others = groups[index], [view for other in (*groups[:index], *groups[index + 1 :]) for view in other]
+    common = _common_path([view.name for view in group])
+    is_unique = common and not any(Path(other.name).is_relative_to(common) for other in others)
+    return common if len(group) == 1 or is_unique else f"{group[0].name} and {len(group) - 1} more"
 
 
 def differences(groups: Sequence[RunGroup]) -> dict[str, list[str]]:
     """Settings in which groups differ, by dotted key, with the value of each group."""
     settings = [group.settings for group in groups]
-    keys = sorted({key for each in settings for key in each} - {"train.seed"})
-    rows = {key: [each.get(key, "") for each in settings] for key in keys}
+    rows = {key: [s.get(key, "") for s in settings] for key in sorted(set().union(*settings) - {"train.seed"})}
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
-
-
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Values of a nested mapping as text, by dotted key."""
-    flat: dict[str, str] = {}
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = "none" if value is None else str(value)
-    return flat

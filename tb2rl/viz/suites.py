@@ -1,6 +1,4 @@
-"""Suite results on a report's page, with films of some episodes."""
-
-from __future__ import annotations
+"""Sections of the report for suite results, with films of some episodes."""
 
 import math
 from base64 import b64encode
@@ -8,83 +6,65 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.episodes import Policy
-from tb2rl.evaluation.evaluator import Evaluator
+from tb2rl.evaluation.evaluate import Evaluator
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.evaluation.suite_result import NamedDrive, SuiteResult
-from tb2rl.evaluation.suites import evaluator_of
+from tb2rl.evaluation.suites import SuiteEpisode, SuiteResult, restore_evaluation
 from tb2rl.runs.folder import suite_files
 from tb2rl.viz.film import write_film
 
-FILMS = 6  # of a result, at most
-_MIN_SPEED = 4.0  # playback speed of a film
-_MAX_SECONDS = 6.0  # [s] of a film, without its last frame: about a megabyte
-
-
-@dataclass(frozen=True)
-class SuiteFilm:
-    """The film of a repeated episode."""
-
-    ended: str
-    speed: float  # playback speed
-    url: str  # a data URL
+MAX_FILMS = 6  # maximum number of films of a result
+_MIN_SPEED = 4.0  # minimum playback speed of a film; 1 is real time
+_MAX_SECONDS = 6.0  # [s] duration of a film without its last frame: about a megabyte
 
 
 @dataclass(frozen=True)
 class SuiteSection:
-    """A result and films of some of its episodes.
-
-    Attributes:
-        result: The result.
-        shown: Some of its drives, see `shown_drives`, each with its film if there is one.
-        simulator: The simulator of the films.
-        error: The reason why there are no films; "": there are.
-    """
+    """A suite result and films of some of its episodes."""
 
     result: SuiteResult
-    shown: Sequence[tuple[NamedDrive, SuiteFilm | None]]
-    simulator: str = ""
-    error: str = ""
+    episodes: Sequence[tuple[SuiteEpisode, dict[str, Any] | None]]  # each with its film ("ended", "speed", data "url")
+    error: str = ""  # the reason why there are no films
 
 
 def result_files(files: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
-    """Suite results: files, and those in run folders, without duplicates."""
-    inside = [file for folder in folders for file in suite_files(folder)]
-    return list(dict.fromkeys(file.resolve() for file in [*files, *inside]))
+    """The given files of suite results and those in run folders, without duplicates."""
+    run_files = [file for folder in folders for file in suite_files(folder)]
+    return list(dict.fromkeys(file.resolve() for file in [*files, *run_files]))
 
 
 def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> SuiteSection:
-    """Repeat and film the episodes that the page shows.
-
-    Args:
-        file: The file of the result.
-        result: Its content.
-        progress: Whether to show a progress bar if there is a terminal.
-    """
-    shown = shown_drives(result)
+    """Make the section of a result, which was read from `file`, by repeating and filming some episodes."""
+    selected = select_episodes(result)
+    if not selected:  # a summary
+        return SuiteSection(result, [])
     try:
-        evaluator, policy = evaluator_of(result, file.parent)
+        evaluator, policy = restore_evaluation(result, file.parent)
         with evaluator:
-            bar = progress_bar(shown, "filming", "world", shown=progress)
-            films = [(drive, _film(evaluator, policy, drive)) for drive in bar]
+            bar = progress_bar(selected, "filming", "world", shown=progress)
+            filmed_episodes = [(episode, _film(evaluator, policy, episode.world)) for episode in bar]
     except InputError as error:
-        return SuiteSection(result, [(drive, None) for drive in shown], error=str(error))
-    return SuiteSection(result, films, evaluator.simulator.title)
+        return SuiteSection(result, [(episode, None) for episode in selected], error=str(error))
+    return SuiteSection(result, filmed_episodes)
 
 
-def shown_drives(result: SuiteResult) -> Sequence[NamedDrive]:
-    """The first drives that missed the goal; else the one nearest to an obstacle, or without obstacles the longest."""
-    nearest = min(result.each, key=lambda d: (math.inf if d.closest is None else d.closest, -d.distance))
-    return result.missed[:FILMS] or [nearest]
+def select_episodes(result: SuiteResult) -> Sequence[SuiteEpisode]:
+    """The first episodes that missed the goal; if none did, the one with the smallest clearance or longest path."""
+
+    def rank(episode: SuiteEpisode) -> tuple[float, float]:
+        return math.inf if episode.min_clearance is None else episode.min_clearance, -episode.distance
+
+    return result.unsuccessful_episodes[:MAX_FILMS] or sorted(result.episodes, key=rank)[:1]
 
 
-def _film(evaluator: Evaluator, policy: Policy, drive: NamedDrive) -> SuiteFilm:
-    moments = evaluator.moments(policy, drive.world)
-    speed = max(_MIN_SPEED, len(moments) * evaluator.scene.task.control_period / _MAX_SECONDS)
+def _film(evaluator: Evaluator, policy: Policy, world: int) -> dict[str, Any]:
+    steps = evaluator.replay(policy, world)
+    speed = max(_MIN_SPEED, len(steps) * evaluator.scene.task.control_period / _MAX_SECONDS)
     with TemporaryDirectory() as folder:
-        file = Path(folder, "drive.gif")
-        write_film(file, [moments], evaluator.scene, speed=speed)
+        file = Path(folder, "episode.gif")
+        write_film(file, [steps], evaluator.scene, speed=speed)
         content = b64encode(file.read_bytes()).decode()
-    return SuiteFilm(moments[-1].info["ended"], speed, f"data:image/gif;base64,{content}")
+    return {"ended": steps[-1].info["ended"], "speed": speed, "url": f"data:image/gif;base64,{content}"}

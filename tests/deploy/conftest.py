@@ -1,7 +1,5 @@
 """A scripted policy, and scans of given ranges."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,7 +30,6 @@ class ScriptedPolicy:
 
 @pytest.fixture
 def scripted_policy() -> type[ScriptedPolicy]:
-    """The class `ScriptedPolicy`."""
     return ScriptedPolicy
 
 

@@ -1,7 +1,5 @@
 """A policy with one action, tasks that are special in one way each, and episodes without a drive."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -10,7 +8,6 @@ import pytest
 
 from tb2rl.evaluation.episodes import Episode
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.sensors import Sensor
 from tb2rl.tasks import Outcome, Task, Velocities
 from tb2rl.tasks.wander import Wander
 
@@ -38,33 +35,15 @@ class Northward(Wander):
 
     goal_task = True
 
-    def initial_state(self, spec, draws):
-        states = super().initial_state(spec, draws)
+    def initial_state(self, spec, random):
+        states = super().initial_state(spec, random)
         states.pose[:, 2] = math.pi / 2
-        states.goal[:] = draws.uniform(2)
+        states.goal[:] = random.uniform(2)
         return states
 
     def outcome(self, before, action, after):
         outcome = super().outcome(before, action, after)
         return replace(outcome, succeeded={"goal": np.zeros(len(outcome.reward), dtype=bool)})
-
-
-class _Picture(Sensor):
-    """Grey where the laser sees free space."""
-
-    name, shape = "picture", (1, 36, 36)
-
-    def read(self, robot_state):
-        rows = np.arange(36)[:, None] < 12 * np.minimum(robot_state.ranges, 3.0)[:, None, :]
-        return (255 * rows[:, None]).astype(np.uint8)
-
-
-@dataclass(frozen=True)
-class Pictured(Wander):
-    """Observes an image beside the laser's ranges."""
-
-    def sensors(self, spec):
-        return (*super().sensors(spec), _Picture())
 
 
 def _outcomes(evaluation: Evaluation) -> list[tuple]:
@@ -83,36 +62,25 @@ def _episode(ended="time limit", success=True, length=0, distance=1.0, total=0.0
 
 
 @pytest.fixture
-def forward():
-    """A policy that drives forward."""
+def forward() -> _Forward:
     return _Forward()
 
 
 @pytest.fixture
 def outcomes():
-    """The function `_outcomes`."""
     return _outcomes
 
 
 @pytest.fixture
 def make_episode():
-    """The function `_episode`."""
     return _episode
 
 
 @pytest.fixture
 def cruise() -> type[Task]:
-    """A task with continuous actions."""
     return Cruise
 
 
 @pytest.fixture
 def northward() -> type[Task]:
-    """A task with initial states of its own."""
     return Northward
-
-
-@pytest.fixture
-def pictured() -> type[Task]:
-    """A task whose observations are mappings."""
-    return Pictured

@@ -1,8 +1,5 @@
 """`tb2rl.evaluate`: policies by any name, at a task that they know."""
 
-from __future__ import annotations
-
-from contextlib import nullcontext
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -14,27 +11,23 @@ from stable_baselines3 import A2C
 from tb2rl import evaluate
 from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import make_scene
-from tb2rl.evaluation.spaces import check_observes
+from tb2rl.evaluation.episodes import check_spaces
 from tb2rl.runs.algorithm import make_baseline
-from tb2rl.runs.layers import resolve
+from tb2rl.runs.config import resolve
 from tb2rl.tasks.wander import Wander
 
 SHORT = {"episodes": 1, "steps": 3, "workers": 1}
 KINEMATIC = {**SHORT, "simulation": "kinematic"}
 
 
-def test_settings_change_the_task(trained_run):
+def test_settings_and_simulation_can_be_chosen(trained_run):
     settings = {"world": "circuit", "laser_noise": 0.1}
     evaluation = evaluate(trained_run, settings=settings, **KINEMATIC)
     assert (evaluation.task.world, evaluation.scene.world.name) == ("circuit", "circuit")
     assert evaluation.task.laser_noise == 0.1
+    assert (evaluation.simulation, evaluate(trained_run, **SHORT).simulation) == ("kinematic", "bullet")
     with pytest.raises(InputError, match="did you mean 'world'"):
         evaluate(trained_run, settings={"wrld": "circuit"}, **KINEMATIC)
-
-
-def test_the_simulation_can_be_chosen(trained_run):
-    assert evaluate(trained_run, **KINEMATIC).simulation == "kinematic"
-    assert evaluate(trained_run, **SHORT).simulation == "bullet"
     with pytest.raises(InputError, match="unknown simulator 'gazebo'; known: bullet, kinematic"):
         evaluate(trained_run, simulation="gazebo", **SHORT)
 
@@ -69,27 +62,24 @@ def test_a_model_of_ones_own_is_evaluated_at_a_task(observation, task, make_mode
 
 
 def test_the_task_of_a_model_of_ones_own_has_settings(make_model):
+    known = evaluate("zoo:maze-loop-dqn", task="maze", settings={"world": "circuit"}, **KINEMATIC)
+    assert known.task.world == "circuit"
     model = make_model(observation="raw", simulation="kinematic", beams=9)
     evaluation = evaluate(model, task="maze", settings={"beams": 9, "world": "circuit"}, **KINEMATIC)
     assert (evaluation.task.world, evaluation.scene.laser.beams) == ("circuit", 9)
     for observation in (None, "discrete"):
-        with pytest.raises(InputError, match="knows the observation Box"):
+        with pytest.raises(InputError, match="the observation space Box"):
             evaluate(model, task="maze", observation=observation, **KINEMATIC)
 
 
-def test_a_policy_of_the_zoo_is_evaluated_at_another_task():
-    evaluation = evaluate("zoo:maze-loop-dqn", task="maze", settings={"world": "circuit"}, **KINEMATIC)
-    assert evaluation.task.world == "circuit"
-
-
 def test_the_task_is_named_once(make_model, trained_run):
-    with pytest.raises(InputError, match=r"A2C does not come from tb2rl.load or tb2rl.train: name its task"):
+    with pytest.raises(InputError, match=r"A2C does not come from tb2rl.load or tb2rl.train: pass its task"):
         evaluate(make_model(observation="raw", simulation="kinematic"))
-    with pytest.raises(InputError, match=r"object does not come from .*: name its task, such as task='maze'"):
+    with pytest.raises(InputError, match=r"object does not come from .*: pass its task, such as task='maze'"):
         evaluate(object())
-    with pytest.raises(InputError, match="either a config or a task"):
+    with pytest.raises(InputError, match="give one of them"):
         evaluate(trained_run, resolve(), task="maze")
-    with pytest.raises(InputError, match="observation= goes with task="):
+    with pytest.raises(InputError, match="observation= needs task="):
         evaluate(trained_run, observation="raw")
 
 
@@ -105,15 +95,14 @@ def test_observations_that_a_policy_does_not_know_are_refused(trained_run, chang
 def test_actions_that_a_policy_does_not_know_are_refused(cruise):
     policy = make_baseline(resolve("random"))
     for task, space in (("my-maze", r"Discrete\(4\)"), (cruise, r"Box\(-1")):
-        with pytest.raises(InputError, match=r"knows the actions Discrete\(3\), but this task has " + space):
+        with pytest.raises(InputError, match=r"the action space Discrete\(3\), but this task has " + space):
             evaluate(policy, resolve("random", task), **KINEMATIC)
 
 
-def test_an_image_beside_numbers_is_compared_too(pictured):
-    scene = make_scene(pictured(), "raw")
-    for side in (36, 37):
-        picture = spaces.Box(0, 255, (1, 36, side), np.uint8)
-        known = spaces.Dict({"picture": picture, "numbers": scene.observation_space["numbers"]})
-        with nullcontext() if side == 36 else pytest.raises(InputError, match="knows the observation"):
-            check_observes(SimpleNamespace(observation_space=known), scene)
-    check_observes(SimpleNamespace(), scene)  # a policy that does not say what it knows
+def test_an_image_beside_numbers_is_compared_too():
+    scene = make_scene(Wander(observe=("laser", "camera")), "raw")
+    known = {**scene.observation_space.spaces, "camera": spaces.Box(0, 255, (1, 64, 65), np.uint8)}
+    with pytest.raises(InputError, match="the policy has the observation space"):
+        check_spaces(SimpleNamespace(observation_space=spaces.Dict(known)), scene)
+    check_spaces(SimpleNamespace(observation_space=scene.observation_space), scene)
+    check_spaces(SimpleNamespace(), scene)  # a policy that does not say what it knows

@@ -1,7 +1,5 @@
 """A metric is one entry of a list, and everything that shows metrics shows it."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -18,7 +16,7 @@ from tb2rl.zoo.entry import entries
 @pytest.fixture
 def turning(monkeypatch) -> Metric:
     """A metric of a user."""
-    turning = Metric("turns", "turns taken", "steps", lambda episode, _: float((episode.actions > 0).sum()))
+    turning = Metric("turns", "turns taken", "steps", lambda episode: float((episode.actions > 0).sum()))
     monkeypatch.setattr(metrics, "METRICS", (*METRICS, turning))
     return turning
 
@@ -44,6 +42,6 @@ def test_tables_json_tensorboard_and_pages_show_a_new_metric(run):
 
 def test_cards_of_the_zoo_show_a_new_metric(turning, monkeypatch):
     (entry,) = (each for each in entries() if each.name == "maze-loop-qlearn")
-    monkeypatch.setitem(entry.figures, "mean_turns", 4.0)
-    monkeypatch.setitem(entry.figures, "std_turns", 1.0)
+    monkeypatch.setitem(entry.summary, "mean_turns", 4.0)
+    monkeypatch.setitem(entry.summary, "std_turns", 1.0)
     assert ("turns taken", "4.0", "± 1.0 steps") in entry.metric_rows

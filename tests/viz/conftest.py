@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from html.parser import HTMLParser
@@ -15,23 +14,20 @@ import av
 import numpy as np
 import pytest
 import yaml
-from PIL import Image, ImageSequence
+from PIL import Image, ImageColor, ImageSequence
 
 from tb2rl import report, train
-from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.evaluation.episodes import Episode
-from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.evaluate import SEED, evaluate
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import SEED
-from tb2rl.runs.config import Config
+from tb2rl.runs.config import Config, resolve
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
 from tb2rl.tasks import Outcome, Task, Velocities
 from tb2rl.tasks.wander import Wander
 from tb2rl.viz import run_views
-from tb2rl.viz.episodes import FilmOptions, load_policy, roll_out_episodes
-from tb2rl.viz.film_frames import FilmFrame, film_frames
+from tb2rl.viz.cameras import FilmFrame, film_frames
+from tb2rl.viz.film import FilmOptions, open_episodes
 from tb2rl.viz.run_views import RunView, read_run_view
 
 LINKS = {"src", "href", "xlink:href", "data", "action", "poster", "srcset"}
@@ -64,11 +60,20 @@ def _config(task: str | type[Task] = "maze", **settings) -> Config:
 
 def _frames_of(policy, config: Config, steps: int = 1, rate: float = 10) -> tuple[list[FilmFrame], Scene]:
     """The frames of one episode, and its scene."""
-    options = FilmOptions(steps=steps)
-    policy, scene = load_policy(policy, config, None, options)
-    with closing(ControlLoop.open(scene, options.simulator)) as loop:
-        (moments,) = map(list, roll_out_episodes(loop, policy, options))
-    return list(film_frames(moments, scene.task.control_period, rate)), scene
+    with open_episodes(policy, config, None, FilmOptions(steps=steps), "filming") as (scene, episodes):
+        (steps,) = map(list, episodes)
+    return list(film_frames(steps, scene.task.control_period, rate)), scene
+
+
+def _coloured(picture: np.ndarray, colour: str) -> np.ndarray:
+    """Row and column of all pixels with a colour, up to the smoothing of edges, shape (pixels, 2)."""
+    return np.argwhere(np.abs(picture.astype(int) - ImageColor.getrgb(colour)).max(axis=2) < 12)
+
+
+def _green(picture: np.ndarray) -> np.ndarray:
+    """Row and column of all green pixels, as goals are in any light, shape (pixels, 2)."""
+    red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
+    return np.argwhere((green - red > 30) & (green - blue > 30))
 
 
 def _read_film(path: Path) -> tuple[list[np.ndarray], float]:
@@ -100,8 +105,8 @@ def _store_evaluation(folder: Path, episodes: int, steps: int, ended: str) -> No
     x0, y0, x1, y1 = config.scene.world.bounds
     paths = rng.uniform((x0, y0), (x1, y1), (episodes, steps + 1, 2))
     each = [_episode(path, rng.integers(3, size=steps), ended) for path in paths]
-    evaluation = Evaluation(each, config.scene.changed(episode_steps=steps), SEED, "kinematic")
-    Run.open(folder).write_evaluation(*evaluation.tree(config, str(folder)))
+    evaluation = Evaluation(each, config.scene.with_time_limit(steps), SEED, "kinematic")
+    Run.open(folder).write_evaluation(*evaluation.serialize(config, str(folder)))
 
 
 def _copied(run: Path, folder: Path, part: str = "train", **settings) -> Path:
@@ -149,15 +154,23 @@ class _Page(HTMLParser):
 @pytest.fixture(scope="session")
 def make() -> SimpleNamespace:
     """The functions above that make something."""
-    return SimpleNamespace(
-        config=_config, policy=_Constant, frames=_frames_of, episode=_episode, evaluation=_evaluation, copied=_copied
-    )  # fmt: skip
+    made = {"config": _config, "policy": _Constant, "frames": _frames_of, "copied": _copied}
+    return SimpleNamespace(**made, episode=_episode, evaluation=_evaluation)
 
 
 @pytest.fixture(scope="session")
 def read_film():
-    """The function `_read_film`."""
     return _read_film
+
+
+@pytest.fixture(scope="session")
+def coloured():
+    return _coloured
+
+
+@pytest.fixture(scope="session")
+def green():
+    return _green
 
 
 @pytest.fixture(scope="session")
@@ -167,7 +180,6 @@ def pages() -> type[_Page]:
 
 @pytest.fixture(scope="session")
 def cruise() -> type[Task]:
-    """A task with continuous actions."""
     return Cruise
 
 

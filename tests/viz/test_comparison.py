@@ -1,7 +1,5 @@
 """`report --compare`: the verdicts, the page, and one line for runs that cannot be compared."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace
@@ -11,8 +9,8 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.report import main as report
+from tb2rl.runs.config import resolve
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
 from tb2rl.viz import comparison
 
 
@@ -32,7 +30,7 @@ def runs(tmp_path, monkeypatch):
             (run.folder / "metrics.json").write_text(json.dumps({"good": rate, "speed": 0.25 + seed / 1000}))
         return str(tmp_path / name)
 
-    monkeypatch.setattr(comparison, "kept_evaluation", stored)
+    monkeypatch.setattr(comparison, "load_evaluation", stored)
     monkeypatch.chdir(tmp_path)
     return make
 
@@ -43,7 +41,7 @@ def test_the_page_says_which_runs_are_better_and_draws_both(runs, tmp_path, caps
     out = capsys.readouterr().out
     assert f"{good} is better than {bad}" in out
     assert "Good episodes: 95.0 % (" in out
-    assert "Speed, as a share of the fastest action's: 50.9 % (" in out
+    assert "Speed, relative to the fastest action: 50.9 % (" in out
     assert f"do not tell {good} and {bad} apart" in out, "their speeds are equal"
     page = (tmp_path / "report.html").read_text()
     assert "&lt;good&gt;" in page
@@ -63,8 +61,8 @@ def test_runs_that_cannot_be_compared_are_refused(runs, tmp_path, capsys):
     for words, message in (
         ([one, other], "the same tasks and worlds, not maze in loop with maze in circuit"),
         ([one, other, other], "--compare takes two folders of runs"),
-        ([one, other, "--world", "loop"], "--compare takes two folders of runs"),
-        ([one, f"{one}/."], "--compare takes different runs, and "),
+        ([one, other, "--world", "loop"], "--world"),
+        ([one, f"{one}/."], "--compare takes two different sets of runs, but "),
     ):
         with pytest.raises(SystemExit, match="2"):
             report(["--compare", *words])

@@ -1,7 +1,5 @@
 """Learning curves come from the files of a run; seeds have a mean where all of them have values."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -9,14 +7,11 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.statistics import bootstrap_interval
-from tb2rl.viz.curves import POINTS, Curve, SeedCurves, read_curves
-
-NOT_FINITE = '{"timesteps": 1, "failure_free_rate": NaN, "success_rate": 1}'
-TOO_LARGE = f'{{"timesteps": 1{400 * "0"}, "failure_free_rate": 1, "success_rate": 1}}'
+from tb2rl.viz.curves import MAX_POINTS, Curve, SeedCurves, read_curves
 
 
 def test_curves_come_from_the_files_of_the_run(seeds):
-    curves = read_curves(seeds / "seed-0")
+    curves = read_curves(seeds / "seed-0", False)
     lines = [json.loads(line) for line in (seeds / "seed-0" / "evaluations.jsonl").read_text().splitlines()]
     assert curves["failure_free_rate"].steps.tolist() == [line["timesteps"] for line in lines] == [12_000, 24_000]
     assert curves["failure_free_rate"].values.tolist() == [line["failure_free_rate"] for line in lines]
@@ -25,46 +20,31 @@ def test_curves_come_from_the_files_of_the_run(seeds):
     assert ((curves["rollout/failure_rate"].values >= 0) & (curves["rollout/failure_rate"].values <= 1)).all()
 
 
-@pytest.mark.parametrize("damage", ["cut", "flipped"])
-def test_an_event_file_is_read_up_to_its_first_damage(damage, seeds, make, tmp_path):
+def test_an_event_file_is_read_up_to_its_first_damage(seeds, make, tmp_path):
     run = make.copied(seeds / "seed-0", tmp_path / "run")
     (file,) = (run / "tensorboard").iterdir()
-    whole = read_curves(run)["rollout/ep_rew_mean"]
-    data = bytearray(file.read_bytes())
-    if damage == "cut":
-        data = data[: data.rindex(b"rollout/ep_rew_mean")]
-    else:
-        data[len(data) // 2] ^= 0xFF
-    file.write_bytes(data)
-    read = read_curves(run)["rollout/ep_rew_mean"]
+    whole = read_curves(run, False)["rollout/ep_rew_mean"]
+    data = file.read_bytes()
+    file.write_bytes(data[: data.rindex(b"rollout/ep_rew_mean")])
+    read = read_curves(run, False)["rollout/ep_rew_mean"]
     assert 0 < len(read.steps) < len(whole.steps)
     assert read.values.tolist() == whole.values[: len(read.values)].tolist()
     file.write_bytes(b"")
-    assert read_curves(run).keys() == {"failure_free_rate", "success_rate"}
+    assert read_curves(run, False).keys() == {"failure_free_rate"}
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "{",
-        "[]",
-        '{"timesteps": 1}',
-        '{"timesteps": "x", "failure_free_rate": 1, "success_rate": 1}',
-        NOT_FINITE,
-        TOO_LARGE,
-    ],
-)
+@pytest.mark.parametrize("content", ["{", "[]", '{"timesteps": 1}', '{"timesteps": "x", "failure_free_rate": NaN}'])
 def test_damaged_evaluations_are_refused_by_name(content, tmp_path):
     (tmp_path / "evaluations.jsonl").write_text(content + "\n")
     with pytest.raises(InputError, match=r"evaluations\.jsonl is damaged"):
-        read_curves(tmp_path)
+        read_curves(tmp_path, False)
 
 
 def test_an_incomplete_last_evaluation_is_left_out_and_a_run_without_files_has_no_curves(tmp_path):
-    assert read_curves(tmp_path) == {}
+    assert read_curves(tmp_path, True) == {}
     line = '{"timesteps": 1, "failure_free_rate": 0.5, "success_rate": 0.25}\n'
     (tmp_path / "evaluations.jsonl").write_text(line + '{"timesteps": 2, "fail')
-    assert read_curves(tmp_path)["success_rate"].values.tolist() == [0.25]
+    assert read_curves(tmp_path, True)["success_rate"].values.tolist() == [0.25]
 
 
 def test_seeds_have_a_mean_and_an_interval_where_all_of_them_have_values():
@@ -81,8 +61,7 @@ def test_seeds_have_a_mean_and_an_interval_where_all_of_them_have_values():
 
 
 def test_a_long_curve_is_thinned_but_keeps_its_ends():
-    thinned = Curve(np.arange(1000.0), np.arange(1000.0) ** 2).thinned()
-    assert len(thinned.steps) == POINTS
+    thinned = Curve(np.arange(1000.0), np.arange(1000.0) ** 2).downsample()
+    assert len(thinned.steps) == MAX_POINTS
     assert (thinned.steps[0], thinned.steps[-1]) == (0.0, 999.0)
     assert (thinned.values == thinned.steps**2).all()
-    assert thinned.thinned() is thinned

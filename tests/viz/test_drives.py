@@ -1,7 +1,5 @@
 """Drives from bags on a page: their metrics, their paths in a world, and the names of their topics."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -27,8 +25,8 @@ def drive() -> Drive:
         odometry=np.column_stack([times, times * 0.5, zeros, zeros, zeros + 0.5, zeros]),
         truth=np.empty((0, 6)),
         commands=np.column_stack([times, zeros + 0.5, zeros]),
-        nearest=np.column_stack([times, 6.0 - times * 0.5]),
-        touches=np.array([(0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (3.0, 0.0), (4.0, 1.0)]),
+        scan_minima=np.column_stack([times, 6.0 - times * 0.5]),
+        bumper=np.array([(0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (3.0, 0.0), (4.0, 1.0)]),
         goals=np.empty((0, 3)),
     )
 
@@ -54,7 +52,7 @@ def test_the_table_has_the_metrics_of_the_drive_and_names_are_text(drive, pages)
 
 def test_topics_that_were_not_recorded_are_left_out(drive, pages):
     nothing = np.empty((0, 3))
-    found = shown(pages, replace(drive, commands=nothing, nearest=nothing[:, :2], touches=nothing[:, :2]))
+    found = shown(pages, replace(drive, commands=nothing, scan_minima=nothing[:, :2], bumper=nothing[:, :2]))
     assert "9.8 4.9 0.500 \u2013 \u2013" in found.text
     assert [word for word in ("commanded", "shortest range", "contact ") if word in found.text] == []
 
@@ -74,5 +72,5 @@ def test_a_drive_may_be_short_or_long(rows, drive):
     times = np.arange(rows) * 0.02
     odometry = np.column_stack([times, np.cos(times), np.sin(times), times, times * 0.0 + 1.0, times * 0.0])
     nearest = np.column_stack([times, np.where(np.arange(rows) == rows // 2, 0.1, 5.0)])
-    section = drive_section(replace(drive, odometry=odometry, nearest=nearest, commands=odometry[:, :3]))
+    section = drive_section(replace(drive, odometry=odometry, scan_minima=nearest, commands=odometry[:, :3]))
     assert sum(map(len, (section.path, section.speed, section.turn_rate, section.nearest))) < 200_000

@@ -1,31 +1,22 @@
 """Dynamic obstacles are visible: in films by both cameras, in plans, in pictures of paths, and in the report."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import numpy as np
 import pytest
-from PIL import ImageColor
 
+from tb2rl.rendering.above import draw_plan
 from tb2rl.rendering.colours import DYNAMIC_OBSTACLE, ROUTE
-from tb2rl.rendering.plan import draw_plan
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation.bullet.obstacle_bodies import _COLOUR
-from tb2rl.tasks.outcome import OBSTACLE_COLLISION
+from tb2rl.tasks.task import DYNAMIC_COLLISION
 from tb2rl.viz.cameras import CAMERAS
 from tb2rl.viz.charts import draw_episodes
 from tb2rl.viz.pictures import draw_paths
-from tb2rl.worlds.dynamic_obstacles import find_dynamic_obstacles
+from tb2rl.worlds.dynamic_obstacles import parse_dynamic_obstacles
 from tb2rl.worlds.world import World
 
 LOOP = {"posts": 1, "path": [[-3, 3], [3, 3], [3, -3]]}
 POST = {"posts": 1, "radius": 0.3, "path": [[-2.0, -3.751], [-2.0, -3.749]], "speed": 1e-3}  # it hardly moves
-
-
-def coloured(picture: np.ndarray, colour: str) -> np.ndarray:
-    """Row and column of all pixels with a colour, shape (pixels, 2)."""
-    return np.argwhere(np.abs(picture.astype(int) - ImageColor.getrgb(colour)).max(axis=2) < 12)
 
 
 def purple(picture: np.ndarray) -> int:
@@ -34,7 +25,7 @@ def purple(picture: np.ndarray) -> int:
     return int(((blue - green > 25) & (blue > red + 10)).sum())
 
 
-def test_the_camera_from_above_shows_them_at_each_instant(make):
+def test_the_camera_from_above_shows_them_at_each_instant(make, coloured):
     config = make.config(start="fixed", beams=5, dynamic_obstacles={"boxes": 1, "size": [1.0, 0.6]})
     frames, scene = make.frames(make.policy(1), config, steps=5)
     x0, _, x1, y1 = scene.world.bounds
@@ -55,7 +46,7 @@ def test_beams_end_at_them(make):
     frames, scene = make.frames(make.policy(1), config)
     with closing(CAMERAS["above"](scene)) as camera:
         camera.picture(frames[0])
-        assert camera._ranges[0, 1] == pytest.approx(3.75 - 2.0 - 0.4, abs=1e-3)
+        assert camera.ranges(frames[0])[1] == pytest.approx(3.75 - 2.0 - 0.4, abs=1e-3)
 
 
 def test_the_chase_camera_shows_them(make):
@@ -66,11 +57,10 @@ def test_the_chase_camera_shows_them(make):
             seen.append(purple(camera.picture(frames[0])))
     assert seen[0] > 300
     assert seen[1] < 20
-    assert np.abs(np.array(_COLOUR[:3]) * 255 - ImageColor.getrgb(DYNAMIC_OBSTACLE)).max() < 1, "as from above"
 
 
-def test_plans_and_pictures_of_paths_show_their_routes(make):
-    obstacles = find_dynamic_obstacles(LOOP, "dynamic_obstacles")
+def test_plans_and_pictures_of_paths_show_their_routes(make, coloured):
+    obstacles = parse_dynamic_obstacles(LOOP, "dynamic_obstacles")
     world = World.from_shapes("hall", start=(0, 0, 0), bounds=(-5, -5, 5, 5), dynamic_obstacles=obstacles)
     picture = draw_plan(world, ROBOT)
     scale = picture.shape[1] / 10.6
@@ -85,9 +75,9 @@ def test_plans_and_pictures_of_paths_show_their_routes(make):
 
 
 def test_the_report_marks_collisions_with_them(make):
-    endings = ("collision", OBSTACLE_COLLISION, OBSTACLE_COLLISION)
+    endings = ("collision", DYNAMIC_COLLISION, DYNAMIC_COLLISION)
     episodes = [make.episode([(0, 0), (1, 2)], [0], ended, failed=True) for ended in endings]
     picture = draw_episodes(make.evaluation(episodes, dynamic_obstacles=LOOP))
-    assert picture.count("<use", picture.index('id="obstacle-collisions"'), picture.index('id="failures"')) == 2
+    assert picture.count("<use", picture.index('id="dynamic-collisions"'), picture.index('id="failures"')) == 2
     assert DYNAMIC_OBSTACLE in picture
     assert DYNAMIC_OBSTACLE not in draw_episodes(make.evaluation(episodes[:1]))

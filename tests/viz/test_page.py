@@ -1,7 +1,5 @@
 """The report: one self-contained page with the numbers of its runs."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -75,7 +73,7 @@ def test_the_coverage_table_counts_updates(seeds, pages):
     visits[:eighth] = th.tensor([1, 50, 0])
     visits[eighth : 2 * eighth, 2] = 7
     table = page(group_runs([view])).partition('id="coverage"')[2].partition("</table>")[0]
-    on_map = f"{100 * action_map(view.policy, view.config.scene).visited:.1f} %"
+    on_map = f"{100 * action_map(view.policy, view.config.scene).visited_share:.1f} %"
     cells = [" ".join(cell.split()) for cell in re.findall(r"<td>(.*?)</td>", table)]
     assert cells == ["19 683", "25.0 %", "12.5 %", "7", on_map]
 

@@ -1,7 +1,5 @@
 """The table of an evaluation in the terminal: its metrics, and the success rate only of tasks with a goal."""
 
-from __future__ import annotations
-
 import re
 from io import BytesIO, TextIOWrapper
 
@@ -26,14 +24,12 @@ def test_the_table_has_the_metrics_of_the_evaluation(make, capsys):
         assert line in lines
 
 
-def test_without_a_goal_there_is_no_success_rate(make, capsys):
-    print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")
+def test_without_a_goal_there_is_no_success_rate_and_without_unicode_no_sign(make, capsys, monkeypatch):
+    evaluation = make.evaluation([make.episode([(0, 4), (1, 4)], [0])])
+    print_evaluation(evaluation, "mine")
     assert "goal" not in capsys.readouterr().out
-
-
-def test_a_terminal_without_unicode_gets_plus_and_minus_in_ascii(make, monkeypatch):
     stream = TextIOWrapper(BytesIO(), encoding="ascii")
     monkeypatch.setattr("sys.stdout", stream)
-    print_evaluation(make.evaluation([make.episode([(0, 4), (1, 4)], [0])]), "mine")
+    print_evaluation(evaluation, "mine")
     stream.flush()
     assert "+/- 0.0 m" in stream.buffer.getvalue().decode("ascii")

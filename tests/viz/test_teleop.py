@@ -1,7 +1,5 @@
 """Keys change the command within the robot's limits; the task's rewards and endings are shown in the terminal."""
 
-from __future__ import annotations
-
 import os
 import select
 import subprocess
@@ -9,34 +7,21 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tb2rl.robots import Laser
-from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.viz.teleop import ZERO, Teleop, changed_command, range_lines
-
-
-@pytest.mark.parametrize(
-    ("keys", "command"),
-    [("wss", (-0.1, 0.0)), ("dx", (0.0, -0.5)), ("wa ", (0.0, 0.0)), ("wwwaa", (0.15, 0.7)), ("sssdd", (-0.15, -0.7))],
-)
-def test_keys_change_the_command_within_the_robots_limits(keys, command):
-    slow, changed = replace(ROBOT, max_speed=0.15, max_turn_rate=0.7), ZERO
-    for key in keys:
-        changed = changed_command(slow, changed, key)
-    assert changed == pytest.approx(command, abs=1e-3)
+from tb2rl.viz.teleop import Teleop, range_lines
 
 
 def test_ranges_are_bars_from_right_to_left():
-    assert range_lines(Laser(beams=3), np.array([1.0, np.inf, 0.5]), (0.7, 2.0), rows=9) == [
+    assert range_lines(Laser(beams=3), np.array([1.0, np.inf, 0.5]), (0.7, 2.0), max_lines=9) == [
         " -90 deg   1.00 m bin 1 ########",
         "  +0 deg    inf m bin 2 " + "#" * 40,
         " +90 deg   0.50 m bin 0 ####",
     ]
-    many = range_lines(Laser(beams=720), np.ones(720), None, rows=5)
+    many = range_lines(Laser(beams=720), np.ones(720), None, max_lines=5)
     assert [line[:4] for line in many] == [" -90", " -45", "  +0", " +45", " +90"]
 
 
@@ -58,6 +43,16 @@ def drive(teleop: Teleop, v: float, w: float, steps: int) -> None:
             return
 
 
+def test_keys_change_the_command_within_the_robots_limits(teleoperate):
+    teleop = teleoperate()
+    robot = teleop.scene.robot
+    fastest = {"w" * 20: (robot.max_speed, 0.0), " " + "d" * 20: (0.0, -robot.max_turn_rate)}
+    for keys, command in {"wss": (-0.1, 0.0), " dx": (0.0, -0.5), "wa ": (0.0, 0.0), **fastest}.items():
+        for key in keys:
+            teleop.press(key)
+        assert teleop.command == pytest.approx(command, abs=1e-3)
+
+
 def test_the_robot_follows_the_command(teleoperate):
     teleop = teleoperate()
     x, _, yaw = teleop.robot_state.pose[0]
@@ -76,8 +71,9 @@ def test_the_robot_follows_the_command(teleoperate):
 def test_velocities_are_rewarded_as_commanded(teleoperate, cruise):
     teleop = teleoperate(cruise, beams=3, observation="raw")
     drive(teleop, 0.4, 0.2, 5)
-    assert teleop.message.startswith("as action 0.40, +0.20: reward +0.8")
-    ranges = teleop.lines(24)[-3:]
+    *head, _, _, _ = lines = teleop.lines(24)
+    assert any(line.startswith("as action 0.40, +0.20: reward +0.8") for line in head)
+    ranges = lines[-3:]
     assert [line[:8] for line in ranges] == [" -90 deg", "  +0 deg", " +90 deg"]
     assert "bin" not in "".join(ranges), "raw ranges have none"
 
@@ -89,7 +85,6 @@ POST = {"posts": 1, "radius": 0.3, "path": [[-3.0, -3.751], [-3.0, -3.749]], "sp
     ("task", "settings", "message"),
     [
         ("maze", {}, "COLLISION (nearest 0."),
-        ("maze", {"collision_range": 0.0}, "COLLISION (touched a wall)"),
         (
             "maze",
             {"collision_range": 0.0, "dynamic_obstacles": POST},

@@ -1,7 +1,5 @@
 """The window runs in real time, closes with the last episode or by the user, and says why it does not open."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -82,3 +80,9 @@ def test_a_window_that_cannot_open_is_one_line(screen, capsys):
     assert message.count("\n") == 1
     assert "OpenGL" in message
     assert "--video" in message
+
+
+@pytest.mark.slow
+def test_the_windows_process_imports_no_learners():
+    code = "import sys, tb2rl.viz.scene_view; sys.exit(bool({'torch', 'stable_baselines3'} & set(sys.modules)))"
+    subprocess.run([sys.executable, "-c", code], check=True)

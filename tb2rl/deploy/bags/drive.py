@@ -1,6 +1,4 @@
-"""A recorded drive: trajectory, commands, nearest ranges and contacts."""
-
-from __future__ import annotations
+"""A recorded drive: trajectory, commands, shortest ranges and contacts."""
 
 import math
 from collections.abc import Mapping
@@ -13,16 +11,18 @@ from tb2rl.core.values import Pose
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive; parts that the bag does not hold have no rows. Rows begin with the time since the first message [s].
+    """A recorded drive. Each table has a row per message, or no rows if the bag lacks such messages.
+
+    The first column of each table is the time since the first message [s].
 
     Attributes:
         name: Name of the bag.
-        topics: Topics that were read, by the kinds of `tb2rl.deploy.bags.topics`.
+        topics: The topics of the tables, by the kinds of `tb2rl.deploy.bags.topics.TOPIC_KINDS`.
         odometry: Time, x [m], y [m], yaw [rad], forward speed [m/s], turn rate [rad/s], shape (messages, 6).
-        truth: The same, as a simulation knows it, in the world's frame.
+        truth: True motion in the world's frame, from a simulation, with the columns of `odometry`.
+        scan_minima: Time, shortest range of a scan [m], inf without an obstacle in range, shape (messages, 2).
         commands: Time, v [m/s], w [rad/s], shape (messages, 3).
-        nearest: Time, shortest range of a scan [m], inf where nothing was in range; shape (messages, 2).
-        touches: Time, whether the bumper was pressed, 1 or 0, shape (messages, 2).
+        bumper: Time, 1 if the bumper is pressed, else 0, shape (messages, 2).
         goals: Time, x [m], y [m], shape (messages, 3).
     """
 
@@ -30,14 +30,14 @@ class Drive:
     topics: Mapping[str, str]
     odometry: np.ndarray
     truth: np.ndarray
+    scan_minima: np.ndarray
     commands: np.ndarray
-    nearest: np.ndarray
-    touches: np.ndarray
+    bumper: np.ndarray
     goals: np.ndarray
 
     @property
     def trajectory(self) -> np.ndarray:
-        """The truth where it is known, else the odometry; rows as in `odometry`."""
+        """The true motion if the bag has it, else the odometry."""
         return self.truth if len(self.truth) else self.odometry
 
     @property
@@ -52,23 +52,21 @@ class Drive:
 
     @property
     def speed(self) -> float:
-        """Mean speed [m/s]; 0 without a duration."""
+        """Mean speed [m/s]; 0 if the duration is 0."""
         return self.distance / self.seconds if self.seconds > 0.0 else 0.0
 
     @property
-    def closest(self) -> float:
+    def min_range(self) -> float:
         """Shortest range of all scans [m]; inf without scans."""
-        return float(self.nearest[:, 1].min(initial=math.inf))
+        return float(self.scan_minima[:, 1].min(initial=math.inf))
 
     @property
-    def touched(self) -> int | None:
-        """Number of contacts; None: no bumper was recorded."""
-        if not len(self.touches):
-            return None
-        return int((np.diff(self.touches[:, 1], prepend=0.0) > 0.0).sum())
+    def contacts(self) -> int | None:
+        """Number of contacts; None if the bag has no bumper messages."""
+        return int((np.diff(self.bumper[:, 1], prepend=0.0) > 0.0).sum()) if len(self.bumper) else None
 
     def path_from(self, pose: Pose) -> np.ndarray:
-        """Return the path x [m], y [m], shape (messages, 2), moved and rotated so that it begins at a pose."""
+        """Return the path x, y [m], shape (messages, 2), shifted and rotated so that it begins at a pose."""
         _, x, y, yaw, *_ = self.trajectory[0].tolist()
         cos, sin = math.cos(pose[2] - yaw), math.sin(pose[2] - yaw)
         return (self.trajectory[:, 1:3] - (x, y)) @ np.array([(cos, sin), (-sin, cos)]) + pose[:2]

@@ -1,15 +1,16 @@
-"""Drives one robot by a policy: scan, odometry and bumper in, velocity commands out.
+"""Drives one robot with a policy: scans, odometry and bumper in, velocity commands out.
 
-The driver has no clock and no threads. The caller passes times [s] of one clock and asks for a command ten times a
-second or more often. The policy decides once per control step; stale data is noticed at the next question.
+The driver has no clock and no threads. The caller passes times [s] of one clock and calls `command` at least ten times
+a second. The policy decides once per control step. Each call of `command` checks the age of the data.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +18,25 @@ from tb2rl.envs.filters import Filter, SpeedLimits
 
 from .path import PlannedPath
 from .policy_contract import Point, Policy, Pose, SensorData, Speeds, are_usable
-from .preflight import STALE, Finding, Inputs, check_inputs, missing
 from .scan import Scan
 from .scan_reader import Mounting, ScanReader
 
 DRIVING, DRY_RUN, NOT_STARTED = "driving", "dry run", "not started"
 BUMPED, REACHED, STOPPED = "the bumper was touched", "the goal is reached", "told to stop"
-_STILL: Speeds = (0.0, 0.0)
-_EARLY = 0.1  # share of the control step by which a question may come early, because clocks jitter
+MAX_AGE = 0.5  # [s] of sensor data; with older data the robot stops
+_ZERO_SPEEDS: Speeds = (0.0, 0.0)
+_MAX_CLOCK_DIFFERENCE = 1e6  # [s] if clocks differ by more, only one of them shows simulated time
+_MAX_EARLINESS = 0.1  # [control steps] a decision may come early by this much, because clocks jitter
+_MAX_SCAN_PERIOD = 1.2  # [control steps] a warning is given if scans arrive less often
+_MAX_RANGE_MIN_EXCESS = 0.1  # [m] a warning is given if `range_min` exceeds that of the training by more
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A mismatch between the policy and its robot; an error prevents driving, a warning does not."""
+
+    message: str
+    is_error: bool
 
 
 @dataclass(frozen=True)
@@ -32,180 +44,207 @@ class Command:
     """The command for the base.
 
     Attributes:
-        v: Forward [m/s].
-        w: To the left [rad/s].
-        why: "driving", or why the robot stands, in plain words.
-        wanted: The command that a dry run withholds; else v and w.
+        v: Forward speed [m/s].
+        w: Turn rate to the left [rad/s].
+        why: "driving", or the reason for a stop in plain words.
+        wanted: The v and w of this command without `dry_run`; zeros if the robot is stopped.
     """
 
     v: float
     w: float
     why: str
-    wanted: Speeds = _STILL
+    wanted: Speeds = _ZERO_SPEEDS
 
 
 class Driver:
-    """Drives one robot by a policy.
+    """Drives one robot with a policy.
 
         driver = Driver(policy)
         driver.see_scan(Scan(ranges, angle_min, angle_increment, range_min, range_max), stamp)
         driver.start()
         command = driver.command(now)  # command.v, command.w, command.why
 
-    The robot stands until `start`, while data that the policy needs is missing, and while data is older than half a
-    second. A touch of the bumper and `stop` end the drive until the next `start`; a goal ends it until there is another
-    goal. After every stop the policy starts a new episode.
+    The robot is stopped until `start`, and while data that the policy needs is missing or older than half a second. A
+    contact and `stop` end the drive until the next `start`. A reached goal ends the drive until another goal is set.
+    After every stop the policy starts a new episode.
 
     Args:
-        policy: The policy.
+        policy: The policy; its `filters`, if it has any, change the commands before the limits.
         limits: Speed limits of this robot; faster commands are slowed down on the same arc.
-        mounting: Where its scanner is; None: above the middle of the axle, looking forward.
-        dry_run: Whether to stand and only report the commands.
-        filters: Filters of the commands, before the limits; None: the policy's own `filters`, if it has any.
+        mounting: The pose of the scanner; by default above the middle of the axle and facing forward.
+        dry_run: Whether to stand still, and only report the commands in `Command.wanted`.
     """
 
     def __init__(
-        self,
-        policy: Policy,
-        limits: SpeedLimits | None = None,
-        mounting: Mounting | None = None,
-        dry_run: bool = False,
-        filters: Sequence[Filter] | None = None,
+        self, policy: Policy, limits: SpeedLimits | None = None, mounting: Mounting | None = None, dry_run: bool = False
     ) -> None:
-        self._policy, self._needs, self._dry_run = policy, policy.needs, dry_run
-        self._limits = limits or SpeedLimits()
-        self._filters = [*(getattr(policy, "filters", ()) if filters is None else filters), self._limits]
-        self._reader, self._inputs = ScanReader(policy.needs, mounting), Inputs()
-        self._reached: Point | None = None  # the last goal
-        self._halt = NOT_STARTED  # why the robot stands until `start`; "": it does not
+        self._policy, self.needs, self.dry_run = policy, policy.needs, dry_run
+        self._limits, self._reader = limits or SpeedLimits(), ScanReader(policy.needs, mounting)
+        self._filters: list[Filter] = [*getattr(policy, "filters", ()), self._limits]
+        self._scan: Scan | None = None
+        self._scan_stamps: deque[float] = deque(maxlen=20)  # [s] of the latest scans, the newest last
+        self._needs_odometry = self.needs.uses_odometry or self.needs.goal is not None
+        self._pose, self._twist, self._odometry_stamp = (0.0, 0.0, 0.0), _ZERO_SPEEDS, math.nan  # NaN: no odometry yet
+        self._goal: Point | None = None
+        self._reached_goal: Point | None = None
+        self._plan: PlannedPath | None = None
+        self._stop_reason = NOT_STARTED  # why the robot is stopped until the next `start`, or an empty string
         self._in_episode = False
-        self._wanted, self._driven = _STILL, _STILL
-        self._due = -math.inf  # time of the next decision
+        self._wanted = self._last_command = _ZERO_SPEEDS
+        self._next_decision_time = -math.inf
 
     def see_scan(self, scan: Scan, stamp: float) -> None:
-        """Take a scan of a time [s]."""
-        stamps = self._inputs.scan_stamps
-        if stamps and not stamp > stamps[-1]:
-            stamps.clear()  # the clock was set back
-        stamps.append(stamp)
-        self._inputs.scan = scan
+        """Pass a scan with its time stamp [s]."""
+        if self._scan_stamps and not stamp > self._scan_stamps[-1]:
+            self._scan_stamps.clear()  # the clock was set back
+        self._scan_stamps.append(stamp)
+        self._scan = scan
 
-    def see_odometry(self, pose: Pose, twist: Speeds, stamp: float) -> None:
-        """Take pose and twist of a time [s]; ignore them if a number is not finite or is larger than `LARGEST`."""
-        if are_usable((*pose, *twist)):
-            self._inputs.pose, self._inputs.twist, self._inputs.odometry_stamp = pose, twist, stamp
+    def see_odometry(self, pose: Pose, twist: Speeds, stamp: float) -> bool:
+        """Pass pose and twist with their time stamp [s]; returns False and ignores them if a number is unusable."""
+        usable = are_usable((*pose, *twist))
+        if usable:
+            self._pose, self._twist, self._odometry_stamp = pose, twist, stamp
+        return usable
 
     def bump(self) -> None:
-        """Stand until the next `start`, because the base touches something."""
+        """Report a contact, which stops the robot until the next `start`."""
         self.stop(BUMPED)
 
     def set_goal(self, goal: Point) -> None:
         """Set the goal, x, y [m] in the odometry frame.
 
         Raises:
-            ValueError: If a number is not finite, or larger than `LARGEST`.
+            ValueError: If a number is not finite, or above 1e9 (`MAX_MAGNITUDE`).
         """
         if not are_usable(goal):
-            raise ValueError("a goal has a number that is not finite, or too large: {}, {}".format(*goal))
-        if self._inputs.goal is None or math.dist(self._inputs.goal, goal) > self._needs.goal_radius:
+            raise ValueError("the goal has a number that is not finite, or too large: {}, {}".format(*goal))
+        if self._goal is None or math.dist(self._goal, goal) > self.needs.goal_radius:
             self._in_episode = False  # another goal starts another episode
-        self._inputs.goal = goal
+        self._goal = goal
 
     def set_plan(self, points: np.ndarray) -> None:
         """Set the path to follow, x, y [m] in the odometry frame, shape (points, 2); its end is the goal.
 
         Raises:
-            ValueError: If it is not one.
+            ValueError: If there are no points, or a number is not finite, or above 1e9 (`MAX_MAGNITUDE`).
         """
-        self._inputs.plan = plan = PlannedPath(points)
-        self.set_goal(plan.end)
+        self._plan = PlannedPath(points)
+        self.set_goal(self._plan.end)
 
     def start(self) -> None:
-        """Drive as soon as the needed data is there."""
-        self._halt, self._reached, self._in_episode = "", None, False
+        """Drive as soon as all needed data has arrived."""
+        self._stop_reason, self._reached_goal, self._in_episode = "", None, False
 
     def stop(self, why: str = STOPPED) -> None:
-        """Stand until the next `start`."""
-        self._halt = why
+        """Stop the robot until the next `start`."""
+        self._stop_reason = why
 
     def preflight(self) -> list[Finding]:
-        """What does not fit, by the data so far."""
-        problem = self._reader.read(self._inputs.scan).problem if self._inputs.scan else ""
-        return check_inputs(self._needs, self._inputs, problem, self._limits)
+        """Mismatches of policy and robot in the data that has arrived so far, errors first."""
+        needs, limits, scan, stamps = self.needs, self._limits, self._scan, self._scan_stamps
+        errors, warnings = self._missing_data(), []
+        problem = self._reader.read(scan).problem if scan else ""
+        if problem:
+            errors.append(problem)
+        interval = (stamps[-1] - stamps[0]) / (len(stamps) - 1) if len(stamps) > 1 else math.nan
+        if interval >= MAX_AGE:
+            errors.append(f"a scan arrives every {interval:.2g} s, but the robot stops after {MAX_AGE:g} s without one")
+        elif interval > needs.period * _MAX_SCAN_PERIOD:
+            warnings.append(f"a scan arrives every {interval:.2g} s, but the policy decides every {needs.period:g} s")
+        if scan and 0.0 < scan.range_max < needs.max_range:
+            training = f"the policy was trained with {needs.max_range:g} m"
+            warnings.append(f"beyond {scan.range_max:.3g} m the scanner sees no walls; {training}")
+        if scan and scan.range_min > needs.min_range + _MAX_RANGE_MIN_EXCESS:
+            warnings.append(f"the scanner sees nothing nearer than {scan.range_min:.3g} m")
+        if needs.max_speed > limits.speed:
+            warnings.append(f"the policy's {needs.max_speed:.3g} m/s are limited to {limits.speed:.3g} m/s")
+        if needs.max_turn_rate > limits.turn_rate:
+            warnings.append(f"the policy's {needs.max_turn_rate:.3g} rad/s are limited to {limits.turn_rate:.3g} rad/s")
+        return [Finding(error, True) for error in errors] + [Finding(warning, False) for warning in warnings]
 
     def command(self, now: float) -> Command:
-        """The command for the base at this time [s]."""
-        why = self._halt or self._missing_data(now) or self._arrival()
-        if not why and self._is_due(now):
+        """Return the command for the base at the time `now` [s]."""
+        why = self._stop_reason or self._data_problem(now) or self._record_arrival()
+        if not why and self._begin_control_step(now):
             why = self._decide()
         if why:
-            self._in_episode, self._driven = False, _STILL
+            self._in_episode, self._last_command = False, _ZERO_SPEEDS
             return Command(0.0, 0.0, why)
-        self._driven = _STILL if self._dry_run else self._wanted
-        return Command(*self._driven, DRY_RUN if self._dry_run else DRIVING, self._wanted)
+        self._last_command = _ZERO_SPEEDS if self.dry_run else self._wanted
+        return Command(*self._last_command, DRY_RUN if self.dry_run else DRIVING, self._wanted)
 
-    def _missing_data(self, now: float) -> str:
-        """What the policy waits for; "": nothing."""
-        inputs, needs = self._inputs, self._needs
-        old = stale("scan", now - inputs.scan_stamps[-1]) if inputs.scan else ""
-        waits = [f"waiting for {name}" for name in missing(needs, inputs)]
-        if old or waits:
-            return old or waits[0]
-        return stale("odometry", now - inputs.odometry_stamp) if needs.uses_odometry or needs.goal else ""
+    def _missing_data(self) -> list[str]:
+        """Describe the data that the policy needs and that has not arrived yet."""
+        goal = self.needs.goal
+        missing = {
+            "scan": self._scan is None,
+            "odometry": self._needs_odometry and math.isnan(self._odometry_stamp),
+            "goal": goal is not None and self._goal is None,
+            "plan": goal == "plan" and self._plan is None,
+        }
+        return [f"no {name} has arrived yet" for name, is_missing in missing.items() if is_missing]
 
-    def _arrival(self) -> str:
-        goal = self._inputs.goal
-        if not self._needs.goal or goal is None:
+    def _data_problem(self, now: float) -> str:
+        """Describe the missing or stale data that stops the robot; an empty string if there is none."""
+        scan_problem = age_problem("scan", now - self._scan_stamps[-1]) if self._scan else ""
+        missing = self._missing_data()
+        if scan_problem or missing:
+            return scan_problem or missing[0]
+        return age_problem("odometry", now - self._odometry_stamp) if self._needs_odometry else ""
+
+    def _record_arrival(self) -> str:
+        """Record a reached goal; returns `REACHED` if it is or was reached, else an empty string."""
+        if self._goal is None or not self.needs.goal:
             return ""
-        if math.dist(self._inputs.pose[:2], goal) <= self._needs.goal_radius:
-            self._reached = goal
-        return REACHED if self._reached == goal else ""
+        if math.dist(self._pose[:2], self._goal) <= self.needs.goal_radius:
+            self._reached_goal = self._goal
+        return REACHED if self._reached_goal == self._goal else ""
 
-    def _is_due(self, now: float) -> bool:
-        """Whether the policy has to decide: at the start of an episode, then once in each control step."""
-        period = self._needs.period
-        late = now - self._due
-        if self._in_episode and -2.0 * period < late < -_EARLY * period:
+    def _begin_control_step(self, now: float) -> bool:
+        """Begin a control step, at first or when the last one is over; returns whether one began."""
+        period, delay = self.needs.period, now - self._next_decision_time
+        if self._in_episode and -2.0 * period < delay < -_MAX_EARLINESS * period:
             return False
-        self._due = self._due + period if self._in_episode and abs(late) < 0.5 * period else now + period
+        is_on_time = self._in_episode and abs(delay) < 0.5 * period
+        self._next_decision_time = (self._next_decision_time if is_on_time else now) + period
         return True
 
     def _decide(self) -> str:
-        """Ask the policy for the next command; returns why there is none, else ""."""
-        inputs, needs = self._inputs, self._needs
-        assert inputs.scan is not None
-        beams = self._reader.read(inputs.scan)
-        if beams.problem:
-            return beams.problem
+        """Ask the policy for the next command; returns the reason for a stop, or an empty string."""
+        assert self._scan is not None
+        ranges, problem = self._reader.read(self._scan)
+        if problem:
+            return problem
         if not self._in_episode:
             self._policy.reset()
-            for each in self._filters:
-                each.reset(1)
+            for command_filter in self._filters:
+                command_filter.reset(1)
         self._in_episode = True
-        plan = inputs.plan if needs.goal == "plan" else None
-        waypoint = plan.lookahead_point(inputs.pose, needs.lookahead) if plan else None
-        sensed = SensorData(beams.ranges, inputs.pose, inputs.twist, False, self._driven, inputs.goal, waypoint)
-        command = self._policy.act(sensed)
-        wanted = self._filtered(command, sensed) if all(map(math.isfinite, command)) else command
+        plan = self._plan if self.needs.goal == "plan" else None
+        waypoint = plan.lookahead_point(self._pose, self.needs.lookahead) if plan else None
+        sensor_data = SensorData(ranges, self._pose, self._twist, False, self._last_command, self._goal, waypoint)
+        wanted = self._policy.act(sensor_data)
+        if all(map(math.isfinite, wanted)):
+            names = ("ranges", "pose", "twist", "bumped", "command")
+            robot_state: Any = SimpleNamespace(**{name: np.array([getattr(sensor_data, name)]) for name in names})
+            commands = np.array([wanted])
+            for command_filter in self._filters:
+                commands = command_filter(commands, robot_state)
+            wanted = tuple(commands[0].tolist())
         if not all(map(math.isfinite, wanted)):
-            return "the policy gave no speeds, but {} and {}".format(*wanted)
+            return "the policy or a filter returned {} and {} in place of finite speeds".format(*wanted)
         self._wanted = wanted
         return ""
 
-    def _filtered(self, command: Speeds, sensed: SensorData) -> Speeds:
-        names = ("ranges", "pose", "twist", "bumped", "command")
-        robot_state: Any = SimpleNamespace(**{name: np.array([getattr(sensed, name)]) for name in names})
-        commands = np.array([command])
-        for each in self._filters:
-            commands = each(commands, robot_state)
-        v, w = commands[0].tolist()
-        return v, w
 
-
-def stale(name: str, age: float) -> str:
-    """Why data of this age [s] is of no use; "": it is current."""
-    if -STALE <= age <= STALE:
+def age_problem(sensor: str, age: float) -> str:
+    """Describe the problem with data of this age [s]; an empty string if there is none."""
+    if -MAX_AGE <= age <= MAX_AGE:
         return ""
-    if age < -STALE:
-        return f"the last {name} is stamped {-age:.1f} s ahead: the clocks differ"
-    return f"the last {name} is {age:.1f} s old"  # NaN, too
+    if abs(age) > _MAX_CLOCK_DIFFERENCE:
+        hint = "for a simulated robot start the simulation first, and in ROS 2 set use_sim_time:=true"
+        return f"the last {sensor} has the time of another clock; {hint}"
+    if age < -MAX_AGE:
+        return f"the last {sensor} is stamped {-age:.1f} s ahead: synchronise the clocks"
+    return f"the last {sensor} is {age:.1f} s old"  # also for a NaN age

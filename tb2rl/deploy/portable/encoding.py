@@ -1,4 +1,4 @@
-"""Encodes sensor data as the observation of the policy; the same numbers as in tb2rl's simulations."""
+"""Encodes sensor data as the observation of the policy, exactly as the simulations of tb2rl do."""
 
 from __future__ import annotations
 
@@ -10,123 +10,115 @@ import numpy as np
 
 from .policy_contract import Needs, Point, SensorData
 
-_KEPT = 64.0  # [s] of the pose history
+_HISTORY_DURATION = 64.0  # [s] covered by the pose history
 
 
 class Encoding:
-    """Turns sensor data into observations, the last few control steps side by side, the oldest first.
+    """Encodes sensor data as observations, with the frames of the last control steps stacked, the oldest first.
 
     Args:
         observation: The entry "observation" of `policy.json`.
         needs: The requirements of the policy.
 
     Attributes:
-        sensed: The latest sensor data.
-        acceleration: Forward since the last control step, by the odometry [m/s^2].
-        pose_history: x and y [m] in the last minute, about once a second.
-        history_period: From one of these places to the next [s].
+        sensor_data: The latest sensor data.
+        acceleration: Mean forward acceleration since the last control step, from odometry [m/s^2].
+        pose_history: Positions x, y [m] of the last minute.
+        history_period: Time between two positions of the history, about 1 [s].
         commands: The last commands, v [m/s] and w [rad/s], the newest first.
-
-    Raises:
-        ValueError: If there is an unknown sensor.
     """
 
     def __init__(self, observation: Mapping[str, Any], needs: Needs) -> None:
-        self._sensors = observation["sensors"]
-        for settings in self._sensors:
-            if settings["name"] not in SENSORS:
-                raise ValueError(f"this program does not know the sensor {settings['name']}")
-        self._command_count = max(settings.get("reads_commands", 0) for settings in self._sensors)
-        self._discrete, self._frame_stack = observation["mode"] == "discrete", observation["frame_stack"]
-        self.needs = needs
-        self._history_steps = max(1, round(1.0 / needs.period))
-        self.history_period = self._history_steps * needs.period
+        self.needs, self._sensors = needs, observation["sensors"]
+        self._is_discrete, self._frame_stack = observation["mode"] == "discrete", observation["frame_stack"]
+        self._command_count = max(settings.get("command_history_length", 0) for settings in self._sensors)
+        self._steps_per_position = max(1, round(1.0 / needs.period))
+        self.history_period = self._steps_per_position * needs.period
         self.reset()
 
     def reset(self) -> None:
         """Start a new episode."""
         self._frames: list[np.ndarray] = []
-        self._speed = self.acceleration = 0.0
-        self.pose_history: deque[Point] = deque(maxlen=max(1, round(_KEPT / self.history_period)))
-        self._steps = 0
+        self._step_count, self._speed = 0, 0.0
+        self.pose_history: deque[Point] = deque(maxlen=max(1, round(_HISTORY_DURATION / self.history_period)))
         self.commands: deque[Point] = deque(maxlen=self._command_count)
 
-    def __call__(self, sensed: SensorData) -> np.ndarray:
+    def __call__(self, sensor_data: SensorData) -> np.ndarray:
         """The observation of this control step, shape (1, n): float32 numbers, or integer classes."""
-        self.sensed = sensed
-        self.acceleration, self._speed = (sensed.twist[0] - self._speed) / self.needs.period, sensed.twist[0]
-        self.commands.extendleft([sensed.command] * (1 if self._steps else self._command_count))
-        if self._steps % self._history_steps == 0:
-            self.pose_history.append(sensed.pose[:2])
-        self._steps += 1
+        self.sensor_data = sensor_data
+        self.acceleration, self._speed = (sensor_data.twist[0] - self._speed) / self.needs.period, sensor_data.twist[0]
+        self.commands.extendleft([sensor_data.command] * (1 if self._step_count else self._command_count))
+        if self._step_count % self._steps_per_position == 0:
+            self.pose_history.append(sensor_data.pose[:2])
+        self._step_count += 1
         frame = np.concatenate([self._read(settings) for settings in self._sensors])
         self._frames = self._frames[1:] + [frame] if self._frames else [frame] * self._frame_stack
         return np.concatenate(self._frames)[None]
 
     def _read(self, settings: Mapping[str, Any]) -> np.ndarray:
         values = np.asarray(SENSORS[settings["name"]](self, settings), dtype=float)
-        if self._discrete:
+        if self._is_discrete:
             return (values[:, None] >= np.array(settings["bins"])).sum(axis=1)
         return np.clip(values, np.float32(settings["low"]), np.float32(settings["high"])).astype(np.float32)
 
     def offset(self, point: Point | None) -> Point:
-        """A point of the odometry frame relative to the robot, along the axes of that frame [m]."""
+        """The vector from the robot to a point, both in the odometry frame [m]."""
         if point is None:
-            raise ValueError("this policy needs a goal or a point of a plan, and there is none")
-        return point[0] - self.sensed.pose[0], point[1] - self.sensed.pose[1]
+            raise ValueError("the policy needs a goal or a plan: set one first")
+        return point[0] - self.sensor_data.pose[0], point[1] - self.sensor_data.pose[1]
 
     @property
     def goal_angle(self) -> float:
-        """The direction of the goal, counted from straight ahead [rad], plus any number of turns."""
-        east, north = self.offset(self.sensed.goal)
-        return np.arctan2(north, east) - self.sensed.pose[2]
+        """The direction of the goal relative to straight ahead, not wrapped [rad]."""
+        dx, dy = self.offset(self.sensor_data.goal)
+        return np.arctan2(dy, dx) - self.sensor_data.pose[2]
 
     @property
     def waypoint(self) -> Point:
-        """The point on the planned path in the robot's frame [m]."""
-        east, north = self.offset(self.sensed.waypoint)
-        cos, sin = np.cos(self.sensed.pose[2]), np.sin(self.sensed.pose[2])
-        return cos * east + sin * north, cos * north - sin * east
+        """The waypoint on the planned path in the robot's frame [m]."""
+        dx, dy = self.offset(self.sensor_data.waypoint)
+        cos, sin = np.cos(self.sensor_data.pose[2]), np.sin(self.sensor_data.pose[2])
+        return cos * dx + sin * dy, cos * dy - sin * dx
 
 
 def _free_paths(encoding: Encoding, settings: Mapping[str, Any]) -> np.ndarray:
-    """How far a circle of the robot's size can move in each direction before it touches a point hit by a beam [m]."""
-    ranges, radius = encoding.sensed.ranges, settings["radius"]
-    between = encoding.needs.beams - np.array(settings["directions"])[:, None]
-    with np.errstate(invalid="ignore"):  # of beams that hit nothing
-        beside, ahead = ranges * np.sin(between), np.cos(between)
-        touches = (np.abs(beside) < radius) & (ahead > 0.0)
-        before = ranges * ahead - np.sqrt(radius**2 - beside**2)
-    return np.where(touches, np.maximum(before, 0.0), settings["high"]).min(axis=1, initial=settings["high"])
+    """The free path of a circle of the robot's size in each direction, up to a contact with a laser reading [m]."""
+    ranges, radius = encoding.sensor_data.ranges, settings["radius"]
+    angles = encoding.needs.beams - np.array(settings["directions"])[:, None]
+    with np.errstate(invalid="ignore"):  # for infinite ranges
+        lateral, cos = ranges * np.sin(angles), np.cos(angles)
+        is_in_path = (np.abs(lateral) < radius) & (cos > 0.0)
+        lengths = ranges * cos - np.sqrt(radius**2 - lateral**2)
+    return np.where(is_in_path, np.maximum(lengths, 0.0), settings["high"]).min(axis=1, initial=settings["high"])
 
 
 def _visited(encoding: Encoding, settings: Mapping[str, Any]) -> np.ndarray:
-    """How long the robot has been at some places around it [s]."""
-    (x, y, yaw), (ahead, left) = encoding.sensed.pose, np.array(settings["around"]).T
+    """The time that the robot has spent near some points around it [s]."""
+    (x, y, yaw), (ahead, left) = encoding.sensor_data.pose, np.array(settings["around"]).T
     cos, sin = np.cos(yaw), np.sin(yaw)
-    places = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left])
-    away = np.array(encoding.pose_history) - places[:, None]
-    return encoding.history_period * (np.hypot(away[..., 0], away[..., 1]) < settings["near"]).sum(axis=1)
+    points = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left])
+    offsets = np.array(encoding.pose_history) - points[:, None]
+    return encoding.history_period * (np.hypot(offsets[..., 0], offsets[..., 1]) < settings["near"]).sum(axis=1)
 
 
 def _last_action(encoding: Encoding, settings: Mapping[str, Any]) -> np.ndarray:
-    commands = [encoding.commands[k] for k in range(settings["reads_commands"])]
-    return (np.array(commands) / np.array(settings["max_speeds"])).ravel()
+    commands = np.array(encoding.commands)[: settings["command_history_length"]]
+    return (commands / np.array(settings["max_speeds"])).ravel()
 
 
 SENSORS: Dict[str, Callable[[Encoding, Mapping[str, Any]], Any]] = {
-    "bumper": lambda encoding, settings: [encoding.sensed.bumped],
+    "bumper": lambda encoding, settings: [encoding.sensor_data.bumped],
     "forward acceleration": lambda encoding, settings: [encoding.acceleration],
-    "forward speed": lambda encoding, settings: encoding.sensed.twist[:1],
+    "forward speed": lambda encoding, settings: encoding.sensor_data.twist[:1],
     "free paths": _free_paths,
     "goal bearing": lambda encoding, settings: [np.remainder(encoding.goal_angle + math.pi, math.tau) - math.pi],
     "goal direction": lambda encoding, settings: [np.cos(encoding.goal_angle), np.sin(encoding.goal_angle)],
-    "goal distance": lambda encoding, settings: [np.hypot(*encoding.offset(encoding.sensed.goal))],
-    "laser": lambda encoding, settings: encoding.sensed.ranges,
+    "goal distance": lambda encoding, settings: [np.hypot(*encoding.offset(encoding.sensor_data.goal))],
+    "laser": lambda encoding, settings: encoding.sensor_data.ranges,
     "last action": _last_action,
-    "turn rate": lambda encoding, settings: encoding.sensed.twist[1:],
+    "turn rate": lambda encoding, settings: encoding.sensor_data.twist[1:],
     "visited": _visited,
     "waypoint": lambda encoding, settings: encoding.waypoint,
     "waypoint bearing": lambda encoding, settings: [np.arctan2(*encoding.waypoint[::-1])],
-    "yaw rate": lambda encoding, settings: encoding.sensed.twist[1:],  # by the wheels: they hardly slip
+    "yaw rate": lambda encoding, settings: encoding.sensor_data.twist[1:],  # from odometry, because wheels hardly slip
 }

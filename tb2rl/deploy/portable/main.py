@@ -1,27 +1,27 @@
-"""The program: reads lines of JSON with the messages of a robot, and answers each with a line of JSON.
+"""The program: reads the messages of a robot as lines of JSON, and answers each with a command as a line of JSON.
 
-An input line holds new data, any of these keys:
+An input line holds new data under any of these keys:
 
-    "time":     [s] of the data, in every line or in none; without it, the time at which the line came
+    "time":     time of the data [s], in every line or in none; by default the time at which the line arrives
     "scan":     {"ranges": [...], "angle_min": , "angle_increment": , "range_min": , "range_max": }, as in
                 ROS; Infinity where nothing was hit, null where nothing was measured
     "odometry": {"x": , "y": , "yaw": , "v": , "w": } in m, rad, m/s and rad/s
     "bumper":   true while the base touches something
     "goal":     [x, y] in the odometry frame
-    "plan":     [[x, y], ...] a path in that frame, its end is the goal
-    "start":    true to drive; "stop": true to stand
+    "plan":     [[x, y], ...] a path in the odometry frame; the last point is the goal
+    "start":    true to drive
+    "stop":     true to stop
 
-An output line is {"v": [m/s], "w": [rad/s], "why": "driving", or why the robot stands}.
+An output line is {"v": [m/s], "w": [rad/s], "why": "driving", or the reason for a stop}.
 
-The last output line is a stop, however the program ends: at the end of its input, at a line that is wrong or longer
-than 1 MB (exit status 2), or at a signal (SIGINT, SIGTERM, SIGHUP, SIGQUIT; status 128 + its number). This holds as
-soon as numpy is imported and the arguments are parsed; before, the program has commanded nothing.
+The last output line is a stop, whatever ends the program: the end of its input, an invalid line or one longer than 1 MB
+(exit status 2), or a signal (SIGINT, SIGTERM, SIGHUP, SIGQUIT; status 128 + its number). Until it
+has imported numpy and parsed its arguments, the program can end without an output line; it has sent no command then.
 """
 
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import math
 import os
@@ -30,7 +30,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -38,18 +38,18 @@ from tb2rl.envs.filters import SpeedLimits
 
 from .driver import Command, Driver
 from .policy import ExportedPolicy
-from .policy_contract import LARGEST
+from .policy_contract import MAX_MAGNITUDE
 from .scan import Scan
 from .scan_reader import Mounting
 from .termination import SignalGuard, SignalledError
 
 _KEYS = ("time", "scan", "odometry", "bumper", "goal", "plan", "start", "stop")
-_LONGEST = 1_000_000  # [bytes] of a line
-_WRONG = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+_MAX_LINE_LENGTH = 1_000_000  # [bytes]
+_INPUT_ERRORS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Answer input lines until the input ends, a line is wrong, or a signal comes; then stop the robot.
+    """Answer input lines until the input ends, a line is invalid, or a signal arrives; then stop the robot.
 
     Raises:
         SystemExit: With status 2 after an error, or 128 + the number of a signal.
@@ -57,128 +57,101 @@ def main(arguments: list[str] | None = None) -> None:
     with SignalGuard() as guard:
         options = _parse(arguments)
         try:
-            status, fault = _answer_all(options, guard)
+            status, problem = _answer_all(options, guard)
         except OSError as error:  # such as a closed pipe
-            with suppress(OSError, ValueError):  # else the interpreter writes the rest when it exits
+            with suppress(OSError, ValueError):  # so that the interpreter does not fail to flush stdout when it exits
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            status, fault = 2, f"the input or the output failed: {error}"
-    if fault:
-        _log("error: {}".format(" ".join(fault.split())[:300]))
+            status, problem = 2, f"the input or the output failed: {error}"
+    if problem:
+        _log("error: {}".format(" ".join(problem.split())[:300]))
     if status:
         raise SystemExit(status)
 
 
 def _answer_all(options: argparse.Namespace, guard: SignalGuard) -> tuple[int, str]:
-    """Answer lines; returns the exit status and the error."""
+    """Answer all input lines and stop the robot; returns the exit status, and the error or an empty string."""
     why, line = "an error ended the program", b""
     try:
         x, y, yaw = options.scanner
-        mounting = Mounting(x, y, yaw, options.upside_down)
-        limits = SpeedLimits(options.speed, options.turn_rate)
+        mounting, limits = Mounting(x, y, yaw, options.upside_down), SpeedLimits(options.speed, options.turn_rate)
         driver = Driver(ExportedPolicy(options.folder), limits, mounting, options.dry_run)
         while True:
-            line = guard.wait_for(lambda: sys.stdin.buffer.readline(_LONGEST + 1))
+            line = guard.wait_for(lambda: sys.stdin.buffer.readline(_MAX_LINE_LENGTH + 1))
             if not line:
                 why = "the input ended"
                 return 0, ""
-            if len(line) > _LONGEST:
-                raise ValueError(f"more than {_LONGEST} bytes")
-            news = json.loads(line.decode("utf-8"), parse_int=float)  # an int may be too large for a float
-            command = answer(driver, news)
+            if len(line) > _MAX_LINE_LENGTH:
+                raise ValueError(f"more than {_MAX_LINE_LENGTH} bytes")
+            command = answer(driver, json.loads(line.decode("utf-8"), parse_int=float))  # an int may be too large
             _write(command.v, command.w, command.why)
     except SignalledError as error:
-        (number,) = error.args
-        why = f"{signal.Signals(number).name} ended the program"
-        return 128 + number, ""
-    except _WRONG as error:
-        if not line:  # the folder is wrong
+        (signal_number,) = error.args
+        why = f"{signal.Signals(signal_number).name} ended the program"
+        return 128 + signal_number, ""
+    except _INPUT_ERRORS as error:
+        if not line:  # the arguments or the folder are invalid
             return 2, str(error)
-        why = "a line that was wrong"
-        text = line[:80].decode("utf-8", "backslashreplace").strip()
-        return 2, f"{type(error).__name__}: {str(error)[:200]} in the line {text}"
+        why = "an invalid line ended the program"
+        excerpt = line[:80].decode("utf-8", "backslashreplace").strip()
+        return 2, f"{type(error).__name__}: {str(error)[:200]} in the line {excerpt}"
     finally:
         _write(0.0, 0.0, why)
 
 
-def answer(driver: Driver, news: dict[str, Any]) -> Command:
+def answer(driver: Driver, data: dict[str, Any]) -> Command:
     """Pass the data of a line to a driver; returns its command.
 
     Raises:
-        TypeError, ValueError, LookupError: If the line is wrong; the driver may have taken a part of it.
+        TypeError, ValueError, LookupError: If the line is invalid; the driver may have received a part of its data.
     """
-    if not isinstance(news, dict):
-        raise TypeError(f"a line holds an object {{...}}, got {news!r}")
-    for name in news:
-        if name not in _KEYS:
-            near = difflib.get_close_matches(name, _KEYS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(_KEYS)}"
-            raise ValueError(f"unknown key {name!r}; {hint}")
-    start, bumper, stop = (_flag(news, name) for name in ("start", "bumper", "stop"))
-    now = _number(news["time"], sys.float_info.max) if "time" in news else time.monotonic()
-    if "scan" in news:
-        scan = news["scan"]
-        ranges = [math.nan if each is None or each != each else _number(each, math.inf) for each in scan["ranges"]]
-        ends = {"range_min": _number(scan["range_min"]), "range_max": _number(scan["range_max"], math.inf)}
-        angles = {name: _number(scan[name]) for name in ("angle_min", "angle_increment")}
-        driver.see_scan(Scan(np.array(ranges), **angles, **ends), now)
-    if "odometry" in news:
-        x, y, yaw, v, w = (_number(news["odometry"][name]) for name in ("x", "y", "yaw", "v", "w"))
+    for name in set(data) - set(_KEYS):
+        raise ValueError(f"unknown key {name!r}; the keys are {', '.join(_KEYS)}")
+    for name in ("start", "bumper", "stop"):
+        if data.get(name) not in (True, False, None):  # 1 and 0 are fine; "no" must not start a robot
+            raise ValueError(f"{name!r} is {data[name]!r}; give true or false")
+    now = _to_float(data["time"], sys.float_info.max) if "time" in data else time.monotonic()
+    if "scan" in data:
+        scan = data["scan"]
+        ranges = [math.nan if each is None or each != each else _to_float(each, math.inf) for each in scan["ranges"]]
+        bounds = {"range_min": _to_float(scan["range_min"]), "range_max": _to_float(scan["range_max"], math.inf)}
+        angles = {name: _to_float(scan[name]) for name in ("angle_min", "angle_increment")}
+        driver.see_scan(Scan(np.array(ranges), **angles, **bounds), now)
+    if "odometry" in data:
+        x, y, yaw, v, w = (_to_float(data["odometry"][name]) for name in ("x", "y", "yaw", "v", "w"))
         driver.see_odometry((x, y, yaw), (v, w), now)
-    if "goal" in news:
-        x, y = news["goal"]
-        driver.set_goal((_number(x), _number(y)))
-    if "plan" in news:
-        driver.set_plan(np.array([[_number(x), _number(y)] for x, y in news["plan"]]))
-    if start:
+    if "goal" in data:
+        x, y = data["goal"]
+        driver.set_goal((_to_float(x), _to_float(y)))
+    if "plan" in data:
+        driver.set_plan(np.array([[_to_float(x), _to_float(y)] for x, y in data["plan"]]))
+    if data.get("start"):
         driver.start()
         for finding in driver.preflight():
-            _log(f"{'cannot drive' if finding.serious else 'note'}: {finding.sentence}")
-    if bumper:
+            _log(f"{'error' if finding.is_error else 'warning'}: {finding.message}")
+    if data.get("bumper"):
         driver.bump()
-    if stop:
+    if data.get("stop"):
         driver.stop()
     return driver.command(now)
 
 
-def _flag(news: dict[str, Any], name: str) -> bool:
-    value = news.get(name)
-    if value not in (True, False, None):  # 1 and 0 are fine; "no" must not start a robot
-        raise ValueError(f"{name} takes true or false, got {value!r}")
-    return bool(value)
-
-
-def _number(value: Any, largest: float = LARGEST) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{value!r} is not a number")
-    if not abs(value) <= largest:  # NaN, too
-        raise ValueError(f"{value} is not a finite number up to {largest:g}")
+def _to_float(value: Any, largest: float = MAX_MAGNITUDE) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= largest:  # or NaN
+        raise ValueError(f"{value!r} is not a finite number up to {largest:g}")
     return float(value)
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports a wrong argument in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        _log(f"error: {message}")
-        raise SystemExit(2)
-
-
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
-    parser = _Parser(description="Drives a robot: lines of JSON in, a line of JSON out for each.")
+    description = "Drives a robot: answers each line of JSON with sensor data by a line of JSON with a command."
+    parser = argparse.ArgumentParser(description=description, usage=argparse.SUPPRESS)  # so that an error is one line
     here = Path(__file__).parent
-    parser.add_argument("folder", nargs="?", type=Path, default=here, help="of the policy (default: this program's)")
+    parser.add_argument("folder", nargs="?", type=Path, default=here, help="the policy's folder (default: drive.py's)")
     parser.add_argument("--speed", type=float, default=math.inf, help="largest speed [m/s]")
     parser.add_argument("--turn-rate", type=float, default=math.inf, help="largest turn rate [rad/s]")
-    parser.add_argument(
-        "--scanner",
-        nargs=3,
-        type=float,
-        default=(0.0, 0.0, 0.0),
-        metavar=("X", "Y", "YAW"),
-        help="its pose: ahead of the axle and to the left [m], direction of its angle 0 [rad]",
-    )
-    parser.add_argument("--upside-down", action="store_true", help="the scanner is mounted head first")
-    parser.add_argument("--dry-run", action="store_true", help='stand, and answer "dry run" where it would drive')
+    pose = "pose of the scanner: ahead of the axle and to its left [m], direction of angle 0 [rad]"
+    parser.add_argument("--scanner", nargs=3, type=float, default=(0, 0, 0), metavar=("X", "Y", "YAW"), help=pose)
+    parser.add_argument("--upside-down", action="store_true", help="the scanner is mounted upside down")
+    parser.add_argument("--dry-run", action="store_true", help='do not drive; answer "dry run" instead')
     return parser.parse_args(arguments)
 
 
@@ -187,7 +160,7 @@ def _write(v: float, w: float, why: str) -> None:
 
 
 def _log(line: str) -> None:
-    if sys.stderr is not None:  # else `print` would write to stdout
+    if sys.stderr is not None:  # if it is None, `print` writes to stdout
         with suppress(OSError):
             print(line, file=sys.stderr, flush=True)
 

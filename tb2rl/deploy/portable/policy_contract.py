@@ -1,7 +1,7 @@
 """The interface between a driver and a policy.
 
-Frames follow REP 103: x forward, y left, angles counter-clockwise, metres, radians and seconds. The robot's frame lies
-below the middle of the axle; the odometry frame is the frame of the robot's odometry.
+Frames follow REP 103: x forward, y left, angles counter-clockwise, metres, radians and seconds. The origin of the
+robot's frame is on the floor below the middle of the axle. The odometry frame is fixed to the floor.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 Pose = Tuple[float, float, float]  # x [m], y [m], yaw [rad]
 Point = Tuple[float, float]  # x [m], y [m]
 Speeds = Tuple[float, float]  # v [m/s] forward, w [rad/s] to the left
-LARGEST = 1e9  # [m], [rad], [m/s]: larger numbers are errors, and squares of smaller ones do not overflow
+MAX_MAGNITUDE = 1e9  # [m], [rad], [m/s], [rad/s] larger numbers are rejected, as squares could overflow
 
 
 def are_usable(numbers: Any) -> bool:
-    """Whether all numbers are finite and none is larger than `LARGEST`."""
-    return bool((np.abs(np.asarray(numbers, dtype=float)) <= LARGEST).all())
+    """Whether all numbers are finite and none is larger than `MAX_MAGNITUDE`."""
+    return bool((np.abs(np.asarray(numbers, dtype=float)) <= MAX_MAGNITUDE).all())
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,16 @@ class Needs:
 
     Attributes:
         beams: Directions of the laser's beams in the robot's frame [rad], right to left, shape (beams,).
-        min_range: Shortest range [m]; nearer obstacles appear at this range.
-        max_range: Longest range [m]; beyond it the range is inf.
-        period: Control step [s].
-        max_speed: Largest |v| of its commands [m/s].
-        max_turn_rate: Largest |w| of its commands [rad/s].
-        robot: Name of the robot.
-        uses_odometry: Whether it uses `SensorData.pose` or `SensorData.twist`.
-        goal: None: no goal. "goal": it uses the goal. "plan": it also uses a point on a planned path to the goal.
-        goal_radius: A goal at this distance is reached [m].
-        lookahead: Distance of that point along the path [m].
+        min_range: Shortest range [m]; nearer obstacles have this range.
+        max_range: Longest range [m]; the range of farther obstacles is inf.
+        period: Duration of a control step [s].
+        max_speed: Largest |v| of the policy's commands [m/s].
+        max_turn_rate: Largest |w| of the policy's commands [rad/s].
+        robot: Name of the robot in the training.
+        uses_odometry: Whether the policy uses `SensorData.pose` or `SensorData.twist`.
+        goal: "goal" if the policy needs a goal, "plan" if it also needs a waypoint on a planned path, else None.
+        goal_radius: Distance at which a goal is reached [m].
+        lookahead: Distance from the robot along the path to the waypoint [m].
     """
 
     beams: np.ndarray
@@ -58,13 +58,13 @@ class SensorData:
     """The input of a policy at one control step.
 
     Attributes:
-        ranges: Along the beams of `Needs` [m], from `min_range` to `max_range`, or inf, shape (beams,).
-        pose: In the odometry frame.
+        ranges: Ranges along `Needs.beams` [m], from `min_range` to `max_range`, or inf, shape (beams,).
+        pose: Pose in the odometry frame.
         twist: v and w by the odometry.
-        bumped: Whether the robot touches something.
-        command: The last command; (0, 0) before the first.
-        goal: In the odometry frame; None: no goal.
-        waypoint: The point on the planned path, in the odometry frame; None: no plan.
+        bumped: Whether the robot has contact with an obstacle.
+        command: The last command; (0, 0) before the first one.
+        goal: Goal in the odometry frame; None: no goal.
+        waypoint: Point on the planned path, in the odometry frame; None: no plan.
     """
 
     ranges: np.ndarray
@@ -77,12 +77,12 @@ class SensorData:
 
 
 class Policy(Protocol):
-    """Decides how a robot drives; keeps stacked frames and a recurrent state itself."""
+    """Maps sensor data to commands; stores past frames and recurrent states itself."""
 
     needs: Needs
 
     def reset(self) -> None:
         """Start a new episode."""
 
-    def act(self, sensed: SensorData) -> Speeds:
+    def act(self, sensor_data: SensorData) -> Speeds:
         """The command of the next control step; called once per step."""

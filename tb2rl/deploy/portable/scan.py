@@ -1,11 +1,12 @@
 """Laser scans, and the meaning of their readings in the conventions of different drivers.
 
-- inf: nothing within `range_max` (REP 117). A reading of `range_max` or more, as of older drivers, means the same.
-- -inf: too near to be measured (REP 117): an obstacle at `range_min`. A reading below `range_min` counts as it is.
-- NaN: no measurement (REP 117); the readings beside it stand in for it.
-- 0: no light came back, in many small lidars. A few zeros between readings are like NaN. Many are like inf, else open
-  space would be full of obstacles; but between readings that are hardly above `range_min` they are too near, because
-  that is how a wall close by looks.
+- inf: no obstacle within `range_max` (REP 117). Older drivers send `range_max` or more instead.
+- -inf: an obstacle too near to be measured (REP 117); it is assumed at `range_min`. A finite reading below `range_min`
+  is used unchanged.
+- NaN: no measurement (REP 117); the readings beside it are used.
+- 0: no reflection, in many small lidars. A narrow gap of zeros is treated like NaN, and a wide gap like inf, because
+  open space would otherwise be full of obstacles. Zeros between two readings near `range_min` are treated like -inf,
+  because a very near wall often causes zeros.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NEIGHBOURS = math.radians(10)  # readings farther apart are no neighbours: what lies between them is not seen
-_HARDLY = 2.0  # times `range_min`
+MAX_GAP = math.radians(10)  # [rad] between neighbouring readings; the surface in a wider gap is unknown
+_MAX_NEAR_RANGE = 2.0  # [multiples of range_min] zeros between readings up to this range mean a very near wall
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Scan:
     Attributes:
         ranges: [m], shape (readings,).
         angle_min: Direction of the first reading in the scanner's frame [rad].
-        angle_increment: From one reading to the next [rad]; negative: clockwise.
+        angle_increment: Angle from one reading to the next [rad]; negative: clockwise.
         range_min, range_max: The shortest and the longest range that the scanner measures [m].
     """
 
@@ -38,39 +39,33 @@ class Scan:
 
 
 def is_full_circle(angles: np.ndarray) -> bool:
-    """Whether the last of the ascending angles [rad] is a neighbour of the first one."""
-    return bool(angles[0] + math.tau - angles[-1] <= NEIGHBOURS)
+    """Whether ascending angles [rad] leave no gap between the last and the first one."""
+    return bool(angles[0] + math.tau - angles[-1] <= MAX_GAP)
 
 
 def measured_distances(ranges: np.ndarray, angles: np.ndarray, scan: Scan) -> np.ndarray:
-    """The distances of the readings [m]; inf: nothing there, NaN: not measured.
+    """Convert readings to distances [m], which are inf without an obstacle, and NaN without a measurement.
 
     Args:
-        ranges: Of the scan, right to left, shape (readings,).
-        angles: Directions of these readings, ascending [rad], shape (readings,).
-        scan: For its `range_min` and `range_max`.
+        ranges: Readings of the scan, right to left [m], shape (readings,).
+        angles: Directions of the readings, ascending [rad], shape (readings,).
+        scan: The scan, which defines `range_min` and `range_max`.
     """
     distances = np.where(ranges >= scan.range_max, np.inf, ranges) if scan.range_max > 0.0 else ranges.copy()
     distances[np.isneginf(ranges)] = scan.range_min
-    zeros = np.isfinite(ranges) & (ranges <= 0.0)
-    if zeros.any():
-        distances[zeros] = np.nan
-        distances[zeros] = _distances_of_zeros(np.flatnonzero(zeros), distances, angles, scan.range_min)
-    return distances
-
-
-def _distances_of_zeros(zeros: np.ndarray, distances: np.ndarray, angles: np.ndarray, range_min: float) -> np.ndarray:
-    """NaN, inf or `range_min` for the zeros with these indices, by the valid readings on both sides of them."""
+    zeros = np.flatnonzero(np.isfinite(ranges) & (ranges <= 0.0))
+    distances[zeros] = np.nan
     valid = np.flatnonzero(~np.isnan(distances))
-    if not valid.size:
-        return np.full(zeros.size, np.nan)
-    place = np.searchsorted(valid, zeros)
-    right, left = valid[place - 1], valid[place % valid.size]
+    if not zeros.size or not valid.size:
+        return distances
+    index = np.searchsorted(valid, zeros)  # the valid readings on both sides of a zero define its meaning
+    right, left = valid[index - 1], valid[index % valid.size]
     gaps = np.mod(angles[left] - angles[right], math.tau)
-    if not is_full_circle(angles):  # no neighbours beyond the ends
-        first, last = place == 0, place == valid.size
-        right[first], left[last] = left[first], right[last]
-        gaps[first], gaps[last] = angles[left[first]] - angles[0], angles[-1] - angles[right[last]]
-    many = (gaps > NEIGHBOURS) | (valid.size == 1)
-    near = np.maximum(distances[right], distances[left]) < _HARDLY * range_min
-    return np.where(near, range_min, np.where(many, np.inf, np.nan))
+    if not is_full_circle(angles):  # zeros at the ends have a valid reading on one side only
+        no_right, no_left = index == 0, index == valid.size
+        right[no_right], left[no_left] = left[no_right], right[no_left]
+        gaps[no_right], gaps[no_left] = angles[left[no_right]] - angles[0], angles[-1] - angles[right[no_left]]
+    is_wide = (gaps > MAX_GAP) | (valid.size == 1)
+    is_near = np.maximum(distances[right], distances[left]) < _MAX_NEAR_RANGE * scan.range_min
+    distances[zeros] = np.where(is_near, scan.range_min, np.where(is_wide, np.inf, np.nan))
+    return distances

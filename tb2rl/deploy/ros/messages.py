@@ -1,286 +1,281 @@
-"""Messages as plain values that convert from and to those of ROS 1, ROS 2 and bags.
+"""Plain values for ROS messages, with conversions from and to the messages of ROS 1, ROS 2 and bags.
 
-Frames follow REP 103 and REP 105: x forward, y left, angles counter-clockwise, metres and radians. A stamp counts the
-nanoseconds of the ROS time.
+Frames follow REP 103 and REP 105: x forward, y left, angles counter-clockwise, metres and radians. Stamps are ROS time
+in nanoseconds.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from operator import attrgetter
+from typing import Annotated, Any, ClassVar, Protocol, Self, dataclass_transform, get_type_hints
 
 import numpy as np
 
-from tb2rl.deploy.portable.policy_contract import are_usable
 from tb2rl.deploy.portable.scan import Scan
-from tb2rl.deploy.ros.protocols import MessageFactory
+from tb2rl.robots import Laser
 
 BILLION = 1_000_000_000  # [ns] in a second
-_TOLERANCE = 0.1  # of the length of a quaternion: more than rounding, less than the length of an empty one
+_TRANSLATION = [f"transform.translation.{axis}" for axis in "xyz"]
+_ROTATION = [f"transform.rotation.{part}" for part in "xyzw"]
+_MAX_LENGTH_ERROR = 0.1  # of a quaternion; its length should be 1
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Simulated time."""
+class MessageFactory(Protocol):
+    """Makes empty messages of one version of ROS, and values for their fields."""
 
-    kind: ClassVar[str] = "rosgraph_msgs/Clock"
-    stamp: int  # [ns]
+    def make_message(self, type_name: str) -> Any: ...
+    def make_time(self, nanoseconds: int) -> Any: ...
+    def make_array(self, values: np.ndarray) -> Any: ...
 
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = ros.new(self.kind)
-        message.clock = ros.time(self.stamp)
+
+@dataclass_transform(frozen_default=True)
+class Message:
+    """A ROS message as a plain value; subclasses become frozen dataclasses.
+
+    The annotation of a field contains the path of the field in the ROS message, or the paths of the items of a tuple.
+
+    Attributes:
+        type_name: Message type in ROS, such as "sensor_msgs/LaserScan".
+        optional: Whether some installations of ROS lack this type.
+        latest_only: Whether a subscriber needs only the newest message.
+    """
+
+    type_name: ClassVar[str]
+    optional: ClassVar[bool] = False
+    latest_only: ClassVar[bool] = False
+    _paths: ClassVar[dict[str, tuple[str, ...]]]  # by field
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
+        hints = get_type_hints(cls, include_extras=True)
+        cls._paths = {name: hint.__metadata__ for name, hint in hints.items() if hasattr(hint, "__metadata__")}
+
+    @classmethod
+    def from_ros(cls, message: Any) -> Self:
+        """Convert a ROS message."""
+        fields = {name: tuple(_read(message, path) for path in paths) for name, paths in cls._paths.items()}
+        return cls(**{name: values if len(values) > 1 else values[0] for name, values in fields.items()})
+
+    def to_ros(self, factory: MessageFactory) -> Any:
+        """Make a ROS message."""
+        message = factory.make_message(self.type_name)
+        for name, paths in self._paths.items():
+            value = getattr(self, name)
+            for path, item in zip(paths, value if len(paths) > 1 else (value,), strict=True):
+                _write(message, path, item, factory)
         return message
 
 
-@dataclass(frozen=True)
-class Twist:
+class _Stamped(Message):
+    """A message with a header."""
+
+    stamp: Annotated[int, "header.stamp"]  # [ns]
+    frame: Annotated[str, "header.frame_id"]
+
+
+class Clock(Message):
+    """Simulated time."""
+
+    type_name = "rosgraph_msgs/Clock"
+    stamp: Annotated[int, "clock"]  # [ns]
+
+
+class Twist(Message):
     """A velocity command."""
 
-    kind: ClassVar[str] = "geometry_msgs/Twist"
-    linear: float  # [m/s] forward
-    angular: float  # [rad/s] to the left
+    type_name = "geometry_msgs/Twist"
+    linear: Annotated[float, "linear.x"]  # [m/s] forward
+    angular: Annotated[float, "angular.z"]  # [rad/s] to the left
 
     @classmethod
     def from_ros(cls, message: Any) -> Twist:
-        """Convert a message; a command with a number that is not finite stops the base."""
+        """Convert a message; a command with a number that is not finite becomes a stop."""
         speeds = message.linear.x, message.angular.z
         return cls(*speeds) if all(map(math.isfinite, speeds)) else cls(0.0, 0.0)
 
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = ros.new(self.kind)
-        message.linear.x, message.angular.z = self.linear, self.angular
-        return message
 
-
-@dataclass(frozen=True)
-class LaserScan:
+class LaserScan(_Stamped):
     """One sweep of the laser, from right to left."""
 
-    kind: ClassVar[str] = "sensor_msgs/LaserScan"
-    stamp: int  # [ns]
-    frame: str
-    angle_min: float  # [rad] of the first beam
-    angle_increment: float  # [rad]
-    period: float  # [s] between two scans
-    range_min: float  # [m]
-    range_max: float  # [m]
-    ranges: np.ndarray  # [m] shape (beams,), inf where nothing was hit (REP 117)
+    type_name, latest_only = "sensor_msgs/LaserScan", True
+    angle_min: Annotated[float, "angle_min"]  # [rad] of the first beam
+    angle_increment: Annotated[float, "angle_increment"]  # [rad]
+    period: Annotated[float, "scan_time"]  # [s] between two scans
+    range_min: Annotated[float, "range_min"]  # [m]
+    range_max: Annotated[float, "range_max"]  # [m]
+    ranges: Annotated[np.ndarray, "ranges"]  # [m] shape (beams,), inf where nothing was hit (REP 117)
 
     @classmethod
-    def from_ros(cls, message: Any) -> LaserScan:
-        sweep = message.angle_min, message.angle_increment, message.scan_time
-        limits = message.range_min, message.range_max
-        return cls(*_header(message), *sweep, *limits, np.array(message.ranges, dtype=float))
+    def of(cls, laser: Laser, stamp: int, frame: str, period: float, ranges: np.ndarray) -> LaserScan:
+        """Make the scan of a laser with evenly spread beams."""
+        first, last = float(laser.angles[0]), float(laser.angles[-1])
+        increment = (last - first) / max(1, len(laser.angles) - 1)
+        return cls(stamp, frame, first, increment, period, laser.min_range, laser.max_range, ranges)
 
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = _stamped(ros, self.kind, self.stamp, self.frame)
-        message.angle_min, message.angle_increment = self.angle_min, self.angle_increment
+    def to_ros(self, factory: MessageFactory) -> Any:
+        message = super().to_ros(factory)
         message.angle_max = self.angle_min + (len(self.ranges) - 1) * self.angle_increment
-        message.scan_time = self.period
-        message.range_min, message.range_max = self.range_min, self.range_max
-        message.ranges = ros.float32_array(self.ranges)
         return message
 
     def to_scan(self) -> Scan:
-        """Convert it to what a driver takes."""
+        """Make the scan for a driver."""
         return Scan(self.ranges, self.angle_min, self.angle_increment, self.range_min, self.range_max)
 
 
-@dataclass(frozen=True)
-class Odometry:
-    """Pose and speeds."""
+class Odometry(_Stamped):
+    """Pose in the frame of the header, and speeds in the child frame."""
 
-    kind: ClassVar[str] = "nav_msgs/Odometry"
-    stamp: int  # [ns]
-    frame: str  # of the pose
-    child: str  # frame of the speeds: the robot's
-    pose: tuple[float, float, float]  # x [m], y [m], yaw [rad]
-    twist: tuple[float, float]  # forward [m/s], to the left [rad/s]
-
-    @classmethod
-    def from_ros(cls, message: Any) -> Odometry:
-        """Convert a message; the yaw is NaN if the orientation is no rotation."""
-        position, rotation, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
-        pose, speeds = (position.x, position.y, _yaw(rotation)), (twist.linear.x, twist.angular.z)
-        return cls(*_header(message), message.child_frame_id, pose, speeds)
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether all numbers are finite and of a plausible size."""
-        return are_usable((*self.pose, *self.twist))
-
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = _stamped(ros, self.kind, self.stamp, self.frame)
-        message.child_frame_id = self.child
-        pose, twist = message.pose.pose, message.twist.twist
-        pose.position.x, pose.position.y, _ = self.pose
-        _set_rotation(pose.orientation, quaternion(self.pose[2]))
-        twist.linear.x, twist.angular.z = self.twist
-        return message
+    type_name, latest_only = "nav_msgs/Odometry", True
+    child_frame: Annotated[str, "child_frame_id"]
+    # x [m], y [m], yaw [rad]; the yaw is NaN if the quaternion does not have length 1.
+    pose: Annotated[tuple[float, float, float], "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation"]
+    twist: Annotated[tuple[float, float], "twist.twist.linear.x", "twist.twist.angular.z"]  # [m/s], [rad/s] to the left
 
 
-@dataclass(frozen=True)
-class Transform:
-    """Pose of a frame in its parent."""
+class Transform(_Stamped):
+    """Pose of a child frame in the frame of the header."""
 
-    frame: str
-    child: str
-    translation: tuple[float, float, float]  # x, y, z [m]
-    rotation: tuple[float, float, float, float]  # quaternion x, y, z, w
+    type_name = "geometry_msgs/TransformStamped"
+    child_frame: Annotated[str, "child_frame_id"]
+    translation: Annotated[tuple[float, float, float], *_TRANSLATION]  # x, y, z [m]
+    rotation: Annotated[tuple[float, float, float, float], *_ROTATION]  # quaternion x, y, z, w
 
 
-@dataclass(frozen=True)
-class Transforms:
-    """Poses of frames at one instant."""
+class Transforms(Message):
+    """Poses of several frames at one time."""
 
-    kind: ClassVar[str] = "tf2_msgs/TFMessage"
-    stamp: int  # [ns]
+    type_name, optional = "tf2_msgs/TFMessage", True
     transforms: tuple[Transform, ...]
 
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = ros.new(self.kind)
-        message.transforms = []
-        for each in self.transforms:
-            stamped = _stamped(ros, "geometry_msgs/TransformStamped", self.stamp, each.frame)
-            stamped.child_frame_id = each.child
-            translation = stamped.transform.translation
-            translation.x, translation.y, translation.z = each.translation
-            _set_rotation(stamped.transform.rotation, each.rotation)
-            message.transforms.append(stamped)
+    def to_ros(self, factory: MessageFactory) -> Any:
+        message = factory.make_message(self.type_name)
+        message.transforms = [transform.to_ros(factory) for transform in self.transforms]
         return message
 
 
-@dataclass(frozen=True)
-class Image:
-    """A camera image: colours, uint8 (height, width, 3), or depths [m], float32 (height, width)."""
+class Image(_Stamped):
+    """A camera image: RGB, uint8 (height, width, 3), or depth [m], float32 (height, width)."""
 
-    kind: ClassVar[str] = "sensor_msgs/Image"
-    stamp: int  # [ns]
-    frame: str
+    type_name = "sensor_msgs/Image"
     pixels: np.ndarray
 
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = _stamped(ros, self.kind, self.stamp, self.frame)
+    def to_ros(self, factory: MessageFactory) -> Any:
+        message = super().to_ros(factory)
         message.height, message.width = self.pixels.shape[:2]
         message.encoding = "32FC1" if self.pixels.ndim == 2 else "rgb8"
         message.step = self.pixels.strides[0]
-        message.data = ros.uint8_array(self.pixels.tobytes())
+        message.data = factory.make_array(np.frombuffer(self.pixels.tobytes(), np.uint8))
         return message
 
 
-@dataclass(frozen=True)
-class BumperEvent:
+class BumperEvent(Message):
     """Press or release of one of the three bumpers."""
 
-    kind: ClassVar[str] = "kobuki_msgs/BumperEvent"
-    bumper: int  # 0 left, 1 in the middle, 2 right
-    pressed: bool
-
-    @classmethod
-    def from_ros(cls, message: Any) -> BumperEvent:
-        return cls(message.bumper, bool(message.state))
-
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = ros.new(self.kind)
-        message.bumper, message.state = self.bumper, int(self.pressed)
-        return message
+    type_name, optional = "kobuki_msgs/BumperEvent", True
+    bumper: Annotated[int, "bumper"]  # 0 left, 1 in the middle, 2 right
+    pressed: Annotated[bool, "state"]
 
 
-@dataclass(frozen=True)
-class Goal:
+class Goal(_Stamped):
     """A goal position."""
 
-    kind: ClassVar[str] = "geometry_msgs/PoseStamped"
-    frame: str
-    position: tuple[float, float]  # x, y [m]
-    stamp: int = 0  # [ns]
+    type_name = "geometry_msgs/PoseStamped"
+    position: Annotated[tuple[float, float], "pose.position.x", "pose.position.y"]  # [m]
 
-    @classmethod
-    def from_ros(cls, message: Any) -> Goal:
-        stamp, frame = _header(message)
-        return cls(frame, (message.pose.position.x, message.pose.position.y), stamp)
-
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message = _stamped(ros, self.kind, self.stamp, self.frame)
-        message.pose.position.x, message.pose.position.y = self.position
+    def to_ros(self, factory: MessageFactory) -> Any:
+        message = super().to_ros(factory)
         message.pose.orientation.w = 1.0
         return message
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(Message):
     """A planned path to a goal."""
 
-    kind: ClassVar[str] = "nav_msgs/Path"
+    type_name = "nav_msgs/Path"
     frame: str
     points: np.ndarray  # x, y [m], shape (points, 2)
 
     @classmethod
     def from_ros(cls, message: Any) -> Plan:
-        points = [(each.pose.position.x, each.pose.position.y) for each in message.poses]
-        return cls(_header(message)[1], np.array(points, dtype=float).reshape(-1, 2))
+        points = [(stamped.pose.position.x, stamped.pose.position.y) for stamped in message.poses]
+        return cls(_read(message, "header.frame_id"), np.array(points, dtype=float).reshape(-1, 2))
 
 
-@dataclass(frozen=True)
-class Diagnostics:
+class Diagnostics(Message):
     """Diagnostic status of a node."""
 
-    kind: ClassVar[str] = "diagnostic_msgs/DiagnosticArray"
-    stamp: int  # [ns]
+    type_name, optional = "diagnostic_msgs/DiagnosticArray", True
+    stamp: Annotated[int, "header.stamp"]  # [ns]
     level: str  # OK, WARN or ERROR
     name: str
     summary: str
     values: dict[str, str]
 
-    def to_ros(self, ros: MessageFactory) -> Any:
-        message, status = _stamped(ros, self.kind, self.stamp, ""), ros.new("diagnostic_msgs/DiagnosticStatus")
+    def to_ros(self, factory: MessageFactory) -> Any:
+        message, status = super().to_ros(factory), factory.make_message("diagnostic_msgs/DiagnosticStatus")
         status.level, status.name, status.message = getattr(status, self.level), self.name, self.summary
         for key, value in self.values.items():
-            pair = ros.new("diagnostic_msgs/KeyValue")
+            pair = factory.make_message("diagnostic_msgs/KeyValue")
             pair.key, pair.value = key, value
             status.values.append(pair)
         message.status = [status]
         return message
 
 
-OPTIONAL: frozenset[Any] = frozenset({Transforms, BumperEvent, Diagnostics})  # some installations of ROS lack these
-LATEST_ONLY: frozenset[Any] = frozenset({LaserScan, Odometry})  # a new message replaces one that waits
-
-
-def bumper_events(released: int | None, pressed: int | None) -> list[BumperEvent]:
-    """Return the events between two instants, each with the number of the pressed bumper or None."""
-    if released == pressed:
+def bumper_events(before: int | None, after: int | None) -> list[BumperEvent]:
+    """Return the events between two times, given the number of the pressed bumper at each time, or None."""
+    if before == after:
         return []
-    changes = ((released, False), (pressed, True))
-    return [BumperEvent(bumper, state) for bumper, state in changes if bumper is not None]
+    changes = ((before, False), (after, True))
+    return [BumperEvent(bumper, pressed) for bumper, pressed in changes if bumper is not None]
 
 
 def quaternion(yaw: float) -> tuple[float, float, float, float]:
-    """Return the quaternion x, y, z, w of a turn to the left [rad]."""
+    """Return the quaternion x, y, z, w of a yaw [rad]."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 
 def _yaw(rotation: Any) -> float:
-    """Return the yaw of a quaternion [rad]; NaN if its length is not about 1."""
+    """Return the yaw of a quaternion [rad]; NaN if the length of the quaternion is not about 1."""
     x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
-    if not abs(math.hypot(x, y, z, w) - 1.0) <= _TOLERANCE:
+    if not abs(math.hypot(x, y, z, w) - 1.0) <= _MAX_LENGTH_ERROR:
         return math.nan
     return math.atan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
 
 
-def _set_rotation(rotation: Any, values: tuple[float, float, float, float]) -> None:
-    rotation.x, rotation.y, rotation.z, rotation.w = values
+def _nanoseconds(stamp: Any) -> int:
+    is_ros1 = hasattr(stamp, "secs")
+    return stamp.secs * BILLION + stamp.nsecs if is_ros1 else stamp.sec * BILLION + stamp.nanosec
 
 
-def _stamped(ros: MessageFactory, kind: str, stamp: int, frame: str) -> Any:
-    message = ros.new(kind)
-    message.header.stamp, message.header.frame_id = ros.time(stamp), frame
-    return message
+_CONVERTERS: Mapping[str, Callable[[Any], Any]] = {  # by the last part of a path
+    "clock": _nanoseconds,
+    "frame_id": lambda frame: frame.lstrip("/"),  # early versions of ROS 1 put a slash before frames
+    "orientation": _yaw,
+    "ranges": lambda ranges: np.array(ranges, dtype=float),
+    "stamp": _nanoseconds,
+    "state": bool,
+}
 
 
-def _header(message: Any) -> tuple[int, str]:
-    """Return stamp [ns] and frame; early versions of ROS 1 put a slash before frames."""
-    stamp = message.header.stamp
-    seconds, rest = (stamp.secs, stamp.nsecs) if hasattr(stamp, "secs") else (stamp.sec, stamp.nanosec)
-    return seconds * BILLION + rest, message.header.frame_id.lstrip("/")
+def _read(message: Any, path: str) -> Any:
+    value = attrgetter(path)(message)
+    name = path.rpartition(".")[2]
+    return _CONVERTERS[name](value) if name in _CONVERTERS else value
+
+
+def _write(message: Any, path: str, value: Any, factory: MessageFactory) -> None:
+    parent, _, name = path.rpartition(".")
+    owner = attrgetter(parent)(message) if parent else message
+    if name == "orientation":
+        rotation = owner.orientation
+        rotation.x, rotation.y, rotation.z, rotation.w = quaternion(value)
+        return
+    if name in ("clock", "stamp"):
+        value = factory.make_time(value)
+    elif name == "ranges":
+        value = factory.make_array(value.astype(np.float32))
+    setattr(owner, name, value)

@@ -1,148 +1,134 @@
-"""A node of ROS: publishers, subscriptions, services and time. `ros1` and `ros2` implement it."""
+"""The interface of a ROS node: publishers, subscriptions, services and time. `ros1` and `ros2` implement it."""
 
-from __future__ import annotations
-
-from abc import ABC, abstractmethod
+import threading
+import time
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
 from tb2rl.core.errors import InputError
-from tb2rl.deploy.ros.messages import OPTIONAL
-from tb2rl.deploy.ros.protocols import IncomingMessage, MessageFactory, OutgoingMessage
+from tb2rl.deploy.ros.messages import Message
 
-EMPTY, TRIGGER, SET_PHYSICS = "std_srvs/Empty", "std_srvs/Trigger", "gazebo_msgs/SetPhysicsProperties"  # services
-QUEUE = 10  # messages that wait for a slow subscriber
-M = TypeVar("M", bound=IncomingMessage)
+EMPTY, TRIGGER, SET_PHYSICS = "std_srvs/Empty", "std_srvs/Trigger", "gazebo_msgs/SetPhysicsProperties"  # service types
+QUEUE_SIZE = 10  # messages that wait for a slow subscriber
+M = TypeVar("M", bound=Message)
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Our end of a topic; `count_peers` counts the nodes at the other end."""
+    """A publisher or a subscription of the node; the defaults are for a message type that is not installed."""
 
-    count_peers: Callable[[], int]
+    count_peers: Callable[[], int] = lambda: 0  # subscribers of a publisher, publishers of a subscription
+    send: Callable[[Message], None] = lambda message: None
 
     def connected(self) -> bool:
-        """Whether another node is connected."""
         return self.count_peers() > 0
 
-
-@dataclass(frozen=True)
-class Publisher(Endpoint):
-    """Publishes messages, if a node subscribes to them."""
-
-    send: Callable[[Any], None]
-    messages: MessageFactory
-
-    def publish(self, message: OutgoingMessage) -> None:
+    def publish(self, message: Message) -> None:
+        """Publish a message, if a node subscribes to the topic."""
         if self.connected():
-            self.send(message.to_ros(self.messages))
+            self.send(message)
 
 
-@dataclass(frozen=True)
-class NullPublisher(Endpoint):
-    """Stands for a topic whose message type is not installed."""
-
-    count_peers: Callable[[], int] = lambda: 0
-
-    def publish(self, message: OutgoingMessage) -> None:
-        pass
+ABSENT = Endpoint()  # for message types that are not installed
 
 
-class Node(ABC):
-    """A node that has joined ROS; it makes the messages of its ROS, see `MessageFactory`."""
+class Node(Protocol):
+    """A node that has joined ROS, and a `MessageFactory`."""
 
     version: ClassVar[int]
-    install: ClassVar[str]  # how to install missing messages
+    install_hint: ClassVar[str]  # how to install missing messages
 
-    def new(self, kind: str) -> Any:
-        return self.get_type(kind)()
+    def make_message(self, type_name: str) -> Any:
+        return self.find_type(type_name)()
 
-    @abstractmethod
-    def time(self, nanoseconds: int) -> Any: ...
+    def make_time(self, nanoseconds: int) -> Any: ...
 
-    @abstractmethod
-    def uint8_array(self, data: bytes) -> Any: ...
+    def make_array(self, values: np.ndarray) -> Any:
+        return array(values.dtype.char, values.tobytes())
 
-    def float32_array(self, values: np.ndarray) -> Any:
-        return array("f", values.astype(np.float32).tobytes())
+    def find_type(self, type_name: str, module: str = "msg", optional: bool = False) -> Any:
+        """Return the class of a message (module "msg") or a service ("srv"); None if optional and not installed.
 
-    def find_type(self, kind: str, part: str = "msg") -> Any:
-        """Return the class of a message (part "msg") or a service ("srv"); None if its package is not installed."""
-        package, name = kind.split("/")
+        Raises:
+            InputError: If the type is neither installed nor optional.
+        """
+        package, name = type_name.split("/")
         try:
-            return getattr(import_module(f"{package}.{part}"), name)
+            return getattr(import_module(f"{package}.{module}"), name)
         except ImportError:
-            return None
+            if optional:
+                return None
+            raise InputError(f"{type_name} is not installed for ROS {self.version}; {self.install_hint}") from None
 
-    def get_type(self, kind: str, part: str = "msg") -> Any:
-        """Return the class of a message or a service.
-
-        Raises:
-            InputError: If its package is not installed.
-        """
-        found = self.find_type(kind, part)
-        if found is None:
-            raise InputError(f"there is no {kind} for ROS {self.version}; {self.install}")
-        return found
-
-    def create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> Publisher | NullPublisher:
-        """Create a publisher; a `NullPublisher` if the messages are optional and not installed.
-
-        Raises:
-            InputError: If other messages are not installed.
-        """
-        if message_type in OPTIONAL and self.find_type(message_type.kind) is None:
-            return NullPublisher()
-        return self._create_publisher(topic, message_type)
+    def create_publisher(self, topic: str, message_type: type[Message]) -> Endpoint:
+        """Create a publisher; returns `ABSENT` if the message type is optional and not installed."""
+        ros_type = self.find_type(message_type.type_name, optional=message_type.optional)
+        return self._publisher(topic, message_type, ros_type) if ros_type else ABSENT
 
     def create_subscription(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> Endpoint:
-        """Call a function with each message, in a thread of ROS; for missing messages see `create_publisher`."""
-        if message_type in OPTIONAL and self.find_type(message_type.kind) is None:
-            return NullPublisher()
-        return self._create_subscription(topic, message_type, callback)
+        """Call a function with each message, in a thread of ROS; returns `ABSENT` as `create_publisher` does."""
+        ros_type = self.find_type(message_type.type_name, optional=message_type.optional)
+        if not ros_type:
+            return ABSENT
+        latest_only = message_type.latest_only
+        return self._subscription(topic, ros_type, latest_only, lambda raw: callback(message_type.from_ros(raw)))
 
-    @abstractmethod
-    def _create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> Publisher: ...
+    def _publisher(self, topic: str, message_type: type[Message], ros_type: Any) -> Endpoint: ...
 
-    @abstractmethod
-    def _create_subscription(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> Endpoint: ...
+    def _subscription(self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None]) -> Endpoint:
+        """Call `receive` with each message; `latest_only`: drop waiting messages when a new one arrives."""
 
-    @abstractmethod
-    def create_service(self, service: str, kind: str, callback: Callable[[], str | None]) -> None:
-        """Offer a service; "~/NAME" is below the name of the node. A kind that this ROS lacks is skipped.
+    def create_service(self, service: str, type_name: str, callback: Callable[[], str | None]) -> None:
+        """Offer a service; "~/NAME" is private to the node. ROS 2 has no `SET_PHYSICS`, so that service is not offered.
 
-        `callback` runs in a thread of ROS and returns the reason of a failure; None or "": success.
+        `callback` runs in a thread of ROS. It returns the reason of a failure, else None or an empty string.
         """
 
-    @abstractmethod
-    def call(self, service: str, kind: str) -> bool:
-        """Call a service and wait for its answer; False: no node offers it.
+    def call(self, service: str, type_name: str) -> bool:
+        """Call a service and wait for its answer; returns whether any node offers the service.
 
         Raises:
-            InputError: If it fails.
+            InputError: If the call fails.
         """
 
-    @abstractmethod
     def now(self) -> float:
-        """Return the ROS time [s]; simulated if ROS uses `/clock`."""
+        """Return the ROS time [s], which is simulated time if ROS uses `/clock`."""
 
-    @abstractmethod
     def uses_sim_time(self) -> bool:
-        """Whether `/clock` determines the time."""
+        """Whether the ROS time comes from `/clock`."""
 
-    @abstractmethod
     def announce_sim_time(self) -> None:
-        """Make all programs use `/clock`, if this ROS has a common setting for it."""
+        """Make all programs use `/clock`, if this version of ROS has a common setting for it."""
 
-    @abstractmethod
     def is_shutdown(self) -> bool:
-        """Whether ROS has ended the node."""
+        """Whether ROS has shut the node down."""
 
-    @abstractmethod
     def close(self) -> None:
         """Leave ROS."""
+
+
+class WallClock:
+    """Wall-clock time; tests replace it by a fake."""
+
+    now = staticmethod(time.monotonic)  # [s]
+    sleep = staticmethod(time.sleep)
+
+    def wait(self, condition: threading.Condition | threading.Event, seconds: float) -> bool:
+        """Wait for a notification; returns False at a timeout."""
+        return condition.wait(seconds)
+
+    def repeat(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call a function periodically in a thread; returns a function that ends the thread."""
+        end = threading.Event()
+
+        def run() -> None:
+            while not end.wait(seconds):
+                callback()
+
+        threading.Thread(target=run, daemon=True).start()
+        return end.set

@@ -1,6 +1,4 @@
-"""ROS 1 by rospy."""
-
-from __future__ import annotations
+"""A node of ROS 1, implemented with rospy."""
 
 import sys
 from collections.abc import Callable
@@ -9,86 +7,75 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from tb2rl.core.errors import InputError, one_line
-from tb2rl.deploy.ros.debian import INSTALL, find_rospy
-from tb2rl.deploy.ros.generated_messages import write_packages
-from tb2rl.deploy.ros.messages import BILLION, LATEST_ONLY
-from tb2rl.deploy.ros.node import QUEUE, SET_PHYSICS, Endpoint, M, Node, Publisher
-from tb2rl.deploy.ros.protocols import OutgoingMessage
+from tb2rl.deploy.ros.debian import INSTALL_COMMAND, find_rospy, write_packages
+from tb2rl.deploy.ros.messages import BILLION, Message
+from tb2rl.deploy.ros.node import QUEUE_SIZE, SET_PHYSICS, Endpoint, Node
 
 find_rospy()
 
-import rosgraph  # noqa: E402 (now they can be found)
+import rosgraph  # noqa: E402 (after `find_rospy`)
 import rospy  # noqa: E402
 
-_SIM_TIME = "/use_sim_time"
+_SIM_TIME_PARAMETER = "/use_sim_time"
 
 
 class Ros1Node(Node):
     """A node of ROS 1.
 
     Raises:
-        InputError: If no master answers.
+        InputError: If no master answers, or this process has left ROS 1 already.
     """
 
-    version, install = 1, f"on Debian and Ubuntu: {INSTALL}"
+    version, install_hint = 1, f"on Debian and Ubuntu: {INSTALL_COMMAND}"
 
     def __init__(self, name: str) -> None:
-        try:
-            online = rosgraph.is_master_online()
-        except (OSError, ValueError):  # ROS_MASTER_URI is no address
-            online = False
-        if not online:
-            raise InputError(
-                f"no ROS master answers at {rosgraph.get_master_uri()}: start one with `rosmaster --core` or "
-                "`roscore`, or set ROS_MASTER_URI to the address of yours"
-            )
+        is_online = False
+        with suppress(OSError, ValueError):  # if ROS_MASTER_URI is not an address
+            is_online = rosgraph.is_master_online()
+        if not is_online:
+            hint = "start one with `rosmaster --core` or `roscore`, or set ROS_MASTER_URI to its address"
+            raise InputError(f"no ROS master answers at {rosgraph.get_master_uri()}: {hint}")
         if rospy.is_shutdown():
-            raise InputError("rospy joins ROS once in the life of a process: start another process")
+            raise InputError("a process can join ROS 1 only once: start another process")
         rospy.init_node(name, disable_signals=True)
-        self._announced = False
+        self._has_set_sim_time = False
 
-    def time(self, nanoseconds: int) -> Any:
+    def make_time(self, nanoseconds: int) -> Any:
         return rospy.Time(*divmod(nanoseconds, BILLION))
 
-    def uint8_array(self, data: bytes) -> bytes:
-        return data
+    def make_array(self, values: np.ndarray) -> Any:
+        return values.tobytes() if values.dtype == np.uint8 else super().make_array(values)
 
-    def _create_publisher(self, topic: str, message_type: type[OutgoingMessage]) -> Publisher:
-        publisher = rospy.Publisher(topic, self.get_type(message_type.kind), queue_size=QUEUE)
-        return Publisher(publisher.get_num_connections, publisher.publish, self)
+    def _publisher(self, topic: str, message_type: type[Message], ros_type: Any) -> Endpoint:
+        publisher = rospy.Publisher(topic, ros_type, queue_size=QUEUE_SIZE)
+        return Endpoint(publisher.get_num_connections, lambda message: publisher.publish(message.to_ros(self)))
 
-    def _create_subscription(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> Endpoint:
-        def convert(message: Any) -> None:
-            callback(message_type.from_ros(message))
+    def _subscription(self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None]) -> Endpoint:
+        queue_size = 1 if latest_only else None
+        subscriber = rospy.Subscriber(topic, ros_type, receive, queue_size=queue_size, tcp_nodelay=True)
+        return Endpoint(subscriber.get_num_connections)
 
-        queue = 1 if message_type in LATEST_ONLY else None
-        ros_type = self.get_type(message_type.kind)
-        return Endpoint(
-            rospy.Subscriber(topic, ros_type, convert, queue_size=queue, tcp_nodelay=True).get_num_connections
-        )
-
-    def create_service(self, service: str, kind: str, callback: Callable[[], str | None]) -> None:
-        service_type = self._set_physics() if kind == SET_PHYSICS else self.get_type(kind, "srv")
-        response = service_type._response_class  # rospy's generated classes have no public name for it
+    def create_service(self, service: str, type_name: str, callback: Callable[[], str | None]) -> None:
+        service_type = self._find_set_physics() if type_name == SET_PHYSICS else self.find_type(type_name, "srv")
+        response_type = service_type._response_class  # has no public name
 
         def answer(request: Any) -> Any:
-            failure = callback() or ""
-            if "success" not in response.__slots__:
-                return response()
-            return response(not failure, failure)  # Gazebo's response begins with the same two fields
+            failure = callback() or ""  # the responses of Trigger and `SET_PHYSICS` begin with success and a message
+            return response_type(not failure, failure) if "success" in response_type.__slots__ else response_type()
 
         rospy.Service(service.replace("~/", "~"), service_type, answer)
 
-    def call(self, service: str, kind: str) -> bool:
-        code, _, _ = rospy.get_master().lookupService(service)
-        if code != 1:
-            return False
+    def call(self, service: str, type_name: str) -> bool:
+        is_offered = rospy.get_master().lookupService(service)[0] == 1
         try:
-            rospy.ServiceProxy(service, self.get_type(kind, "srv"))()
+            if is_offered:
+                rospy.ServiceProxy(service, self.find_type(type_name, "srv"))()
         except rospy.ServiceException as error:
             raise InputError(one_line(f"the service {service} failed: {error}")) from None
-        return True
+        return is_offered
 
     def now(self) -> float:
         return rospy.get_time()
@@ -97,27 +84,23 @@ class Ros1Node(Node):
         return not rospy.rostime.is_wallclock()
 
     def announce_sim_time(self) -> None:
-        self._announced = not rospy.get_param(_SIM_TIME, False)
-        rospy.set_param(_SIM_TIME, True)
+        self._has_set_sim_time = not rospy.get_param(_SIM_TIME_PARAMETER, False)
+        rospy.set_param(_SIM_TIME_PARAMETER, True)
 
     def is_shutdown(self) -> bool:
         return rospy.is_shutdown()
 
     def close(self) -> None:
         with suppress(OSError):  # the master may have ended first
-            if self._announced:
-                rospy.delete_param(_SIM_TIME)  # otherwise later programs wait for a clock that has stopped
+            if self._has_set_sim_time:
+                rospy.delete_param(_SIM_TIME_PARAMETER)  # otherwise later programs wait for a clock that has stopped
         rospy.signal_shutdown("the program has ended")
 
-    def _set_physics(self) -> Any:
-        """Return the class of the service, generated from our definition if Gazebo's messages are not installed."""
-        found = self.find_type(SET_PHYSICS, "srv")
-        if found is not None:
-            return found
+    def _find_set_physics(self) -> Any:
+        """Return the class of `SET_PHYSICS`, generated from `interfaces/` if Gazebo's messages are not installed."""
+        if service_type := self.find_type(SET_PHYSICS, "srv", optional=True):
+            return service_type
         with TemporaryDirectory() as folder:
             write_packages(Path(folder))
-            sys.path.append(folder)
-            try:
-                return self.find_type(SET_PHYSICS, "srv")
-            finally:
-                sys.path.remove(folder)
+            sys.path.append(folder)  # never removed, because Python ignores folders that do not exist
+            return self.find_type(SET_PHYSICS, "srv")

@@ -1,35 +1,23 @@
-"""Topic names; those of a TurtleBot2 are the defaults."""
+"""Topic names; the defaults are those of a TurtleBot2."""
 
-from __future__ import annotations
-
-import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Annotated, TypeVar
 
-from pydantic import AfterValidator
+from pydantic import StringConstraints
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import build
 
-_NAME = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", flags=re.ASCII)
-
-
-def _check_name(name: str) -> str:
-    if not _NAME.fullmatch(name):
-        raise ValueError("must be the name of a topic, such as /scan")
-    return name
-
-
-Topic = Annotated[str, AfterValidator(_check_name)]
+Topic = Annotated[str, StringConstraints(pattern="^/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")]
 
 
 @dataclass(frozen=True)
 class Topics:
-    """Topics of the simulated robot: those of the 2018 tutorial's robot in Gazebo."""
+    """Topics of the simulated robot; the defaults are those of the 2018 tutorial's robot in Gazebo."""
 
     velocity: Topic = "/cmd_vel"  # commands to the base
-    navigation: Topic = "/cmd_vel_mux/input/navi"  # the same, by the TurtleBot2's multiplexer
+    navigation: Topic = "/cmd_vel_mux/input/navi"  # commands by the input of the TurtleBot2's multiplexer
     scan: Topic = "/kobuki/laser/scan"
     odometry: Topic = "/odom"
     colours: Topic = "/camera/rgb/image_raw"
@@ -39,9 +27,9 @@ class Topics:
 
 @dataclass(frozen=True)
 class DriverTopics:
-    """Topics of a node that drives a robot: those of a TurtleBot2 with ROS 1.
+    """Topics of a node that drives a robot; the defaults are those of a TurtleBot2 with ROS 1.
 
-    The multiplexer gives its safety controller and manual control priority over its navigation input.
+    The velocity multiplexer of the robot gives priority to its safety controller and to manual control.
     """
 
     velocity: Topic = "/cmd_vel_mux/input/navi"
@@ -52,7 +40,7 @@ class DriverTopics:
     plan: Topic = "/move_base/NavfnROS/plan"
 
 
-TURTLEBOT2 = {  # by the version of ROS
+TURTLEBOT2 = {  # by version of ROS
     1: DriverTopics(),
     2: DriverTopics(velocity="/cmd_vel", bumper="/events/bumper", goal="/goal_pose", plan="/plan"),
 }
@@ -63,12 +51,14 @@ def parse_topics(pairs: Iterable[str], defaults: T) -> T:
     """Parse topics from the command line, such as "scan=/scan".
 
     Raises:
-        InputError: For a pair without "=", an unknown key, or an invalid name.
+        InputError: If a pair has no "=", or a key or a topic name is invalid.
     """
-    names = asdict(defaults)
-    for pair in pairs:
-        key, equals, name = pair.partition("=")
-        if not equals:
-            raise InputError(f"--topics takes KEY=TOPIC, for example scan=/scan, got {pair!r}")
-        names[key] = name
-    return build(type(defaults), names, "--topics")
+    return build(type(defaults), asdict(defaults) | split_pairs(pairs, "KEY=TOPIC, such as scan=/scan"), "--topics")
+
+
+def split_pairs(pairs: Iterable[str], form: str) -> dict[str, str]:
+    """Split pairs "KEY=TOPIC"; raises an `InputError` if a pair has no "="."""
+    try:
+        return dict(pair.split("=", 1) for pair in pairs)
+    except ValueError:
+        raise InputError(f"--topics takes {form}") from None

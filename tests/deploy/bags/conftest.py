@@ -1,10 +1,8 @@
 """Recorded drives in the kinematic simulator, and bags of other robots."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,26 +10,11 @@ import pytest
 
 from tb2rl.deploy.bags.messages import BagMessages
 from tb2rl.deploy.bags.recorder import open_bag
-from tb2rl.deploy.ros.messages import LaserScan, Odometry, Twist
+from tb2rl.deploy.ros.messages import LaserScan, Odometry
 from tb2rl.envs.make import make_env
-from tb2rl.envs.scene import Scene
-from tb2rl.simulation import RobotState
 
 
-@dataclass(frozen=True)
-class RecordedEpisode:
-    """An episode, and the bag that holds it."""
-
-    path: Path
-    scene: Scene
-    robot_states: list[RobotState]
-    commands: np.ndarray
-    rewards: list[float]
-    distance: float
-
-
-def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) -> RecordedEpisode:
-    """Record random actions."""
+def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) -> SimpleNamespace:
     env = make_env(task, "raw", simulation="kinematic", **settings)
     commands, rewards, info = [], [], {}
     with open_bag(path, env.scene) as recorder:
@@ -47,65 +30,34 @@ def _record(path: Path, task: str = "maze", steps: int = 10, **settings: Any) ->
             commands.append(env.scene.actions.commands(env.scene.actions.checked(action))[0])
             rewards.append(float(reward))
             recorder.step(commands[-1], rewards[-1], env.robot_state)
-    return RecordedEpisode(path, env.scene, robot_states, np.array(commands), rewards, info["distance"])
+    episode = {"robot_states": robot_states, "commands": np.array(commands), "rewards": rewards}
+    return SimpleNamespace(path=path, scene=env.scene, distance=info["distance"], **episode)
 
 
 class Messages(BagMessages):
     """Makes messages of either ROS from plain values."""
 
     def __call__(self, kind: str, **fields: Any) -> Any:
-        message = self.new(kind)
-        for name, value in fields.items():
-            setattr(message, name, value)
+        message = self.make_message(kind)
+        vars(message).update(fields)
         return message
 
     def odometry(self, x: float, v: float = 0.0, w: float = 0.0) -> Any:
         return Odometry(0, "odom", "base", (x, 0.0, 0.0), (v, w)).to_ros(self)
 
-    def twist(self, v: float, w: float) -> Any:
-        return Twist(v, w).to_ros(self)
-
     def scan(self, *ranges: float) -> Any:
         return LaserScan(0, "laser", -1.0, 0.1, 0.1, 0.1, 30.0, np.array(ranges)).to_ros(self)
 
 
-def _write(path: Path, messages: Iterable[tuple[float, str, Any]], definitions: dict[str, str] | None = None) -> Path:
-    """Write messages (time [s], topic, message); `definitions` replaces those of some types."""
-    from rosbags import rosbag1, rosbag2
-
-    made, connections = Messages(1 if path.suffix == ".bag" else 2), {}
-    if made.ros == 1:
-        writer = rosbag1.Writer(path)
-    else:
-        writer = rosbag2.Writer(path, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
-    with writer as bag:
-        for time, topic, message in messages:
-            kind = message.__msgtype__
-            if (topic, kind) not in connections:
-                definition = {"typestore": made.store}
-                if text := (definitions or {}).get(kind):
-                    definition = {"msgdef": text, "md5sum" if made.ros == 1 else "rihs01": "0" * 32}
-                connections[topic, kind] = bag.add_connection(topic, kind, **definition)
-            bag.write(connections[topic, kind], round(time * 1e9), made.serialize(message))
-    return path
-
-
-@pytest.fixture
-def record() -> Callable[..., RecordedEpisode]:
-    """The function `_record`."""
-    return _record
-
-
 @pytest.fixture(scope="session", params=["drive.bag", "drive"])
-def driven(request, tmp_path_factory) -> RecordedEpisode:
+def driven(request, tmp_path_factory) -> SimpleNamespace:
     """A drive whose odometry is not the truth, in each format."""
     return _record(tmp_path_factory.mktemp("bag") / request.param, variation="strong", laser_noise=0.01)
 
 
 @pytest.fixture
-def write() -> Callable[..., Path]:
-    """The function `_write`."""
-    return _write
+def record() -> Callable[..., SimpleNamespace]:
+    return _record
 
 
 @pytest.fixture(params=["drive.bag", "drive"])
@@ -116,5 +68,28 @@ def bag(request, tmp_path) -> Path:
 
 @pytest.fixture
 def messages(bag) -> Messages:
-    """Messages for it."""
     return Messages(1 if bag.suffix else 2)
+
+
+@pytest.fixture
+def write(bag, messages) -> Callable[..., Path]:
+    """A function that writes messages (time [s], topic, message) to it; `definitions` replaces those of some types."""
+    from rosbags import rosbag1, rosbag2
+
+    def write(content, definitions=None) -> Path:
+        connections = {}
+        if messages.ros == 1:
+            writer = rosbag1.Writer(bag)
+        else:
+            writer = rosbag2.Writer(bag, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
+        with writer as opened:
+            for time, topic, message in content:
+                kind, definition = message.__msgtype__, {"typestore": messages.store}
+                if text := (definitions or {}).get(kind):
+                    definition = {"msgdef": text, "md5sum" if messages.ros == 1 else "rihs01": "0" * 32}
+                if topic not in connections:
+                    connections[topic] = opened.add_connection(topic, kind, **definition)
+                opened.write(connections[topic], round(time * 1e9), messages.serialize(message))
+        return bag
+
+    return write

@@ -1,10 +1,6 @@
 """Bags of any robot become drives; a broken or foreign file ends in one line."""
 
-from __future__ import annotations
-
 import math
-import random
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +11,13 @@ from tb2rl.deploy.bags import reading
 from tb2rl.deploy.bags.drive import Drive
 from tb2rl.deploy.bags.messages import BUMPER_EVENTS
 from tb2rl.deploy.bags.reading import is_bag, read_drive
+from tb2rl.deploy.ros.messages import Twist
 
 pytest.importorskip("rosbags")
 
 
 @pytest.fixture
-def foreign(bag, write, messages) -> Path:
+def foreign(write, messages) -> Path:
     """A robot that drives 2 m ahead in two seconds, with its own topic names."""
     content = []
     for step in range(11):
@@ -28,10 +25,10 @@ def foreign(bag, write, messages) -> Path:
         content += [
             (time, "/robot/wheels", messages.odometry(0.2 * step, v=1.0, w=0.1)),
             (time, "/robot/front", messages.scan(0.0, 0.05, math.nan, 5.0 - 0.2 * step, math.inf, 40.0)),
-            (time, "/robot/drive", messages.twist(1.1, 0.2)),
+            (time, "/robot/drive", Twist(1.1, 0.2).to_ros(messages)),
         ]
     content.append((time, "/robot/filtered", messages.odometry(7.0)))
-    return write(bag, content)
+    return write(content)
 
 
 def refused(path: Path, words: str, topics=None) -> None:
@@ -49,10 +46,10 @@ def test_an_episode_reads_back_as_it_was_driven(driven):
         assert rows[:, 1:4] == pytest.approx(np.array([getattr(each, poses)[0] for each in states]), abs=1e-9)
         assert rows[:, 4:].tolist() == [getattr(each, twists)[0].tolist() for each in states]
     assert drive.commands[:, 1:].tolist() == driven.commands.tolist()
-    assert drive.nearest[:, 1].tolist() == [float(np.float32(each.nearest[0])) for each in states]
+    assert drive.scan_minima[:, 1].tolist() == [float(np.float32(each.nearest_range[0])) for each in states]
     assert drive.trajectory is drive.truth
     assert (drive.distance, drive.seconds) == pytest.approx((driven.distance, 2.0), abs=1e-9)
-    assert drive.touched == 0
+    assert drive.contacts == 0
 
 
 @pytest.mark.parametrize("kobuki", [False, True])
@@ -63,15 +60,15 @@ def test_a_contact_counts_once_however_long_it_lasts(kobuki, bag, write, message
         kind, field = BUMPER_EVENTS[messages.ros], "state"
     content = [(1.0, "/odom", messages.odometry(0.0))]
     content += [(1.0 + i, topic, messages(kind, **{field: state})) for i, state in enumerate([1, 1, 0, 0, 1])]
-    drive = read_drive(write(bag, content), {})
-    assert (drive.topics["bumper"], drive.touched) == (topic, 2)
+    drive = read_drive(write(content), {})
+    assert (drive.topics["bumper"], drive.contacts) == (topic, 2)
 
 
 def test_topics_are_found_by_type_or_chosen_by_name(foreign):
     drive = read_drive(foreign, {})
     assert drive.topics == {"odom": "/robot/wheels", "scan": "/robot/front", "cmd_vel": "/robot/drive"}
-    assert (drive.distance, drive.seconds, drive.speed, drive.closest) == pytest.approx((2.0, 2.0, 1.0, 3.0))
-    assert drive.touched is None
+    assert (drive.distance, drive.seconds, drive.speed, drive.min_range) == pytest.approx((2.0, 2.0, 1.0, 3.0))
+    assert drive.contacts is None
     assert drive.commands[:, 1:].tolist() == [[1.1, 0.2]] * 11
     assert drive.trajectory[:, 4:].tolist() == [[1.0, 0.1]] * 11
     assert read_drive(foreign, {"odom": "/robot/filtered"}).odometry[:, 1].tolist() == [7.0]
@@ -82,11 +79,11 @@ def test_topics_are_found_by_type_or_chosen_by_name(foreign):
         assert read_drive(mcap, {}).distance == drive.distance
 
 
-def test_a_usual_topic_name_is_preferred_and_stamped_commands_are_read(bag, write, messages):
-    stamped = messages("geometry_msgs/msg/TwistStamped", twist=messages.twist(0.3, -0.5))
+def test_a_usual_topic_name_is_preferred_and_stamped_commands_are_read(write, messages):
+    stamped = messages("geometry_msgs/msg/TwistStamped", twist=Twist(0.3, -0.5).to_ros(messages))
     content = [(1.0 + i, "/visual", messages.odometry(5.0)) for i in range(3)]
     content += [(1.0, "odom", messages.odometry(1.0)), (1.0, "/cmd_vel", stamped)]
-    drive = read_drive(write(bag, content), {})
+    drive = read_drive(write(content), {})
     assert drive.topics["odom"] == "odom"
     assert drive.commands.tolist() == [[0.0, 0.3, -0.5]]
 
@@ -98,26 +95,34 @@ def test_a_path_is_rotated_to_begin_at_a_pose():
     assert drive.path_from((1.0, 2.0, math.pi)) == pytest.approx(np.array([(1.0, 2.0), (-1.0, 2.0)]))
 
 
-def test_a_bag_without_odometry_or_with_invalid_poses_is_refused(bag, write, messages):
-    without = write(bag.with_name(f"without{bag.suffix}"), [(1.0, "/scan", messages.scan(1.0))])
+def test_a_bag_without_odometry_is_refused(write, messages):
+    without = write([(1.0, "/scan", messages.scan(1.0))])
     refused(without, r"has no odometry.*topics: /scan \(sensor_msgs/msg/LaserScan")
-    invalid = [(1.0, "/odom", messages.odometry(x)) for x in (math.nan, math.inf, 1e300)]
-    refused(write(bag.with_name(f"invalid{bag.suffix}"), invalid), "its odometry has no valid pose")
-    valid = write(bag, [*invalid, (2.0, "/odom", messages.odometry(3.0))])
-    assert read_drive(valid, {}).trajectory[:, 1].tolist() == [3.0]
 
 
-@pytest.mark.parametrize("text", ["float64 x\nfloat64 y\n", "string header\n" * 20_000, "$(rm -rf /)"])
-def test_another_definition_of_a_message_is_refused_unless_the_message_is_not_read(text, bag, write, messages):
+@pytest.mark.parametrize("valid", [False, True])
+def test_invalid_poses_are_left_out(valid, write, messages):
+    content = [(1.0, "/odom", messages.odometry(x)) for x in (math.nan, math.inf, 1e300)]
+    if not valid:
+        refused(write(content), "the odometry has no valid pose")
+        return
+    content.append((2.0, "/odom", messages.odometry(3.0)))
+    assert read_drive(write(content), {}).trajectory[:, 1].tolist() == [3.0]
+
+
+@pytest.mark.parametrize("text", ["float64 x\nfloat64 y\n", "$(rm -rf /)"])
+def test_another_definition_of_a_message_is_refused(text, write, messages):
+    written = write([(1.0, "/odom", messages.odometry(1.0))], {"nav_msgs/msg/Odometry": text})
+    refused(written, "nav_msgs/msg/Odometry on /odom is defined differently from ROS|cannot")
+
+
+def test_definitions_of_messages_that_are_not_read_do_not_matter(write, messages):
     content = [(1.0, "/odom", messages.odometry(1.0)), (1.0, "/other", messages("std_msgs/msg/Bool", data=True))]
-    written = write(bag.with_name(f"other{bag.suffix}"), content, {"nav_msgs/msg/Odometry": text})
-    refused(written, "nav_msgs/msg/Odometry on /odom is not the one of ROS|cannot|not a bag that can be read")
-    written = write(bag, content, {"std_msgs/msg/Bool": "uint9 data"})
-    assert len(read_drive(written, {}).trajectory) == 1
+    assert len(read_drive(write(content, {"std_msgs/msg/Bool": "uint9 data"}), {}).trajectory) == 1
 
 
 def test_a_bag_with_too_many_messages_is_refused(foreign, monkeypatch):
-    monkeypatch.setattr(reading, "MOST", 30)
+    monkeypatch.setattr(reading, "MAX_MESSAGES", 30)
     refused(foreign, "more than 30 messages on /robot/wheels, /robot/front, /robot/drive")
 
 
@@ -125,24 +130,11 @@ def test_a_file_that_is_no_bag_or_ends_early_is_refused(foreign, tmp_path):
     for ending in ("bag", "mcap", "db3"):
         refused(tmp_path / f"missing.{ending}", "there is no bag")
         (tmp_path / f"text.{ending}").write_text("no bag\n" * 100)
-        refused(tmp_path / f"text.{ending}", "is not a bag that can be read")
+        refused(tmp_path / f"text.{ending}", "cannot read the bag")
     (tmp_path / "folder.bag").mkdir()
-    refused(tmp_path / "folder.bag", "is not a bag that can be read")
+    refused(tmp_path / "folder.bag", "cannot read the bag")
     file = next(foreign.glob("*.mcap"), foreign)
     content = file.read_bytes()
     for share in (0.999, 0.3, 0.0):
         file.write_bytes(content[: int(share * len(content))])
-        refused(foreign, "is not a bag that can be read")
-
-
-@pytest.mark.fuzz
-def test_whatever_bytes_are_wrong_there_is_a_drive_or_one_line(foreign):
-    draw, file = random.Random(0), next(foreign.glob("*.mcap"), foreign)
-    original = file.read_bytes()
-    for _ in range(60):
-        content = bytearray(original)
-        for _ in range(draw.choice([1, 1, 10])):
-            content[draw.randrange(min(len(content), 6000)) * draw.choice([1, -1])] = draw.choice([0, 255, 7, 61])
-        file.write_bytes(content)
-        with suppress(InputError):
-            read_drive(foreign, {})
+        refused(foreign, "cannot read the bag")

@@ -1,7 +1,5 @@
 """A recorded episode holds what happened in it to the digit, in both formats, for every reader of bags."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError, install_extra
-from tb2rl.deploy.bags.recorder import BEGIN, check_bag, open_bag
+from tb2rl.deploy.bags.recorder import START_TIME, checked_bag_path, open_bag
 
 highlevel = pytest.importorskip("rosbags.highlevel")
 
@@ -26,40 +24,22 @@ def read(path) -> dict[str, list]:
     return found
 
 
-def pose_of(pose) -> list[float]:
-    position = getattr(pose, "position", None) or pose.translation
-    rotation = getattr(pose, "orientation", None) or pose.rotation
-    return [position.x, position.y, 2 * math.atan2(rotation.z, rotation.w)]
-
-
-def assert_same_poses(found, expected) -> None:
-    found, expected = np.array(found), np.array(expected)
-    assert found[:, :2] == pytest.approx(expected[:, :2], abs=1e-9)
-    assert np.cos(found[:, 2] - expected[:, 2]) == pytest.approx(1.0, abs=1e-9)
-
-
-def test_the_librarys_own_reader_finds_the_episode_in_simulated_time(driven):
+def test_the_librarys_own_reader_finds_the_episode_in_simulated_time(driven):  # see test_reading.py for the rest
     states, found = driven.robot_states, read(driven.path)
-    for topic, poses, twists in (("/odom", "odometry", "odometry_twist"), ("/ground_truth", "pose", "twist")):
-        messages = [message for _, message in found[topic]]
-        assert_same_poses([pose_of(each.pose.pose) for each in messages], [getattr(s, poses)[0] for s in states])
-        speeds = [[each.twist.twist.linear.x, each.twist.twist.angular.z] for each in messages]
-        assert speeds == [getattr(each, twists)[0].tolist() for each in states]
     scans = np.array([message.ranges for _, message in found["/kobuki/laser/scan"]])
     assert scans.tolist() == np.float32([each.ranges[0] for each in states]).tolist()
-    commands = [[message.linear.x, message.angular.z] for _, message in found["/cmd_vel"]]
-    assert commands == driven.commands.tolist()
     assert [message.data for _, message in found["/reward"]] == driven.rewards
     assert [message.data for _, message in found["/bumper"]] == [bool(each.bumped[0]) for each in states]
-    poses = []
-    for _, message in found["/tf"]:
+    for (_, message), state in zip(found["/tf"], states, strict=True):
         links = [(each.header.frame_id, each.child_frame_id) for each in message.transforms]
         assert links == [("map", "odom"), ("odom", "base_footprint")]
-        (x, y, yaw), (dx, dy, turn) = (pose_of(each.transform) for each in message.transforms)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        poses.append([x + cos * dx - sin * dy, y + sin * dx + cos * dy, yaw + turn])
-    assert_same_poses(poses, [each.pose[0] for each in states])
-    times = [BEGIN + 0.2 * step for step in range(11)]
+        odom, base = (each.transform for each in message.transforms)
+        (origin, turned), (moved, turn) = ((each.translation, each.rotation) for each in (odom, base))
+        yaw = 2 * math.atan2(turned.z, turned.w)
+        cos, sin, heading = math.cos(yaw), math.sin(yaw), yaw + 2 * math.atan2(turn.z, turn.w)
+        x, y = origin.x + cos * moved.x - sin * moved.y, origin.y + sin * moved.x + cos * moved.y
+        assert [x, y, math.sin(heading)] == pytest.approx([*state.pose[0, :2], math.sin(state.pose[0, 2])], abs=1e-9)
+    times = [START_TIME + 0.2 * step for step in range(11)]
     for topic, messages in found.items():
         expected = {"/cmd_vel": times[:-1], "/reward": times[1:]}.get(topic, times)
         assert [time for time, _ in messages] == pytest.approx(expected), topic
@@ -121,23 +101,17 @@ def test_an_interrupted_bag_leaves_nothing_and_an_older_file_is_replaced(driven,
     assert len(read(other)["/odom"]) == 1
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("drive.mcap", "a bag is a file .bag"),
-        ("there", "exists already"),
-        ("there.bag", "exists already"),
-        ("missing/drive", "its folder does not exist"),
-    ],
-)
-def test_an_invalid_path_is_refused(name, words, tmp_path):
-    (tmp_path / "there").mkdir()
-    (tmp_path / "there.bag").mkdir()
-    with pytest.raises(InputError, match=words):
-        check_bag(tmp_path / name)
-
-
-def test_without_the_library_a_line_says_how_to_install_it(tmp_path, monkeypatch):
+def test_an_invalid_path_or_a_missing_library_is_refused(tmp_path, monkeypatch):
+    taken = tmp_path / "there.bag"
+    taken.mkdir()
+    for path, words in (
+        (tmp_path / "drive.mcap", r"give a file NAME\.bag"),
+        (taken, "cannot write"),
+        (tmp_path, "exists already"),
+        (tmp_path / "missing" / "drive", "choose a file in a writable folder"),
+    ):
+        with pytest.raises(InputError, match=words):
+            checked_bag_path(path)
     monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)
     with pytest.raises(InputError, match=re.escape(install_extra("bags"))):
-        check_bag(tmp_path / "drive.bag")
+        checked_bag_path(tmp_path / "drive.bag")

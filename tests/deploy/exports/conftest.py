@@ -1,23 +1,21 @@
 """Loaded policies, untrained run folders, and an exported folder."""
 
-from __future__ import annotations
-
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from tb2rl.commands.export import export_folder
-from tb2rl.runs.algorithm import Spaces, make_algorithm
+from tb2rl.runs.algorithm import make_algorithm
+from tb2rl.runs.config import resolve
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
 from tb2rl.runs.loading import load
 
 
 @pytest.fixture(scope="session")
 def loaded():
     """`tb2rl.load`, each policy once."""
-    kept: dict[str, object] = {}
-    return lambda name: kept[name] if name in kept else kept.setdefault(name, load(name))
+    return cache(load)
 
 
 @pytest.fixture(scope="session")
@@ -27,7 +25,7 @@ def untrained(tmp_path_factory):
     def save(agent, task, settings) -> Path:
         config = resolve(agent, task, settings={"train.n_envs": 2, "task.world": "wall", **settings})
         run = Run.create(tmp_path_factory.mktemp("untrained") / "run", config)
-        run.save(make_algorithm(config, Spaces.vectorised(config)), "final/policy")
+        run.save(make_algorithm(config), "final/policy")
         return run.folder
 
     return save
@@ -35,7 +33,6 @@ def untrained(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def robot(tmp_path_factory):
-    """The exported folder of a policy."""
     folder = tmp_path_factory.mktemp("exported")
     export_folder("zoo:drive-loop-ppo", folder)
     return folder

@@ -1,7 +1,5 @@
 """A folder for a robot: its program observes and acts as the policy does in simulation, with numpy and nothing else."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re
@@ -18,7 +16,7 @@ from tb2rl.commands.export import export_folder
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
 from tb2rl.deploy import SensorData, TrainedPolicy
-from tb2rl.deploy.folder import program
+from tb2rl.deploy.folder import build_program
 from tb2rl.deploy.portable.main import main as drive
 from tb2rl.deploy.portable.policy import ExportedPolicy
 from tb2rl.envs.make import make_env
@@ -61,8 +59,8 @@ def compare_in_simulation(policy, folder: Path, steps: int) -> None:
         expected = env.scene.actions.commands(action[None])[0]
         for each in (exported, trained):
             np.testing.assert_allclose(each.act(sensed), expected, rtol=0.0, atol=1e-5)
-        np.testing.assert_array_equal(exported.observed[0], observation)
-        assert exported.observed.dtype == observation.dtype
+        np.testing.assert_array_equal(exported.observation[0], observation)
+        assert exported.observation.dtype == observation.dtype
         observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
         ended = terminated or truncated
 
@@ -89,15 +87,14 @@ def test_a_policy_that_draws_a_map_needs_a_plan_on_a_robot(untrained, tmp_path):
 
 
 def test_the_imu_is_read_as_by_a_driver_of_tb2rl(untrained, loaded, tmp_path):
-    folder = untrained(PPO, "drive", {**RAW, "task.observe": ["laser", "imu"]})
+    folder = untrained(PPO, "drive", {**RAW, "task.observe": ["imu"]})
     export_folder(folder, tmp_path)
     exported, trained, rng = ExportedPolicy(tmp_path), TrainedPolicy(loaded(folder)), np.random.default_rng(0)
     exported.reset(), trained.reset()
     for _ in range(20):
-        ranges, twist = rng.uniform(0.1, 30.0, len(trained.needs.beams)), tuple(rng.uniform(-0.6, 0.6, 2))
-        sensed = SensorData(ranges=ranges, twist=twist)
+        sensed = SensorData(ranges=np.full(len(trained.needs.beams), 5.0), twist=tuple(rng.uniform(-0.6, 0.6, 2)))
         np.testing.assert_allclose(exported.act(sensed), trained.act(sensed), rtol=0.0, atol=1e-5)
-    assert np.abs(exported.observed[0, -1]) > 0.01, "it accelerates"
+    assert np.abs(exported.observation[0, -1]) > 0.01, "it accelerates"
 
 
 @pytest.fixture
@@ -117,7 +114,6 @@ def alone(robot, tmp_path):
 
 @pytest.fixture
 def copy(robot, tmp_path):
-    """A copy of the exported folder, to be changed."""
     return shutil.copytree(robot, tmp_path / "copy")
 
 
@@ -157,9 +153,7 @@ def test_the_program_is_imported_as_its_readme_says(alone, robot):
 
 
 MY_FILTER = """
-from math import inf as far
-
-import numpy as np
+from numpy import where as choose
 
 from tb2rl.envs.filters import Filter
 
@@ -168,14 +162,13 @@ class StopNear(Filter):
         self.distance = distance
 
     def __call__(self, commands, robot_state):
-        near = np.min(robot_state.ranges, axis=1, initial=far) < self.distance
-        return np.where(near[:, None], 0.0, commands)
+        return choose(robot_state.ranges.min(axis=1)[:, None] < self.distance, 0.0, commands)
 """
 
 
 def test_a_filter_of_ones_own_is_packed_into_the_program(alone, copy, tmp_path):
     (tmp_path / "my_filter.py").write_text(MY_FILTER)
-    (copy / "drive.py").write_text(program([tmp_path / "my_filter.py"]))
+    (copy / "drive.py").write_text(build_program([tmp_path / "my_filter.py"]))
     about = json.loads((copy / "policy.json").read_text())
     about["filters"] = [{"class": "StopNear", "arguments": {"distance": 0.5}}]
     (copy / "policy.json").write_text(json.dumps(about))
@@ -185,8 +178,8 @@ def test_a_filter_of_ones_own_is_packed_into_the_program(alone, copy, tmp_path):
         assert answers[1]["why"] == "driving"
         assert ((answers[1]["v"], answers[1]["w"]) == (0.0, 0.0)) == stands
     (tmp_path / "my_filter.py").write_text(MY_FILTER + "\nclass Driver: pass\n")
-    with pytest.raises(InputError, match=r"drive\.py defines Driver"):
-        program([tmp_path / "my_filter.py"])
+    with pytest.raises(InputError, match="rename Driver"):
+        build_program([tmp_path / "my_filter.py"])
 
 
 @pytest.mark.parametrize(
@@ -195,7 +188,6 @@ def test_a_filter_of_ones_own_is_packed_into_the_program(alone, copy, tmp_path):
         (["--speed=-5"], "", ["speed", "above 0", "-5"]),
         (["--turn-rate=nan"], "", ["turn_rate", "above 0", "nan"]),
         (["--scanner", "0", "nan", "0"], "", ["mounting", "nan"]),
-        (["--speed=fast"], "", ["--speed", "fast"]),
         ([], "weights.npz", ["damaged"]),
         ([], "policy.json", ["damaged"]),
     ],

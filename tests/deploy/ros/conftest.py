@@ -4,8 +4,6 @@ ROS 1 is Debian's (see `.ci/run`), ROS 2 that of `make ros`, or of this Python; 
 tests use `FakeNode` and `FakeClock`: a wait lets time pass at once, and no test waits for real time.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -13,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import defaultdict
@@ -25,7 +24,7 @@ from typing import Any
 import pytest
 
 from tb2rl.deploy.ros.debian import PACKAGES
-from tb2rl.deploy.ros.protocols import OutgoingMessage
+from tb2rl.deploy.ros.messages import Message
 
 CHECKOUT = Path(__file__).parents[3]
 DEBIANS_PYTHON = "/usr/bin/python3"
@@ -33,19 +32,21 @@ PATIENCE = 300.0  # [s] for a process to begin or to end: the machine may be bus
 
 
 class Process:
-    """A program in a process of its own; its lines are read as they come."""
+    """A program in a process of its own; its lines can be read as they come."""
 
     def __init__(self, command: list[str], env: dict[str, str], folder: Path) -> None:
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        self._process = subprocess.Popen(command, env=env, cwd=folder, text=True, bufsize=1, **pipes)
-        self.lines, self.errors = list[str](), list[str]()
-        streams = (self._process.stdout, self.lines), (self._process.stderr, self.errors)
-        self._readers = [threading.Thread(target=self._read, args=each, daemon=True) for each in streams]
-        for reader in self._readers:
-            reader.start()
+        self._output = Path(tempfile.mkdtemp(dir=folder))
+        with (self._output / "lines").open("wb") as out, (self._output / "errors").open("wb") as err:
+            pipes = {"stdin": subprocess.PIPE, "stdout": out, "stderr": err}
+            self._process = subprocess.Popen(command, env=env, cwd=folder, text=True, bufsize=1, **pipes)
 
-    def _read(self, stream: Any, lines: list[str]) -> None:
-        lines.extend(line.rstrip("\n") for line in stream)
+    @property
+    def lines(self) -> list[str]:
+        return (self._output / "lines").read_text().split("\n")[:-1]
+
+    @property
+    def errors(self) -> list[str]:
+        return (self._output / "errors").read_text().splitlines()
 
     def wait_for_line(self, number: int) -> str:
         """Return line `number` of its stdout, once it is there."""
@@ -58,24 +59,15 @@ class Process:
         return self.lines[number]
 
     def wait(self) -> int:
-        """Return its exit status, once it has ended and all its lines are read."""
-        status = self._process.wait(PATIENCE)
-        for reader in self._readers:
-            reader.join()
-        return status
+        return self._process.wait(PATIENCE)
 
     def stop(self, sign: signal.Signals = signal.SIGINT) -> int:
-        """End it by a signal; return its exit status."""
         self._process.send_signal(sign)
         return self.wait()
 
     def close(self) -> None:
-        """Kill it, if it still runs."""
-        if self._process.poll() is None:
-            self._process.kill()
-        self.wait()
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
-            stream.close()
+        self._process.kill()
+        self._process.communicate()
 
 
 class Probe(Process):
@@ -83,23 +75,13 @@ class Probe(Process):
 
     _asked = 0
 
-    def ask(self, method: str, **arguments: Any) -> Any:
-        """Call one of its methods."""
-        self._process.stdin.write(json.dumps([method, arguments]) + "\n")
-        self._asked += 1
-        return json.loads(self.wait_for_line(self._asked))
+    def __getattr__(self, method: str) -> Callable[..., Any]:
+        def ask(*arguments: Any, **named: Any) -> Any:
+            self._process.stdin.write(json.dumps([method, arguments, named]) + "\n")
+            self._asked += 1
+            return json.loads(self.wait_for_line(self._asked))
 
-    def subscribe(self, topic: str, kind: str) -> None:
-        self.ask("subscribe", topic=topic, kind=kind)
-
-    def take(self, topic: str, count: int = 1, fresh: bool = True) -> list[dict[str, Any]]:
-        return self.ask("take", topic=topic, count=count, fresh=fresh)
-
-    def drive(self, linear: float, angular: float = 0.0, topic: str = "/cmd_vel") -> None:
-        self.ask("drive", topic=topic, linear=linear, angular=angular)
-
-    def call(self, service: str) -> None:
-        self.ask("call", service=service)
+        return ask
 
 
 class RosGraph:
@@ -135,7 +117,6 @@ class RosGraph:
 
     @contextmanager
     def probe(self) -> Iterator[Probe]:
-        """A node that a test controls."""
         python = DEBIANS_PYTHON if self.version == 1 else self.python
         command = [python, str(Path(__file__).with_name("probe.py")), str(self.version)]
         with self.process(command, kind=Probe) as probe:
@@ -169,7 +150,6 @@ def ros2_python() -> Path | None:
 
 @pytest.fixture(scope="module")
 def graph1(tmp_path_factory):
-    """A graph of ROS 1."""
     if not ((PACKAGES / "rospy").is_dir() and shutil.which("rosmaster")):
         pytest.skip("ROS 1 is not installed: apt-get install python3-rospy python3-rosmaster ... (see .ci/run)")
     with ros1(tmp_path_factory.mktemp("graph")) as graph:
@@ -178,7 +158,6 @@ def graph1(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def graph2(tmp_path_factory):
-    """A graph of ROS 2."""
     if ros2_python() is None:
         pytest.skip("ROS 2 is not installed: make ros")
     domain = str(1 + os.getpid() % 100)  # 101 is the largest that needs no ports that Linux gives to others
@@ -188,7 +167,6 @@ def graph2(tmp_path_factory):
 
 @pytest.fixture(scope="module", params=["graph1", "graph2"], ids=["ros1", "ros2"])
 def graph(request):
-    """A graph of ROS 1, then one of ROS 2."""
     return request.getfixturevalue(request.param)
 
 
@@ -196,13 +174,13 @@ class FakeEndpoint:
     """An endpoint that keeps what is published."""
 
     def __init__(self) -> None:
-        self.peers, self.messages = True, list[OutgoingMessage]()
+        self.peers, self.messages = True, list[Message]()
         self.react: Callable[[Any], None] = lambda message: None  # a program at the other end
 
     def connected(self) -> bool:
         return self.peers
 
-    def publish(self, message: OutgoingMessage) -> None:
+    def publish(self, message: Message) -> None:
         self.messages.append(message)
         self.react(message)
 
@@ -215,6 +193,7 @@ class FakeNode:
         self.receive: dict[str, Callable[[Any], None]] = {}
         self.services: dict[str, Callable[[], str | None]] = {}
         self.over, self.time, self.sim_time, self.announced = False, 0.0, False, False
+        self.now, self.uses_sim_time, self.is_shutdown = lambda: self.time, lambda: self.sim_time, lambda: self.over
 
     def create_publisher(self, topic: str, message_type: type) -> FakeEndpoint:
         return self.topics[topic]
@@ -231,23 +210,13 @@ class FakeNode:
             self.services[service]()
         return service in self.services
 
-    def now(self) -> float:
-        return self.time
-
-    def uses_sim_time(self) -> bool:
-        return self.sim_time
-
     def announce_sim_time(self) -> None:
         self.announced = True
-
-    def is_shutdown(self) -> bool:
-        return self.over
 
     def close(self) -> None:
         self.over = True
 
     def commands(self, topic: str) -> list[tuple[float, float]]:
-        """The velocity commands so far."""
         return [(each.linear, each.angular) for each in self.topics[topic].messages]
 
 

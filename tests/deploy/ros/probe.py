@@ -1,7 +1,5 @@
 """`probe.py 1|2`: a node of ROS that a test controls by lines of JSON; it imports nothing of ours."""
 
-from __future__ import annotations
-
 import base64
 import json
 import queue
@@ -44,8 +42,6 @@ def wait_until(condition, message):
 
 
 class Node1:
-    """rospy."""
-
     def __init__(self):
         import rospy
 
@@ -59,15 +55,13 @@ class Node1:
         publisher = self.rospy.Publisher(topic, find(kind), queue_size=10)
         return publisher.publish, publisher.get_num_connections
 
-    def call(self, service, kind="std_srvs/Empty"):
+    def call(self, service, kind):
         self.rospy.wait_for_service(service, PATIENCE)
         answer = self.rospy.ServiceProxy(service, find(kind, "srv"))()
         return [getattr(answer, "success", True), getattr(answer, "message", "")]
 
 
 class Node2:
-    """rclpy."""
-
     def __init__(self):
         import rclpy
 
@@ -89,7 +83,7 @@ class Node2:
         publisher = self.node.create_publisher(find(kind), topic, 10)
         return publisher.publish, publisher.get_subscription_count
 
-    def call(self, service, kind="std_srvs/Empty"):
+    def call(self, service, kind):
         kind = find(kind, "srv")
         client = self.node.create_client(kind, service)
         assert client.wait_for_service(PATIENCE), service
@@ -100,8 +94,6 @@ class Node2:
 
 
 class Probe:
-    """What a test can ask for."""
-
     def __init__(self):
         self.node = Node1() if VERSION == 1 else Node2()
         self.received, self.publishers = {}, {}
@@ -161,43 +153,27 @@ class Probe:
         time.sleep(seconds)
         return self.last
 
-    def trigger(self, service):
-        """Call a service of std_srvs/Trigger; return whether it succeeded, and its message."""
-        return self.node.call(service, "std_srvs/Trigger")
-
-    def call(self, service):
-        self.node.call(service)
+    def call(self, service, kind="std_srvs/Empty"):
+        """Call a service; return whether it succeeded, and its message."""
+        return self.node.call(service, kind)
 
     def parameter(self, name):
         return self.node.rospy.get_param(name, None)
 
-    def drive(self, topic, linear, angular):
-        """Publish a command, as soon as a node subscribes."""
-        send = self.velocity(topic)
-        send(linear, angular)
-
-    def drive_until(self, topic, linear, angular, receives):
-        """Publish a command again and again, until there is a message on another topic: that."""
-        send = self.velocity(topic)
-        wait_until(lambda: send(linear, angular) or not self.received[receives].empty(), f"nothing on {receives}")
-        return plain(self.received[receives].get())
-
-    def velocity(self, topic):
+    def drive(self, linear, angular, topic="/cmd_vel", until=None):
+        """Publish a command as soon as a node subscribes, and again until there is a message on another topic: that."""
         if topic not in self.publishers:
             self.publishers[topic] = self.node.publisher(topic, "geometry_msgs/Twist")
         publish, listeners = self.publishers[topic]
         wait_until(listeners, f"no node subscribes to {topic}")
-
-        def send(linear, angular):
-            message = find("geometry_msgs/Twist")()
-            message.linear.x, message.angular.z = float(linear), float(angular)
-            publish(message)
-
-        return send
+        message = find("geometry_msgs/Twist")()
+        message.linear.x, message.angular.z = float(linear), float(angular)
+        wait_until(lambda: publish(message) or until is None or not self.received[until].empty(), f"nothing on {until}")
+        return plain(self.received[until].get()) if until else None
 
 
 probe = Probe()
 print(json.dumps("ready"), flush=True)
 for line in sys.stdin:
-    what, arguments = json.loads(line)
-    print(json.dumps(getattr(probe, what)(**arguments)), flush=True)
+    method, arguments, named = json.loads(line)
+    print(json.dumps(getattr(probe, method)(*arguments, **named)), flush=True)

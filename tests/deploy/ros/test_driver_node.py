@@ -1,10 +1,7 @@
 """A driver on a fake node: when it starts, its commands, and its printed lines."""
 
-from __future__ import annotations
-
 import errno
 import math
-import os
 import signal
 import threading
 from types import SimpleNamespace
@@ -18,7 +15,7 @@ from tb2rl.deploy.bags.messages import BagMessages
 from tb2rl.deploy.ros.driver_node import DriverNode, run
 from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Goal, LaserScan, Odometry, Plan, Twist
 from tb2rl.deploy.ros.topics import TURTLEBOT2
-from tb2rl.ros import parse
+from tb2rl.ros import main
 
 pytest.importorskip("rosbags")
 TOPICS = TURTLEBOT2[1]
@@ -66,13 +63,14 @@ class Robot:
 
 
 @pytest.fixture
-def robot(node, clock, scripted_policy):
+def robot(node, clock, scripted_policy, monkeypatch):
     """A function that makes a `Robot` and its driver node."""
+    monkeypatch.setattr("tb2rl.deploy.ros.driver_node.WallClock", lambda: clock)
 
     def make(waits=False, dry_run=False, limits=None, **needs):
         robot = Robot(node, clock, scripted_policy(**needs))
         robot.driver = Driver(robot.policy, limits, dry_run=dry_run)
-        robot.driver_node = DriverNode(robot.driver, robot.policy.needs, node, TOPICS, waits, dry_run, clock)
+        robot.driver_node = DriverNode(robot.driver, node, TOPICS, waits)
         return robot
 
     return make
@@ -104,7 +102,7 @@ def test_services_start_and_stop_it_and_so_does_a_contact(robot, capsys):
         assert it.commands() == [STILL], "at once"
         it.scan()
         assert it.commands() == [STILL]
-    stands = [f"it stands: {reason}" for reason in ("not started", "told to stop", "the bumper was touched")]
+    stands = [f"stopped: {reason}" for reason in ("not started", "told to stop", "the bumper was touched")]
     assert lines(capsys) == [stands[0], "driving", stands[1], "driving", stands[2]]
 
 
@@ -114,7 +112,7 @@ def test_a_serious_finding_prevents_the_start_and_is_in_the_diagnostics(robot, n
     assert set(it.commands()) == {STILL}
     serious = it.call("start")
     it.run(1.1)
-    it.publish("goal", Goal("odom", (4.0, 0.0)))
+    it.publish("goal", Goal(0, "odom", (4.0, 0.0)))
     it.scan()
     assert it.commands()[-1] == FORWARD
     it.clock.sleep(1.0)
@@ -123,7 +121,7 @@ def test_a_serious_finding_prevents_the_start_and_is_in_the_diagnostics(robot, n
     assert (lost.level, lost.values["finding 1"]) == ("ERROR", serious)
     assert (fine.level, fine.summary, fine.values["v [m/s]"]) == ("OK", "driving", "0.400")
     printed = lines(capsys)
-    assert printed.count(f"it stands: {serious}") == 1
+    assert printed.count(f"error: {serious}") == 1
     assert printed[-2:] == ["the goal is (4.00, 0.00) in 'odom'", "driving"]
 
 
@@ -132,10 +130,8 @@ def test_missing_scans_and_minor_findings_are_printed(robot, capsys):
     it.run(3.1)
     it.scan(5)
     assert it.commands()[-1] == (0.2, 0.1)
-    no_scan, slowed, driving = lines(capsys)
-    assert (no_scan, driving) == ("it stands: no scan has come yet", "driving")
-    assert slowed.startswith("mind: ")
-    assert "slowed to 0.2" in slowed
+    slowed = "warning: the policy's 0.5 m/s are limited to 0.2 m/s"
+    assert lines(capsys) == ["error: no scan has arrived yet", slowed, "driving"]
 
 
 def test_it_stands_while_scans_are_missing_and_then_drives_on(robot, capsys):
@@ -148,14 +144,7 @@ def test_it_stands_while_scans_are_missing_and_then_drives_on(robot, capsys):
     assert it.commands() == [STILL] * 9, "then other programs may drive the robot"
     it.scan()
     assert it.commands() == [FORWARD]
-    assert lines(capsys)[1:] == ["it stands: the last scan is 0.5 s old", "driving"]
-
-
-def test_it_does_not_drive_by_scans_of_another_clock(robot, node, capsys):
-    it, node.time = robot(), 1.8e9
-    it.scan(7, odometry=False, age=1.8e9)
-    assert set(it.commands()) == {STILL}
-    assert "use_sim_time" in lines(capsys)[0]
+    assert lines(capsys)[1:] == ["stopped: the last scan is 0.5 s old", "driving"]
 
 
 def test_it_stands_while_simulated_time_stands_still(robot, node, clock, capsys):
@@ -167,34 +156,29 @@ def test_it_stands_while_simulated_time_stands_still(robot, node, clock, capsys)
     clock.sleep(0.5)
     it.driver_node._poll()
     assert it.commands() == [STILL]
-    it.scan()
-    assert it.commands() == [FORWARD]
     node.time = 0.0  # a reset of the simulation
     it.scan(2)
     assert it.commands() == [FORWARD] * 2
-    assert lines(capsys) == ["driving", "it stands: simulated time stands still", "driving"]
+    assert lines(capsys) == ["driving", "stopped: simulated time is frozen", "driving"]
 
 
 def test_in_simulated_time_a_scan_may_arrive_before_its_clock(robot, node):
     node.sim_time = True
     it = robot()
-    it.scan(10, odometry=False, age=-0.2)
-    it.commands()
-    decided = len(it.policy.episodes[-1])
-    it.scan(2, odometry=False, age=-0.2)
-    assert len(it.policy.episodes[-1]) == decided + 1
-    assert it.commands() == [FORWARD] * 2
+    it.scan(12, odometry=False, age=-0.2)
+    assert len(it.policy.episodes[-1]) == 4
+    assert it.commands()[-2:] == [FORWARD] * 2
 
 
 def test_goals_and_plans_in_another_frame_are_refused_and_early_ones_wait_for_odometry(robot, capsys):
     it = robot(goal="goal")
-    it.publish("goal", Goal("map", (4.0, 0.0)))
+    it.publish("goal", Goal(0, "map", (4.0, 0.0)))
     assert lines(capsys) == []
     it.scan()
-    it.publish("goal", Goal("odom", (math.nan, 0.0)))
-    refused = "this goal is refused: "
-    frames, numbers = "it is in the frame 'map', and the odometry in 'odom'", "its numbers are no position"
-    assert lines(capsys) == [refused + frames, refused + numbers]
+    it.publish("goal", Goal(0, "odom", (math.nan, 0.0)))
+    frames = "its frame is 'map'; send it in the frame of the odometry, 'odom'"
+    numbers = "the goal has a number that is not finite, or too large: nan, 0.0"
+    assert lines(capsys) == [f"the goal is ignored: {reason}" for reason in (frames, numbers)]
 
 
 def test_it_follows_a_plan_to_its_end(robot, capsys):
@@ -206,7 +190,7 @@ def test_it_follows_a_plan_to_its_end(robot, capsys):
     assert it.policy.episodes[-1][-1].waypoint == pytest.approx((1.0, 1.0))
     it.publish("plan", Plan("odom", np.array([[1.0, 0.0], [1.0, 0.1]])))
     it.scan()
-    assert lines(capsys)[-2:] == ["driving", "it stands: the goal is reached"]
+    assert lines(capsys)[-2:] == ["driving", "stopped: the goal is reached"]
 
 
 def test_a_dry_run_publishes_no_commands_and_prints_them(robot, capsys):
@@ -216,7 +200,7 @@ def test_a_dry_run_publishes_no_commands_and_prints_them(robot, capsys):
     it.run(0.1)
     it.driver_node.close()
     assert it.commands() == []
-    assert "it would drive 0.40 m/s ahead, 0.20 rad/s to the left" in lines(capsys)
+    assert "dry run: 0.40 m/s ahead, 0.20 rad/s to the left" in lines(capsys)
 
 
 @pytest.mark.parametrize("terminal", ["open", "closed"])
@@ -228,31 +212,24 @@ def test_at_the_end_it_stops_the_wheels_several_times(terminal, robot, monkeypat
         monkeypatch.setattr("builtins.print", Mock(side_effect=OSError(errno.EIO, "Input/output error")))
     it.driver_node.close()
     assert it.commands() == [STILL] * 9
-    if terminal == "open":
-        assert lines(capsys)[-1].startswith("6 scans, from scan to command: ")
+    assert terminal == "closed" or lines(capsys)[-1].startswith("6 scans, median time from scan to command: ")
 
 
-@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
-def sign(request):
-    """A signal that ends programs; afterwards its handler is as before."""
-    before = signal.signal(request.param, lambda *_: None)
-    yield request.param
-    signal.signal(request.param, before)
-
-
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_each_signal_that_ends_the_node_stops_the_wheels(sign, node, clock, scripted_policy, monkeypatch):
-    policy = scripted_policy()
+    policy, handlers = scripted_policy(), {}
     replaced = {"create_node": node, "load": None, "TrainedPolicy": policy, "WallClock": clock}
     for name, value in {**replaced, "th.set_num_threads": None}.items():
         monkeypatch.setattr(f"tb2rl.deploy.ros.driver_node.{name}", lambda *_, value=value: value)
+    monkeypatch.setattr("signal.signal", handlers.__setitem__)
 
     def drive_then_signal():
         clock.events.clear()
         Robot(node, clock, policy).scan(6)
-        os.kill(os.getpid(), sign)
+        handlers[sign]()
 
     clock.events.append(drive_then_signal)
-    run(parse(["drive", "zoo:maze-loop-ppo"]))
+    run(main.parse(["drive", "zoo:maze-loop-ppo"]))
     commands = node.commands(TOPICS.velocity)
     assert FORWARD in commands
     assert commands[-5:] == [STILL] * 5
@@ -272,7 +249,6 @@ def test_an_error_of_the_policy_or_in_a_service_ends_the_node_and_no_thread_of_r
 
 
 def odometry_message(turn=(0.0, 0.0, 0.0, 1.0), **fields):
-    """A message of ROS."""
     values = {"pose": (1.0, 0.0, 0.0), "twist": STILL, **fields}
     message = Odometry(3 * BILLION + 5, "odom", "base", **values).to_ros(BagMessages(1))
     rotation = message.pose.pose.orientation
@@ -280,27 +256,19 @@ def odometry_message(turn=(0.0, 0.0, 0.0, 1.0), **fields):
     return message
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"turn": (0.0, 0.0, 0.0, 0.0)},
-        {"turn": (0.0, 0.0, 1e200, 1e200)},
-        {"pose": (1e200, 0.0, 0.0)},
-        {"twist": (0.1, math.inf)},
-    ],
-)
+@pytest.mark.parametrize("wrong", [{"turn": (0.0, 0.0, 0.0, 0.0)}, {"pose": (1e200, 0.0, 0.0)}])
 def test_odometry_with_invalid_numbers_is_ignored(wrong, robot, capsys):
     it = robot(goal="goal")
-    it.publish("goal", Goal("odom", (4.0, 0.0)))
+    it.publish("goal", Goal(0, "odom", (4.0, 0.0)))
     it.scan(6)
     assert it.commands()[-1] == FORWARD
     for _ in range(6):
         it.publish("odometry", Odometry.from_ros(odometry_message(**wrong)))
         it.scan(odometry=False)
     assert it.commands()[-1] == STILL
-    *_, mind, stands = lines(capsys)
-    assert mind == "mind: odometry is ignored if its orientation is no rotation or a number is not finite"
-    assert stands.startswith("it stands: the last odometry is 0.")
+    *_, warning, stopped = lines(capsys)
+    assert warning == "warning: odometry with an invalid orientation or an infinite number is ignored"
+    assert stopped.startswith("stopped: the last odometry is 0.")
 
 
 def test_messages_become_values():
@@ -311,7 +279,7 @@ def test_messages_become_values():
         assert Odometry.from_ros(odometry_message(rounded)).pose[2] == pytest.approx(yaw)
     command = Twist(math.nan, 1.0).to_ros(BagMessages(1))
     assert Twist.from_ros(command) == Twist(0.0, 0.0), "a command that is no number stops the base"
-    goal = Goal("/odom", (1.0, 2.0)).to_ros(BagMessages(1))
-    assert Goal.from_ros(goal) == Goal("odom", (1.0, 2.0))
+    goal = Goal(0, "/odom", (1.0, 2.0)).to_ros(BagMessages(1))
+    assert Goal.from_ros(goal) == Goal(0, "odom", (1.0, 2.0))
     plan = Plan.from_ros(SimpleNamespace(header=goal.header, poses=[goal, goal]))
     assert (plan.frame, plan.points.tolist()) == ("odom", [[1.0, 2.0], [1.0, 2.0]])
