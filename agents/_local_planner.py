@@ -1,57 +1,46 @@
-"""Base of the classical local planners: their view of the robot's surroundings, free distances, speeds to actions."""
-
-from __future__ import annotations
+"""Base class of the classical local planners, and the geometry that they share."""
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 
-from tb2rl.core.compiled import UNCOUNTED, njit
+from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.core.errors import InputError
 from tb2rl.robots.vehicle import Vehicle
 
-STRAIGHT = 1e-3  # [1/m] an arc of less curvature counts as straight
-STANDING = 0.05  # [m/s] a slower robot stands
-TURNING = 0.5  # [rad/s] a faster one turns
-STUCK = 0.15  # [m] a standing robot rotates away from an obstacle nearer ahead,
-FREE = 0.5  # [m] until this much is free ahead
-_STEP = math.radians(5.0)  # between the directions in which it looks for free space
+STANDING_SPEED = 0.05  # [m/s] slower robots are standing
+TURNING_RATE = 0.5  # [rad/s] robots with a larger turn rate are turning
+_MAX_STRAIGHT_CURVATURE = 1e-3  # [1/m] arcs of smaller curvature are straight lines
+_BLOCKED_DISTANCE = 0.15  # [m] a standing robot with less free distance ahead starts to rotate away from the obstacle
+_CLEAR_DISTANCE = 0.5  # [m] free distance ahead that ends the rotation
+_DIRECTION_STEP = math.radians(5.0)  # [rad] between the directions that a blocked robot compares
+_INPUTS = ("laser", "waypoint", "goal direction", "goal distance", "forward speed", "turn rate")
 TURTLEBOT2 = Vehicle()
 
 
-@dataclass(frozen=True)
-class LocalView:
-    """The surroundings of each robot in its own frame: x ahead, y to the left.
+class LocalView(NamedTuple):
+    """The surroundings of each robot in its own frame: x ahead, y to the left."""
 
-    Attributes:
-        points: Hits of the beams, x, y [m], shape (num_envs, beams, 2).
-        target: x, y [m], shape (num_envs, 2).
-        speed: Forward [m/s], shape (num_envs,).
-        turn: Turn rate, positive to the left [rad/s], shape (num_envs,).
-    """
-
-    points: np.ndarray
-    target: np.ndarray
-    speed: np.ndarray
-    turn: np.ndarray
+    points: np.ndarray  # laser hits, x, y [m], shape (num_envs, beams, 2)
+    target: np.ndarray  # x, y [m], shape (num_envs, 2)
+    speed: np.ndarray  # forward [m/s], shape (num_envs,)
+    turn_rate: np.ndarray  # positive to the left [rad/s], shape (num_envs,)
 
 
 class LocalPlanner(BasePolicy):
-    """Drives to the target of its task by laser, speeds and target alone, without a map; `plan` decides how.
+    """Drives to the target of its task, guided by laser and speeds, without a map. Subclasses implement `plan`.
 
-    The target is the waypoint of the plan (guide: plan), or the goal itself (guide: goal).
+    The target is the waypoint of the plan (`guide: plan`) or the goal (`guide: goal`).
 
     Args:
         observation_space: `tb2rl.envs.encodings.SensorBox` of task `navigate`.
-        action_space: v and w, from -1 to 1.
-        vehicle: The robot; action -1 is standstill.
+        action_space: v and w, from -1 to 1; v = -1 is standstill.
+        vehicle: The robot.
 
     Raises:
         InputError: If the laser, the target or the speeds are not observed, or the actions are not v and w.
@@ -61,131 +50,114 @@ class LocalPlanner(BasePolicy):
         self, observation_space: spaces.Space, action_space: spaces.Space, vehicle: Vehicle, **kwargs: Any
     ) -> None:
         super().__init__(observation_space, action_space, **kwargs)
-        name = type(self).__name__.lower()
-        self._columns = columns = _Columns(observation_space, name)
-        if not isinstance(action_space, spaces.Box) or not isinstance(observation_space, spaces.Box):
-            raise InputError(f"{name} sets speeds, so it needs task.named_actions=false")
-        self.max_speed, self.turn_rate = vehicle.max_speed, vehicle.turn_rate
-        self.radius, self.period = vehicle.radius, vehicle.period
-        beams, directions = len(columns.laser), vehicle.directions
+        names, frames = np.array(getattr(observation_space, "names", ())), getattr(observation_space, "frame_stack", 1)
+        self._frame_size = len(names) // frames
+        latest = names[len(names) - self._frame_size :]
+        self._columns = {name: np.flatnonzero(latest == name) for name in _INPUTS}
+        planner, observed = type(self).__name__.lower(), {*latest} & {*_INPUTS}
+        has_target = "waypoint" in observed or observed >= {"goal direction", "goal distance"}
+        if not (has_target and observed >= {"laser", "forward speed", "turn rate"}):
+            raise InputError(
+                f"{planner} needs a laser, its speeds and a goal or a waypoint, as in task navigate "
+                f"(task.observe: laser, twist, waypoint), got {', '.join(sorted(observed)) or 'none of them'}"
+            )
+        if not isinstance(action_space, spaces.Box):
+            raise InputError(f"{planner} sets speeds, so it needs task.named_actions=false")
+        beams, directions = len(self._columns["laser"]), vehicle.directions
         angles = np.linspace(-math.pi / 2, math.pi / 2, beams) if directions is None else np.asarray(directions)
-        if len(angles) != beams:
-            raise InputError(f"{name} needs the directions of its {beams} beams, got {len(angles)}")
-        self._beams = np.column_stack([np.cos(angles), np.sin(angles)])
+        if beams < 2 or len(angles) != beams:
+            raise InputError(f"{planner} needs 2 beams or more and their directions, got {beams} and {len(angles)}")
+        self._beam_directions = np.column_stack([np.cos(angles), np.sin(angles)])
+        self.vehicle = vehicle
 
     @abstractmethod
     def plan(self, view: LocalView) -> np.ndarray:
-        """The speeds v [m/s] and w [rad/s], shape (num_envs, 2)."""
+        """The speeds v [m/s] and w [rad/s], shape (num_envs, 2); `_predict` limits them to the vehicle's."""
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
-        commands = self.plan(self._view(observation.cpu().numpy().astype(float)))
-        shares = np.column_stack([2.0 * commands[:, 0] / self.max_speed - 1.0, commands[:, 1] / self.turn_rate])
-        return th.from_numpy(np.clip(shares, -1.0, 1.0).astype(np.float32))
+        v, w = self.plan(self._view(observation.cpu().numpy().astype(float))).T
+        actions = np.column_stack([2.0 * v / self.vehicle.max_speed - 1.0, w / self.vehicle.turn_rate])
+        return th.from_numpy(np.clip(actions, -1.0, 1.0).astype(np.float32))
 
-    def _view(self, numbers: np.ndarray) -> LocalView:
-        columns = self._columns
-        points = numbers[:, columns.laser, None] * self._beams
-        target = numbers[:, columns.target]
-        if columns.distance is not None:
-            target = numbers[:, columns.distance, None] * target
-        return LocalView(points, target, numbers[:, columns.speed], numbers[:, columns.turn])
+    def _view(self, observations: np.ndarray) -> LocalView:
+        latest = observations[:, -self._frame_size :]
+        laser, waypoint, direction, distance, speed, turn_rate = (latest[:, self._columns[name]] for name in _INPUTS)
+        target = waypoint if waypoint.size else distance * direction
+        return LocalView(laser[..., None] * self._beam_directions, target, speed[:, 0], turn_rate[:, 0])
 
 
-class _Columns:
-    """Columns of the latest frame of an observation.
+# ---- geometry of one robot
 
-    Attributes:
-        laser, target: Of the beams; of x and y, or of cosine and sine if there is a `distance`.
-        distance, speed, turn: One column each.
+
+@njit(cache=True, **NO_REFCOUNT)
+def rotation_side(view, robot, radius, gap):
+    """The side to which the robot with index `robot` rotates: 1 left, -1 right, 0 if the robot is not blocked.
+
+    This is the rotate-away mode of the dynamic window approach. A turning robot keeps its side. Otherwise it could turn
+    to and fro, because the laser does not see behind and the planner has no memory. Arguments: see `free_distance`.
     """
-
-    def __init__(self, space: spaces.Space, agent: str) -> None:
-        self._names: Sequence[str] = getattr(space, "names", ())
-        self._first = len(self._names) - len(self._names) // getattr(space, "frame_stack", 1)
-        waypoint, direction, distance = map(self._of, ("waypoint", "goal direction", "goal distance"))
-        speed, turn = self._of("forward speed"), self._of("turn rate")
-        if not (waypoint or (direction and distance)):
-            raise InputError(f"{agent} needs to know where to go, as task navigate says by itself; or observe waypoint")
-        if not speed or not turn:
-            raise InputError(f"{agent} needs to know how fast it is; add twist to task.observe")
-        self.laser, self.target = self._of("laser"), waypoint or direction
-        self.distance = None if waypoint else distance[0]
-        self.speed, self.turn = speed[0], turn[0]
-        if len(self.laser) < 2:
-            raise InputError(f"{agent} needs a laser of at least 2 beams, got {len(self.laser)}")
-
-    def _of(self, sensor: str) -> list[int]:
-        return [column for column, name in enumerate(self._names) if name == sensor and column >= self._first]
-
-
-# ---- geometry of one robot; `points`, `target`, `speed` and `turn` are a row of `LocalView`
-
-
-@njit(cache=True, **UNCOUNTED)
-def rotation_side(points, target, speed, turn, radius, gap):
-    """The side to which a stuck robot rotates: 1 left, -1 right, 0 not at all.
-
-    The rotate-away mode of the dynamic window approach. A robot that rotates already keeps its side, because the laser
-    does not see behind and the planner has no memory: else it would turn to and fro. `radius`, `gap`: see
-    `free_distance`.
-    """
-    turning = abs(turn) > TURNING
-    if abs(speed) > STANDING or free_distance(points, 0.0, radius, gap, FREE) >= (FREE if turning else STUCK):
+    points, turning = view.points[robot], abs(view.turn_rate[robot]) > TURNING_RATE
+    needed = _CLEAR_DISTANCE if turning else _BLOCKED_DISTANCE
+    if abs(view.speed[robot]) > STANDING_SPEED or free_distance(points, 0.0, radius, gap, _CLEAR_DISTANCE) >= needed:
         return 0.0
-    side = math.copysign(1.0, turn if turning else target[1])
+    side = math.copysign(1.0, view.turn_rate[robot] if turning else view.target[robot, 1])
     if not turning:
-        for step in range(1, int(math.pi / _STEP)):
-            for towards in (side, -side):
-                if _free_straight(points, towards * step * _STEP, radius + gap) >= FREE:
-                    return towards
+        for step in range(1, int(math.pi / _DIRECTION_STEP)):
+            for candidate in (side, -side):
+                if _free_distance_straight(points, candidate * step * _DIRECTION_STEP, radius + gap) >= _CLEAR_DISTANCE:
+                    return candidate
     return side
 
 
-@njit(cache=True, **UNCOUNTED)
-def free_distance(points, curvature, radius, gap, enough):
-    """The distance along an arc to the first touch [m]; inf: more than `enough`.
+@njit(cache=True, **NO_REFCOUNT)
+def free_distance(points, curvature, radius, gap, max_distance):
+    """The distance along an arc to the first contact [m]; inf without contact within `max_distance` of the robot.
 
     The obstacle distance of the dynamic window approach (Fox, Burgard & Thrun 1997).
 
     Args:
-        points: Shape (beams, 2).
-        curvature: Of the arc, positive to the left [1/m].
-        radius: Of the robot [m].
-        gap: Added to the radius [m], except for points that are nearer already.
-        enough: Largest distance of interest [m].
+        points: Laser hits, shape (beams, 2).
+        curvature: Curvature of the arc, positive to the left [1/m].
+        radius: Radius of the robot [m].
+        gap: Distance to keep from obstacles [m]; for points that are closer than this, only contact counts.
+        max_distance: Largest distance of interest [m].
     """
     free = math.inf
     for beam in range(points.shape[0]):
         x, y = points[beam, 0], points[beam, 1]
         square = x * x + y * y
-        if square <= (enough + radius + gap) ** 2:
-            near = square < (radius + gap) ** 2
-            free = min(free, _distance_to_touch(x, y, curvature, radius if near else radius + gap))
+        if square <= (max_distance + radius + gap) ** 2:
+            is_near = square < (radius + gap) ** 2
+            free = min(free, _contact_distance(x, y, curvature, radius if is_near else radius + gap))
     return free
 
 
-@njit(cache=True, **UNCOUNTED)
-def _free_straight(points, direction, radius):
-    """The distance to the first touch straight in a direction [rad]."""
+@njit(cache=True, **NO_REFCOUNT)
+def _free_distance_straight(points, direction, radius):
+    """The distance to the first contact along a straight line in a direction [rad]."""
     cos, sin, free = math.cos(direction), math.sin(direction), math.inf
     for beam in range(points.shape[0]):
         x, y = points[beam, 0], points[beam, 1]
-        free = min(free, _distance_to_touch(cos * x + sin * y, cos * y - sin * x, 0.0, radius))
+        free = min(free, _contact_distance(cos * x + sin * y, cos * y - sin * x, 0.0, radius))
     return free
 
 
-@njit(cache=True, **UNCOUNTED)
-def _distance_to_touch(x, y, curvature, radius):
-    """The distance along an arc until a circle touches the point x, y [m]; 0 if the point is ahead within it."""
+@njit(cache=True, **NO_REFCOUNT)
+def _contact_distance(x, y, curvature, radius):
+    """The distance along an arc until a disc touches the point x, y [m].
+
+    For a point inside the disc: 0 if the point is ahead of the centre, else inf.
+    """
     if x * x + y * y <= radius * radius:
         return 0.0 if x > 0.0 else math.inf
-    if abs(curvature) < STRAIGHT:
+    if abs(curvature) < _MAX_STRAIGHT_CURVATURE:
         return x - math.sqrt(radius * radius - y * y) if x > 0.0 and abs(y) < radius else math.inf
-    bend = 1.0 / abs(curvature)  # the arc's radius; x and `inward` count from its centre
-    inward = bend - math.copysign(y, y * curvature)
-    square = x * x + inward * inward
-    if not (bend - radius) ** 2 < square < (bend + radius) ** 2:
+    arc_radius = 1.0 / abs(curvature)
+    outward = arc_radius - math.copysign(y, y * curvature)  # x, outward: the point relative to the arc's centre
+    square = x * x + outward * outward
+    if not (arc_radius - radius) ** 2 < square < (arc_radius + radius) ** 2:
         return math.inf
-    before = math.acos((bend * bend + square - radius * radius) / (2.0 * bend * math.sqrt(square)))
-    angle = math.atan2(x, inward) - before  # around the centre: the point's, less that to the touching circle
-    return bend * (angle if angle >= 0.0 else angle + math.tau)
+    # Law of cosines: the angle at the arc's centre between the point and the disc's centre at contact.
+    contact = math.acos((arc_radius * arc_radius + square - radius * radius) / (2.0 * arc_radius * math.sqrt(square)))
+    angle = math.atan2(x, outward) - contact
+    return arc_radius * (angle if angle >= 0.0 else angle + math.tau)

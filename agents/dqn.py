@@ -1,4 +1,4 @@
-"""Deep Q-network (Mnih et al. 2015), Stable-Baselines3's."""
+"""Deep Q-network (Mnih et al. 2015) of Stable-Baselines3."""
 
 from tb2rl import Agent
 

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (Schulman et al. 2017), Stable-Baselines3's."""
+"""Proximal policy optimisation (Schulman et al. 2017) of Stable-Baselines3."""
 
 from tb2rl import Agent
 

@@ -1,13 +1,11 @@
 """Tabular Q-learning (Watkins 1989; Sutton & Barto 2018, section 6.5) as a Stable-Baselines3 algorithm.
 
-The table is a policy: `learn`, `predict`, `save`, `load`, callbacks and loggers work as for DQN. One step of n
-environments makes n updates, in compiled code.
+The table is a policy, so `learn`, `predict`, `save`, `load`, callbacks and loggers work as for DQN. Each step of n
+environments makes n updates in compiled code.
 """
 
-from __future__ import annotations
-
 import time
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch as th
@@ -19,34 +17,35 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule, safe_mean
 
 from tb2rl import Agent
-from tb2rl.agents._qtable import QTable, Rule, Table, Transitions, update_table
+from tb2rl.agents._qtable import QTable, Transitions, UpdateRule, update_table
 from tb2rl.core.values import Fraction
 
-AGENT = Agent("tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", only=True, actions="named")
-
-Self = TypeVar("Self", bound="QLearning")
+AGENT = Agent(
+    "tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", fixed_observation=True, actions="named"
+)
 
 
 class QLearning(BaseAlgorithm):
-    """Off-policy temporal-difference control with a table.
+    """Q-learning with a table.
 
     Args:
         policy: "QTable".
-        env: Environments with discrete observations and actions, any number of them.
-        learning_rate: Step size alpha, a number or a schedule of the remaining progress.
+        env: One or more environments with discrete observations and actions.
+        learning_rate: Step size alpha: a number, or a function of the remaining progress (1 to 0).
         gamma: Discount factor.
-        exploration: "epsilon_greedy": with probability epsilon a random action. "noisy_values" (the tutorial's): with
-            probability epsilon the best value after adding uniform noise, as wide as the largest |value| of the state.
+        exploration: "epsilon_greedy" takes a random action with probability epsilon. "noisy_values" (of
+            the ROS tutorial, see FROM_ROS.md) adds uniform noise to the values of the state with probability epsilon;
+            the width of the noise is the largest |value|.
         exploration_initial_eps, exploration_final_eps: Epsilon at the start and at the end.
-        exploration_fraction: Share of the training over which epsilon falls linearly.
-        exploration_decay: A factor for epsilon at the start of each episode, while it is above `exploration_final_eps`,
-            instead of the linear fall.
-        update: "textbook", or "tutorial": the first visit of a pair stores the plain reward, and episodes that ended
-            bootstrap like any other step.
-        averaging: Weight of a new value in running averages (Polyak & Juditsky 1992), by which the policy acts;
-            exploration and targets still use the values themselves. None: the policy acts by the values, which a large
-            step size moves up and down.
-        device: Accepted for compatibility; ignored, because numpy reads the table.
+        exploration_fraction: Fraction of the training over which epsilon decreases linearly.
+        exploration_decay: Factor that multiplies epsilon at the start of each episode until `exploration_final_eps` is
+            reached. None: linear decrease.
+        update: "textbook" or "tutorial". "tutorial" sets the value of a state-action pair to the reward at its
+            first visit, and also bootstraps from terminal states.
+        averaging: Least weight of the newest value in the running average of an action value; the weight decreases
+            from 1 as 1 / visits (Polyak & Juditsky 1992). The policy is greedy on the averages, because a large step
+            size makes the values oscillate. Exploration and update targets use the values. None: no averages.
+        device: Ignored, because the table is on the CPU.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"QTable": QTable}
@@ -94,7 +93,7 @@ class QLearning(BaseAlgorithm):
         self.exploration_decay = exploration_decay
         self.update = update
         self.averaging = averaging
-        self._latest: np.ndarray | None = None
+        self._latest: np.ndarray | None = None  # the action values, if the policy holds their averages
         self.exploration_rate = exploration_initial_eps
         if _init_setup_model:
             self._setup_model()
@@ -104,17 +103,16 @@ class QLearning(BaseAlgorithm):
         self.set_random_seed(self.seed)
         self._rng = np.random.default_rng(self.seed)
         self._logged_at = 0
-        fraction = max(self.exploration_fraction, 1e-9)  # 0: greedy from the start
+        fraction = max(self.exploration_fraction, 1e-9)  # 0: final epsilon from the start
         self.exploration_schedule = LinearSchedule(self.exploration_initial_eps, self.exploration_final_eps, fraction)
         self.policy = self.policy_class(
             self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
         )
-        self.policy = self.policy.to(self.device)
-        if self.averaging is not None and self._latest is None:  # a loaded learner has them already
-            self._latest = np.full(self.policy.q.shape, np.nan)  # the values; the policy holds their averages
+        if self.averaging is not None and self._latest is None:  # `load` may have restored `_latest` before
+            self._latest = np.full(self.policy.q.shape, np.nan)
 
     def learn(
-        self: Self,
+        self,
         total_timesteps: int,
         callback: MaybeCallback = None,
         log_interval: int = 100,
@@ -126,17 +124,16 @@ class QLearning(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         assert self.env is not None
-        if np.isnan(self._values[0, 0]):  # a new learner, or one with a loaded policy
+        if np.isnan(self._values[0, 0]):  # first call: start with the values of the policy, which may have been loaded
             self._values[:] = self.policy.q.numpy()
         if reset_num_timesteps:
             self.exploration_rate = self.exploration_initial_eps
             self._update_epsilon(self.env.num_envs)
         callback.on_training_start(locals(), globals())
-        self.policy.set_training_mode(True)
         states = self.policy.states(self._last_obs)
         while self.num_timesteps < total_timesteps:
             callback.on_rollout_start()
-            actions = self._choose(states)
+            actions = self._sample_actions(states)
             observations, rewards, dones, infos = self.env.step(actions)
             self.num_timesteps += self.env.num_envs
             callback.update_locals(locals())
@@ -145,10 +142,10 @@ class QLearning(BaseAlgorithm):
             self._update_info_buffer(infos, dones)
             self._update_current_progress_remaining(self.num_timesteps, total_timesteps)
 
-            next_states = self.policy.states(observations)
-            reached, terminated = self._final_states(next_states, dones, infos)
-            self._update(Transitions(states, actions, rewards, reached, terminated))
-            states, self._last_obs = next_states, observations
+            new_states = self.policy.states(observations)
+            next_states, terminated = self._next_states(new_states, dones, infos)
+            self._update(Transitions(states, actions, rewards, next_states, terminated))
+            states, self._last_obs = new_states, observations
             if dones.any():
                 self._episode_num += int(dones.sum())
                 if log_interval is not None and self._episode_num % log_interval < dones.sum():
@@ -175,48 +172,48 @@ class QLearning(BaseAlgorithm):
         self.logger.record("train/visited_share", float((self.policy.visits > 0).float().mean()))
         self.logger.dump(step=self.num_timesteps)
 
-    def _final_states(self, states: np.ndarray, dones: np.ndarray, infos: list[dict]) -> tuple[np.ndarray, np.ndarray]:
-        """The states after the steps, before environments were reset, and whether they are terminal."""
+    def _next_states(self, states: np.ndarray, dones: np.ndarray, infos: list[dict]) -> tuple[np.ndarray, np.ndarray]:
+        """Next states of the transitions, with final states in place of reset states, and which are terminal."""
         if not dones.any():
             return states, dones
-        reached, terminated = states.copy(), dones.copy()
+        next_states, terminated = states.copy(), dones.copy()
         for i in np.flatnonzero(dones):
-            reached[i] = self.policy.states(infos[i]["terminal_observation"])[0]
+            next_states[i] = self.policy.states(infos[i]["terminal_observation"])[0]
             terminated[i] = not infos[i].get("TimeLimit.truncated", False)
-        return reached, terminated
+        return next_states, terminated
 
     def _update(self, transitions: Transitions) -> None:
         is_tutorial = self.update == "tutorial"
         if is_tutorial:
             transitions = transitions._replace(terminated=np.zeros_like(transitions.terminated))
-        table = Table(self._values, self.policy.q.numpy(), self.policy.visits.numpy())
         learning_rate = self.lr_schedule(self._current_progress_remaining)
-        update_table(table, transitions, Rule(learning_rate, self.gamma, is_tutorial, self.averaging or 0.0))
+        rule = UpdateRule(learning_rate, self.gamma, is_tutorial, self.averaging or 0.0)
+        update_table(self._values, self.policy.q.numpy(), self.policy.visits.numpy(), transitions, rule)
 
     @property
     def _values(self) -> np.ndarray:
-        """The learned values, shape (states, actions)."""
+        """The learned action values, shape (states, actions)."""
         return self.policy.q.numpy() if self._latest is None else self._latest
 
-    def _choose(self, states: np.ndarray) -> np.ndarray:
-        """Actions with exploration; ties are broken at random."""
+    def _sample_actions(self, states: np.ndarray) -> np.ndarray:
+        """Sample actions with exploration, and break ties at random."""
         values = self._values[states]
-        explores = self._rng.random(len(states)) < self.exploration_rate
+        is_exploring = self._rng.random(len(states)) < self.exploration_rate
         if self.exploration == "noisy_values":
-            width = np.abs(values).max(axis=1) * explores
-            values = values + width[:, None] * (self._rng.random(values.shape) - 0.5)
-        ties = values == values.max(axis=1, keepdims=True)
-        best = (ties * self._rng.random(values.shape)).argmax(axis=1)
+            noise_width = np.abs(values).max(axis=1) * is_exploring
+            values = values + noise_width[:, None] * (self._rng.random(values.shape) - 0.5)
+        is_best = values == values.max(axis=1, keepdims=True)
+        best = (is_best * self._rng.random(values.shape)).argmax(axis=1)
         if self.exploration == "noisy_values":
             return best
-        return np.where(explores, self._rng.integers(values.shape[1], size=len(states)), best)
+        return np.where(is_exploring, self._rng.integers(values.shape[1], size=len(states)), best)
 
-    def _update_epsilon(self, started: int) -> None:
-        """Reduce epsilon after a step in which `started` episodes began."""
+    def _update_epsilon(self, new_episodes: int) -> None:
+        """Update epsilon after a step in which `new_episodes` episodes started."""
         if self.exploration_decay is None:
             self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
             return
-        for _ in range(started):
+        for _ in range(new_episodes):
             if self.exploration_rate > self.exploration_final_eps:
                 self.exploration_rate *= self.exploration_decay
 

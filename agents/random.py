@@ -1,6 +1,4 @@
-"""Random actions: the least that a learner must beat."""
-
-from __future__ import annotations
+"""Uniformly random actions, the weakest baseline."""
 
 import torch as th
 from gymnasium import spaces
@@ -12,7 +10,7 @@ AGENT = Agent(algorithm=None, policy="tb2rl.agents.random:RandomPolicy", observa
 
 
 class RandomPolicy(BasePolicy):
-    """Uniformly random actions from torch's generator; there is no greedy mode."""
+    """Draws actions from torch's global generator, also with `deterministic=True`."""
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         num_envs = len(next(iter(observation.values())) if isinstance(observation, dict) else observation)

@@ -1,4 +1,4 @@
-"""Proximal policy optimisation with a memory (an LSTM), sb3-contrib's."""
+"""Proximal policy optimisation with an LSTM, of sb3-contrib."""
 
 from tb2rl import Agent
 

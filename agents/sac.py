@@ -1,4 +1,4 @@
-"""Soft actor-critic (Haarnoja et al. 2018), Stable-Baselines3's; for continuous actions."""
+"""Soft actor-critic (Haarnoja et al. 2018) of Stable-Baselines3, for continuous actions."""
 
 from tb2rl import Agent
 

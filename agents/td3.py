@@ -1,4 +1,4 @@
-"""Twin delayed deep deterministic policy gradient (Fujimoto et al. 2018), Stable-Baselines3's; continuous actions."""
+"""Twin delayed deep deterministic policy gradient (Fujimoto et al. 2018) of Stable-Baselines3."""
 
 from tb2rl import Agent
 

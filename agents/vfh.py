@@ -1,59 +1,51 @@
-"""VFH+, the vector field histogram for a robot of some width (Ulrich & Borenstein 1998).
+"""VFH+, the vector field histogram that allows for the width of the robot (Ulrich & Borenstein 1998).
 
 I. Ulrich and J. Borenstein, "VFH+: reliable obstacle avoidance for fast mobile robots".
 """
 
-from __future__ import annotations
-
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Le
 from gymnasium import spaces
 
 from tb2rl import Agent
-from tb2rl.agents._local_planner import STANDING, TURNING, TURTLEBOT2, LocalPlanner, LocalView
-from tb2rl.core.compiled import UNCOUNTED, njit
+from tb2rl.agents._local_planner import STANDING_SPEED, TURNING_RATE, TURTLEBOT2, LocalPlanner, LocalView
+from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.core.values import NonNegative, Positive
 from tb2rl.robots.vehicle import Vehicle
 
-AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", observation="raw", only=True)
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", observation="raw", fixed_observation=True)
 
-SECTORS = 72  # of the histogram: all around, the first one backwards
-_WIDTH = math.tau / SECTORS  # [rad] of each
-_LEAST = 0.05  # [m] a direction of less free distance is blocked, however near the target is
-_ASIDE = math.radians(10.0)  # up to this to the other side counts as straight ahead
-
-
-class _Costs(NamedTuple):
-    """Costs of a candidate for each radian off the target, off straight ahead, and off the previous direction."""
-
-    target: float
-    heading: float
-    previous: float
+NUM_SECTORS = 72  # number of sectors of the histogram, over 360 degrees; sector 0 points backwards
+_SECTOR_WIDTH = math.tau / NUM_SECTORS  # [rad]
+_MIN_WINDOW = 0.05  # [m] least free distance of an open direction, also if the target is nearer
+_SIDE_TOLERANCE = math.radians(10.0)  # a robot that keeps its side may still turn this far to the other side
 
 
 class VFH(LocalPlanner):
-    """Turns to the best free direction, and drives as fast as the free distance ahead allows.
+    """Turns to the best open direction, and drives as fast as the free distance ahead allows.
 
-    The histogram holds the free distance of the robot, with its width, in each direction. A direction of less than
-    `window` is blocked: VFH+'s threshold without its grid of past scans. Unseen directions count as free. Candidates
-    keep half of `valley` from both edges of a wide valley, or the middle of a narrow one; the target's own direction
-    may be one. A robot that turns on the spot keeps its side, because it does not see the other one: else it would turn
-    to and fro. The observed turn rate stands for the previous direction.
+    The histogram holds how far the whole width of the robot can drive in each direction. A direction is open if this
+    distance is at least `window`; VFH+ applies a threshold to a grid of past scans. Directions without a scan are
+    open. A valley is a range of open directions. Candidates are at least half of `valley` from the edges of a wide
+    valley, or in the middle of a narrow one; the direction of the target may be a candidate. A robot that turns on the
+    spot keeps its side. Otherwise it could turn to and fro, because it does not see behind. The turn rate replaces the
+    previous direction, because the planner has no memory.
 
     Args:
         observation_space, action_space, vehicle: See `LocalPlanner`.
         gap: Distance to keep from obstacles [m].
-        window: Free distance of an open direction, or that to a nearer target [m].
-        valley: Sectors of 5 degrees in a wide valley.
-        to_target: Cost of a radian off the target; more than the next two together, or it may never get there.
-        to_heading: Cost of a radian off straight ahead.
-        to_previous: Cost of a radian off the previous direction.
-        gain: Turn rate for a direction one radian to the left [1/s].
+        window: Least free distance of an open direction, less if the target is nearer [m].
+        valley: Least width of a wide valley [sectors of 5 degrees].
+        to_target: Cost per radian of difference to the target's direction. It should exceed the sum of the other two
+            costs, or the robot may never arrive.
+        to_heading: Cost per radian of difference to straight ahead.
+        to_previous: Cost per radian of difference to the previous direction.
+        gain: Turn rate per radian of direction [1/s].
         braking: Assumed deceleration [m/s^2].
-        spin: Direction from which it turns on the spot [rad].
+        spin: Direction from which the robot turns on the spot [rad].
     """
 
     def __init__(
@@ -63,7 +55,7 @@ class VFH(LocalPlanner):
         vehicle: Vehicle = TURTLEBOT2,
         gap: NonNegative = 0.02,
         window: Positive = 1.0,
-        valley: Annotated[int, Ge(1), Le(SECTORS)] = 10,
+        valley: Annotated[int, Ge(1), Le(NUM_SECTORS)] = 10,
         to_target: NonNegative = 5.0,
         to_heading: NonNegative = 2.0,
         to_previous: NonNegative = 2.0,
@@ -73,85 +65,88 @@ class VFH(LocalPlanner):
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, vehicle, **kwargs)
-        self.room, self.window, self.valley = self.radius + gap, window, valley
+        self.inflated_radius, self.window, self.valley = vehicle.radius + gap, window, valley
         self.gain, self.braking, self.spin = gain, braking, spin
-        self._costs = _Costs(to_target, to_heading, to_previous)
+        self._costs = to_target, to_heading, to_previous
 
     def plan(self, view: LocalView) -> np.ndarray:
-        free = np.full((len(view.points), SECTORS), math.inf)
-        _measure(view.points, self.room, free)
-        direction = self._directions(free, view)
-        v = np.minimum(np.sqrt(2.0 * self.braking * free[:, SECTORS // 2]), self.max_speed)
+        free, direction = np.full((len(view.points), NUM_SECTORS), math.inf), np.empty(len(view.points))
+        _shorten_free_distances(free, view.points, self.inflated_radius)
+        target_distance = np.hypot(*view.target.T) - self.inflated_radius
+        is_open = free >= np.clip(target_distance, _MIN_WINDOW, max(self.window, _MIN_WINDOW))[:, None]
+        on_the_spot = (np.abs(view.speed) < STANDING_SPEED) & (np.abs(view.turn_rate) > TURNING_RATE)
+        side = np.where(on_the_spot, np.sign(view.turn_rate), 0.0)
+        target = np.arctan2(view.target[:, 1], view.target[:, 0])
+        _choose_directions(is_open, self.valley, target, view.turn_rate / self.gain, side, self._costs, direction)
+        v = np.minimum(np.sqrt(2.0 * self.braking * free[:, NUM_SECTORS // 2]), self.vehicle.max_speed)
         v *= np.clip(1.0 - np.abs(direction) / self.spin, 0.0, 1.0)
-        return np.column_stack([v, np.clip(self.gain * direction, -self.turn_rate, self.turn_rate)])
-
-    def _directions(self, free: np.ndarray, view: LocalView) -> np.ndarray:
-        """Directions to take [rad], shape (num_envs,), by free distances [m], shape (num_envs, SECTORS)."""
-        away = np.hypot(*view.target.T) - self.room
-        is_open = free >= np.clip(away, _LEAST, max(self.window, _LEAST))[:, None]
-        on_the_spot = (np.abs(view.speed) < STANDING) & (np.abs(view.turn) > TURNING)
-        side = np.where(on_the_spot, np.sign(view.turn), 0.0)
-        target, directions = np.arctan2(view.target[:, 1], view.target[:, 0]), np.empty(len(free))
-        _choose(is_open, self.valley, target, view.turn / self.gain, side, self._costs, directions)
-        return directions
+        return np.column_stack([v, self.gain * direction])
 
 
-@njit(cache=True, **UNCOUNTED)
-def _measure(points, room, free):
-    """Shorten free distances [m], shape (num_envs, SECTORS), to where a circle touches points (num_envs, beams, 2).
+@njit(cache=True, **NO_REFCOUNT)
+def _shorten_free_distances(free, points, radius):
+    """Shorten the free distances to where a disc would touch a point.
 
-    `room` is the circle's radius [m]; a point within it blocks all directions towards it.
+    Args:
+        free: Free distances [m], shape (num_envs, NUM_SECTORS); changed in place.
+        points: See `LocalView`.
+        radius: Radius of the disc [m]; a point inside the disc blocks all directions towards the point.
     """
     for robot in range(points.shape[0]):
         for beam in range(points.shape[1]):
             x, y = points[robot, beam, 0], points[robot, beam, 1]
-            far, bearing = math.hypot(x, y), math.atan2(y, x)
-            aside = math.asin(room / far) if far > room else math.pi / 2.0
-            for sector in range(math.ceil((bearing - aside) / _WIDTH), math.floor((bearing + aside) / _WIDTH) + 1):
-                off = sector * _WIDTH - bearing
-                before = math.sqrt(max(room**2 - (far * math.sin(off)) ** 2, 0.0))
-                distance = max(far * math.cos(off) - before, 0.0) if far > room else 0.0
-                column = (sector + SECTORS // 2) % SECTORS
-                free[robot, column] = min(free[robot, column], distance)
+            distance, bearing = math.hypot(x, y), math.atan2(y, x)
+            half_angle = math.asin(radius / distance) if distance > radius else math.pi / 2.0
+            first_sector = math.ceil((bearing - half_angle) / _SECTOR_WIDTH)
+            for sector in range(first_sector, math.floor((bearing + half_angle) / _SECTOR_WIDTH) + 1):
+                angle = sector * _SECTOR_WIDTH - bearing
+                half_chord = math.sqrt(max(radius**2 - (distance * math.sin(angle)) ** 2, 0.0))
+                contact = max(distance * math.cos(angle) - half_chord, 0.0) if distance > radius else 0.0
+                column = (sector + NUM_SECTORS // 2) % NUM_SECTORS
+                free[robot, column] = min(free[robot, column], contact)
 
 
-@njit(cache=True, **UNCOUNTED)
-def _choose(is_open, valley, targets, previous, sides, costs, directions):
-    """Write the cheapest candidate of each robot into `directions` [rad]; without one, a turn on the spot.
+@njit(cache=True, **NO_REFCOUNT)
+def _choose_directions(is_open, valley, targets, previous, sides, costs, directions):
+    """Write the cheapest candidate of each robot into `directions` [rad]; without candidates 90 degrees to one side.
 
     Args:
-        is_open: Shape (num_envs, SECTORS).
-        valley: Sectors of a wide valley.
-        targets, previous: Directions of the target, and the previous ones [rad], shape (num_envs,).
-        sides: 1 or -1: only candidates to the left or right; 0: all; shape (num_envs,).
+        is_open: Shape (num_envs, NUM_SECTORS).
+        valley: Least width of a wide valley [sectors].
+        targets: Directions of the targets [rad], shape (num_envs,).
+        previous: Previous directions [rad], shape (num_envs,).
+        sides: Allowed candidates, shape (num_envs,): 1 on the left, -1 on the right, 0 on both sides.
+        costs: Costs per radian to_target, to_heading, to_previous, see `VFH`.
+        directions: Output, shape (num_envs,).
     """
+    to_target, to_heading, to_previous = costs
     for robot in range(is_open.shape[0]):
         target, best = targets[robot], math.inf
         directions[robot] = math.copysign(math.pi / 2.0, sides[robot] if sides[robot] else target)
-        for sector in range(SECTORS):
-            direction = (sector - SECTORS // 2) * _WIDTH
-            if _between(direction, target) <= _WIDTH / 2.0:
+        for sector in range(NUM_SECTORS):
+            direction = (sector - NUM_SECTORS // 2) * _SECTOR_WIDTH
+            if _angle_between(direction, target) <= _SECTOR_WIDTH / 2.0:
                 direction = target
-            if not _is_candidate(is_open[robot], sector, valley) or sides[robot] * direction < -_ASIDE:
+            if not _is_candidate(is_open[robot], sector, valley) or sides[robot] * direction < -_SIDE_TOLERANCE:
                 continue
-            cost = costs.target * _between(direction, target) + costs.heading * abs(direction)
-            cost += costs.previous * _between(direction, previous[robot])
+            cost = to_target * _angle_between(direction, target) + to_heading * abs(direction)
+            cost += to_previous * _angle_between(direction, previous[robot])
             if cost < best:
                 best, directions[robot] = cost, direction
 
 
-@njit(cache=True, **UNCOUNTED)
+@njit(cache=True, **NO_REFCOUNT)
 def _is_candidate(is_open, sector, valley):
-    """Whether a sector lies far enough within a wide valley, or in the middle of a narrow one."""
+    """Whether a sector is far enough from the edges of a wide valley, or in the middle of a narrow one."""
     right = left = 0
-    while right < valley and is_open[(sector - right - 1) % SECTORS]:
+    while right < valley and is_open[(sector - right - 1) % NUM_SECTORS]:
         right += 1
-    while left < valley and is_open[(sector + left + 1) % SECTORS]:
+    while left < valley and is_open[(sector + left + 1) % NUM_SECTORS]:
         left += 1
     return is_open[sector] and min(left, right) >= min(valley // 2, (left + right) // 2)
 
 
-@njit(cache=True, **UNCOUNTED)
-def _between(one, other):
+@njit(cache=True, **NO_REFCOUNT)
+def _angle_between(first, second):
     """The angle between two directions [rad], from 0 to pi."""
-    return abs((one - other + math.pi) % math.tau - math.pi)
+    return abs((first - second + math.pi) % math.tau - math.pi)

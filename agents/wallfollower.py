@@ -1,6 +1,4 @@
-"""Wall following: a rule that a learner should beat."""
-
-from __future__ import annotations
+"""Wall following, a rule-based baseline."""
 
 import math
 from typing import Any
@@ -12,24 +10,26 @@ from stable_baselines3.common.policies import BasePolicy
 from tb2rl import Agent
 from tb2rl.core.errors import InputError
 
-AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", observation="raw", only=True)
+AGENT = Agent(
+    algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", observation="raw", fixed_observation=True
+)
 
 FORWARD, LEFT, RIGHT = 0, 1, 2
-SHARES = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # the same as v and w, -1 to 1
+ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # v, w of forward, left, right; from -1 to 1
 
 
 class WallFollower(BasePolicy):
-    """Keeps the wall on the right at a distance, which two beams measure a little ahead of the robot.
+    """Follows the wall on its right at a constant distance, which two beams measure.
 
     Args:
         observation_space: `tb2rl.envs.encodings.SensorBox` that begins with five or more ranges from -90 to 90 degrees.
-        action_space: Forward, left, right and others; or v and w, from -1 (v: standstill) to 1.
+        action_space: Named actions that begin with forward, left, right; or v and w, from -1 to 1.
         side: Distance to keep from the wall [m].
         ahead: Free distance to keep ahead [m].
-        guard: Range of any beam below which it turns away [m].
-        tolerance: Of `side` [m].
-        lost: A wall farther than `side` by this is ignored [m].
-        look_ahead: How far ahead of the robot the distance counts [m].
+        guard: Least range; the robot turns away from an obstacle that is nearer [m].
+        tolerance: Tolerance of `side` [m].
+        lost: Deviation from `side` above which the wall is ignored [m].
+        look_ahead: Distance ahead of the robot at which the distance of the wall is predicted [m].
     """
 
     def __init__(
@@ -53,21 +53,21 @@ class WallFollower(BasePolicy):
         self.tolerance, self.lost, self.look_ahead = tolerance, lost, look_ahead
         angles = th.linspace(-90.0, 90.0, beams)
         self._oblique = int((angles + 45.0).abs().argmin())
-        self._between = math.radians(float(angles[self._oblique] - angles[0]))
+        self._beam_angle = math.radians(float(angles[self._oblique] - angles[0]))  # between the two beams
         self._right, self._front, self._left = angles < -25.0, angles.abs() <= 25.0, angles > 25.0
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         latest = observation[:, -observation.shape[1] // self._frame_stack :]
-        observation = latest[:, : len(self._front)]
-        abeam, oblique = observation[:, 0], observation[:, self._oblique]
-        # The angle of the wall from two sides of a triangle and the angle between them.
-        angle = th.atan2(oblique * math.cos(self._between) - abeam, oblique * math.sin(self._between))
+        ranges = latest[:, : len(self._front)]
+        abeam, oblique = ranges[:, 0], ranges[:, self._oblique]
+        # The angle of the wall, from a triangle of which two sides and the angle between them are known.
+        angle = th.atan2(oblique * math.cos(self._beam_angle) - abeam, oblique * math.sin(self._beam_angle))
         distance = abeam * th.cos(angle) + self.look_ahead * th.sin(angle)
-        right, front, left = (observation[:, part].amin(dim=1) for part in (self._right, self._front, self._left))
+        right, front, left = (ranges[:, part].amin(dim=1) for part in (self._right, self._front, self._left))
 
         action = th.full((len(observation),), FORWARD)
         action[(distance > self.side + self.tolerance) & (distance < self.side + self.lost)] = RIGHT
         action[distance < self.side - self.tolerance] = LEFT
         action[left < self.guard] = RIGHT
         action[(front < self.ahead) | (right < self.guard)] = LEFT
-        return action if isinstance(self.action_space, spaces.Discrete) else SHARES[action]
+        return action if isinstance(self.action_space, spaces.Discrete) else ACTION_SPEEDS[action]

@@ -7,8 +7,6 @@
 Importing the package registers the Gymnasium ids. PyTorch and the simulators are imported at first use.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -17,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-# agents/, configs/ and zoo/ are beside this package in a checkout, and inside it when installed.
+# In a checkout agents/, configs/ and zoo/ are beside this package; in an installation they are inside.
 if (Path(__file__).parent.parent / "pyproject.toml").is_file():
     __path__.append(str(Path(__file__).parent.parent))
 
@@ -41,7 +39,7 @@ _TASKS = {
     "TurtleBot2Navigate": "navigate",
 }
 GYM_IDS = {f"{name}-v0": {"task": task} for name, task in _TASKS.items()}
-# Raw observations for programs that can name an environment but pass it no arguments.
+# For programs that cannot pass arguments to an environment, such as observation="raw".
 GYM_IDS |= {f"{name}Raw-v0": {"task": task, "observation": "raw"} for name, task in _TASKS.items()}
 for _id, _arguments in GYM_IDS.items():
     gymnasium.register(
@@ -51,7 +49,7 @@ for _id, _arguments in GYM_IDS.items():
         kwargs=_arguments,
     )
 
-_HOMES = {
+_MODULES = {  # that define the public names
     "Agent": "core.agent",
     "InputError": "core.errors",
     "evaluate": "evaluation.evaluate",
@@ -63,30 +61,26 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return _version()
-    if name not in _HOMES:
+        from importlib import metadata  # imported late, because it takes a fifth of the import time of the package
+
+        try:
+            return metadata.version("tb2rl")
+        except metadata.PackageNotFoundError:  # a checkout that is not installed
+            return "0+unknown"
+    if name not in _MODULES:
         raise AttributeError(f"module 'tb2rl' has no attribute {name!r}")
-    return getattr(import_module(f"tb2rl.{_HOMES[name]}"), name)
+    return getattr(import_module(f"tb2rl.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, "__version__"})
 
 
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version  # it takes a fifth of the import time of the package
-
-    try:
-        return version("tb2rl")
-    except PackageNotFoundError:  # a checkout that is not installed
-        return "0+unknown"
-
-
 class _Package(ModuleType):
-    """Keeps the function `tb2rl.train` when the command module of the same name is imported, and so `evaluate`."""
+    """Keeps the functions `tb2rl.train` and `tb2rl.evaluate` when the modules of the same names are imported."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOMES and isinstance(value, ModuleType)):
+        if not (name in _MODULES and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
 

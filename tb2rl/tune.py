@@ -1,63 +1,41 @@
-"""Search for better settings with Optuna.
+"""Search for better settings (hyperparameters) with Optuna.
 
     python -m tb2rl.tune --agent qlearn --task maze --trials 30
     python -m tb2rl.tune --agent ppo --preset mine.yaml --space my_space.yaml --minutes 60
     python -m tb2rl.tune --agent ppo --task navigate --set task.guide=plan --steps 2000000 --name with-plan
     python -m tb2rl.tune --agent ppo --task navigate --trials 1000 --on ray:10.0.0.1:6379
 
-Trials drive in the kinematic simulator, the best of them in PyBullet. The study is the folder runs/tune/NAME. The same
-command continues it, also in several terminals at once. Results: best.yaml, for `train --preset`, and report.html.
+Trials are evaluated in the kinematic simulator, the best of them also in PyBullet. The study is the folder
+runs/tune/NAME. The same command continues a study, also in several terminals at once. Results are best.yaml, a preset
+for `train --preset`, and report.html.
 """
 
-from __future__ import annotations
-
-import argparse
-
-from tb2rl.core.errors import ArgumentParser, InputError, command, install_extra
+from tb2rl.core.command import ArgumentParser, between, command
 from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.arguments import add_executor_arguments
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """The command line."""
-    parser = ArgumentParser(prog="python -m tb2rl.tune", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
-    parser.add_argument("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
-    parser.add_argument("--preset", help="where the search begins: a file of configs, or a path")
-    parser.add_argument(
-        "--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="settings that are fixed"
-    )
-    parser.add_argument("--space", metavar="FILE", help="the search space (default: configs/tuning/AGENT.yaml)")
-    parser.add_argument("--trials", type=int, default=30, help="trials of the whole study (default: 30)")
-    parser.add_argument("--minutes", type=float, help="time limit of the trials; running ones are dropped")
-    parser.add_argument("--seeds", type=int, default=2, help="trainings of a trial (default: 2)")
-    parser.add_argument("--steps", type=int, help="control steps of a training, over all environments")
-    parser.add_argument(
-        "--simulation", default="kinematic", help="simulator of the trainings: kinematic (default) or bullet"
-    )
-    parser.add_argument("--sampler", default="tpe", help="Optuna's sampler: tpe (default) or random")
-    parser.add_argument("--pruner", default="median", help="Optuna's pruner: median (default), hyperband or none")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the sampler (default: 0)")
-    add_executor_arguments(parser)
-    parser.add_argument(
-        "--fresh", type=int, default=3, help="seeds of the comparison of best and default settings; 0: none"
-    )
-    parser.add_argument("--name", help="name of the folder runs/tune/NAME (default: TASK-AGENT)")
-    parser.add_argument("--storage", metavar="URL", help="URL of a database (default: SQLite in the folder)")
-    return parser.parse_args(arguments)
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
+@command("tune")
+def main(parser: ArgumentParser) -> None:
     """Run trials, evaluate the best ones, write a preset and a page."""
-    options = parse(arguments)
-    try:
-        from tb2rl.commands.tune import run  # only now: it imports what takes seconds
-    except ModuleNotFoundError as error:
-        if error.name != "optuna":
-            raise
-        raise InputError(f"tune needs Optuna: {install_extra('tune')}") from None
-    run(options)
+    add = parser.add_argument
+    add("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
+    add("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
+    add("--preset", help="initial settings of the search: a file of configs, or a path")
+    add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="fixed settings")
+    add("--space", metavar="FILE", help="the search space (default: configs/tuning/AGENT.yaml)")
+    add("--trials", type=between(1, 100_000), default=30, help="total number of trials of the study (default: 30)")
+    add("--minutes", type=between(1e-3, 1e6, float), help="time limit; running trials are discarded")
+    add("--seeds", type=between(1, 100), default=2, help="trainings of a trial, with different seeds (default: 2)")
+    add("--steps", type=int, help="control steps of a training, over all environments")
+    add("--simulation", default="kinematic", help="simulator of the trainings: kinematic (default) or bullet")
+    add("--sampler", default="tpe", help="Optuna's sampler: tpe (default) or random")
+    add("--pruner", default="median", help="Optuna's pruner: median (default), hyperband or none")
+    add("--seed", type=int, default=0, help="seed of the sampler (default: 0)")
+    add_executor_arguments(parser)
+    add("--fresh", type=between(0, 1000), default=3, help="new seeds to compare best and default settings; 0: none")
+    add("--name", help="name of the folder runs/tune/NAME (default: TASK-AGENT)")
+    add("--storage", metavar="URL", help="URL of a database (default: SQLite in the folder)")
 
 
 if __name__ == "__main__":

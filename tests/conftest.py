@@ -1,7 +1,5 @@
 """Fixtures of several rooms: specs, robot states, a suite, a run, an unprivileged user, a fake hub."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -12,19 +10,23 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
+from io import StringIO
 from pathlib import Path
 from threading import Thread
 from urllib.parse import unquote
 
 import numpy as np
 import pytest
+import torch as th
 
 from tb2rl import train
-from tb2rl.commands import suite as suite_command
+from tb2rl.commands import evaluate as suite_command
+from tb2rl.evaluation import suites
 from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
@@ -37,6 +39,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP"):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+th.set_num_threads(1)  # because the networks are small and other tests use the processors
+
 FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.0, 9.0))
 
 
@@ -47,7 +51,7 @@ def _spec(*worlds: World | str, robot: Robot = ROBOT, **laser) -> SimulationSpec
 
 
 def _robot_state(
-    nearest=3.0,
+    nearest_range=3.0,
     ranges=None,
     bumped=False,
     pose=(0.0, 0.0, 0.0),
@@ -59,19 +63,17 @@ def _robot_state(
 ) -> RobotState:
     """A robot state of as many environments as the longest argument has; a single value holds for all.
 
-    `ranges` are (num_envs, beams) or (beams,); by default there are three beams, the middle one of `nearest` [m].
+    `ranges` are (num_envs, beams) or (beams,); by default there are three beams, the middle one of `nearest_range` [m].
     `others` are further fields; the robots are at rest by default.
     """
-    pose, twist = np.atleast_2d(np.array(pose, float)), np.atleast_2d(np.array(twist, float))
-    ranges = None if ranges is None else np.atleast_2d(np.array(ranges, float))
-    num_envs = max(len(pose), len(twist), np.size(nearest), np.size(bumped), 0 if ranges is None else len(ranges))
     if ranges is None:
-        ranges = np.full((num_envs, 3), math.inf)
-        ranges[:, 1] = nearest
+        ranges = np.full((np.size(nearest_range), 3), math.inf)
+        ranges[:, 1] = nearest_range
+    pose, twist, ranges = (np.atleast_2d(np.array(values, float)) for values in (pose, twist, ranges))
+    num_envs = max(len(pose), len(twist), len(ranges), np.size(bumped))
     start = InitialState.default(_spec(), num_envs)
     start.goal[:], start.bounds[:] = goal, bounds
-    pose = np.broadcast_to(pose, (num_envs, 3))
-    twist = np.broadcast_to(twist, (num_envs, 2))
+    pose, twist = np.broadcast_to(pose, (num_envs, 3)), np.broadcast_to(twist, (num_envs, 2))
     at_rest = {"odometry_twist": twist, "command": np.zeros((num_envs, 2)), "acceleration": np.zeros(num_envs)}
     return RobotState(
         pose=pose,
@@ -104,19 +106,16 @@ def trained_run(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def make_spec():
-    """The function `_spec`."""
     return _spec
 
 
 @pytest.fixture
 def make_robot_state():
-    """The function `_robot_state`."""
     return _robot_state
 
 
 @pytest.fixture
 def small_suite():
-    """The function `_small_suite`."""
     return _small_suite
 
 
@@ -125,6 +124,37 @@ def workdir(tmp_path, monkeypatch) -> Path:
     """An empty working directory."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def module_folder(workdir, monkeypatch) -> Path:
+    """The working directory, on the path of Python, whose modules are forgotten after the test."""
+    monkeypatch.syspath_prepend(workdir)
+    known = set(sys.modules)
+    yield workdir
+    for name in set(sys.modules) - known:
+        if str(workdir) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """A function that makes stderr a terminal during the test, and returns its stream."""
+
+    def opened() -> StringIO:
+        stream = StringIO()
+        stream.isatty = lambda: True
+        monkeypatch.setattr(sys, "stderr", stream)
+        return stream
+
+    return opened
+
+
+@pytest.fixture
+def unseen(monkeypatch) -> None:
+    """The suite `unseen` is a `_small_suite`."""
+    for module in (suite_command, suites):
+        monkeypatch.setattr(module, "find_suite", lambda name, path: _small_suite(name))
 
 
 @pytest.fixture
@@ -147,29 +177,28 @@ def refused(workdir, capsys):
 @pytest.fixture
 def driven(monkeypatch) -> list[int]:
     """Indices of the suite worlds that were driven, in order."""
-    drives_of, driven = suite_command.drives_of, []
+    run_suite, driven = suite_command.run_suite, []
 
     def recorded(*arguments):
-        for drive in drives_of(*arguments):
+        for drive in run_suite(*arguments):
             driven.append(drive.world)
             yield drive
 
-    monkeypatch.setattr(suite_command, "drives_of", recorded)
+    monkeypatch.setattr(suite_command, "run_suite", recorded)
     return driven
 
 
 @pytest.fixture
-def write_package(tmp_path, monkeypatch):
+def write_package(module_folder):
     """A function that writes an installed package: its entry points, and modules by name."""
 
     def write(entry_points: str, **modules: str) -> None:
-        info = tmp_path / "stranger-1.0.dist-info"
+        info = module_folder / "stranger-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
         (info / "entry_points.txt").write_text(entry_points)
         for name, code in modules.items():
-            (tmp_path / f"{name}.py").write_text(code)
-        monkeypatch.syspath_prepend(tmp_path)
+            (module_folder / f"{name}.py").write_text(code)
 
     return write
 

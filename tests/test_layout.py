@@ -1,46 +1,36 @@
-"""The layout of the package: short modules, few dependencies of agents, and one place for each decision.
+"""The layout of the package: short modules, one place for each decision, and imports that take no time.
 
 `lint-imports` checks the order of the rooms and circles, but does not see agents/ and imports by string.
 """
 
-from __future__ import annotations
-
-import ast
 import re
-import statistics
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from tb2rl.__main__ import COMMANDS
+
 CHECKOUT = Path(__file__).parent.parent
 MODULES = [*(CHECKOUT / "tb2rl").rglob("*.py"), *(CHECKOUT / "agents").glob("*.py"), *(CHECKOUT / "zoo").glob("*.py")]
+TEXTS = {str(module.relative_to(CHECKOUT)): module.read_text() for module in MODULES}
 FOR_AGENTS = {"tb2rl", "tb2rl.core.values", "tb2rl.core.compiled", "tb2rl.core.errors", "tb2rl.robots.vehicle"}
-
-
-def imported(module: Path) -> set[str]:
-    """The modules of tb2rl that a module imports, anywhere in it."""
-    nodes = list(ast.walk(ast.parse(module.read_text())))
-    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-    names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
-    return {name for name in names if name.split(".")[0] == "tb2rl"}
 
 
 def test_contract_picture_and_folders_have_the_same_rooms():
     contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
     folders = {file.parent.name for file in (CHECKOUT / "tb2rl").glob("*/__init__.py")}
-    rooms = [name for name in " | ".join(layers).split(" | ") if name in {*folders, "commands"}]
+    rooms = [name for name in " | ".join(layers).split(" | ") if name in folders]
     assert {*rooms} == folders
     shown = re.findall(r'font-weight="600">(\w+)/?</text>', (CHECKOUT / "zoo/pictures/architecture.svg").read_text())
     assert [name for name in shown if name in rooms] == rooms
 
 
 def test_modules_are_short():
-    sizes = {str(module.relative_to(CHECKOUT)): len(module.read_text().splitlines()) for module in MODULES}
-    assert {name: size for name, size in sizes.items() if size > 300} == {}
-    assert statistics.median(sizes.values()) <= 120
+    assert {name: lines for name, text in TEXTS.items() if (lines := text.count("\n")) > 300} == {}
 
 
 def test_every_module_is_in_the_repository():
@@ -52,29 +42,54 @@ def test_every_module_is_in_the_repository():
 
 
 def test_agents_import_little_and_nothing_imports_agents():
-    for module in (CHECKOUT / "agents").glob("*.py"):
-        assert {name for name in imported(module) if not name.startswith("tb2rl.agents.")} <= FOR_AGENTS
-    importing = {module for module in MODULES if any(name.startswith("tb2rl.agents") for name in imported(module))}
-    assert {module.parent.name for module in importing} == {"agents"}
+    for name, text in TEXTS.items():
+        imported = set(re.findall(r"^\s*(?:from|import) (tb2rl[\w.]*)", text, flags=re.MULTILINE))
+        agents = {module for module in imported if module.startswith("tb2rl.agents")}
+        if name.startswith("agents/"):
+            assert imported - agents <= FOR_AGENTS, name
+        else:
+            assert not agents, name
 
 
-@pytest.mark.parametrize(
-    ("pattern", "places"),
-    [
-        (r"find_world\(", {"tb2rl/worlds/registry.py", "tb2rl/envs/worlds.py", "tb2rl/commands/worlds.py"}),
-        (r"read_world\(", {"tb2rl/worlds/readers.py", "tb2rl/worlds/registry.py"}),
-        (r"(?m)^\s*(import|from) pybullet", {"tb2rl/simulation/bullet/client.py"}),
-        (r"(?m)^\s*from numba import .*\bnjit|@numba", set()),
-    ],
-    ids=["worlds by name", "worlds by file", "PyBullet", "numba's compiler"],
-)
-def test_each_decision_has_its_place(pattern, places):
-    found = (module for module in MODULES if re.search(pattern, module.read_text()))
-    assert {str(module.relative_to(CHECKOUT)) for module in found} == places
+def test_one_module_imports_pybullet_and_one_compiles():
+    bullet, numba = r"(?m)^\s*(import|from) pybullet", r"(?m)^\s*from numba import .*\bnjit|@numba"
+    found = {name for name, text in TEXTS.items() if re.search(bullet, text) or re.search(numba, text)}
+    assert found == {"tb2rl/simulation/bullet/client.py"}
 
 
-def test_references_are_imported_in_one_module():
-    """Except names of our own that a package loads lazily, and messages of ROS, which may not be installed."""
-    found = {str(module.relative_to(CHECKOUT)) for module in MODULES if "import_module(" in module.read_text()}
-    lazy = {name for name in found if name.endswith(("__init__.py", "__main__.py")) or "ros" in name}
-    assert found - lazy == {"tb2rl/core/plugins.py"}
+# ---- imports
+
+HEAVY = "torch numba stable_baselines3 pybullet tensorboard pydantic shapely matplotlib optuna"
+SHOWN = f"print('heavy:', *[name for name in {HEAVY!r}.split() if name in sys.modules])"
+HELP = f"""
+import sys
+from importlib import import_module
+for name in {["tb2rl.__main__", *COMMANDS.values()]}:
+    try:
+        import_module(name).main(['--help'])
+    except SystemExit:
+        pass
+"""
+NAMES = """
+import sys, tb2rl
+from tb2rl.core.plugins import agent_names, robot_names, simulator_names, task_names
+agent_names(), robot_names(), simulator_names(), task_names()
+assert {*tb2rl.__all__, '__version__'} <= {*dir(tb2rl)} and tb2rl.__version__
+"""
+
+
+def last_line(code: str) -> str:
+    """The last line that a new Python prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()[-1]
+
+
+@pytest.mark.parametrize("code", [HELP, NAMES], ids=["help", "names"])
+def test_nothing_heavy_is_imported(code):
+    assert last_line(code + SHOWN) == "heavy:"
+
+
+@pytest.mark.slow
+def test_the_functions_of_the_package_are_functions_whatever_was_imported_before():
+    shown = "print([name for name in tb2rl.__all__ if not callable(getattr(tb2rl, name))])"
+    assert last_line(f"import tb2rl.train, tb2rl.evaluate; {shown}") == "[]"

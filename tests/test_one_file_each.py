@@ -1,8 +1,7 @@
 """Everything that users add is one file: each is trained, resumed, evaluated, filmed and reported."""
 
-from __future__ import annotations
-
-import sys
+import json
+from importlib import import_module
 from pathlib import Path
 from textwrap import dedent
 
@@ -13,9 +12,8 @@ import tb2rl
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.report import main as report
 from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
-from tb2rl.runs.algorithm import make_baseline
+from tb2rl.runs.config import resolve
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
 from tb2rl.training.training import resume, train_config
 from tb2rl.viz.film import FilmOptions, film
 
@@ -50,9 +48,7 @@ FILES = {
         from tb2rl.sensors.camera import Camera
 
         class Speeds(Sensor):
-            name, unit, shape = "speeds", "m/s", (2,)
-            low, high = -1.0, 1.0
-            bins = (0.1,)
+            name, unit, shape, low, high, bins = "speeds", "m/s", (2,), -1.0, 1.0, (0.1,)
 
             def read(self, robot_state):
                 return robot_state.twist
@@ -61,12 +57,10 @@ FILES = {
             name, shape = "bars", (1, 36, 36)
 
             def read(self, robot_state):
-                rows = np.arange(36)[:, None] < 12 * np.minimum(robot_state.ranges, 3.0)[:, None, :]
-                return (255 * rows[:, None]).astype(np.uint8)
+                return np.full((len(robot_state.ranges), 1, 36, 36), 255, np.uint8)
 
         class Dark(Camera):
-            def read(self, robot_state):
-                return super().read(robot_state) // 2
+            pass
         """,
     "small.py": """
         from dataclasses import replace
@@ -113,19 +107,15 @@ LEARNERS = {  # the new thing: agent, task, simulator and settings to train it w
 
 
 @pytest.fixture
-def mine(workdir, monkeypatch) -> None:
+def mine(module_folder) -> None:
     """A user's files in the working directory, from which Python imports."""
     for name, text in FILES.items():
-        (workdir / name).write_text(dedent(text).lstrip())
+        (module_folder / name).write_text(dedent(text).lstrip())
     urdf = TURTLEBOT2.urdf.read_text()
     for theirs, ours in SMALLER.items():
         assert theirs in urdf
         urdf = urdf.replace(theirs, ours)
-    (workdir / "small.urdf").write_text(urdf)
-    monkeypatch.syspath_prepend(workdir)
-    yield
-    for name in FILES:
-        sys.modules.pop(Path(name).stem, None)
+    (module_folder / "small.urdf").write_text(urdf)
 
 
 @pytest.mark.slow
@@ -140,22 +130,13 @@ def test_a_training_is_resumed_evaluated_filmed_and_reported(new, mine):
     assert resume(run.folder, 320).timesteps == 64
     evaluation = evaluate(run.folder, episodes=2, steps=30, workers=1)
     assert [len(episode.path) for episode in evaluation.episodes] == [e.length + 1 for e in evaluation.episodes]
-    run.write_evaluation(*evaluation.tree(run.config, "mine"))
+    run.write_evaluation(*evaluation.serialize(run.config, "mine"))
     assert tb2rl.make_env(tb2rl.load(run.folder)).task == Run.open(run.folder).config.task
     for camera in ("above", "chase"):
         options = FilmOptions(steps=3, camera=camera)
         assert film(run.folder, Path(f"{camera}.gif"), options=options).stat().st_size > 1000
     report([str(run.folder)])
     assert (run.folder / "report.html").stat().st_size > 10_000
-
-
-def test_a_baseline_is_evaluated_and_filmed(mine):
-    config = resolve("agents:STRAIGHT", "maze")
-    policy = make_baseline(config)
-    evaluation = evaluate(policy, config, episodes=2, steps=60, workers=1)
-    assert {episode.ended for episode in evaluation.episodes} == {"collision"}
-    assert all((episode.actions == 0).all() for episode in evaluation.episodes)
-    assert film(policy, Path("film.gif"), config, options=FilmOptions(steps=5)).stat().st_size > 1000
 
 
 def test_an_own_robot_follows_commands_in_both_simulators(mine):
@@ -169,3 +150,11 @@ def test_an_own_robot_follows_commands_in_both_simulators(mine):
         assert 0.5 < info["distance"] <= 0.3 * 3.0 + 0.02  # 15 steps of 0.2 s at 0.3 m/s, its fastest
         env.close()
     np.testing.assert_allclose(ends["bullet"][:2], ends["kinematic"][:2], atol=0.05)
+
+
+def test_a_baseline_is_evaluated_and_filmed(mine, capsys):
+    policy = ["--agent", "agents:STRAIGHT", "--episodes", "2", "--steps", "60"]
+    import_module("tb2rl.evaluate").main([*policy, "--workers", "1", "--json", "it.json"])
+    assert {episode["ended"] for episode in json.loads(Path("it.json").read_text())["each"]} == {"collision"}
+    import_module("tb2rl.play").main([*policy, "--video", "film.gif"])
+    assert capsys.readouterr().out.count("collision after") == 2

@@ -1,11 +1,9 @@
 """The command `play`: a film without a display, a line for each episode, and one line for arguments that do not fit."""
 
-from __future__ import annotations
-
 import shlex
 import signal
 import sys
-from io import StringIO
+from unittest.mock import Mock
 
 import pytest
 
@@ -33,91 +31,55 @@ def test_without_a_display_there_is_a_film_named_after_the_policy(workdir, train
     assert err == "", "no bar where there is no terminal"
 
 
-def test_a_terminal_shows_a_bar(trained_run, monkeypatch, capsys):
-    stream = StringIO()
-    stream.isatty = lambda: True
-    monkeypatch.setattr(sys, "stderr", stream)
-    play.main([str(trained_run), "--set", "task.episode_steps=2", "--video", "it.gif"])
-    assert "filming:" in stream.getvalue()
-    assert "0/2" in stream.getvalue()
-    assert capsys.readouterr().out.startswith("episode 1: time limit after 2 steps")
-
-
-def test_an_agent_that_does_not_learn_plays_too(workdir, capsys):
+def test_an_agent_that_does_not_learn_plays_too_and_a_terminal_shows_a_bar(workdir, terminal, capsys):
+    stream = terminal()
     line = "--agent wallfollower --task wall --set task.start=fixed 'task.bounds=[-1, -3, 0.3, 3]' --video it.GIF"
     play.main(shlex.split(line))
-    out = capsys.readouterr().out
-    assert out.startswith("episode 1: out of bounds after ")
-    assert out.count("\n") == 2
+    assert capsys.readouterr().out.startswith("episode 1: out of bounds after ")
+    assert "filming:" in stream.getvalue()
     assert [file.name for file in workdir.iterdir()] == ["it.GIF"]
 
 
-@pytest.mark.parametrize(
-    "line", ["--video it.gif --simulation bullet", "--video it.gif --simulation kinematic", "--bag it.bag"]
-)
-def test_the_simulator_can_be_chosen(line, capsys, monkeypatch):
-    if "bag" in line:
-        pytest.importorskip("rosbags")
-    opened, open_loop = [], ControlLoop.open
-
-    def noted(scene, simulator, *arguments, **named):
-        opened.append(simulator.name)
-        return open_loop(scene, simulator, *arguments, **named)
-
-    monkeypatch.setattr(ControlLoop, "open", noted)
-    play.main(shlex.split(f"--agent random --steps 2 {line}"))
-    assert opened == ["kinematic" if "kinematic" in line else "bullet"]
-    assert "driven in" not in capsys.readouterr().out
+def test_the_simulator_can_be_chosen(monkeypatch):
+    opened = Mock(wraps=ControlLoop.open)
+    monkeypatch.setattr(ControlLoop, "open", opened)
+    play.main(shlex.split("--agent random --steps 2 --video it.gif --simulation kinematic"))
+    assert opened.call_args.args[1].name == "kinematic"
 
 
 @pytest.mark.parametrize(("name", "bags"), [("it.bag", ["it-1.bag", "it-2.bag"]), ("it", ["it-1", "it-2"])])
 def test_each_episode_is_a_bag_of_its_own(name, bags, workdir, trained_run, capsys):
     pytest.importorskip("rosbags")
     play.main([str(trained_run), "--steps", "2", "--episodes", "2", "--bag", name])
-    *lines, first, second = capsys.readouterr().out.splitlines()
-    assert [line.split(" after")[0] for line in lines] == ["episode 1: time limit", "episode 2: time limit"]
-    assert [line.split(" (")[0] for line in (first, second)] == [f"wrote {bag}" for bag in bags]
+    written = [line.split(" (")[0] for line in capsys.readouterr().out.splitlines()[-2:]]
+    assert written == [f"wrote {bag}" for bag in bags]
     assert sorted(file.name for file in workdir.iterdir()) == bags
 
 
 @pytest.mark.parametrize(
     ("line", "named"),
     [
-        ("", ["policy", "--agent", "--teleop"]),
-        ("RUN --task wall", ["--task"]),
-        ("RUN --set task.beams=8", ["observation"]),
-        ("--agent qlearn", ["qlearn", "tb2rl.train"]),
-        (f"--agent random --video {300 * 'x'}.mp4", ["File name too long"]),
-        ("--agent random --task wall --set task.world=loop", ["world loop", "goal", "task.goal"]),
-        ("--agent random --steps 99999999999", ["episode_steps"]),
+        ("", ["policy", "--agent"]),
         ("--agent random --steps 2 --set task.episode_steps=3", ["--steps", "task.episode_steps"]),
         ("--agent random --speed 0", ["speed", "0.1"]),
         ("--agent random --camera below", ["camera", "above", "chase"]),
         ("--agent random --video it.avi", [".mp4 or .gif", "it.avi"]),
         ("--agent random --video missing/it.mp4", ["missing/it.mp4", "folder"]),
-        ("--agent random --video folder.mp4", ["folder.mp4", "folder"]),
-        ("--agent random --bag it.mcap", [".bag", "folder", "it.mcap"]),
-        ("--agent random --bag missing/it", ["missing/it", "folder"]),
-        ("--agent random --bag folder.bag", ["folder.bag", "exists already"]),
+        ("--agent random --bag folder.bag", ["folder.bag"]),
         ("--agent random --bag it --video it.mp4", ["--video", "--bag", "--seed"]),
         ("--agent random --simulation ros", ["--video", "rosbag"]),
         ("--agent random --simulation ros --video it.mp4 --mounting 1,2", ["--mounting", "x,y,yaw", "'1,2'"]),
-        ("--agent random --ros 2", ["--ros", "--simulation ros"]),
-        ("--teleop --simulation ros", ["--teleop", "ros"]),
-        ("--agent random --simulation gazebo", ["unknown simulator 'gazebo'", "kinematic"]),
         ("--teleop --video it.mp4", ["--video", "--teleop"]),
         ("--teleop", ["terminal"]),
     ],
 )
-def test_play_says_what_is_wrong(line, named, workdir, trained_run, refused):
-    (workdir / "folder.mp4").mkdir()
+def test_play_says_what_is_wrong(line, named, workdir, refused):
     (workdir / "folder.bag").mkdir()
-    refused(play.main, line.replace("RUN", str(trained_run)), named)
+    refused(play.main, line, named)
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_while_it_films_leaves_no_part_of_the_film(name, workdir, monkeypatch):
-    number, frames = getattr(signal, name), iter(range(1000))
+def test_a_signal_while_it_films_leaves_no_part_of_the_film(workdir, monkeypatch):
+    number, frames = signal.SIGTERM, iter(range(1000))
     before, add_caption = signal.getsignal(number), film.add_caption
 
     def interrupted(*arguments):

@@ -1,32 +1,28 @@
 """Worker processes start from a clean server, without the user's script, and end with their parent."""
 
-from __future__ import annotations
-
 import multiprocessing
 import multiprocessing.spawn
-import os
 import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
-from tb2rl.core.processes import main_hidden, process_context
+from tb2rl.core.processes import hide_main_script
 
 KILLED = """
 import os, signal
 from concurrent.futures import ProcessPoolExecutor
-from tb2rl.core.processes import end_with_parent, main_hidden, process_context
-with main_hidden():
+from tb2rl.core.processes import end_with_parent, hide_main_script, process_context
+with hide_main_script():
     pool = ProcessPoolExecutor(1, process_context(), initializer=end_with_parent)
     print(pool.submit(os.getpid).result(), flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 EARLY = """
 import os, signal, threading, time
-from tb2rl.core.processes import main_hidden, process_context
+from tb2rl.core.processes import hide_main_script, process_context
 
 def interrupt():
     for _ in range(30):
@@ -35,16 +31,11 @@ def interrupt():
 
 signal.signal(signal.SIGINT, lambda *_: None)
 threading.Thread(target=interrupt).start()
-with main_hidden():
+with hide_main_script():
     process = process_context().Process(target=os.getpid)
     process.start()
 process.join()
 """
-
-
-def test_only_linux_uses_a_fork_server(monkeypatch):
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert process_context().get_start_method() == "spawn"
 
 
 def test_the_users_script_is_hidden_from_new_processes_only(monkeypatch):
@@ -55,7 +46,7 @@ def test_the_users_script_is_hidden_from_new_processes_only(monkeypatch):
     def scripts():
         return [key for key in multiprocessing.spawn.get_preparation_data("one") if key.startswith("init_main")]
 
-    with ThreadPoolExecutor(1) as other, main_hidden():
+    with ThreadPoolExecutor(1) as other, hide_main_script():
         assert scripts() == []
         assert (main.__file__, other.submit(scripts).result()) == ("/home/ada/script.py", ["init_main_from_path"])
     assert scripts() == ["init_main_from_path"]
@@ -71,11 +62,7 @@ def test_processes_of_a_pool_end_when_their_parent_is_killed():
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is no server")
-def test_an_early_ctrl_c_does_not_end_the_fork_server(tmp_path):
-    (tmp_path / "early.py").write_text(EARLY)
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
-    words = [sys.executable, str(tmp_path / "early.py")]
-    done = subprocess.run(
-        words, env=env, capture_output=True, text=True, check=False, start_new_session=True, timeout=60
-    )
+def test_an_early_ctrl_c_does_not_end_the_fork_server():
+    command = [sys.executable, "-c", EARLY]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, start_new_session=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")

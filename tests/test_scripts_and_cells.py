@@ -1,8 +1,5 @@
 """Classes of a script or a notebook's cell are trained with, and loaded where they are still defined."""
 
-from __future__ import annotations
-
-import shutil
 import subprocess
 import sys
 import warnings
@@ -14,7 +11,7 @@ import pytest
 from tb2rl import load, train
 from tb2rl.core.errors import InputError
 from tb2rl.core.plugins import import_object
-from tb2rl.runs.layers import resolve
+from tb2rl.runs.config import resolve
 
 QUICKSTART = Path(__file__).parent.parent / "zoo" / "quickstart.ipynb"
 MINE = """
@@ -39,16 +36,11 @@ MINE = """
         def sensors(self, spec):
             return (*super().sensors(spec), Speed())
 
-        def outcome(self, before, action, after):
-            outcome = super().outcome(before, action, after)
-            outcome.reward[:] = self.hurry * after.twist[:, 0]
-            return outcome
-
     class Mine(A2C):
         pass
     """
 USED = """
-    few = dict(n_envs=2, simulation="SIMULATION", total_timesteps=32, eval_freq=32, eval_episodes=2, eval_steps=5)
+    few = dict(n_envs=2, simulation="bullet", total_timesteps=32, eval_freq=32, eval_episodes=2, eval_steps=5)
     settings = {"agent.n_steps": 8, "task.beams": 9}
     trained = tb2rl.train(Mine, Hurry, folder="run", settings=settings, **few)
     policy = tb2rl.load("run")
@@ -62,21 +54,10 @@ USED = """
 SAYS = "names __main__:Mine __main__:Hurry"
 
 
-def run_notebook(notebook, folder: Path) -> None:
-    """Run all cells of a notebook, or of its file, in a folder."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of Jupyter's own packages
-        from nbclient import NotebookClient
-
-        NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(folder)}}).execute()
-
-
-def elsewhere(run: Path) -> str:
-    """The message of loading a run in a program without its classes."""
-    with pytest.raises(InputError) as refused:
+def assert_needs_a_file(run: Path) -> None:
+    """A program without the classes of a run cannot load it, and says what to do."""
+    with pytest.raises(InputError, match=r"^[^\n]*save Mine of [^\n]* in a file, and use the reference module:Mine$"):
         load(run)
-    assert "\n" not in str(refused.value)
-    return str(refused.value)
 
 
 def test_classes_of_main_are_trained_with(tmp_path, monkeypatch):
@@ -89,49 +70,39 @@ def test_classes_of_main_are_trained_with(tmp_path, monkeypatch):
     assert type(load(tmp_path / "run")) is type(trained) is defined["Mine"]
     assert type(trained.trained_with.task) is defined["Hurry"]
     monkeypatch.undo()
-    assert "save __main__:Mine in a file, and name it module:Mine" in elsewhere(tmp_path / "run")
+    assert_needs_a_file(tmp_path / "run")
 
 
 @pytest.mark.slow
 def test_a_script_trains_with_its_own_classes_in_processes(tmp_path):
-    code = dedent(MINE) + dedent(USED).replace("SIMULATION", "bullet")
-    (tmp_path / "script.py").write_text(code)  # without a guard against being run again
+    (tmp_path / "script.py").write_text(dedent(MINE) + dedent(USED))  # without a guard against being run again
     command = [sys.executable, "-W", "ignore", "script.py"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100)
     assert (done.returncode, done.stdout.splitlines()[-1:]) == (0, [SAYS]), done.stderr
-    assert "in a file" in elsewhere(tmp_path / "run")
+    assert_needs_a_file(tmp_path / "run")
 
 
 @pytest.mark.slow
-def test_a_notebook_trains_with_the_classes_of_its_cells(tmp_path):
-    nbformat = pytest.importorskip("nbformat.v4")
-    cells = [nbformat.new_code_cell(dedent(part)) for part in (MINE, USED.replace("SIMULATION", "kinematic"))]
-    notebook = nbformat.new_notebook(cells=cells)
-    run_notebook(notebook, tmp_path)
-    printed = [output["text"] for output in notebook.cells[1].outputs if output.get("name") == "stdout"]
-    assert SAYS in "".join(printed)
-    assert "in a file" in elsewhere(tmp_path / "run")
-
-
-@pytest.mark.slow
-def test_the_quickstart_runs_from_top_to_bottom(tmp_path):
+def test_the_quickstart_runs_from_top_to_bottom_and_trains_with_the_task_of_its_cell(tmp_path):
     nbformat = pytest.importorskip("nbformat")
-    shutil.copy(QUICKSTART, tmp_path)
-    notebook = nbformat.read(tmp_path / QUICKSTART.name, as_version=4)
-    run_notebook(notebook, tmp_path)
+    notebook = nbformat.read(QUICKSTART, as_version=4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of Jupyter's own packages
+        from nbclient import NotebookClient
+
+        NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
     shown = [set(output.get("data", ())) for cell in notebook.cells for output in cell.get("outputs", ())]
     assert sum("image/png" in kinds for kinds in shown) == 3, "the robot, the curve, the paths of one's own task"
     assert (tmp_path / "drive.mp4").stat().st_size > 50_000
     assert len(list(tmp_path.glob("runs/quickstart/*/best/policy.safetensors"))) == 2
 
 
-@pytest.mark.parametrize("name", ["Nothing", "run", "__getattr__", ""])
-def test_only_existing_classes_of_main_are_found_and_nothing_is_run(name, monkeypatch):
-    main = sys.modules["__main__"]
+def test_only_existing_classes_of_main_are_found_and_nothing_is_run(monkeypatch):
     for function in ("run", "__getattr__"):
-        monkeypatch.setattr(main, function, lambda *_: pytest.fail("it was run"), raising=False)
-    with pytest.raises(InputError, match="cannot import '__main__:"):
-        import_object(f"__main__:{name}")
+        monkeypatch.setattr(sys.modules["__main__"], function, lambda *_: pytest.fail("it was run"), raising=False)
+    for name in ("Nothing", "run", "__getattr__", ""):
+        with pytest.raises(InputError, match="cannot import '__main__:"):
+            import_object(f"__main__:{name}")
 
 
 def test_a_class_whose_reference_means_another_one_is_refused():

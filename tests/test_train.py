@@ -1,10 +1,9 @@
 """The command `train`: its output, its files, seeds, resuming."""
 
-from __future__ import annotations
-
 import json
 import re
 from contextlib import nullcontext
+from functools import partial
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -14,7 +13,7 @@ from tb2rl import load
 from tb2rl.core.errors import InputError
 from tb2rl.training.statistics import tutorial_scores
 
-train_command, seeds_command = import_module("tb2rl.commands.train"), import_module("tb2rl.commands.seeds")
+work = import_module("tb2rl.commands.train")
 command = import_module("tb2rl.train")  # `from tb2rl import train` is the function
 BARE = ["--n-envs", "1", "--eval-freq", "0", "--simulation", "kinematic"]
 
@@ -26,9 +25,8 @@ def folder(workdir):
 
 
 def test_it_leaves_the_standard_evaluation_in_the_run_folder(folder, monkeypatch, capsys):
-    evaluate = train_command.evaluate
-    short = {"episodes": 3, "steps": 20, "workers": 1}
-    monkeypatch.setattr(train_command, "evaluate", lambda policy, **more: evaluate(policy, **short, **more))
+    short = partial(work.evaluate, episodes=3, steps=20, workers=1)
+    monkeypatch.setattr(work, "evaluate", short)
     command.main(["--name", "it", "--total-timesteps", "16", *BARE])
     written = json.loads((folder / "evaluation.json").read_text())
     assert (written["episodes"], written["steps"], len(written["each"])) == (3, 20, 3)
@@ -44,9 +42,8 @@ def test_verbose_prints_the_tutorials_lines_and_scores(folder, capsys):
     out = capsys.readouterr().out
     line = r"EP: (\d+) - \[alpha: 0.1 - gamma: 0.7 - epsilon: ([\d.]+)\] - Reward: (-?\d+) - Steps: (\d+) - Time: 0:00:"
     lines = re.findall(rf"^{line}\d\d$", out, re.MULTILINE)
-    assert [(int(number), float(epsilon)) for number, epsilon, _, _ in lines] == [
-        (number, pytest.approx(0.9 * 0.999**number, abs=1e-4)) for number in (1, 2, 3)
-    ]
+    assert [int(number) for number, *_ in lines] == [1, 2, 3]
+    assert [float(epsilon) for _, epsilon, *_ in lines] == pytest.approx([0.9 * 0.999**n for n in (1, 2, 3)], abs=1e-4)
     lengths = [int(steps) for *_, steps in lines]
     assert [int(total) for _, _, total, _ in lines] == [pytest.approx(-200, abs=5 * steps) for steps in lengths]
     assert out.splitlines()[-1] == tutorial_scores(lengths)
@@ -58,8 +55,8 @@ def test_a_run_is_resumed_with_nothing_but_more_steps(folder, capsys, refused):
     command.main(["--resume", str(folder), "--total-timesteps", "128", "--no-evaluation"])
     assert f"resuming {folder}" in capsys.readouterr().out
     assert load(folder).num_timesteps == 128
-    for more in (["--agent", "dqn"], ["--set", "agent.gamma=0.5"], ["--seed", "1"], ["--name", "it"]):
-        refused(command.main, ["--resume", str(folder), *more], ["only --total-timesteps can be raised"])
+    for more in ("--agent dqn", "--set agent.gamma=0.5", "--seed 0"):
+        refused(command.main, f"--resume {folder} {more}", [more.split()[0], "can only raise --total-timesteps"])
 
 
 class InThisProcess(nullcontext):
@@ -73,11 +70,11 @@ class InThisProcess(nullcontext):
 
 def test_several_seeds_are_trained_evaluated_and_summed_up(folder, monkeypatch, capsys):
     rates = iter([1.0, 0.5, 0.96])
-    evaluation = SimpleNamespace(task=SimpleNamespace(world="loop"), tree=lambda *_: ({}, {}))
-    monkeypatch.setattr(seeds_command, "evaluate", lambda *_, **__: evaluation)
+    evaluation = SimpleNamespace(task=SimpleNamespace(world="loop"), serialize=lambda *_: ({}, {}))
+    monkeypatch.setattr(work, "evaluate", lambda *_, **__: evaluation)
     summary = {"mean_distance": 10.0}
-    monkeypatch.setattr(seeds_command, "print_evaluation", lambda *_: {**summary, "success_rate": next(rates)})
-    monkeypatch.setattr(train_command, "make_executor", lambda options: InThisProcess())
+    monkeypatch.setattr(work, "print_evaluation", lambda *_: {**summary, "success_rate": next(rates)})
+    monkeypatch.setattr(work, "make_executor", lambda options: InThisProcess())
     command.main(["--seeds", "3..5", "--name", "it", "--total-timesteps", "8", *BARE])
     assert [load(folder / f"seed-{seed}").seed for seed in (3, 4, 5)] == [3, 4, 5]
     assert "trained 8 steps" in (folder / "seed-3" / "log.txt").read_text()
@@ -89,12 +86,8 @@ def test_several_seeds_are_trained_evaluated_and_summed_up(folder, monkeypatch, 
     assert "failed (success below 95 %): 1 of 3: 4" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("text", "seeds"), [("0..4", [0, 1, 2, 3, 4]), ("7", [7]), ("3,1", [3, 1]), ("2..2", [2])])
-def test_seeds_are_parsed(text, seeds):
-    assert train_command.parse_seeds(text) == seeds
-
-
-@pytest.mark.parametrize("text", ["", "4..2", "1,1", "-1", "a", "0..", "0..99999"])
-def test_other_text_is_no_seeds(text):
-    with pytest.raises(InputError, match=r"0\.\.4"):
-        train_command.parse_seeds(text)
+def test_seeds_are_parsed():
+    assert [work.parse_seeds(text) for text in ("0..4", "7", "3,1")] == [[0, 1, 2, 3, 4], [7], [3, 1]]
+    for text in ("", "4..2", "1,1", "-1", "0..", "0..99999"):
+        with pytest.raises(InputError, match=r"0\.\.4"):
+            work.parse_seeds(text)

@@ -1,58 +1,49 @@
-"""Keeps the zoo: trains, checks and shares policies, writes cards.
+"""Build, check and share the trained policies of the zoo.
 
-    python -m tb2rl.zoo build                          # what is not there yet as its recipe says, all cards, the table
-    python -m tb2rl.zoo build maze-loop-dqn --again    # from scratch
-    python -m tb2rl.zoo build --barn PATH              # drives BARN's worlds from there, too
-    python -m tb2rl.zoo build --on ray                 # trained and driven by Ray, here or on a cluster
+    python -m tb2rl.zoo build                          # trains missing and outdated policies, writes all pages
+    python -m tb2rl.zoo build maze-loop-dqn --again    # trains an existing policy again
+    python -m tb2rl.zoo build --barn PATH              # also evaluates in BARN's worlds
+    python -m tb2rl.zoo build --on ray                 # trains and evaluates with Ray, here or on a cluster
     python -m tb2rl.zoo check [NAME ...]
-    python -m tb2rl.zoo push NAME user/repository      # puts one, or a run folder, on the hub of Hugging Face
+    python -m tb2rl.zoo push NAME user/repository      # uploads a policy or a run folder to the Hugging Face hub
 
-`recipes.yaml` holds the recipes: for each policy the arguments of `python -m tb2rl.train`. It is trained in `runs`, as
-any other; what the zoo takes of the run folder gets a card (README.md), a picture of its paths, and what it does in
-worlds that it never saw (elsewhere.json). One that navigates is driven through suites instead, as are the agents in
-`suites.yaml`, which do not learn; their results are in `suites`. `check` evaluates policies in their own worlds again,
-to see whether the cards and the table of all hold.
+`recipes.yaml` has the arguments of `python -m tb2rl.train` for each policy. Trainings write to `runs`. The zoo copies
+the policies and evaluations from there, and adds a card (README.md), a picture of paths, and evaluations in unseen
+worlds (unseen_worlds.json).
 
-`push` uploads safetensors, JSON, a picture and a card; `hf:user/repository` then stands for the policy everywhere. It
-uses the token of `hf auth login`, or that in HF_TOKEN.
+Policies for task `navigate` are evaluated in suites instead of unseen worlds. `suites.yaml` lists further policies for
+this comparison, mostly agents that do not learn. The folder `suites` has the results.
+
+`check` repeats the standard evaluations and compares the results with the cards.
+
+`push` uploads safetensors, JSON, a picture and a card. Every command then accepts the policy as `hf:user/repository`.
+The upload uses the token of `hf auth login` or of HF_TOKEN.
 """
 
-from __future__ import annotations
-
-import argparse
 from pathlib import Path
 
-from tb2rl.core.errors import ArgumentParser, command
+from tb2rl.core.command import ArgumentParser, command
 from tb2rl.execution.arguments import add_executor_arguments
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """The command line."""
-    parser = ArgumentParser(prog="python -m tb2rl.zoo", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=("build", "check", "push"))
-    parser.add_argument(
-        "names",
-        nargs="*",
-        metavar="NAME",
-        help="policies, or agents of suites.yaml (default: all); push: a policy or a run folder, and user/repository",
-    )
-    parser.add_argument("--again", action="store_true", help="build: train and drive anew what is there, too")
-    parser.add_argument("--barn", type=Path, metavar="PATH", help="build: drive BARN's worlds from here, too")
-    parser.add_argument("--episodes", type=int, help="check: of the standard evaluation, the first (default: all)")
-    add_executor_arguments(parser)
-    parser.add_argument("--private", action="store_true", help="push: a new repository is for your eyes only")
-    return parser.parse_args(arguments)
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Build the zoo or check it (status 1 if a card does not hold), or share a policy."""
-    options = parse(arguments)
-    if options.what == "push":  # only now: they import what takes seconds
-        from tb2rl.zoo.sharing import run
-    else:
-        from tb2rl.zoo.maintenance import run
-    run(options)
+@command("zoo")
+def main(parser: ArgumentParser) -> None:
+    """Build, check or push policies; exit with status 1 if a check finds problems."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="build | check | push")
+    build = commands.add_parser("build", help="train and evaluate what is missing, and write all pages")
+    build.add_argument("--again", action="store_true", help="train and evaluate existing policies again")
+    build.add_argument("--barn", type=Path, metavar="PATH", help="also evaluate in the BARN worlds of this path")
+    add_executor_arguments(build)
+    check = commands.add_parser("check", help="repeat the standard evaluations, and compare them with the cards")
+    check.add_argument("--episodes", type=int, help="number of episodes to repeat (default: all)")
+    for sub in (build, check):
+        sub.add_argument("names", nargs="*", metavar="NAME", help="names in recipes.yaml or suites.yaml (default: all)")
+    push = commands.add_parser("push", help="upload a policy to the Hugging Face hub")
+    push.add_argument("name", metavar="NAME", help="a policy of the zoo, or a run folder")
+    push.add_argument("repository", metavar="user/repository", help="created if it does not exist")
+    push.add_argument("--private", action="store_true", help="make a new repository private")
+    for sub, run in ((build, "maintenance:build"), (check, "maintenance:check"), (push, "sharing:push")):
+        sub.set_defaults(run=f"tb2rl.zoo.{run}")
 
 
 if __name__ == "__main__":

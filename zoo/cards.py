@@ -1,89 +1,54 @@
-"""What the zoo says of its policies: a card for each, and tables of all."""
+"""Pages of the zoo: a card for each policy, and tables of all policies."""
 
-from __future__ import annotations
-
+from collections import defaultdict
 from collections.abc import Sequence
-from itertools import groupby
 from pathlib import Path
 
 import jinja2
 
-from tb2rl.zoo import results
-from tb2rl.zoo.entry import WORLDS, Entry, other_suite_policies, suite_policies_of
-
-_STARTS_NAMED = 5  # failed episodes on a card
+from tb2rl.worlds.suites import SUITES
+from tb2rl.zoo.entry import WORLDS, Entry, listed_suite_policies, navigating_policies
 
 
 def card(entry: Entry) -> str:
-    """The text of a policy's card."""
-    driven = entry.suite_policy.summaries if entry.navigates else []
-    lines = {"shortfalls": _shortfalls(entry), "failures": [*_failures(entry), *results.failures(driven)]}
-    return template("card.md.jinja").render(entry=entry, summaries=driven, results=results, **lines)
+    """Card (README) of a policy."""
+    summaries = entry.suite_policy.summaries if entry.navigates else []
+    return template("card.md.jinja").render(entry=entry, summaries=summaries)
 
 
-def table(built: Sequence[Entry]) -> str:
-    """The text of the zoo's README: the results of all policies, in each other's worlds and in suites, too."""
-    suites = results.by_suite([*suite_policies_of(built), *other_suite_policies()])
-    return template("table.md.jinja").render(entries=built, worlds=WORLDS, suites=suites, results=results)
+def table(built_entries: Sequence[Entry]) -> str:
+    """README of the zoo: results of all policies in their own worlds, in unseen worlds and in suites."""
+    results = defaultdict(list)  # separate tables for suites of the same name with different worlds
+    for policy in (*navigating_policies(built_entries), *listed_suite_policies()):
+        for summary in policy.summaries:
+            results[SUITES.index(summary.suite), summary.suite_digest].append((policy, summary))
+    suites = [results[key] for key in sorted(results)]
+    return template("table.md.jinja").render(entries=built_entries, worlds=WORLDS, suites=suites)
 
 
-def overview(built: Sequence[Entry]) -> str:
-    """The table of the project's README: a row for each task and world, a column for each agent."""
-    agents = list(dict.fromkeys(entry.config.agent_name for entry in built))
-    lines = ["| task, world | " + " | ".join(f"`{agent}`" for agent in agents) + " |", "|---" * (len(agents) + 1) + "|"]
-    for place, there in groupby(built, key=_place):
-        cells = {
-            entry.config.agent_name: f"{percent(entry.good_rate)}, {entry.figures['mean_speed']:.2f} m/s"
-            for entry in there
-        }
-        lines.append("| " + " | ".join([f"`{', '.join(place)}`", *(cells.get(agent, "") for agent in agents)]) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def _place(entry: Entry) -> tuple[str, ...]:
-    """The task, the world, and the conditions if there are some."""
-    return tuple(filter(None, (entry.config.task_name, entry.place, entry.conditions)))
-
-
-def percent(share: float) -> str:
-    """0.994 as 99 %."""
-    return f"{100 * share:.0f} %"
-
-
-def _spaced(number: int) -> str:
-    return f"{number:,}".replace(",", " ")
+def overview(built_entries: Sequence[Entry]) -> str:
+    """Table of the project's README: a row for each combination of task, world and conditions, a column per agent."""
+    rows = defaultdict[str, dict[str, Entry]](dict)
+    for entry in built_entries:
+        title = filter(None, (entry.config.task_name, entry.config.scene.worlds_title, entry.conditions))
+        rows[", ".join(title)][entry.config.agent_name] = entry
+    agents = dict.fromkeys(entry.config.agent_name for entry in built_entries)
+    return template("overview.md.jinja").render(rows=rows, agents=agents)
 
 
 def template(name: str) -> jinja2.Template:
-    """A template that stands beside this module."""
+    """Load a template of this folder."""
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
     env = jinja2.Environment(loader=loader, trim_blocks=True, undefined=jinja2.StrictUndefined)
-    env.filters.update(percent=percent, interval=results.interval, spaced=_spaced)
+    env.filters.update(percent=percent, interval=_interval, spaced=lambda number: f"{number:,}".replace(",", " "))
     return env.get_template(name)
 
 
-def _shortfalls(entry: Entry) -> list[str]:
-    """In what a policy is less than the zoo promises, in sentences."""
-    speed, lines = entry.speed_share, []
-    if entry.good_rate < entry.promised:
-        lines.append(
-            f"{percent(entry.good_rate)} of its episodes are good, the zoo promises {percent(entry.promised)}."
-        )
-    if speed < entry.promised_speed:
-        promised = percent(entry.promised_speed)
-        lines.append(f"it drives at {percent(speed)} of the fastest command's speed, the zoo promises {promised}.")
-    return lines
+def percent(rate: float, decimals: int = 0) -> str:
+    """Format 0.994 as "99 %"."""
+    return f"{100 * rate:.{decimals}f} %"
 
 
-def _failures(entry: Entry) -> list[str]:
-    """What a policy fails at, in its own world and in those that it never saw."""
-    failed = [episode for episode in entry.figures["each"] if not episode["success"]]
-    lines = [f"In its own world: {len(failed)} of {entry.figures['episodes']} episodes."]
-    for episode in failed[:_STARTS_NAMED]:
-        x, y, yaw = episode["start"]
-        lines.append(f"{episode['ended']} after {episode['length']} steps from ({x:.2f} m, {y:.2f} m, {yaw:.2f} rad)")
-    for world, figures in entry.elsewhere.items():
-        endings = ", ".join(f"{ended} {count}" for ended, count in figures["endings"].items())
-        failing, speed = percent(1 - figures[f"{entry.good}_rate"]), figures["mean_speed"]
-        lines.append(f"In `{world}`, which it never saw: {failing} of the episodes ({endings}), at {speed:.2f} m/s.")
-    return lines
+def _interval(bounds: Sequence[float]) -> str:
+    """Format (0.963, 1.0) as "96.3 to 100.0 %"."""
+    return f"{100 * bounds[0]:.1f} to {100 * bounds[1]:.1f} %"

@@ -1,65 +1,84 @@
 """The commands `build` and `check` of the zoo."""
 
-from __future__ import annotations
-
 import argparse
 import os
 
-from tb2rl.core.errors import InputError
-from tb2rl.core.files import read_text, write_text
-from tb2rl.evaluation.evaluator import EPISODES
+from tb2rl.core import InputError, read_text, write_text
+from tb2rl.evaluation.evaluate import EPISODES, evaluate
 from tb2rl.evaluation.progress import progress, say
-from tb2rl.execution.arguments import executor_arguments, make_executor
-from tb2rl.simulation import default_physics
-from tb2rl.worlds.suites import find_suite
-from tb2rl.zoo.building import build
-from tb2rl.zoo.cards import card, table
-from tb2rl.zoo.checking import check
-from tb2rl.zoo.entry import UNSEEN, entries, select, suite_policies_of, suites_folder, zoo_folder
+from tb2rl.evaluation.statistics import wilson_interval
+from tb2rl.execution.arguments import make_executor
+from tb2rl.simulation.simulator import default_physics
+from tb2rl.worlds.suites import SUITES, find_suite
+from tb2rl.zoo.building import evaluate_in_unseen_worlds, train
+from tb2rl.zoo.cards import card, percent, table
+from tb2rl.zoo.entry import UNSEEN, Entry, entries, navigating_policies, select, suites_folder, zoo_folder
 from tb2rl.zoo.suite_policies import stale_results
 
-
-def run(options: argparse.Namespace) -> None:
-    """Build the zoo or check it; status 1 if a card does not hold."""
-    default_physics().check("the zoo, whose cards are of PyBullet,")
-    if options.what == "build":
-        _build(options)
-    elif not _check(options.names, EPISODES if options.episodes is None else options.episodes):
-        raise SystemExit(1)
+_PYBULLET_USER = "the zoo, whose evaluations use PyBullet,"  # subject of the message if PyBullet is missing
+_SPEED_TOLERANCE = 0.02  # relative difference of mean speeds between machines
 
 
-def _build(options: argparse.Namespace) -> None:
-    """Build entries, drive through suites, then write the cards and the table of all entries."""
-    chosen, _ = select(options.names)
+def build(options: argparse.Namespace) -> None:
+    """Build entries, evaluate in suites, then write the cards and the README of all entries."""
+    default_physics().check(_PYBULLET_USER)
+    selected, _ = select(options.names)
     if not os.access(zoo_folder(), os.W_OK):
         raise InputError(f"the zoo's folder {zoo_folder()} is not writable")
-    barn = [] if options.barn is None else [find_suite("barn", options.barn)]  # an unreadable file fails at once
+    # The BARN worlds are opened before the long training, because the path may be wrong.
+    barn = [] if options.barn is None else [find_suite("barn", options.barn)]
     with make_executor(options) as executor:
-        build(chosen, options.again, executor)
-    chosen, others = select(options.names)  # read again, because some may be new now
-    drivers = [*suite_policies_of(chosen), *others]
-    for suite in [find_suite(UNSEEN), *barn] if drivers else []:
-        for driver in drivers:
-            driver.drive(suite, options.again, executor_arguments(options))
-    built = [entry for entry in entries() if entry.is_built]
-    for entry in built:
+        train(selected, options.again, executor)
+        selected, listed_policies = select(options.names)  # new objects, because entries cache their files
+        evaluate_in_unseen_worlds(selected, executor)
+    policies = [*navigating_policies(selected), *listed_policies]
+    for suite in [find_suite(UNSEEN), *barn] if policies else []:
+        for policy in policies:
+            policy.evaluate_in(suite, options)
+    built_entries = [entry for entry in entries() if entry.is_built]
+    for entry in built_entries:
         write_text(entry.folder / "README.md", card(entry))
-    write_text(zoo_folder() / "README.md", table(built))
+    write_text(zoo_folder() / "README.md", table(built_entries))
 
 
-def _check(names: list[str], episodes: int) -> bool:
-    """Check entries and results of suites, and the table if these are all; whether everything holds."""
-    chosen, others = select(names)
-    if not 1 <= episodes <= EPISODES:
-        raise InputError(f"--episodes must be from 1 to {EPISODES}, got {episodes}")
-    wrong = [line for entry in progress(chosen, "checking", "policy") for line in check(entry, episodes)]
-    drivers = [*suite_policies_of(chosen), *others]
-    files = [file for driver in drivers for file in driver.files] if names else list(suites_folder().glob("*"))
-    wrong += stale_results(files, drivers)
-    if not names and read_text(zoo_folder() / "README.md") != table(chosen):
-        wrong.append("the table in README.md is not what the files say")
-    for line in wrong:
+def check(options: argparse.Namespace) -> None:
+    """Check cards and suite results, without names also the README; exit with status 1 if there are problems."""
+    default_physics().check(_PYBULLET_USER)
+    names, num_episodes = options.names, EPISODES if options.episodes is None else options.episodes
+    selected, listed_policies = select(names)
+    if not 1 <= num_episodes <= EPISODES:
+        raise InputError(f"--episodes must be from 1 to {EPISODES}, got {num_episodes}")
+    problems = [line for entry in progress(selected, "checking", "policy") for line in _problems(entry, num_episodes)]
+    policies = [*navigating_policies(selected), *listed_policies]
+    files = [policy.file(suite) for policy in policies for suite in SUITES] if names else suites_folder().glob("*")
+    files = [file for file in files if file.is_file()]
+    problems += stale_results(files, policies)
+    if not names and read_text(zoo_folder() / "README.md") != table(selected):
+        problems.append("README.md differs from the files")
+    for line in problems:
         say(line)
-    if not wrong:
-        print(f"{len(chosen)} cards hold" + (f", and {len(files)} results of suites" if files else ""))
-    return not wrong
+    if problems:
+        raise SystemExit(1)
+    print(f"{len(selected)} cards hold" + (f", and {len(files)} results of suites" if files else ""))
+
+
+def _problems(entry: Entry, num_episodes: int) -> list[str]:
+    """Repeat the first episodes of an entry's standard evaluation, and compare the results with the files."""
+    summary = evaluate(entry.folder, episodes=num_episodes, progress=True).summary()
+    rate, speed = summary[f"{entry.criterion}_rate"], summary["mean_speed"]
+    say(f"{entry.name}: {percent(rate)} good episodes, {speed:.3f} m/s")
+    earlier_episodes = entry.summary["each"][:num_episodes]
+    good = sum(item["success"] if entry.criterion == "success" else not item["failed"] for item in earlier_episodes)
+    low, _ = wilson_interval(good, len(earlier_episodes))
+    distance, length = (sum(episode[name] for episode in earlier_episodes) for name in ("distance", "length"))
+    speed_before = distance / (length * entry.config.task.control_period)
+    problems = []
+    if not entry.matches_recipe:
+        problems.append("it was not trained by its present recipe")
+    if read_text(entry.folder / "README.md") != card(entry):
+        problems.append("its card differs from its files")
+    if rate < low:
+        problems.append(f"{percent(rate)} good episodes, below the card's interval from {percent(low, 1)}")
+    if speed < (1 - _SPEED_TOLERANCE) * speed_before:
+        problems.append(f"{speed:.3f} m/s, {speed_before:.3f} m/s when the card was written")
+    return [f"{entry.name}: {problem}" for problem in problems]

@@ -1,5 +1,5 @@
-"""What the commands do once their arguments are parsed: each has a module of the same name in `tb2rl/`, and one here.
+"""Implementations of the commands.
 
-The ones in `tb2rl/` import nothing heavy, so that `--help` and the list of commands are there at once. A command calls
-functions and prints. Imported from here: everything below the commands.
+`tb2rl/NAME.py` defines the arguments of a command, and imports nothing slow, so that `--help` responds at once.
+`tb2rl/commands/NAME.py` has the function `run`, which receives the parsed arguments.
 """

@@ -1,113 +1,201 @@
-"""The command `benchmark`: measures each part, prints a table, writes JSON; see `tb2rl.benchmark`."""
-
-from __future__ import annotations
+"""Implementation of `python -m tb2rl.benchmark`: the measurements of its four parts."""
 
 import argparse
-import json
 import platform
+import re
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
-from typing import Any
+from timeit import timeit
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
-from tb2rl.commands.output import check_output, write_json
-from tb2rl.commands.rates import Figure, measure_kinematic, measure_physics
-from tb2rl.core.agent import find_agent
-from tb2rl.core.errors import InputError, unknown
-from tb2rl.core.plugins import agent_names
+from tb2rl.core import agent_names, check_output, find_agent, unknown, write_json
 from tb2rl.core.processes import processors
-from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluator import PASSED
-from tb2rl.runs.folder import EVALUATIONS
-from tb2rl.runs.layers import resolve
-from tb2rl.runs.loading import load
-from tb2rl.simulation import batch_simulator, default_physics, find_simulator
-from tb2rl.training.training import Training, train_config
+from tb2rl.envs.scene import make_scene
+from tb2rl.envs.turtlebot2_env import TurtleBot2Env
+from tb2rl.envs.vec_env import TurtleBot2VecEnv
+from tb2rl.evaluation.evaluate import SOLVED_RATE, evaluate
+from tb2rl.runs import EVALUATIONS, load, read_lines, resolve
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+from tb2rl.simulation.simulator import batch_simulator, default_physics, find_simulator
+from tb2rl.tasks.wander import Wander
+from tb2rl.training.training import FinishedTraining, train_config
 
-_STEPS = 50_000  # at most, of a training in PyBullet whose rate is measured
+BEAM_COUNTS = (6, 36, 720)
+ENV_COUNTS = (1, 64, 1024, 4096)
+NUM_PARALLEL = 16  # number of environments in parallel processes, as in the presets
+_BLOCK_STEPS = 50  # control steps of a single measurement
+_MAX_PHYSICS_STEPS = 50_000  # maximum control steps of a training in PyBullet, which is slow
 
 
-def measure_training(options: argparse.Namespace) -> list[Figure]:
+class Figure(NamedTuple):
+    """One measured number."""
+
+    name: str
+    value: float
+    unit: str
+
+
+def measure_physics(options: argparse.Namespace) -> Iterator[Figure]:
+    """PyBullet: the environment step, the bare physics of this step, and environments in parallel processes."""
+    for beams in BEAM_COUNTS:
+        env = TurtleBot2Env(make_scene(Wander(beams=beams), "raw"))
+        env.reset(seed=0)
+        times = _repeat(partial(_time_physics, env, np.random.default_rng(0)), options.seconds)
+        env.close()
+        step, physics, ratio = np.median([*times.T, times[:, 0] / times[:, 1]], axis=1).tolist()
+        name = f"PyBullet, {beams} beams"
+        yield Figure(f"{name}: step", 1.0 / step, "steps/s")
+        yield Figure(f"{name}: bare stepping in it", 1e3 * physics, f"ms per {env.task.control_period} s")
+        yield Figure(f"{name}: step / bare stepping", ratio, "ratio")
+    yield from _measure_processes(options.seconds)
+
+
+def _repeat(measure: Callable[[], Sequence[float]], seconds: float) -> np.ndarray:
+    """Repeat a measurement for a time, at least three times; returns shape (repetitions, values)."""
+    rows, end = list[Sequence[float]](), time.perf_counter() + seconds
+    while time.perf_counter() < end or len(rows) < 3:
+        rows.append(measure())
+    return np.array(rows)
+
+
+def _time_physics(env: TurtleBot2Env, rng: np.random.Generator) -> tuple[float, float]:
+    """Mean times of an environment step and of its bare physics [s], for the same motion from the same state."""
+    simulator: Any = env.simulator
+    actions = rng.integers(len(env.scene.actions.names), size=_BLOCK_STEPS)
+    before, steps, done, bare_time = simulator.state(), 0, False, 0.0
+    start = time.perf_counter()
+    while steps < _BLOCK_STEPS and not done:
+        done = True in env.step(actions[steps])[2:4]  # terminated, truncated
+        steps += 1
+    total_time = time.perf_counter() - start
+    after = simulator.state()
+    simulator.restore(before)
+    simulator.set_duration(env.task.control_period)
+    for command in env.scene.actions.commands(actions[:steps]):
+        simulator.set_wheel_speeds(command[None])
+        bare_time += timeit(simulator.advance, number=1)
+    simulator.restore(after)
+    if done:
+        env.reset()
+    return total_time / steps, bare_time / steps
+
+
+def _measure_processes(seconds: float) -> Iterator[Figure]:
+    """Measure environments in parallel processes and one alone, by turns, because a machine's speed varies."""
+    parallel, single = (_make_vec_env(num_envs, "discrete", "bullet") for num_envs in (NUM_PARALLEL, 1))
+    rates = _repeat(lambda: (_measure_rate(parallel, _BLOCK_STEPS), _measure_rate(single, 4 * _BLOCK_STEPS)), seconds)
+    parallel.close()
+    single.close()
+    parallel_rate, single_rate = np.median(rates, axis=0).tolist()
+    ratio = float(np.median(rates[:, 0] / rates[:, 1])) / processors()
+    yield Figure("PyBullet, one environment alone", single_rate, "steps/s")
+    yield Figure(f"PyBullet, {NUM_PARALLEL} environments in parallel processes", parallel_rate, "steps/s")
+    yield Figure(f"PyBullet, {NUM_PARALLEL} in parallel / ({processors()} x one alone)", ratio, "ratio")
+
+
+def _make_vec_env(num_envs: int, observation: str, simulation: str, **settings: Any) -> TurtleBot2VecEnv:
+    env = TurtleBot2VecEnv(make_scene(Wander(**settings), observation), num_envs, simulation=simulation)
+    env.seed(0)
+    env.reset()
+    return env
+
+
+def _measure_rate(env: TurtleBot2VecEnv, steps: int) -> float:
+    """Rate of all environments together with random actions [steps/s]."""
+    actions, start = np.random.default_rng(0).integers(3, size=(steps, env.num_envs)), time.perf_counter()
+    for action in actions:
+        env.step(action)
+    return steps * env.num_envs / (time.perf_counter() - start)
+
+
+def measure_kinematic(options: argparse.Namespace) -> Iterator[Figure]:
+    """Kinematic simulator: the VecEnv step, and the compiled kernel alone with the same commands."""
+    for beams, num_envs in product(BEAM_COUNTS, ENV_COUNTS):
+        env, rng = _make_vec_env(num_envs, "raw", "kinematic", beams=beams), np.random.default_rng(0)
+        times = _repeat(partial(_time_kinematic, env, rng), options.seconds / 5)
+        step, kernel = np.mean(times[2:], axis=0).tolist()  # without the first two, which started the threads
+        name = f"kinematic, {num_envs} environments, {beams} beams"
+        yield Figure(f"{name}: step", num_envs / step, "steps/s")
+        yield Figure(f"{name}: step / bare kernel", step / kernel, "ratio")
+
+
+def _time_kinematic(env: TurtleBot2VecEnv, rng: np.random.Generator) -> list[float]:
+    """Times of a VecEnv step and of the kernel [s]."""
+    simulator, scene = env.loop.simulator, env.loop.scene
+    assert isinstance(simulator, KinematicSimulator)
+    action = rng.integers(len(scene.actions.names), size=env.num_envs)
+    robots = simulator.robots.for_step(scene.actions.commands(action))
+    calls = partial(env.step, action), partial(simulator.step_robots, robots, scene.task.control_period)
+    return [timeit(call, number=1) for call in calls]
+
+
+def measure_training(options: argparse.Namespace) -> Iterator[Figure]:
     """Training rate of each agent in each simulator."""
-    figures = []
-    for simulator in (default_physics(), batch_simulator()):
-        simulation = simulator.name
-        for agent in learners():
-            preset = resolve(agent, settings={"train.simulation": simulation}).train.total_timesteps
-            steps = min(preset, _STEPS) if simulator.is_physics else preset
-            training = _train(agent, simulation, 0, total_timesteps=steps, eval_freq=0, save_freq=0)
-            rate = training.timesteps / training.seconds
-            figures.append(Figure(f"training, {agent} in {simulation}", rate, "steps/s"))
-    return figures
+    for simulator, agent in product((default_physics(), batch_simulator()), learners()):
+        preset_steps = resolve(agent, settings={"train.simulation": simulator.name}).train.total_timesteps
+        steps = min(preset_steps, _MAX_PHYSICS_STEPS) if simulator.is_physics else preset_steps
+        with tempfile.TemporaryDirectory() as folder:
+            only_training = {"eval_freq": 0, "save_freq": 0}
+            training = _train(agent, folder, simulation=simulator.name, total_timesteps=steps, **only_training)
+        yield Figure(f"training, {agent} in {simulator.name}", training.timesteps / training.seconds, "steps/s")
 
 
-def measure_trained(options: argparse.Namespace) -> list[Figure]:
-    """Time of the first evaluation that passes, and the standard evaluation, of whole trainings."""
-    figures = []
-    for simulation in options.simulations:
-        for agent in learners():
-            trainings = [_measure_one_trained(agent, simulation, seed) for seed in range(options.seeds)]
-            figures += [figure for training in trainings for figure in training]
-            if options.seeds > 1:
-                name = f"{agent} in {simulation}: trained, median of {options.seeds} seeds"
-                figures.append(Figure(name, float(np.median([time.value for time, _ in trainings])), "s"))
-    return figures
-
-
-def _measure_one_trained(agent: str, simulation: str, seed: int) -> tuple[Figure, Figure]:
-    """Seconds until an evaluation passes, evaluations included (inf if none does), and the standard evaluation."""
-    with tempfile.TemporaryDirectory() as folder:
-        training = _train(agent, simulation, seed, Path(folder))
-        lines = (training.run.folder / EVALUATIONS).read_text().splitlines()
-        passed = [e["elapsed"] for e in map(json.loads, lines) if e["failure_free_rate"] >= PASSED]
-        rate = evaluate(load(training.run.folder)).summary()["failure_free_rate"]
-    name = f"{agent} in {simulation}, seed {seed}"
-    return (
-        Figure(f"{name}: trained after", min(passed, default=float("inf")), "s"),
-        Figure(f"{name}: failure-free, standard evaluation", 100 * rate, "%"),
-    )
+def measure_trained(options: argparse.Namespace) -> Iterator[Figure]:
+    """Time of training and its evaluations until one of these passes (inf: none does), and a standard evaluation."""
+    for simulation, agent in product(options.simulations, learners()):
+        seconds = list[float]()
+        for seed in range(options.seeds):
+            with tempfile.TemporaryDirectory() as folder:
+                run = _train(agent, folder, simulation=simulation, seed=seed).run
+                evaluations = read_lines(run.folder / EVALUATIONS)
+                rate = evaluate(load(run.folder)).summary()["failure_free_rate"]
+            times = [line["elapsed"] for line in evaluations if line["failure_free_rate"] >= SOLVED_RATE]
+            seconds.append(min(times, default=float("inf")))
+            name = f"{agent} in {simulation}, seed {seed}"
+            yield Figure(f"{name}: trained after", seconds[-1], "s")
+            yield Figure(f"{name}: failure-free, standard evaluation", 100 * rate, "%")
+        if options.seeds > 1:
+            name = f"{agent} in {simulation}: trained, median of {options.seeds} seeds"
+            yield Figure(name, float(np.median(seconds)), "s")
 
 
 def learners() -> list[str]:
-    """The agents that learn the default task and are installed."""
+    """Names of the agents that can learn the default task and whose libraries are installed."""
     agents = {name: find_agent(name) for name in agent_names()}
-    return [
-        name
-        for name, agent in agents.items()
-        if agent.algorithm and agent.actions != "continuous" and find_spec(agent.algorithm.partition(":")[0])
-    ]
+    algorithms = {name: agent.algorithm for name, agent in agents.items() if agent.actions != "continuous"}
+    return [name for name, algorithm in algorithms.items() if algorithm and find_spec(algorithm.partition(":")[0])]
 
 
-PARTS: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
-    "physics": lambda options: measure_physics(options.seconds),
-    "kinematic": lambda options: measure_kinematic(options.seconds),
+def _train(agent: str, folder: str, **settings: Any) -> FinishedTraining:
+    """Train, after a short warm-up training that compiles and imports everything."""
+    for name, changes in (("warm-up", {"total_timesteps": 1, "eval_freq": 0, "save_freq": 0}), ("run", {})):
+        train_settings = {f"train.{key}": value for key, value in (settings | changes).items()}
+        training = train_config(resolve(agent, settings=train_settings), Path(folder, name))
+    return training
+
+
+PARTS = {
+    "physics": measure_physics,
+    "kinematic": measure_kinematic,
     "training": measure_training,
     "trained": measure_trained,
 }
 
 
-def _train(agent: str, simulation: str, seed: int, folder: Path | None = None, **settings: Any) -> Training:
-    """Train once, after a short training that loads all code which is compiled or imported late."""
-    given = {f"train.{key}": value for key, value in {"simulation": simulation, "seed": seed, **settings}.items()}
-    config = resolve(agent, settings=given)
-    short = resolve(agent, settings={**given, "train.total_timesteps": 1, "train.eval_freq": 0, "train.save_freq": 0})
-    with tempfile.TemporaryDirectory() as scratch:
-        train_config(short, Path(scratch) / "short")
-        return train_config(config, (folder or Path(scratch)) / "run")
-
-
-def machine() -> str:
-    """The processor, the number of processors that this process may use, and the version of Python."""
+def describe_machine() -> str:
+    """Processor model, number of processors that this process may use, and Python version."""
     info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    model = models[0] if models else platform.processor()
+    match = re.search(r"model name\s*: (.*)", info.read_text()) if info.is_file() else None
+    model = match[1] if match else platform.processor()
     return f"{model}, {processors()} processors, Python {platform.python_version()}"
 
 
@@ -121,22 +209,12 @@ def run(options: argparse.Namespace) -> None:
             default_physics().check(f"part {part}")
     for simulation in options.simulations:
         find_simulator(simulation).check()
-    if not options.seconds > 0 or options.seeds < 1:
-        raise InputError(f"--seconds must be above 0 and --seeds at least 1, got {options.seconds}, {options.seeds}")
-    check_output(options.json)
-    figures = [figure for part in parts for figure in PARTS[part](options)]
-    Console().print(as_table(figures))
     if options.json:
-        write_json(options.json, {"machine": machine(), "figures": [asdict(figure) for figure in figures]})
-
-
-def as_table(figures: Sequence[Figure]) -> Table:
-    """A table with a row for each figure."""
-    table = Table(title=machine(), title_justify="left")
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    table.add_column("unit")
-    for figure in figures:
-        shown = f"{figure.value:,.2f}" if figure.value < 100 else f"{figure.value:,.0f}"
-        table.add_row(figure.name, shown, figure.unit)
-    return table
+        check_output(options.json)
+    figures = [figure for part in parts for figure in PARTS[part](options)]
+    table = Table("figure", Column("value", justify="right"), "unit", title=describe_machine(), title_justify="left")
+    for name, value, unit in figures:
+        table.add_row(name, f"{value:,.{2 if value < 100 else 0}f}", unit)
+    Console().print(table)
+    if options.json:
+        write_json(options.json, {"machine": describe_machine(), "figures": [figure._asdict() for figure in figures]})

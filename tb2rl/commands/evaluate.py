@@ -1,79 +1,116 @@
-"""The command `evaluate`: a standard or other evaluation, see `tb2rl.evaluate`."""
-
-from __future__ import annotations
+"""Implementation of `python -m tb2rl.evaluate`: evaluations by episodes, and suites."""
 
 import argparse
+from contextlib import nullcontext
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from tb2rl.commands.output import check_output, write_json
-from tb2rl.commands.policy import chosen_policy, chosen_time_limit
-from tb2rl.commands.robot import chosen_robot, robot_chosen
+from tb2rl.commands.arguments import refuse
+from tb2rl.commands.policy import chosen_policy, chosen_robot, chosen_time_limit
+from tb2rl.core import InputError, check_output, write_json
 from tb2rl.core.compiled import announce_compiling
-from tb2rl.core.errors import InputError
-from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS
-from tb2rl.evaluation.moments import LARGEST_SEED
-from tb2rl.runs.config import Config
-from tb2rl.runs.folder import Run
-from tb2rl.simulation import default_simulator
-from tb2rl.viz.table import print_evaluation
-
-_MOST_EPISODES = 100_000  # as of train.eval_episodes
+from tb2rl.core.values import build
+from tb2rl.evaluation.episodes import check_spaces
+from tb2rl.evaluation.evaluate import EPISODES, SEED, STEPS, evaluate
+from tb2rl.evaluation.progress import progress
+from tb2rl.evaluation.suites import SuiteEpisode, run_suite, suite_evaluator, suite_result, suite_scene
+from tb2rl.execution.arguments import make_executor
+from tb2rl.runs import Config, Journal, Run, parse_settings, policy_digest, versions
+from tb2rl.simulation.simulator import default_simulator
+from tb2rl.viz.table import print_evaluation, print_suite
+from tb2rl.worlds.suites import Suite, find_suite
 
 
 def run(options: argparse.Namespace) -> None:
     """Evaluate a policy, print a table, write JSON."""
     announce_compiling()
+    if options.json:
+        check_output(options.json)
+    if options.suite:
+        _evaluate_suite(options)
+    else:
+        _evaluate(options)
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    refuse(options, "needs --suite; an evaluation without a suite is too short for Ray", "on")
     robot = chosen_robot(options)
-    options.steps = chosen_time_limit(options, STEPS)
-    if options.episodes is None:
-        options.episodes = EPISODES if robot is None else 1
-    if options.seed is None:
-        options.seed = SEED
-    check(options)
+    if robot:
+        refuse(options, "is for simulations; with ROS there is one robot", "workers")
+    else:
+        refuse(options, "needs --simulation ros; in a simulator use --set task.goal=[3,2]", "goal")
+    names = [name for name in ("episodes", "seed", "workers") if getattr(options, name) is not None]
+    conditions = {name: getattr(options, name) for name in names} | {"steps": chosen_time_limit(options, STEPS)}
     policy, config = chosen_policy(options)
-    conditions = {name: getattr(options, name) for name in ("episodes", "steps", "seed")}
-    conditions |= {} if robot else {"workers": options.workers}
     evaluation = evaluate(policy, config, progress=True, simulation=robot or options.simulation, **conditions)
     name = options.agent or options.policy
-    print_evaluation(evaluation, f"{name} in {evaluation.scene.place if robot is None else 'a world with ROS'}")
-    _write(evaluation, config, name, options)
-
-
-def check(options: argparse.Namespace) -> None:
-    """Raise an `InputError` if options contradict each other or are out of range."""
-    check_shared(options)
-    if options.on is not None:
-        raise InputError("--on goes with --suite: the episodes are over before Ray has started")
-    if robot_chosen(options) and options.workers is not None:
-        raise InputError("--workers share simulated episodes among them; there is one robot with ROS")
-    if options.goal is not None and not robot_chosen(options):
-        raise InputError("--goal goes with --simulation ros; in a simulator use --set task.goal=[3,2]")
-    if not 1 <= options.episodes <= _MOST_EPISODES or options.steps < 1 or not 0 <= options.seed <= LARGEST_SEED:
-        counts = f"--episodes must be from 1 to {_MOST_EPISODES}, --steps at least 1"
-        raise InputError(f"{counts}, and --seed from 0 to {LARGEST_SEED}")
-
-
-def check_shared(options: argparse.Namespace) -> None:
-    """Raise an `InputError` for the options of every evaluation: policy, processes, result file."""
-    if (options.policy is None) == (options.agent is None):
-        raise InputError("name a policy (a run folder, a checkpoint, zoo:NAME, hf:USER/REPOSITORY) or an --agent")
-    if options.policy and options.task:
-        raise InputError("--task goes with --agent; a policy keeps the task of its training")
-    if options.workers is not None and options.workers < 1:
-        raise InputError("--workers must be at least 1")
-    check_output(options.json)
-
-
-def _write(evaluation: Evaluation, config: Config, name: str, options: argparse.Namespace) -> None:
-    """Write the evaluation to `--json`, or the standard evaluation of a run into its folder."""
-    standard = (options.episodes, options.steps, options.seed) == (EPISODES, STEPS, SEED) and not options.set
-    standard = standard and evaluation.simulation == default_simulator().name
-    tree, arrays = evaluation.tree(config, name)
+    print_evaluation(evaluation, f"{name} in {'a world with ROS' if robot else evaluation.scene.worlds_title}")
+    standard = EPISODES, STEPS, SEED, default_simulator().name
+    is_standard = (len(evaluation.episodes), evaluation.steps, evaluation.seed, evaluation.simulation) == standard
+    tree, arrays = evaluation.serialize(config, name)
     if options.json:
         write_json(options.json, tree)
-    elif options.policy and standard and Path(options.policy).is_dir():
-        Run.open(Path(options.policy), options.trust).write_evaluation(tree, arrays)
+    elif is_standard and (run_folder := _unchanged_run(options)):
+        run_folder.write_evaluation(tree, arrays)
     else:
-        print("not written: a run folder keeps its standard evaluation only; --json FILE writes any evaluation")
+        print("not written, because a run folder keeps only its standard evaluation; --json FILE writes any evaluation")
+
+
+def _unchanged_run(options: argparse.Namespace) -> Run | None:
+    """The run to evaluate, if the policy is a run folder and `--set` does not change its task."""
+    if options.set or not options.policy or not Path(options.policy).is_dir():
+        return None
+    return Run.open(Path(options.policy), options.trust)
+
+
+def _evaluate_suite(options: argparse.Namespace) -> None:
+    chosen_robot(options)  # raises an error if there are options for a robot
+    fixed_options = ("episodes", "steps", "seed", "simulation", "goal")
+    refuse(options, "cannot be combined with --suite, which defines its episodes and its simulator", *fixed_options)
+    if "task.episode_steps" in parse_settings(options.set):
+        raise InputError("task.episode_steps cannot be combined with --suite, because each suite has a time limit")
+    if len(options.suite) > 2:
+        raise InputError("--suite takes a name, and a path for barn; put the policy before --suite")
+    name, *path = options.suite
+    suite = find_suite(name, Path(*path) if path else None)
+    policy, config = chosen_policy(options)
+    scene = suite_scene(config.scene, suite)
+    check_spaces(policy, scene)
+    digest = policy_digest(options.policy, options.trust) if options.agent is None else None
+    origin: dict[str, Any] = {"policy": options.policy or f"agent {options.agent}", "policy_digest": digest}
+    run_folder = None if options.json else _unchanged_run(options)
+    file = run_folder.suite_file(suite.name) if run_folder else options.json
+    executor = make_executor(options) if options.on else None
+    with executor or nullcontext(), suite_evaluator(scene, 1 if executor else options.workers) as evaluator:
+        origin["simulation"] = evaluator.simulator.name
+        journal = _journal(file, suite, config, origin)
+        episodes = _finished_episodes(journal, len(suite.worlds))
+        new_episodes = run_suite(evaluator, policy, suite, len(episodes), executor)
+        for episode in progress(new_episodes, "evaluating", "world", total=len(suite.worlds) - len(episodes)):
+            journal.append(asdict(episode))
+            episodes.append(episode)
+        result = suite_result(suite, scene, episodes, config, **origin)
+    if file is not None:
+        write_json(file, asdict(result))
+    journal.remove()
+    print_suite(result)
+
+
+def _journal(file: Path | None, suite: Suite, config: Config, origin: dict[str, Any]) -> Journal:
+    """The journal, a file beside the result that holds the finished episodes of an interrupted suite."""
+    path = None if file is None else file.with_name(f"{file.name}.journal")
+    rules = {"name": suite.name, "digest": suite.digest, "time": suite.time_limit, "goal_radius": suite.goal_radius}
+    return Journal(path, {**origin, "suite": rules, "config": config.to_dict(), "versions": versions()})
+
+
+def _finished_episodes(journal: Journal, num_worlds: int) -> list[SuiteEpisode]:
+    """The episodes in a journal; also prints whether the suite continues."""
+    episodes = [build(SuiteEpisode, entry, str(journal.path)) for entry in journal.entries]
+    if journal.path is None:
+        print("not kept: a run folder keeps only results at the task of its training; --json FILE writes any result")
+    elif journal.mismatch is not None:
+        print(f"starting again, because {journal.path} is from another {journal.mismatch}")
+    elif episodes:
+        print(f"continuing: {len(episodes)} of {num_worlds} worlds are in {journal.path}")
+    return episodes

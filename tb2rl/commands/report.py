@@ -1,20 +1,16 @@
-"""The work of the command `tb2rl.report`: a page of runs, suite results and bags."""
-
-from __future__ import annotations
+"""Implementation of `python -m tb2rl.report`: a page of runs, suite results and bags."""
 
 import argparse
-import os
 from pathlib import Path
 
-from tb2rl.core.errors import InputError
-from tb2rl.core.files import parse_yaml, write_text
-from tb2rl.core.values import Worlds, checked
+from tb2rl.commands.arguments import refuse
+from tb2rl.commands.worlds import only_world
+from tb2rl.core import InputError, check_output, write_text
+from tb2rl.core.files import parse_yaml
 from tb2rl.deploy.bags.reading import is_bag, read_drive
 from tb2rl.deploy.bags.topics import parse_topics
-from tb2rl.envs.worlds import find_worlds
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.evaluation.reliable import Estimate
-from tb2rl.evaluation.suite_result import kept_result
+from tb2rl.evaluation.suites import SuiteResult
 from tb2rl.viz.comparison import compare, comparison_page, read_compared_runs
 from tb2rl.viz.drives import DriveSection, drive_section
 from tb2rl.viz.page import page
@@ -27,18 +23,18 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.compare:
         _compare(arguments)
         return
-    bags = [reference for reference in arguments.runs if is_bag(Path(reference))]
-    files = [reference for reference in arguments.runs if reference not in bags and Path(reference).is_file()]
-    folders = run_folders([reference for reference in arguments.runs if reference not in [*bags, *files]])
+    bags = [path for path in dict.fromkeys(map(Path, arguments.runs)) if is_bag(path)]
+    files = [path for path in map(Path, arguments.runs) if path not in bags and path.is_file()]
+    folders = run_folders([reference for reference in arguments.runs if Path(reference) not in [*bags, *files]])
     out = _page_file(arguments)
-    drives = _drive_sections(arguments, [Path(bag) for bag in dict.fromkeys(bags)])
-    results = [(file, kept_result(file)) for file in result_files(map(Path, files), folders)]
-    named = list(zip(folders, display_names(folders), strict=True))
-    bar = progress_bar(named, "reading", "run")
+    drives = _drive_sections(arguments, bags)
+    results = [(file, SuiteResult.read(file)) for file in result_files(files, folders)]
+    named_folders = list(zip(folders, display_names(folders), strict=True))
+    bar = progress_bar(named_folders, "reading", "run")
     groups = group_runs([read_run_view(folder, name, progress=True, trust=arguments.trust) for folder, name in bar])
     suites = [suite_section(file, result, progress=True) for file, result in results]
     text = page(groups, suites, drives, progress=True)
-    _write(out, text)
+    write_text(out, text)
     counts = {"run": len(folders), "suite": len(results), "drive": len(drives)}
     content = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in counts.items() if count)
     print(f"{out}: {content}, {len(text.encode()) / 1e6:.1f} MB")
@@ -46,52 +42,34 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _compare(arguments: argparse.Namespace) -> None:
     """Compare two folders of runs, print the verdicts and write the page."""
-    if len(arguments.runs) != 2 or arguments.topics or arguments.world:
-        raise InputError("--compare takes two folders of runs, without --topics and --world")
-    ones, others = ({folder.resolve() for folder in run_folders([reference])} for reference in arguments.runs)
-    if ones & others:
-        raise InputError(f"--compare takes different runs, and {min(ones & others)} is on both sides")
+    refuse(arguments, "cannot be combined with --compare", "topics", "world")
+    if len(arguments.runs) != 2:
+        raise InputError("--compare takes two folders of runs")
+    first, second = (set(run_folders([reference])) for reference in arguments.runs)
+    if first & second:
+        raise InputError(f"--compare takes two different sets of runs, but {min(first & second)} is in both")
     out = _page_file(arguments)
-    one, other = (read_compared_runs(reference, arguments.trust) for reference in arguments.runs)
-    comparisons = compare(one, other)
-    for each in comparisons:
-        print(f"{each.title}: {_percent(each.middles[0])} and {_percent(each.middles[1])}. {each.verdict}")
-    _write(out, comparison_page(one, other, comparisons))
+    first_runs, second_runs = (read_compared_runs(reference, arguments.trust) for reference in arguments.runs)
+    comparisons = compare(first_runs, second_runs)
+    for comparison in comparisons:
+        means = (f"{100 * e.value:.1f} % ({100 * e.low:.1f} to {100 * e.high:.1f} %)" for e in comparison.means)
+        print(f"{comparison.title}: {' and '.join(means)}. {comparison.verdict}")
+    write_text(out, comparison_page(first_runs, second_runs, comparisons))
     print(out)
 
 
-def _percent(estimate: Estimate) -> str:
-    return f"{100 * estimate.value:.1f} % ({100 * estimate.low:.1f} to {100 * estimate.high:.1f} %)"
-
-
-def _write(out: Path, text: str) -> None:
-    try:
-        write_text(out, text)
-    except OSError as error:
-        raise InputError(f"cannot write {out}: {error.strerror}") from None
-
-
 def _drive_sections(arguments: argparse.Namespace, bags: list[Path]) -> list[DriveSection]:
-    topics = parse_topics(arguments.topics)
-    if (topics or arguments.world) and not bags:
-        raise InputError("--topics and --world are for bags, but no bag is named")
-    world = None
+    topics, world = parse_topics(arguments.topics), None
+    if not bags:
+        refuse(arguments, "is for bags, but there is no bag among the arguments", "topics", "world")
     if arguments.world:
-        worlds = find_worlds(checked(Worlds, parse_yaml(arguments.world, "--world"), "--world"))
-        if len(worlds) > 1:
-            raise InputError(f"--world takes one world, got {len(worlds)}")
-        world = worlds[0]
+        world = only_world(parse_yaml(arguments.world, "--world"), "--world")
     return [drive_section(read_drive(bag, topics), world) for bag in progress_bar(bags, "reading", "bag")]
 
 
 def _page_file(arguments: argparse.Namespace) -> Path:
-    """The file of the page.
-
-    Raises:
-        InputError: If it cannot be written, before any work is done.
-    """
-    single = Path(arguments.runs[0]) if len(arguments.runs) == 1 else Path()
-    out = arguments.out or (single if single.is_dir() else Path()) / "report.html"
-    if out.is_dir() or not out.absolute().parent.is_dir() or not os.access(out.absolute().parent, os.W_OK):
-        raise InputError(f"cannot write {out}: name a file in a writable folder")
+    """The output file; raises an `InputError` before the slow work if it cannot be written."""
+    only_path = Path(arguments.runs[0]) if len(arguments.runs) == 1 else Path()
+    out = arguments.out or (only_path if only_path.is_dir() else Path()) / "report.html"
+    check_output(out)
     return out

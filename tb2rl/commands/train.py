@@ -1,59 +1,59 @@
-"""The command `train`, see `tb2rl.train`: one training or several, and their evaluation."""
-
-from __future__ import annotations
+"""Implementation of `python -m tb2rl.train`: one training, or one for each seed, and the standard evaluations."""
 
 import argparse
 import signal
 import sys
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from functools import partial
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
-from tb2rl.commands.seeds import print_training, train_seeds
+from tb2rl.commands.arguments import refuse
+from tb2rl.core import InputError, handle_termination_signals, write_json, write_text
 from tb2rl.core.compiled import announce_compiling
-from tb2rl.core.errors import InputError
-from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluator import EPISODES
+from tb2rl.envs.worlds import register_worlds, worlds_of_files
+from tb2rl.evaluation.evaluate import EPISODES, SOLVED_RATE, evaluate
+from tb2rl.evaluation.progress import say
+from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.execution.arguments import make_executor
-from tb2rl.runs.config import Config
-from tb2rl.runs.layers import parse_settings, resolve
-from tb2rl.runs.loading import load
-from tb2rl.simulation import default_simulator
-from tb2rl.training.training import Training, default_folder, resume, train_config
+from tb2rl.execution.executor import Executor
+from tb2rl.execution.job import Job
+from tb2rl.runs import Config, Run, TrainSettings, load, parse_settings, resolve
+from tb2rl.runs.algorithm import check_device, check_trainable
+from tb2rl.simulation.simulator import default_simulator
+from tb2rl.training.statistics import tutorial_scores
+from tb2rl.training.trackers import check_trackers
+from tb2rl.training.training import FinishedTraining, default_folder, describe_early_stop, resume, train_config
 from tb2rl.viz.table import print_evaluation
 
-_FLAGS = (
-    "total_timesteps", "episodes", "seed", "simulation", "n_envs", "device", "eval_freq", "save_freq", "keep",
-    "track",
-)  # fmt: skip
-_MOST_SEEDS = 1000
+LOG = "log.txt"  # file in the run folder: output of a training with --seeds
+_RESUME_OPTIONS = {"resume", "total_timesteps", "no_evaluation", "no_progress", "verbose"}  # valid with --resume
+_MAX_SEEDS = 1000
 
 
 def run(options: argparse.Namespace) -> None:
-    """Train, print the result, evaluate.
-
-    Raises:
-        InputError: For options that do not go together.
-    """
+    """Train, print the result, evaluate."""
     announce_compiling()
-    progress_bar = not options.no_progress and not options.verbose and sys.stderr.isatty()
+    progress = not options.no_progress and not options.verbose and sys.stderr.isatty()
     if options.resume:
-        others = {"agent", "task", "preset", "set", "name", "seeds", "on", "workers", *_FLAGS} - {"total_timesteps"}
-        if any(getattr(options, name) not in (None, []) for name in others):
-            raise InputError("--resume goes on with what the run's config says; only --total-timesteps can be raised")
-        training = resume(options.resume, options.total_timesteps, progress_bar, options.verbose, _print_resumed)
-        _finish(training, options)
+        others = sorted(vars(options).keys() - _RESUME_OPTIONS)
+        refuse(options, "cannot be combined with --resume, which can only raise --total-timesteps", *others)
+        on_start = partial(print, "resuming", flush=True)
+        training = resume(options.resume, options.total_timesteps, progress, options.verbose, on_start)
+        _finish(training, options.no_evaluation)
         return
     config = requested_config(options)
     folder = default_folder(config, options.name)
     executor = make_executor(options)
     if options.seeds is None:
-        if (options.on, options.workers) != (None, None):
-            raise InputError("--on and --workers go with --seeds: one training is one process")
-        on_start = partial(_print_start, config)
-        _finish(train_config(config, folder, progress_bar, options.verbose, on_start), options)
+        refuse(options, "needs --seeds, because a single training runs in one process", "on", "workers")
+        training = train_config(config, folder, progress, options.verbose, partial(_print_single_start, config))
+        _finish(training, options.no_evaluation)
         return
-    if options.seed is not None or options.no_evaluation:
-        raise InputError("--seeds goes neither with --seed nor with --no-evaluation")
+    refuse(options, "cannot be combined with --seeds", "seed", "no_evaluation")
     seeds = parse_seeds(options.seeds)
     if folder.exists():
         raise InputError(f"{folder} exists already; choose another --name")
@@ -63,7 +63,8 @@ def run(options: argparse.Namespace) -> None:
 
 def requested_config(options: argparse.Namespace) -> Config:
     """The config of a command line."""
-    flags = {f"train.{name}": getattr(options, name) for name in _FLAGS if getattr(options, name) is not None}
+    settings = TrainSettings.__dataclass_fields__
+    flags = {f"train.{name}": value for name, value in vars(options).items() if name in settings and value is not None}
     return resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
 
 
@@ -71,49 +72,125 @@ def parse_seeds(text: str) -> list[int]:
     """Parse seeds such as "0..4" or "0,3,7".
 
     Raises:
-        InputError: If the text is neither.
+        InputError: If the text has another form, or a seed is negative or repeated.
     """
     first, dots, last = text.partition("..")
     try:
         seeds = list(range(int(first), int(last) + 1)) if dots else [int(part) for part in text.split(",")]
     except ValueError:
         seeds = []
-    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds) or len(seeds) > _MOST_SEEDS:
-        raise InputError(f"--seeds takes different seeds, such as 0..4 or 0,3,7, at most {_MOST_SEEDS}, got {text!r}")
+    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds) or len(seeds) > _MAX_SEEDS:
+        raise InputError(f"--seeds takes up to {_MAX_SEEDS} different seeds, such as 0..4 or 0,3,7, got {text!r}")
     return seeds
 
 
-def _print_start(config: Config, folder: Path) -> None:
+def _print_single_start(config: Config, folder: Path) -> None:
     settings = config.train
     environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
-    print(
-        f"training {config.agent_name} at {config.task_name} in {config.scene.place}: "
-        f"{settings.total_timesteps} steps, {environments}, seed {settings.seed}\n"
-        f"run folder: {folder} (watch it: tensorboard --logdir runs)",
-        flush=True,
-    )
+    description = f"{settings.total_timesteps} steps, {environments}, seed {settings.seed}"
+    _print_start(config, description, f"run folder: {folder} (watch it: tensorboard --logdir runs)")
 
 
-def _print_resumed(folder: Path) -> None:
-    print(f"resuming {folder}", flush=True)
+def _print_start(config: Config, description: str, folders: str) -> None:
+    say(f"training {config.agent_name} at {config.task_name} in {config.scene.worlds_title}: {description}\n{folders}")
 
 
-def _finish(training: Training, options: argparse.Namespace) -> None:
+def _finish(training: FinishedTraining, no_evaluation: bool) -> None:
     """Print the result of a training, and evaluate it unless it was interrupted.
 
     Raises:
-        SystemExit: If another signal than Ctrl-C ended it, with the status that a shell counts for it.
+        SystemExit: If a signal other than Ctrl-C ended the training; the status is 128 + signal number.
     """
-    print_training(training)
-    if training.interrupted not in (0, signal.SIGINT):
-        raise SystemExit(128 + training.interrupted)
-    if options.no_evaluation or training.interrupted:
+    _print_training(training)
+    if training.signal_number not in (0, signal.SIGINT):
+        raise SystemExit(128 + training.signal_number)
+    if no_evaluation or training.signal_number:
         return
-    run = training.run
     simulator = default_simulator().title
-    print(
-        f"standard evaluation of its best policy in {simulator}: {EPISODES} episodes, about half a minute", flush=True
-    )
-    evaluation = evaluate(load(run.folder), progress=True)
-    print_evaluation(evaluation, f"{run.folder} in {run.config.scene.place}")
-    run.write_evaluation(*evaluation.tree(run.config, str(run.folder)))
+    say(f"standard evaluation of the best policy in {simulator}: {EPISODES} episodes, about half a minute")
+    _evaluate(training.run, str(training.run.folder), progress=True)
+
+
+def train_seeds(config: Config, seeds: Sequence[int], folder: Path, executor: Executor, verbose: int = 0) -> None:
+    """Train and evaluate with each seed, print a summary, and write run folders `seed-<seed>` and `seeds.json`."""
+    check_trainable(config)
+    check_device(config.train.device)
+    check_trackers(config.train.track, executor.remote)
+    description = f"{len(seeds)} seeds, {config.train.total_timesteps} steps each, then the standard evaluation"
+    _print_start(config, description, f"run folders: {folder}/seed-* (watch them: tensorboard --logdir runs)")
+    jobs, summaries, signals = list[Job](), dict[str, Mapping[str, Any]](), list[int]()
+    for seed in seeds:
+        run_folder = folder / f"seed-{seed}"
+        seed_config = replace(config, train=replace(config.train, seed=seed))
+        jobs.append(Job(f"seed {seed}", (seed_config, str(run_folder), verbose), run_folder))
+
+    def interrupt(signal_number: int) -> None:
+        if not signals:
+            print("\nstopping: each training saves a checkpoint for --resume; Ctrl-C again stops at once", flush=True)
+        signals.append(signal_number)
+        raise KeyboardInterrupt
+
+    try:
+        with handle_termination_signals(interrupt):
+            worlds = worlds_of_files(config.task.world)
+            for job, summary in executor.as_completed(train_and_evaluate, jobs, shared=[worlds]):
+                summaries[job.name] = summary
+                score = f"{100 * summary['success_rate']:.1f} % success, {summary['mean_distance']:.1f} m"
+                say(f"{job.name}: {score}, trained {summary['timesteps']} steps in {summary['seconds']:.0f} s")
+    except KeyboardInterrupt:
+        say(f"\nstopped; {len(summaries)} of {len(seeds)} seeds are done, in {folder}")
+        raise SystemExit(128 + signals[0]) from None
+    _summarize({seed: summaries[f"seed {seed}"] for seed in seeds}, folder)
+
+
+def train_and_evaluate(worlds: Mapping[str, Any], config: Config, final_path: str, verbose: int, folder: Path) -> Any:
+    """Train with one seed, write the output to the log, and return the summary of the standard evaluation.
+
+    Args:
+        worlds: Worlds from files, see `register_worlds`, because an executor may run this on another machine.
+        config: Config with the seed.
+        final_path: Path of the run folder on the machine of the command.
+        verbose: See `train_config`.
+        folder: Folder to write to, which the executor moves to `final_path`.
+    """
+    register_worlds(worlds)
+    output = StringIO()
+    with redirect_stdout(output), redirect_stderr(output):
+        training = train_config(config, folder, verbose=verbose, final_folder=Path(final_path))
+        if training.signal_number:
+            raise KeyboardInterrupt
+        _print_training(training)
+        summary = _evaluate(training.run, final_path)
+    write_text(folder / LOG, output.getvalue())
+    return {**summary, "timesteps": training.timesteps, "seconds": training.seconds}
+
+
+def _evaluate(run: Run, name: str, progress: bool = False) -> dict[str, Any]:
+    """Make, print and write the standard evaluation of a run, and return its summary; the title contains `name`."""
+    evaluation = evaluate(load(run.folder), progress=progress)
+    summary = print_evaluation(evaluation, f"{name} in {run.config.scene.worlds_title}")
+    run.write_evaluation(*evaluation.serialize(run.config, name))
+    return summary
+
+
+def _print_training(training: FinishedTraining) -> None:
+    rate = training.timesteps / training.seconds
+    print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
+    if training.early_stop_timesteps is not None:
+        print(describe_early_stop(training.run.config.train, training.early_stop_timesteps))
+    print(tutorial_scores(training.episode_lengths))
+
+
+def _summarize(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
+    """Print the summary of several seeds, and write it to `seeds.json`."""
+    failed = [seed for seed, summary in summaries.items() if summary["success_rate"] < SOLVED_RATE]
+    summary: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "passed_from": SOLVED_RATE}
+    print(f"{len(summaries)} seeds in {folder}")
+    for name, key, scale, unit in (("success", "success_rate", 100, "%"), ("distance", "mean_distance", 1, "m")):
+        values = [summary[key] for summary in summaries.values()]
+        mean, (low, high) = sum(values) / len(values), bootstrap_interval(values)
+        summary[name] = {"each": values, "mean": mean, "interval": [low, high]}
+        print(f"  {name}: mean {scale * mean:.1f} {unit}, 95 % interval {scale * low:.1f} to {scale * high:.1f} {unit}")
+    failed_seeds = f": {', '.join(map(str, failed))}" if failed else ""
+    print(f"  failed (success below {100 * SOLVED_RATE:.0f} %): {len(failed)} of {len(summaries)}{failed_seeds}")
+    write_json(folder / "seeds.json", summary)

@@ -1,7 +1,5 @@
 """Small environments with values that can be computed by hand."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import gymnasium as gym

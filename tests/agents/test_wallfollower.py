@@ -1,7 +1,5 @@
 """The wall follower drives any robot along walls without a collision, by named actions or velocities."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import numpy as np
@@ -12,7 +10,7 @@ from tb2rl.agents.wallfollower import WallFollower
 from tb2rl.core.plugins import robot_names
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.runs.algorithm import make_baseline
-from tb2rl.runs.layers import resolve
+from tb2rl.runs.config import resolve
 
 
 @pytest.mark.parametrize("robot", robot_names())
@@ -42,7 +40,7 @@ def test_it_avoids_collisions_with_named_actions_and_with_velocities():
     speeds = []
     for task in ("maze", "drive"):
         config = resolve("wallfollower", task)
-        summary = evaluate(make_baseline(config), config, episodes=3, steps=200, workers=1).summary()
+        summary = evaluate(make_baseline(config), config, episodes=2, steps=150, workers=1).summary()
         assert summary["failure_free_rate"] == 1.0
         speeds.append(summary["mean_speed"])
     assert speeds[1] == pytest.approx(speeds[0], rel=0.1)

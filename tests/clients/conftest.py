@@ -3,6 +3,11 @@
 import pytest
 import torch as th
 
+from tb2rl.runs.config import resolve
+
+TRAIN = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "save_freq": 64, "keep": 9, "eval_freq": 64}
+TRAIN |= {"eval_episodes": 2, "eval_steps": 8, "episode_steps": 8}
+
 
 @pytest.fixture(autouse=True)
 def one_thread_of_torch():
@@ -11,3 +16,11 @@ def one_thread_of_torch():
     th.set_num_threads(1)
     yield
     th.set_num_threads(number)
+
+
+@pytest.fixture
+def tracked():
+    """A function that makes the config of a short training with a tracker."""
+    return lambda tracker: resolve(
+        settings={f"train.{key}": value for key, value in {**TRAIN, "track": [tracker]}.items()}
+    )

@@ -31,7 +31,6 @@ ABOUT = {
     "make",
     [
         partial(gym.make, "tb2rl:TurtleBot2Maze-v0", max_episode_steps=12),
-        partial(gym.make, "tb2rl:TurtleBot2MazeRaw-v0", max_episode_steps=12, simulation="kinematic"),
         partial(tb2rl.make_env, "maze", "raw", episode_steps=12, simulation="kinematic"),
     ],
 )

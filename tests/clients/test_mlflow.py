@@ -6,37 +6,29 @@ import pytest
 
 from tb2rl.core.errors import UnwritableError
 from tb2rl.runs.folder import Run
-from tb2rl.runs.layers import resolve
 from tb2rl.training.training import resume, train_config
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")  # of the library
-TRAIN = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "save_freq": 64, "keep": 9, "eval_freq": 64}
-TRAIN |= {"eval_episodes": 2, "eval_steps": 8, "episode_steps": 8, "track": ["mlflow"]}
 
 
-@pytest.fixture
-def mlflow(monkeypatch):
-    """The library, without its environment variables."""
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    monkeypatch.delenv("MLFLOW_EXPERIMENT_NAME", raising=False)
-    return pytest.importorskip("mlflow", reason="mlflow is not installed")
+mlflow = pytest.importorskip("mlflow", reason="mlflow is not installed")
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    for name in ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME"):
+        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory):
     """A store without runs, because making its tables takes seconds."""
     file = tmp_path_factory.mktemp("tables") / "mlflow.db"
-    pytest.importorskip("mlflow", reason="mlflow is not installed").MlflowClient(
-        f"sqlite:///{file}"
-    ).search_experiments()
+    mlflow.MlflowClient(f"sqlite:///{file}").search_experiments()
     return file
 
 
-def config(**settings):
-    return resolve(settings={f"train.{key}": value for key, value in {**TRAIN, **settings}.items()})
-
-
-def read(mlflow, place):
+def read(place):
     """The client of the store beside the runs, and the runs in it."""
     client = mlflow.MlflowClient(f"sqlite:///{place}/mlflow/mlflow.db")
     experiment = client.get_experiment_by_name("tb2rl")
@@ -47,10 +39,10 @@ def steps(client, run, key) -> list[int]:
     return [metric.step for metric in client.get_metric_history(run.info.run_id, key)]
 
 
-def test_the_store_beside_the_runs_holds_a_training_and_its_resumed_part(mlflow, tmp_path):
+def test_the_store_beside_the_runs_holds_a_training_and_its_resumed_part(tracked, tmp_path):
     place = tmp_path / "runs"
-    folder = train_config(config(), place / "maze" / "qlearn" / "mine").run.folder
-    client, (run,) = read(mlflow, place)
+    folder = train_config(tracked("mlflow"), place / "maze" / "qlearn" / "mine").run.folder
+    client, (run,) = read(place)
     assert (run.info.run_name, run.info.status) == ("maze/qlearn/mine", "FINISHED")
     params = run.data.params
     assert (params["agent.name"], params["task.world"], params["train.seed"]) == ("qlearn", "loop", "0")
@@ -62,7 +54,7 @@ def test_the_store_beside_the_runs_holds_a_training_and_its_resumed_part(mlflow,
     (folder / "checkpoints" / "step-0000000128.safetensors").unlink()  # as if killed after logging
     client.update_run(run.info.run_id, status="RUNNING")
     resume(folder, 192)
-    client, (again,) = read(mlflow, place)
+    client, (again,) = read(place)
     assert (again.info.run_id, again.info.status) == (run.info.run_id, "FINISHED")
     for key in again.data.metrics:
         seen = steps(client, again, key)
@@ -70,12 +62,12 @@ def test_the_store_beside_the_runs_holds_a_training_and_its_resumed_part(mlflow,
     assert steps(client, again, "eval/score") == [64, 128, 192]
 
 
-def test_a_run_that_is_not_in_the_store_starts_again(mlflow, tables, tmp_path, monkeypatch):
+def test_a_run_that_is_not_in_the_store_starts_again(tracked, tables, tmp_path, monkeypatch):
     (tmp_path / "mlflow").mkdir()
     for name in ("mlflow/mlflow.db", "other.db"):
         shutil.copy(tables, tmp_path / name)
     monkeypatch.chdir(tmp_path)  # where MLflow puts pictures, if the store is a database that the user names
-    folder = train_config(config(save_freq=64, keep=9), tmp_path / "run").run.folder
+    folder = train_config(tracked("mlflow"), tmp_path / "run").run.folder
     for checkpoint in Run.open(folder).checkpoints[1:]:  # as if killed
         checkpoint.unlink()
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/other.db")
@@ -86,20 +78,20 @@ def test_a_run_that_is_not_in_the_store_starts_again(mlflow, tables, tmp_path, m
     assert (run.info.status, steps(client, run, "eval/score")) == ("FINISHED", [132, 192])
 
 
-def test_a_failed_training_is_marked_as_failed(mlflow, tables, tmp_path):
+def test_a_failed_training_is_marked_as_failed(tracked, tables, tmp_path):
     (tmp_path / "mlflow").mkdir()
     shutil.copy(tables, tmp_path / "mlflow")
     with pytest.raises(ZeroDivisionError):
-        train_config(config(), tmp_path / "run", on_evaluation=lambda _: 1 / 0)
-    client, (run,) = read(mlflow, tmp_path)
+        train_config(tracked("mlflow"), tmp_path / "run", on_evaluation=lambda _: 1 / 0)
+    client, (run,) = read(tmp_path)
     assert (run.info.status, steps(client, run, "eval/score")) == ("FAILED", [64])
 
 
 @pytest.mark.parametrize("uri", ["", "http://127.0.0.1:9", "sqlite:///mlflow", "nonsense://x"])
-def test_a_store_that_cannot_be_written_is_an_error(uri, mlflow, tmp_path, monkeypatch):
+def test_a_store_that_cannot_be_written_is_an_error(uri, tracked, tmp_path, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mlflow").write_text("not a database, and in the way of the store beside the runs")
     with pytest.raises(UnwritableError, match=r"^train\.track: mlflow cannot write: "):
-        train_config(config(), tmp_path / "run")
+        train_config(tracked("mlflow"), tmp_path / "run")

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import pytest
 
 from tb2rl.core.errors import UnwritableError
-from tb2rl.runs.layers import resolve
 from tb2rl.training.training import resume, train_config
 
 wandb = pytest.importorskip("wandb", reason="wandb is not installed")
@@ -18,18 +17,12 @@ pytestmark = [  # the library writes in a process of its own
     pytest.mark.flaky(reruns=1),
 ]
 _BLOCK = 2**15
-TRAIN = {"simulation": "kinematic", "n_envs": 4, "total_timesteps": 128, "save_freq": 64, "keep": 9, "eval_freq": 64}
-TRAIN |= {"eval_episodes": 2, "eval_steps": 8, "episode_steps": 8, "track": ["wandb"]}
 
 
 @pytest.fixture(autouse=True)
 def environment(monkeypatch):
     for name in ("WANDB_MODE", "WANDB_PROJECT", "WANDB_API_KEY"):
         monkeypatch.delenv(name, raising=False)
-
-
-def config(**settings):
-    return resolve(settings={f"train.{key}": value for key, value in {**TRAIN, **settings}.items()})
 
 
 def records(content: bytes) -> Iterator[bytes]:
@@ -87,8 +80,8 @@ def parts(folder) -> list[Offline]:
     raise AssertionError("a file of wandb has no exit record after 10 s")
 
 
-def test_a_training_and_its_resumed_part_are_one_run_of_two_files(tmp_path, capfd):
-    folder = train_config(config(), tmp_path / "runs" / "maze" / "qlearn" / "mine").run.folder
+def test_a_training_and_its_resumed_part_are_one_run_of_two_files(tracked, tmp_path, capfd):
+    folder = train_config(tracked("wandb"), tmp_path / "runs" / "maze" / "qlearn" / "mine").run.folder
     (part,) = parts(folder)
     assert (part.run.display_name, part.run.project, part.exit) == ("maze/qlearn/mine", "tb2rl", 0)
     assert (part.config["agent.name"], part.config["task.world"], part.config["train.seed"]) == ("qlearn", "loop", 0)
@@ -112,15 +105,15 @@ def test_a_training_and_its_resumed_part_are_one_run_of_two_files(tmp_path, capf
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_failed_training_is_marked_as_failed(tmp_path):
+def test_a_failed_training_is_marked_as_failed(tracked, tmp_path):
     with pytest.raises(ZeroDivisionError):
-        train_config(config(), tmp_path / "run", on_evaluation=lambda _: 1 / 0)
+        train_config(tracked("wandb"), tmp_path / "run", on_evaluation=lambda _: 1 / 0)
     (part,) = parts(tmp_path / "run")
     assert (part.exit, part.steps("eval/score")) == (1, [64])
 
 
 @pytest.mark.parametrize(("name", "value"), [("WANDB_PROJECT", "a/b"), ("WANDB_MODE", "ofline")])
-def test_a_wrong_environment_variable_is_an_error(name, value, tmp_path, monkeypatch):
+def test_a_wrong_environment_variable_is_an_error(name, value, tracked, tmp_path, monkeypatch):
     monkeypatch.setenv(name, value)
     with pytest.raises(UnwritableError, match=r"^train\.track: wandb cannot write: "):
-        train_config(config(), tmp_path / "run")
+        train_config(tracked("wandb"), tmp_path / "run")

@@ -1,22 +1,18 @@
 """Every policy of the zoo loads, drives and agrees with its card."""
 
-from __future__ import annotations
-
 from functools import partial
-from importlib import import_module
 
 import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.evaluation.evaluate import evaluate
-from tb2rl.evaluation.evaluator import EPISODES, SEED, STEPS
+from tb2rl.core.agent import find_agent
+from tb2rl.evaluation.evaluate import EPISODES, SEED, STEPS, evaluate
 from tb2rl.runs.config import config_from
-from tb2rl.zoo import checking
+from tb2rl.runs.loading import config_of
+from tb2rl.zoo import maintenance
 from tb2rl.zoo.cards import card, overview, table
-from tb2rl.zoo.entry import WORLDS, entries, zoo_folder
-
-keeper = import_module("tb2rl.zoo.__main__")
+from tb2rl.zoo.entry import WORLDS, entries, listed_suite_policies, suites_folder, zoo_folder
 
 ENTRIES = entries()
 PLACES = ("maze-loop", "maze-circuit", "maze-round", "maze-maze", "my-maze-loop", "wall-wall")  # of every agent
@@ -34,7 +30,7 @@ def test_every_agent_has_a_policy_for_every_place():
 def test_a_policy_drives_in_its_world(entry):
     policy = tb2rl.load(f"zoo:{entry.name}")
     env = tb2rl.make_env(policy, simulation="kinematic")
-    assert entry.world in (env.scene.world.name, "mixed")
+    assert entry.config.task.world in (env.scene.world.name, "mixed")
     observation, _ = env.reset(seed=2)
     info = {"ended": ""}
     for _ in range(600 if entry.navigates else 200):
@@ -43,20 +39,20 @@ def test_a_policy_drives_in_its_world(entry):
         if info["ended"]:
             break
     env.close()
-    assert info["ended"] == ("goal" if entry.good == "success" else "")
+    assert info["ended"] == ("goal" if entry.criterion == "success" else "")
     at_most = 200 * env.scene.task.control_period * env.scene.actions.max_speed  # [m]
-    assert info["distance"] > (0.5 * at_most if entry.good == "failure_free" else 1.0)
+    assert info["distance"] > (0.5 * at_most if entry.criterion == "failure_free" else 1.0)
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
 def test_a_card_and_its_figures_agree_with_the_episodes(entry):
     text = (entry.folder / "README.md").read_text(encoding="utf-8")
     assert text == card(entry)
-    short = entry.figures[f"{entry.good}_rate"] < entry.promised or entry.speed_share < entry.promised_speed
+    short = entry.good_rate < entry.promised_rate or entry.relative_speed < entry.promised_speed
     assert ("Falls short" in text) == short
     assert all((entry.folder / name).is_file() for name in ("paths.png", "config.yaml", "best/policy.safetensors"))
-    assert entry.is_as_requested, "trained as its recipe says"
-    figures, each = entry.figures, entry.figures["each"]
+    assert entry.matches_recipe, "trained as its recipe says"
+    figures, each = entry.summary, entry.summary["each"]
     assert (figures["episodes"], figures["steps"], figures["seed"]) == (EPISODES, STEPS, SEED)
     assert len(each) == EPISODES
     assert figures["success_rate"] == pytest.approx(np.mean([episode["success"] for episode in each]))
@@ -64,27 +60,36 @@ def test_a_card_and_its_figures_agree_with_the_episodes(entry):
     assert figures["mean_distance"] == pytest.approx(np.mean([episode["distance"] for episode in each]))
     assert [episode["failed"] for episode in each] == [e["ended"] in ("collision", "out of bounds") for e in each]
     assert config_from(figures["config"]).task == entry.config.task, "settings that came later have their default"
-
-
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
-def test_a_policy_is_evaluated_in_every_unseen_world_that_fits_its_task(entry):
-    expected = {"maze", "mixed"} if entry.good == "success" else set(WORLDS)  # only these have a goal
-    assert set(entry.elsewhere) == (set() if entry.navigates else expected - {entry.world})
+    expected = {"maze", "mixed"} if entry.criterion == "success" else set(WORLDS)  # only these have a goal
+    assert set(entry.unseen_worlds) == (set() if entry.navigates else expected - {entry.config.task.world})
     assert entry.is_built
-    for figures in entry.elsewhere.values():
+    for figures in entry.unseen_worlds.values():
         assert sum(figures["endings"].values()) == figures["episodes"] == EPISODES
 
 
-def test_the_table_agrees_with_the_entries():
-    assert (zoo_folder() / "README.md").read_text(encoding="utf-8") == table(ENTRIES)
+@pytest.mark.parametrize("policy", listed_suite_policies(), ids=lambda policy: policy.name)
+def test_listed_suite_policies_have_the_name_of_their_agent_or_entry_and_variation(policy):
+    reference, agent, task = policy.options.policy, policy.options.agent, policy.config.task
+    who = reference.removeprefix("zoo:") if reference else f"{agent}-{task.guide}"
+    usual = "none" if agent else config_of(tb2rl.load(reference)).task.variation
+    how = "exact" if task.variation == "none" else task.variation
+    assert policy.name == (who if task.variation == usual else f"{who}-{how}")
+    assert (policy.digest is None) == (reference is None)
+    assert reference or find_agent(agent).algorithm is None
+
+
+def test_the_table_agrees_with_the_entries_and_has_every_result_of_a_suite():
+    text = (zoo_folder() / "README.md").read_text(encoding="utf-8")
+    assert text == table(ENTRIES)
+    _, _, suites = text.partition("## Suites\n")
+    rows = [line for line in suites.splitlines() if line.startswith("| ") and "| guide |" not in line]
+    assert len(rows) == len(list(suites_folder().glob("*"))), "a result is stale"
 
 
 def test_the_overview_has_a_row_for_every_place_and_a_cell_for_every_policy():
     lines = overview(ENTRIES).splitlines()
     assert len(lines) == 2 + len(PLACES) + 6
     assert any(line.startswith("| `maze, loop with turtlebot3` | ") for line in lines)
-    assert "`qlearn`" in lines[0]
-    assert lines[2].startswith("| `maze, loop` | ")
     assert sum(line.count(" m/s") for line in lines) == len(ENTRIES)
 
 
@@ -93,8 +98,8 @@ def test_the_zoo_is_small():
 
 
 @pytest.mark.slow
-def test_the_cards_hold(capsys, monkeypatch):
+def test_the_cards_hold(main, capsys, monkeypatch):
     # Processes for four episodes would cost more than they save.
-    monkeypatch.setattr(checking, "evaluate", partial(evaluate, workers=1))
-    keeper.main(["check", "--episodes", "4"])
+    monkeypatch.setattr(maintenance, "evaluate", partial(evaluate, workers=1))
+    main(["check", "--episodes", "4"])
     assert f"{len(ENTRIES)} cards hold" in capsys.readouterr().out

@@ -1,0 +1,53 @@
+"""Command-line arguments for the policy, the task and the robot. `policy.py` interprets their values."""
+
+import argparse
+
+from tb2rl.core import InputError, simulator_names
+
+
+def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that select a policy and its task."""
+    add = parser.add_argument
+    add("policy", nargs="?", help="run folder, checkpoint in it, zoo:NAME, or hf:USER/REPOSITORY")
+    add_trust(parser)
+    add("--agent", help="an agent that does not learn, such as random or wallfollower, as the policy")
+    add("--task", help="task of --agent (default: maze)")
+    add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="change the task: task.beams=9")
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that select a simulator, or a robot with ROS."""
+    names = f"{', '.join(simulator_names())} (a robot, see tb2rl/deploy/ros/README.md) or module:Class"
+    parser.add_argument("--simulation", metavar="NAME", help=f"{names}; default: the first physics simulator installed")
+    parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: speed limit")
+    parser.add_argument("--goal", metavar="X,Y", help="goal of task navigate, in the frame of the start pose [m]")
+    add_ros_arguments(parser)
+
+
+def add_ros_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the ROS version, the pose of the scanner, the topics and ROS arguments."""
+    add = parser.add_argument
+    pose = "pose of the scanner in base_link (x, y [m], yaw [rad]), for example --mounting=-0.1,0,0"
+    add("--ros", type=int, choices=(1, 2), help="ROS version (1)")
+    add("--mounting", metavar="X,Y,YAW[,upside-down]", help=pose)
+    add_topics(parser)
+    add("--ros-args", nargs=argparse.REMAINDER, default=[], help="last option, for ROS 2: -p use_sim_time:=true")
+
+
+def add_topics(parser: argparse.ArgumentParser) -> None:
+    """Add the names of ROS topics."""
+    add = parser.add_argument
+    add("--topics", nargs="+", default=[], action="extend", metavar="KEY=TOPIC", help="rename topics: scan=/scan")
+
+
+def add_trust(parser: argparse.ArgumentParser) -> None:
+    """Add `--trust`, without which a shared policy may import only some modules, see `tb2rl.core.trust`."""
+    parser.add_argument("--trust", action="store_true", help="allow a shared policy to import any module")
+
+
+def refuse(options: argparse.Namespace, reason: str, *names: str) -> None:
+    """Raise an `InputError` with the reason if one of the named options was given."""
+    for name in names:
+        value = getattr(options, name)
+        if not (value is None or value is False or value == []):
+            raise InputError(f"--{name.replace('_', '-')} {reason}")
