@@ -57,10 +57,9 @@ class LocalPlanner(BasePolicy):
         planner, observed = type(self).__name__.lower(), {*latest} & {*_INPUTS}
         has_target = "waypoint" in observed or observed >= {"goal direction", "goal distance"}
         if not (has_target and observed >= {"laser", "forward speed", "turn rate"}):
-            raise InputError(
-                f"{planner} needs a laser, its speeds and a goal or a waypoint, as in task navigate "
-                f"(task.observe: laser, twist, waypoint), got {', '.join(sorted(observed)) or 'none of them'}"
-            )
+            needed = "a laser, its speeds and a goal or a waypoint, as in task navigate"
+            found = f"(task.observe: laser, twist, waypoint), got {', '.join(sorted(observed)) or 'none of them'}"
+            raise InputError(f"{planner} needs {needed} {found}")
         if not isinstance(action_space, spaces.Box):
             raise InputError(f"{planner} sets speeds, so it needs task.named_actions=false")
         beams, directions = len(self._columns["laser"]), vehicle.directions

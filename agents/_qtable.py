@@ -82,9 +82,8 @@ class QTable(BasePolicy):
         self.shape = (int(observation_space.n),) if is_single else tuple(observation_space.nvec.tolist())
         table_shape = num_states, num_actions = math.prod(self.shape), int(action_space.n)
         if num_states * num_actions > MAX_PAIRS:
-            raise InputError(
-                f"a Q-table of {num_states} states is too large; reduce task.beams, task.range_bins or task.frame_stack"
-            )
+            fix = "reduce task.beams, task.range_bins or task.frame_stack"
+            raise InputError(f"a Q-table of {num_states} states is too large; {fix}")
         self.q = th.nn.Parameter(th.full(table_shape, initial_value, dtype=th.float64), requires_grad=False)
         self.visits = th.nn.Parameter(th.zeros(table_shape, dtype=th.int64), requires_grad=False)
 

@@ -2,4 +2,4 @@
 
 from tb2rl import Agent
 
-AGENT = Agent("stable_baselines3:DQN", actions="named")
+AGENT = Agent("stable_baselines3:DQN", actions="discrete")

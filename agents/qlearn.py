@@ -21,7 +21,7 @@ from tb2rl.agents._qtable import QTable, Transitions, UpdateRule, update_table
 from tb2rl.core.values import Fraction
 
 AGENT = Agent(
-    "tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", fixed_observation=True, actions="named"
+    "tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", fixed_observation=True, actions="discrete"
 )
 
 
@@ -42,9 +42,9 @@ class QLearning(BaseAlgorithm):
             reached. None: linear decrease.
         update: "textbook" or "tutorial". "tutorial" sets the value of a state-action pair to the reward at its
             first visit, and also bootstraps from terminal states.
-        averaging: Least weight of the newest value in the running average of an action value; the weight decreases
-            from 1 as 1 / visits (Polyak & Juditsky 1992). The policy is greedy on the averages, because a large step
-            size makes the values oscillate. Exploration and update targets use the values. None: no averages.
+        averaging: The policy is greedy on running averages of the action values, because a large step size makes the
+            values oscillate (Polyak & Juditsky 1992). A new value has the weight 1 / visits, but at least this number.
+            Exploration and update targets use the values, not the averages. None: no averages.
         device: Ignored, because the table is on the CPU.
     """
 
@@ -93,7 +93,7 @@ class QLearning(BaseAlgorithm):
         self.exploration_decay = exploration_decay
         self.update = update
         self.averaging = averaging
-        self._latest: np.ndarray | None = None  # the action values, if the policy holds their averages
+        self._unaveraged_q: np.ndarray | None = None  # the action values, if the policy holds their averages
         self.exploration_rate = exploration_initial_eps
         if _init_setup_model:
             self._setup_model()
@@ -108,8 +108,8 @@ class QLearning(BaseAlgorithm):
         self.policy = self.policy_class(
             self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
         )
-        if self.averaging is not None and self._latest is None:  # `load` may have restored `_latest` before
-            self._latest = np.full(self.policy.q.shape, np.nan)
+        if self.averaging is not None and self._unaveraged_q is None:  # `load` may have restored `_unaveraged_q` before
+            self._unaveraged_q = np.full(self.policy.q.shape, np.nan)
 
     def learn(
         self,
@@ -124,7 +124,7 @@ class QLearning(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         assert self.env is not None
-        if np.isnan(self._values[0, 0]):  # first call: start with the values of the policy, which may have been loaded
+        if np.isnan(self._values[0, 0]):  # NaN marks the first call: start with the values of the policy
             self._values[:] = self.policy.q.numpy()
         if reset_num_timesteps:
             self.exploration_rate = self.exploration_initial_eps
@@ -172,11 +172,13 @@ class QLearning(BaseAlgorithm):
         self.logger.record("train/visited_share", float((self.policy.visits > 0).float().mean()))
         self.logger.dump(step=self.num_timesteps)
 
-    def _next_states(self, states: np.ndarray, dones: np.ndarray, infos: list[dict]) -> tuple[np.ndarray, np.ndarray]:
-        """Next states of the transitions, with final states in place of reset states, and which are terminal."""
+    def _next_states(
+        self, new_states: np.ndarray, dones: np.ndarray, infos: list[dict]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the next states, finished episodes with their final states, and the mask of terminal states."""
         if not dones.any():
-            return states, dones
-        next_states, terminated = states.copy(), dones.copy()
+            return new_states, dones
+        next_states, terminated = new_states.copy(), dones.copy()
         for i in np.flatnonzero(dones):
             next_states[i] = self.policy.states(infos[i]["terminal_observation"])[0]
             terminated[i] = not infos[i].get("TimeLimit.truncated", False)
@@ -193,7 +195,7 @@ class QLearning(BaseAlgorithm):
     @property
     def _values(self) -> np.ndarray:
         """The learned action values, shape (states, actions)."""
-        return self.policy.q.numpy() if self._latest is None else self._latest
+        return self.policy.q.numpy() if self._unaveraged_q is None else self._unaveraged_q
 
     def _sample_actions(self, states: np.ndarray) -> np.ndarray:
         """Sample actions with exploration, and break ties at random."""

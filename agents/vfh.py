@@ -16,7 +16,7 @@ from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.core.values import NonNegative, Positive
 from tb2rl.robots.vehicle import Vehicle
 
-AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", observation="raw", fixed_observation=True)
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", fixed_observation=True)
 
 NUM_SECTORS = 72  # number of sectors of the histogram, over 360 degrees; sector 0 points backwards
 _SECTOR_WIDTH = math.tau / NUM_SECTORS  # [rad]
@@ -27,12 +27,12 @@ _SIDE_TOLERANCE = math.radians(10.0)  # a robot that keeps its side may still tu
 class VFH(LocalPlanner):
     """Turns to the best open direction, and drives as fast as the free distance ahead allows.
 
-    The histogram holds how far the whole width of the robot can drive in each direction. A direction is open if this
-    distance is at least `window`; VFH+ applies a threshold to a grid of past scans. Directions without a scan are
-    open. A valley is a range of open directions. Candidates are at least half of `valley` from the edges of a wide
-    valley, or in the middle of a narrow one; the direction of the target may be a candidate. A robot that turns on the
-    spot keeps its side. Otherwise it could turn to and fro, because it does not see behind. The turn rate replaces the
-    previous direction, because the planner has no memory.
+    The histogram holds how far the whole width of the robot can drive in each direction. A direction is open if
+    this distance is at least `window`, where the original VFH+ applies a threshold to a grid of past scans.
+    Directions without a scan are open. A valley is a range of open directions. Candidates are at least half of
+    `valley` from the edges of a wide valley, or in the middle of a narrow one; the direction of the target may be a
+    candidate. A robot that turns on the spot keeps its side. Otherwise it could turn to and fro, because it does
+    not see behind. The turn rate replaces the previous direction, because the planner has no memory.
 
     Args:
         observation_space, action_space, vehicle: See `LocalPlanner`.
@@ -45,7 +45,7 @@ class VFH(LocalPlanner):
         to_previous: Cost per radian of difference to the previous direction.
         gain: Turn rate per radian of direction [1/s].
         braking: Assumed deceleration [m/s^2].
-        spin: Direction from which the robot turns on the spot [rad].
+        spin: Angle between the chosen direction and straight ahead above which the robot turns on the spot [rad].
     """
 
     def __init__(

@@ -41,6 +41,12 @@ if hasattr(signal, "SIGHUP"):
 
 th.set_num_threads(1)  # because the networks are small and other tests use the processors
 
+
+def pytest_collection_modifyitems(items) -> None:
+    """Start the longest tests first, so that no worker waits for them at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("first") is None)
+
+
 FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.0, 9.0))
 
 

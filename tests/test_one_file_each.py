@@ -84,7 +84,7 @@ FILES = {
                 return th.zeros(len(observation), dtype=th.int64)
 
         QUANTILES = Agent("sb3_contrib:QRDQN")
-        STRAIGHT = Agent(algorithm=None, policy="agents:Straight")
+        TO_TARGETS = Agent(algorithm=None, policy="agents:Straight")
         """,
 }
 SMALLER = {'radius="0.178"': 'radius="0.12"', "0.115 0.035": "0.08 0.035"}  # the base, and the wheels' places
@@ -153,7 +153,7 @@ def test_an_own_robot_follows_commands_in_both_simulators(mine):
 
 
 def test_a_baseline_is_evaluated_and_filmed(mine, capsys):
-    policy = ["--agent", "agents:STRAIGHT", "--episodes", "2", "--steps", "60"]
+    policy = ["--agent", "agents:TO_TARGETS", "--episodes", "2", "--steps", "60"]
     import_module("tb2rl.evaluate").main([*policy, "--workers", "1", "--json", "it.json"])
     assert {episode["ended"] for episode in json.loads(Path("it.json").read_text())["each"]} == {"collision"}
     import_module("tb2rl.play").main([*policy, "--video", "film.gif"])

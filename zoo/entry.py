@@ -1,38 +1,110 @@
-"""Entries of the zoo: a trained policy with its recipe, files and evaluations."""
+"""Entries of the zoo (a trained policy with its recipe, files and evaluations), and policies that suites compare."""
 
 import json
 import shlex
+from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from tb2rl.commands.evaluate import chosen_policy
+from tb2rl.commands.evaluate import run as evaluate
 from tb2rl.commands.train import requested_config
-from tb2rl.core import InputError, one_line, read_text, read_yaml, top_folder, unknown
+from tb2rl.core import InputError, one_line, read_text, read_yaml, top_folder, unknown, write_text
 from tb2rl.envs.worlds import are_generated
+from tb2rl.evaluate import main as evaluate_command
 from tb2rl.evaluation.metrics import shown_metrics
-from tb2rl.runs import EVALUATION, EVALUATIONS, Config, Run, read_lines
+from tb2rl.evaluation.suites import SuiteResult
+from tb2rl.runs import EVALUATION, TRAINING_EVALUATIONS, Config, Run, config_from, policy_digest, read_lines
 from tb2rl.simulation.variation import describe_variation
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import main as train_command
 from tb2rl.worlds.dynamic_obstacles import describe_groups
-from tb2rl.zoo.suite_policies import SuitePolicy
+from tb2rl.worlds.suites import SUITES, Suite
 
-# Worlds of `Entry.unseen_worlds`; without world `wall`, whose open sides let a robot drive away without collisions.
+_RESULTS = Path("runs", "suites")  # folder of the complete results, with a row for each world
+# Worlds for evaluations; without world `wall`, whose open sides let a robot drive away without collisions.
 WORLDS = ("loop", "circuit", "round", "maze", "mixed")
-UNSEEN = "unseen"  # the suite of worlds that no training uses
-UNSEEN_WORLDS = "unseen_worlds.json"  # file in the folder of an entry: evaluations in worlds of other trainings
+UNSEEN_SUITE = "unseen"  # the suite of worlds that no training uses
+UNSEEN_WORLDS_FILE = "unseen_worlds.json"  # file in the folder of an entry: evaluations in worlds of other trainings
 # Promised rates of good episodes (see `Entry.criterion`).
-PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_PLAN, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
+PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_MAP, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
 # Promised mean speeds relative to the fastest command; lower in generated worlds, where posts require more turns.
 PROMISED_SPEED, PROMISED_SPEED_GENERATED = 0.75, 0.6
 
 
 @dataclass(frozen=True)
+class SuitePolicy:
+    """A policy for suites, and its results."""
+
+    name: str
+    arguments: str  # arguments of `python -m tb2rl.evaluate` without `--suite`
+    folder: Path  # folder of the summaries
+
+    @property
+    def evaluate_options(self) -> Namespace:
+        """The parsed arguments, a new object for each call."""
+        return evaluate_command.parse(shlex.split(self.arguments))
+
+    @cached_property
+    def config(self) -> Config:
+        """Config of the evaluation."""
+        return chosen_policy(self.evaluate_options)[1]
+
+    @property
+    def digest(self) -> str | None:
+        """Digest of the checkpoint; None for an agent that does not learn."""
+        return policy_digest(policy) if (policy := self.evaluate_options.policy) else None
+
+    def file(self, suite: str) -> Path:
+        """File of the summary in a suite."""
+        return self.folder / f"{self.name}-{suite}.json"
+
+    def summary(self, suite: str) -> SuiteResult | None:
+        """The summary in a suite; None if the file is missing, or stale because policy or task have changed."""
+        if not self.file(suite).is_file():
+            return None
+        summary = SuiteResult.read(self.file(suite))
+        try:
+            config = config_from(summary.config)  # adds defaults of settings that are newer than the file
+        except InputError:
+            return None
+        is_same = (summary.suite, summary.policy_digest) == (suite, self.digest)
+        return summary if is_same and config.to_dict() == self.config.to_dict() else None
+
+    @property
+    def summaries(self) -> list[SuiteResult]:
+        """The summaries in all suites, without missing and stale ones."""
+        return [summary for suite in SUITES if (summary := self.summary(suite)) is not None]
+
+    def evaluate_in(self, suite: Suite, options: Namespace) -> None:
+        """Evaluate the policy in a suite, or continue an interrupted evaluation, and write the summary.
+
+        Args:
+            suite: The suite.
+            options: Options of `zoo build`: `again` replaces a valid summary, `on` and `workers` select the executor.
+        """
+        summary = self.summary(suite.name)
+        if summary is not None and summary.suite_digest == suite.digest and not options.again:
+            return
+        print(f"{self.name} in suite {suite.name}", flush=True)
+        result_file = _RESULTS / self.file(suite.name).name
+        result_file.parent.mkdir(parents=True, exist_ok=True)
+        evaluation = self.evaluate_options
+        evaluation.suite = [suite.name, *([] if suite.path is None else [str(suite.path)])]
+        evaluation.json, evaluation.on, evaluation.workers = result_file, options.on, options.workers
+        evaluate(evaluation)
+        self.folder.mkdir(exist_ok=True)
+        text = json.dumps(asdict(SuiteResult.read(result_file).summary), indent=1, allow_nan=False)
+        write_text(self.file(suite.name), text + "\n")
+
+
+@dataclass(frozen=True)
 class Entry:
-    """A policy of the zoo. Its files exist after `build`, and each is read only once."""
+    """A policy of the zoo. Its files exist after `zoo build`, and each is read only once."""
 
     name: str
     recipe: str  # arguments of `python -m tb2rl.train`
@@ -59,15 +131,21 @@ class Entry:
         return _read_json(self.folder / EVALUATION)
 
     @cached_property
-    def unseen_worlds(self) -> dict[str, dict[str, Any]]:
+    def unseen_world_summaries(self) -> dict[str, dict[str, Any]]:
         """Summaries of evaluations in unseen worlds, by world."""
-        file = self.folder / UNSEEN_WORLDS
+        file = self.folder / UNSEEN_WORLDS_FILE
         return _read_json(file) if file.is_file() else {}
+
+    def add_unseen_world(self, world: str, summary: dict[str, Any]) -> None:
+        """Add the summary of an evaluation in an unseen world, also to the file."""
+        self.unseen_world_summaries[world] = summary
+        in_order = {name: self.unseen_world_summaries[name] for name in WORLDS if name in self.unseen_world_summaries}
+        write_text(self.folder / UNSEEN_WORLDS_FILE, json.dumps(in_order, indent=1) + "\n")
 
     @cached_property
     def evaluations(self) -> list[dict[str, Any]]:
         """Evaluations during the training."""
-        return read_lines(self.folder / EVALUATIONS)
+        return read_lines(self.folder / TRAINING_EVALUATIONS)
 
     @property
     def navigates(self) -> bool:
@@ -77,21 +155,21 @@ class Entry:
     @cached_property
     def suite_policy(self) -> SuitePolicy:
         """The policy and its results in suites; only for task `navigate`."""
-        return SuitePolicy(self.name, f"zoo:{self.name}", suites_folder())
+        return SuitePolicy(self.name, arguments=f"zoo:{self.name}", folder=suites_folder())
 
     @property
     def is_built(self) -> bool:
-        """Whether the training and the evaluations in unseen worlds, or in the suite of unseen worlds, are complete."""
+        """Whether the training is complete, and the evaluations in unseen worlds or, for `navigate`, in a suite."""
         if not (self.folder / EVALUATION).is_file() or self.missing_worlds:
             return False
-        return not self.navigates or self.suite_policy.summary(UNSEEN) is not None
+        return not self.navigates or self.suite_policy.summary(UNSEEN_SUITE) is not None
 
     @property
     def missing_worlds(self) -> list[str]:
         """Unseen worlds that are still to be evaluated."""
         missing = []
         for world in () if self.navigates else WORLDS:
-            if world not in (self.config.task.world, *self.unseen_worlds):
+            if world not in (self.config.task.world, *self.unseen_world_summaries):
                 with suppress(InputError):  # worlds without a goal are invalid for some tasks
                     self.config.with_task({"world": world})
                     missing.append(world)
@@ -122,7 +200,7 @@ class Entry:
             return PROMISED_TABULAR
         if self.config.scene.spec.dynamic_obstacles:
             return PROMISED_AMONG_PEOPLE
-        return PROMISED_WITHOUT_PLAN if getattr(self.config.task, "guide", "") == "goal" else PROMISED
+        return PROMISED_WITHOUT_MAP if getattr(self.config.task, "guide", "") == "goal" else PROMISED
 
     @property
     def relative_speed(self) -> float:
@@ -167,7 +245,7 @@ def entries() -> list[Entry]:
 
 
 def listed_suite_policies() -> list[SuitePolicy]:
-    """The policies that are listed in `suites.yaml`."""
+    """The policies of `suites.yaml`, with their arguments of `python -m tb2rl.evaluate`."""
     file = zoo_folder() / "suites.yaml"
     listed = read_yaml(file) if file.is_file() else {}
     return [SuitePolicy(name, arguments, suites_folder()) for name, arguments in listed.items()]

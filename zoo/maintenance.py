@@ -2,21 +2,35 @@
 
 import argparse
 import os
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
+from PIL import Image
+
+from tb2rl.commands.train import train_and_evaluate
 from tb2rl.core import InputError, read_text, write_text
 from tb2rl.evaluation.evaluate import EPISODES, evaluate
+from tb2rl.evaluation.evaluation import Evaluation, load_evaluation
 from tb2rl.evaluation.progress import progress, say
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.execution.arguments import make_executor
+from tb2rl.execution.cluster import read_files, write_files
+from tb2rl.execution.executor import Executor, Job
+from tb2rl.runs.folder import EVALUATION, TRAINING_EVALUATIONS, Run
 from tb2rl.simulation.simulator import default_physics
+from tb2rl.training.training import default_folder
+from tb2rl.viz.pictures import draw_paths
 from tb2rl.worlds.suites import SUITES, find_suite
-from tb2rl.zoo.building import evaluate_in_unseen_worlds, train
 from tb2rl.zoo.cards import card, percent, table
-from tb2rl.zoo.entry import UNSEEN, Entry, entries, navigating_policies, select, suites_folder, zoo_folder
-from tb2rl.zoo.suite_policies import stale_results
+from tb2rl.zoo.entry import UNSEEN_SUITE, Entry, entries, navigating_policies, select, suites_folder, zoo_folder
 
 _PYBULLET_USER = "the zoo, whose evaluations use PyBullet,"  # subject of the message if PyBullet is missing
 _SPEED_TOLERANCE = 0.02  # relative difference of mean speeds between machines
+_NUM_DRAWN = 30  # number of first episodes in a picture; later episodes are drawn only if they failed
+PICTURE = "paths.png"
 
 
 def build(options: argparse.Namespace) -> None:
@@ -32,7 +46,7 @@ def build(options: argparse.Namespace) -> None:
         selected, listed_policies = select(options.names)  # new objects, because entries cache their files
         evaluate_in_unseen_worlds(selected, executor)
     policies = [*navigating_policies(selected), *listed_policies]
-    for suite in [find_suite(UNSEEN), *barn] if policies else []:
+    for suite in [find_suite(UNSEEN_SUITE), *barn] if policies else []:
         for policy in policies:
             policy.evaluate_in(suite, options)
     built_entries = [entry for entry in entries() if entry.is_built]
@@ -52,7 +66,9 @@ def check(options: argparse.Namespace) -> None:
     policies = [*navigating_policies(selected), *listed_policies]
     files = [policy.file(suite) for policy in policies for suite in SUITES] if names else suites_folder().glob("*")
     files = [file for file in files if file.is_file()]
-    problems += stale_results(files, policies)
+    valid = {policy.file(summary.suite) for policy in policies for summary in policy.summaries}
+    stale = sorted(file for file in files if file not in valid)
+    problems += [f"suites/{file.name} is stale: its policy or task has changed or is gone" for file in stale]
     if not names and read_text(zoo_folder() / "README.md") != table(selected):
         problems.append("README.md differs from the files")
     for line in problems:
@@ -82,3 +98,53 @@ def _problems(entry: Entry, num_episodes: int) -> list[str]:
     if speed < (1 - _SPEED_TOLERANCE) * speed_before:
         problems.append(f"{speed:.3f} m/s, {speed_before:.3f} m/s when the card was written")
     return [f"{entry.name}: {problem}" for problem in problems]
+
+
+def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
+    """Train and evaluate policies, and add each to the zoo as soon as it is trained.
+
+    Args:
+        entries: Entries to train.
+        again: Whether to train entries again that match their recipes.
+        executor: Runs the trainings.
+    """
+    to_train = {entry.name: entry for entry in entries if again or not entry.matches_recipe}
+    jobs = []
+    for name, entry in to_train.items():
+        config = entry.recipe_config
+        folder = default_folder(config).with_name(f"{name}-{datetime.now():%Y%m%d-%H%M%S}")
+        jobs.append(Job(name, (config, str(folder), 0), folder))
+    for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):
+        assert job.folder is not None
+        run, entry = Run.open(job.folder), to_train[job.name]
+        draw(load_evaluation(run), job.folder / PICTURE)
+        names = ("config.yaml", TRAINING_EVALUATIONS, EVALUATION, PICTURE)
+        files = {name: (run.folder / name).read_bytes() for name in names}
+        files[f"best/{run.policy_file.name}"] = run.policy_file.read_bytes()
+        write_files(files, entry.folder)
+        print(f"{job.name}: trained in {job.folder}", flush=True)
+
+
+def evaluate_in_unseen_worlds(entries: Sequence[Entry], executor: Executor) -> None:
+    """Evaluate policies in their missing unseen worlds, and write the summaries to their folders."""
+    missing = {f"{entry.name} in {world}": (entry, world) for entry in entries for world in entry.missing_worlds}
+    jobs = [Job(name, (read_files(entry.folder), world)) for name, (entry, world) in missing.items()]
+    for job, summary in executor.as_completed(_evaluate_in_world, jobs):
+        entry, world = missing[job.name]
+        entry.add_unseen_world(world, summary)
+        print(job.name, flush=True)
+
+
+def _evaluate_in_world(files: Mapping[str, bytes], world: str) -> dict[str, Any]:
+    """Summary of the standard evaluation in a world; `files` is the content of an entry's folder."""
+    with TemporaryDirectory() as parent:
+        folder = Path(parent, "entry")
+        write_files(files, folder)
+        return evaluate(folder, settings={"world": world}).summary()
+
+
+def draw(evaluation: Evaluation, file: Path) -> None:
+    """Draw the paths of the first episodes and of all failed ones."""
+    drawn_episodes = [episode for i, episode in enumerate(evaluation.episodes) if episode.failed or i < _NUM_DRAWN]
+    picture = draw_paths(evaluation.scene, drawn_episodes)
+    Image.fromarray(picture).quantize(64).save(file, optimize=True)

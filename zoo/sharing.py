@@ -1,6 +1,6 @@
 """Shares policies on the Hugging Face hub, without pickled code and with a model card.
 
-An upload is a run folder with the config as JSON, see `tb2rl.runs.folder`. `tb2rl.runs.hub` has the download.
+An upload is a run folder with the config as JSON, see `tb2rl.runs.folder`. `tb2rl.runs.loading` has the download.
 """
 
 import argparse
@@ -16,10 +16,10 @@ from tb2rl.core import InputError, read_text, untrusted_source, write_text
 from tb2rl.envs.worlds import paths_in
 from tb2rl.evaluation.evaluation import load_evaluation
 from tb2rl.runs import Config, checkpoint_file, config_from, read_checkpoint, write_checkpoint
-from tb2rl.runs.folder import EVALUATION, EVALUATIONS, SHARED_CONFIG, Run
-from tb2rl.runs.hub import HUB, POLICY, hub_library, parse_reference, translate_errors
-from tb2rl.zoo.building import PICTURE, draw
+from tb2rl.runs.folder import EVALUATION, SHARED_CONFIG, TRAINING_EVALUATIONS, Run
+from tb2rl.runs.loading import HUB, POLICY, hub_library, parse_reference, translate_errors
 from tb2rl.zoo.cards import template
+from tb2rl.zoo.maintenance import PICTURE, draw
 
 # Parts of a checkpoint that are uploaded; the state of the training is not.
 _SHARED_CONTENT = ("timesteps", "versions", "config", "policy", "normalisation")
@@ -93,7 +93,7 @@ def prepare_upload(run: Run, repository: str, folder: Path) -> None:
     config = {**content["config"], "versions": content["versions"]}
     for name, tree in ((SHARED_CONFIG, config), (EVALUATION, summary)):
         write_text(folder / name, json.dumps(tree, indent=1) + "\n")
-    for name in (EVALUATIONS, PICTURE):
+    for name in (TRAINING_EVALUATIONS, PICTURE):
         if (run.folder / name).is_file():
             shutil.copy(run.folder / name, folder / name)
     if run.has_evaluation:

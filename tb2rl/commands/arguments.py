@@ -1,4 +1,4 @@
-"""Command-line arguments for the policy, the task and the robot. `policy.py` interprets their values."""
+"""Command-line arguments for the policy, the task and the robot. `evaluate.py` interprets their values."""
 
 import argparse
 

@@ -23,7 +23,7 @@ from tb2rl.envs.scene import make_scene
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.evaluation.evaluate import SOLVED_RATE, evaluate
-from tb2rl.runs import EVALUATIONS, load, read_lines, resolve
+from tb2rl.runs import TRAINING_EVALUATIONS, load, read_lines, resolve
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.simulator import batch_simulator, default_physics, find_simulator
 from tb2rl.tasks.wander import Wander
@@ -156,7 +156,7 @@ def measure_trained(options: argparse.Namespace) -> Iterator[Figure]:
         for seed in range(options.seeds):
             with tempfile.TemporaryDirectory() as folder:
                 run = _train(agent, folder, simulation=simulation, seed=seed).run
-                evaluations = read_lines(run.folder / EVALUATIONS)
+                evaluations = read_lines(run.folder / TRAINING_EVALUATIONS)
                 rate = evaluate(load(run.folder)).summary()["failure_free_rate"]
             times = [line["elapsed"] for line in evaluations if line["failure_free_rate"] >= SOLVED_RATE]
             seconds.append(min(times, default=float("inf")))

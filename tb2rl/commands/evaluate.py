@@ -1,23 +1,30 @@
-"""Implementation of `python -m tb2rl.evaluate`: evaluations by episodes, and suites."""
+"""Implementation of `python -m tb2rl.evaluate`: evaluations by episodes, and suites.
+
+The functions `chosen_...` load what the arguments of `arguments.py` select, also for other commands.
+"""
 
 import argparse
+import signal
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from tb2rl.commands.arguments import refuse
-from tb2rl.commands.policy import chosen_policy, chosen_robot, chosen_time_limit
 from tb2rl.core import InputError, check_output, write_json
 from tb2rl.core.compiled import announce_compiling
-from tb2rl.core.values import build
-from tb2rl.evaluation.episodes import check_spaces
-from tb2rl.evaluation.evaluate import EPISODES, SEED, STEPS, evaluate
+from tb2rl.core.values import Point, build, checked
+from tb2rl.deploy.portable.termination import termination_signals
+from tb2rl.deploy.ros.robot import RosRobot, parse_limits, parse_mounting
+from tb2rl.deploy.ros.topics import TURTLEBOT2, parse_topics
+from tb2rl.evaluation.episodes import Policy, check_spaces
+from tb2rl.evaluation.evaluate import EPISODES, SEED, STEPS, evaluate, time_limit
 from tb2rl.evaluation.progress import progress
 from tb2rl.evaluation.suites import SuiteEpisode, run_suite, suite_evaluator, suite_result, suite_scene
 from tb2rl.execution.arguments import make_executor
-from tb2rl.runs import Config, Journal, Run, parse_settings, policy_digest, versions
-from tb2rl.simulation.simulator import default_simulator
+from tb2rl.runs import Config, config_of, load, make_baseline, parse_settings, policy_digest, resolve
+from tb2rl.runs.folder import Journal, Run, versions
+from tb2rl.simulation.simulator import default_simulator, find_simulator
 from tb2rl.viz.table import print_evaluation, print_suite
 from tb2rl.worlds.suites import Suite, find_suite
 
@@ -114,3 +121,54 @@ def _finished_episodes(journal: Journal, num_worlds: int) -> list[SuiteEpisode]:
     elif episodes:
         print(f"continuing: {len(episodes)} of {num_worlds} worlds are in {journal.path}")
     return episodes
+
+
+def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
+    """Load the chosen policy, and the config of the task at which it drives.
+
+    Raises:
+        InputError: If the policy does not exist, or a setting is invalid.
+    """
+    if (options.policy is None) == (options.agent is None):
+        raise InputError("name a policy (run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY), or name an --agent")
+    settings = parse_settings(options.set)
+    if options.agent is not None:
+        config = resolve(options.agent, options.task, settings=settings)
+        return make_baseline(config), config
+    refuse(options, "needs --agent; a policy keeps the task of its training", "task")
+    policy = load(options.policy, options.trust)
+    for key in settings:
+        if not key.startswith("task."):
+            raise InputError(f"only the task of a trained policy can be changed (task.KEY=VALUE), got {key!r}")
+    return policy, config_of(policy).with_task({key.removeprefix("task."): value for key, value in settings.items()})
+
+
+def chosen_time_limit(options: argparse.Namespace, default: int) -> int:
+    """Time limit of an episode [control steps], from `--steps` or `--set task.episode_steps`."""
+    settings = parse_settings(options.set)
+    return time_limit(options.steps, {key.removeprefix("task."): value for key, value in settings.items()}, default)
+
+
+def parse_goal(text: str) -> Point:
+    """Parse a goal x, y [m], such as "3,2"."""
+    return checked(Point, text.split(","), "--goal")
+
+
+def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
+    """The robot with ROS that the arguments select; None for a simulation.
+
+    With a robot, all termination signals raise `KeyboardInterrupt` from now on, so that `close` can stop the robot.
+
+    Raises:
+        InputError: If an argument is invalid.
+    """
+    if options.simulation is None or not find_simulator(options.simulation).is_external:
+        refuse(options, "needs --simulation ros", "ros", "topics", "mounting", "top_speed", "ros_args")
+        return None
+    ros = options.ros or 1
+    topics = asdict(parse_topics(options.topics, TURTLEBOT2[ros]))
+    mounting, limits = parse_mounting(options.mounting or "0,0,0"), parse_limits(options.top_speed, "--top-speed")
+    goal = None if options.goal is None else parse_goal(options.goal)
+    for number in termination_signals():
+        signal.signal(number, signal.default_int_handler)
+    return RosRobot(ros, topics, mounting, limits, goal, tuple(options.ros_args))

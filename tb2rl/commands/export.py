@@ -13,7 +13,7 @@ from tb2rl.core.files import atomic_write
 from tb2rl.deploy.description import describe, find_portable_needs
 from tb2rl.deploy.folder import write_folder
 from tb2rl.deploy.network import OBSERVATION, extract_network, observation_spaces
-from tb2rl.deploy.portable.network import Network
+from tb2rl.deploy.portable.policy import Network
 from tb2rl.envs.encodings import has_images, stack_observations
 from tb2rl.envs.parts import describe_filters
 from tb2rl.runs.loading import config_of, load

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.commands.arguments import refuse
-from tb2rl.commands.policy import chosen_policy, chosen_robot, chosen_time_limit, parse_goal
+from tb2rl.commands.evaluate import chosen_policy, chosen_robot, chosen_time_limit, parse_goal
 from tb2rl.core import InputError, exit_by_signal, handle_termination_signals
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.evaluation.episodes import Policy
@@ -16,8 +16,7 @@ from tb2rl.evaluation.progress import say
 from tb2rl.runs import HUB, SUFFIX, Config, parse_settings, resolve
 from tb2rl.simulation.simulator import default_physics, default_simulator
 from tb2rl.viz.film import FILM_STEPS, FilmOptions, film, open_episodes, record
-from tb2rl.viz.teleop import Teleop, steer_in_terminal
-from tb2rl.viz.window import Window, has_display
+from tb2rl.viz.window import Teleop, Window, has_display, steer_in_terminal
 
 
 def run(arguments: argparse.Namespace) -> None:

@@ -7,8 +7,7 @@ from tb2rl.commands.arguments import refuse
 from tb2rl.commands.worlds import only_world
 from tb2rl.core import InputError, check_output, write_text
 from tb2rl.core.files import parse_yaml
-from tb2rl.deploy.bags.reading import is_bag, read_drive
-from tb2rl.deploy.bags.topics import parse_topics
+from tb2rl.deploy.bags.reading import is_bag, parse_topics, read_drive
 from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.evaluation.suites import SuiteResult
 from tb2rl.viz.comparison import compare, comparison_page, read_compared_runs

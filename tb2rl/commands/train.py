@@ -19,8 +19,7 @@ from tb2rl.evaluation.evaluate import EPISODES, SOLVED_RATE, evaluate
 from tb2rl.evaluation.progress import say
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.execution.arguments import make_executor
-from tb2rl.execution.executor import Executor
-from tb2rl.execution.job import Job
+from tb2rl.execution.executor import Executor, Job
 from tb2rl.runs import Config, Run, TrainSettings, load, parse_settings, resolve
 from tb2rl.runs.algorithm import check_device, check_trainable
 from tb2rl.simulation.simulator import default_simulator
@@ -122,7 +121,7 @@ def train_seeds(config: Config, seeds: Sequence[int], folder: Path, executor: Ex
     for seed in seeds:
         run_folder = folder / f"seed-{seed}"
         seed_config = replace(config, train=replace(config.train, seed=seed))
-        jobs.append(Job(f"seed {seed}", (seed_config, str(run_folder), verbose), run_folder))
+        jobs.append(Job(f"seed {seed}", arguments=(seed_config, str(run_folder), verbose), folder=run_folder))
 
     def interrupt(signal_number: int) -> None:
         if not signals:
@@ -147,7 +146,7 @@ def train_and_evaluate(worlds: Mapping[str, Any], config: Config, final_path: st
     """Train with one seed, write the output to the log, and return the summary of the standard evaluation.
 
     Args:
-        worlds: Worlds from files, see `register_worlds`, because an executor may run this on another machine.
+        worlds: Worlds from files, for `register_worlds`; another machine, on which this may run, lacks the files.
         config: Config with the seed.
         final_path: Path of the run folder on the machine of the command.
         verbose: See `train_config`.
@@ -178,7 +177,7 @@ def _print_training(training: FinishedTraining) -> None:
     print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
     if training.early_stop_timesteps is not None:
         print(describe_early_stop(training.run.config.train, training.early_stop_timesteps))
-    print(tutorial_scores(training.episode_lengths))
+    print(tutorial_scores(training.episode_lengths))  # as the ROS tutorial prints at its end
 
 
 def _summarize(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:

@@ -23,9 +23,8 @@ from tb2rl.runs.algorithm import check_trainable
 from tb2rl.training.trackers import check_trackers
 from tb2rl.tuning.page import write_page, write_preset
 from tb2rl.tuning.selection import NUM_SELECTED, Comparison, TrialEvaluation, compare, evaluate_trial, select_best
-from tb2rl.tuning.space import read_space
 from tb2rl.tuning.storage import open_study, storage_url
-from tb2rl.tuning.study import StudyFolder, StudyOptions
+from tb2rl.tuning.study import StudyFolder, StudyOptions, read_space
 from tb2rl.tuning.trials import best_trials, count_trials, run_trials
 
 

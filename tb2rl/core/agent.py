@@ -19,7 +19,7 @@ class Agent:
             that does not learn, a `BasePolicy`, as "module:Class".
         observation: Default observation mode, "discrete" or "raw".
         fixed_observation: Whether the agent supports only this observation mode.
-        actions: Type of actions that the agent can learn, "named" (`Commands`) or "continuous" (`Velocities`); None:
+        actions: Type of actions that the agent can learn, "discrete" (`Commands`) or "continuous" (`Velocities`); None:
             all types that the algorithm supports.
     """
 

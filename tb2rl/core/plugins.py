@@ -58,7 +58,7 @@ def find_plugin(kind: Kind, name: str) -> Any:
         InputError: If the plugin does not exist; the message lists the known names.
     """
     if ":" in name:
-        check_module_allowed(name)  # here, because its message should not begin with the kind
+        check_module_allowed(name)  # outside `try`, which begins the messages of `import_object` with the kind
         try:
             return import_object(name)
         except InputError as error:
@@ -87,6 +87,7 @@ def make_part(cls: type[T], arguments: Mapping[str, Any], where: str, extra: Map
         for name, parameter in inspect.signature(cls).parameters.items():
             if name not in extra and parameter.kind not in _VARIADIC:
                 is_required = parameter.default is parameter.empty
+                # Only given arguments are passed on, so the default None is never used.
                 fields.append((name, hints.get(name, Any), field(default=MISSING if is_required else None)))
         checked: Any = build(make_dataclass("Arguments", fields, kw_only=True), arguments, where)
         return cls(**extra, **{name: getattr(checked, name) for name in arguments})
@@ -113,7 +114,7 @@ def import_object(reference: str) -> Any:
     if module_name == "__main__":
         return _find_in_main(attribute)
     parts = module_name.split(".")
-    # A module `__main__` is rejected, because its import would run a program.
+    # A package's `__main__` is rejected, because its import would run a program.
     if parts[-1] == "py" or not all(part.isidentifier() and part != "__main__" for part in parts):
         raise InputError(f"cannot import {reference!r}: it should read module:Class, without .py")
     try:
@@ -145,7 +146,7 @@ def _find_in_main(name: str) -> Any:
     value = vars(sys.modules["__main__"]).get(name)
     if not is_dataclass(value) and not isinstance(value, type):
         hint = f"save {name} of the script or notebook in a file, and use the reference module:{name}"
-        raise InputError(one_line(f"cannot import '__main__:{name}': it is from another script or notebook; {hint}"))
+        raise InputError(one_line(f"cannot import '__main__:{name}': the running script has no such class; {hint}"))
     return value
 
 
@@ -156,6 +157,7 @@ def _entry_points(group: str, _path: tuple[str, ...]) -> dict[str, str]:
 
 def _built_in(kind: Kind) -> dict[str, str]:
     if kind == "agent":
+        # In a checkout, agents/ is beside the package; `tb2rl/__init__.py` makes it importable as `tb2rl.agents`.
         files = [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))])]
         return {name: f"tb2rl.agents.{name}:AGENT" for name in files if not name.startswith("_")}
     return {"filter": FILTERS, "robot": ROBOTS, "simulator": SIMULATORS, "task": TASKS}.get(kind, {})

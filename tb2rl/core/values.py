@@ -54,7 +54,7 @@ def _has_source(world: str | dict[str, Any]) -> bool:
 Pose = Annotated[tuple[float, float, float], _with_message("must be [x, y, yaw], in m and rad")]
 _NAME_MESSAGE = 'must be a name, or "module:NAME" for an object in your own file'
 Name = Annotated[str, _with_message(_NAME_MESSAGE)]
-PAIR = BeforeValidator(lambda value: (value, value) if isinstance(value, int | float) else value)  # of one number
+PAIR = BeforeValidator(lambda value: (value, value) if isinstance(value, int | float) else value)  # number to pair
 ASCENDING = _require(lambda pair: pair[0] <= pair[1], "must be a number, or the lowest and the highest")
 Names = Annotated[
     tuple[str, ...],
@@ -101,9 +101,7 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     if not isinstance(values, Mapping):
         raise InputError(f"{where}: expected a mapping of keys to values, got {values!r}")
     known = [field.name for field in dataclasses.fields(cls) if field.init]  # type: ignore[arg-type]
-    for key in values:
-        if key in known:
-            continue
+    for key in [key for key in values if key not in known]:
         if isinstance(key, str) and is_untyped(cls, key):  # a key of YAML can be null
             hint = f"write {key}: float = ..., or another type"
             raise InputError(f"{where}.{key}: a setting needs a type in its class; {hint}")
@@ -139,6 +137,6 @@ def is_untyped(cls: type, key: str) -> bool:
 
 
 def _describe(value: Any) -> str:
-    """Describe a value in a message, and other objects than plain values only by their class."""
+    """Describe a value for a message: plain values as they are, other objects by their class."""
     is_plain = value is None or isinstance(value, bool | int | float | str | list | tuple | dict)
     return repr(value) if is_plain else f"an object of class {type(value).__name__}"

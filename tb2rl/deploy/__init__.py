@@ -6,22 +6,6 @@ see `Driver`. `portable/` runs on a robot without tb2rl: the driver itself, with
 
 from tb2rl.deploy.portable.driver import Command, Driver, Finding
 from tb2rl.deploy.portable.policy_contract import Needs, Policy, SensorData
-from tb2rl.deploy.portable.scan import Scan
-from tb2rl.deploy.portable.scan_reader import Mounting, ScanReader
+from tb2rl.deploy.portable.scan_reader import Mounting, Scan, ScanReader
 from tb2rl.deploy.trained import TrainedPolicy
 from tb2rl.envs.filters import Filter, SpeedLimits
-
-__all__ = [
-    "Command",
-    "Driver",
-    "Filter",
-    "Finding",
-    "Mounting",
-    "Needs",
-    "Policy",
-    "Scan",
-    "ScanReader",
-    "SensorData",
-    "SpeedLimits",
-    "TrainedPolicy",
-]

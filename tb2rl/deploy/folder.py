@@ -25,7 +25,7 @@ from tb2rl.envs import filters as filters_module
 
 _HERE = Path(__file__).parent
 _MODULES = (  # each after the modules that it imports
-    "policy_contract", "scan", "path", "scan_reader", "driver", "network", "encoding", "policy",
+    "policy_contract", "path", "scan_reader", "driver", "encoding", "policy",
     "termination", "main",
 )  # fmt: skip
 _PACKED_IMPORT = re.compile(  # imports from modules that are in the program
@@ -107,9 +107,7 @@ def build_program(filters: Sequence[Path] = ()) -> str:
             sections.append(f"\n# ---- {file.stem} ----\n\n{_PACKED_IMPORT.sub('', source).strip()}\n")
         except (OSError, SyntaxError, ValueError) as error:
             raise InputError(f"cannot export the filters of {file}: {error}") from None
-    conflicts = sorted(name for name, count in names.items() if count > 1)
+    conflicts = ", ".join(sorted(name for name, count in names.items() if count > 1))
     if conflicts:
-        raise InputError(
-            f"{', '.join(map(str, filters))}: rename {', '.join(conflicts)}, which drive.py defines already"
-        )
+        raise InputError(f"{', '.join(map(str, filters))}: rename {conflicts}, which drive.py defines already")
     return "\n".join([_HEADER, *sections])

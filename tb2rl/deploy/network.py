@@ -1,6 +1,6 @@
 """Extracts the layers from observations to greedy actions from a policy, as numpy arrays.
 
-`graph.py` converts the layers to an ONNX graph, and `portable/network.py` runs them with numpy.
+`graph.py` converts the layers to an ONNX graph, and `portable/policy.py` runs them with numpy.
 """
 
 from collections.abc import Callable, Mapping

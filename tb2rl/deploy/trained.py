@@ -1,4 +1,4 @@
-"""A policy of tb2rl for a driver, which converts sensor data to the observations of the training."""
+"""Adapts a trained policy to `Driver`: converts its sensor data to the observations of the training."""
 
 from copy import deepcopy
 from pathlib import Path
@@ -21,8 +21,8 @@ _MARGIN = 5.0  # [m] of an empty world around the robot and its goal
 class TrainedPolicy:
     """A policy with the observations and actions of its training; a `tb2rl.deploy.Policy`.
 
-    With `map: online` the policy maps its surroundings itself; with `map: known` the driver needs a plan. Goals are in
-    the odometry frame, and odometry replaces the true pose.
+    With `map: online` the policy plans a path itself; with `map: known` it needs that of `Driver.set_plan`.
+    Goals are in the odometry frame, and odometry replaces the true pose.
 
     Args:
         policy: A policy from `tb2rl.load` or `tb2rl.train`, or an argument of `tb2rl.load`.
@@ -30,7 +30,7 @@ class TrainedPolicy:
 
     Attributes:
         needs: The requirements of the policy.
-        filters: The filters of the commands.
+        filters: Filters that the driver applies to the commands of `act`.
 
     Raises:
         InputError: If there is no such policy, or it observes what no robot can sense.
@@ -68,6 +68,7 @@ class TrainedPolicy:
 
     def _new_episode(self, sensor_data: SensorData) -> ObservationPipeline:
         scene, position = self._scene, sensor_data.pose[:2]
+        # The online map has the bounds of this world, which must contain robot and goal; otherwise any world will do.
         points = (position, sensor_data.goal or position) if scene.task.maps_online else ((0.0, 0.0),)
         world = make_empty_world(*points)
         spec = SimulationSpec(scene.robot, scene.laser, (world,))
@@ -82,11 +83,12 @@ class TrainedPolicy:
         pose, twist, ranges, command = (np.array([values], dtype=float) for values in measurements)
         acceleration, self._speed = (sensor_data.twist[0] - self._speed) / self.needs.period, sensor_data.twist[0]
         other_fields = np.array([sensor_data.bumped]), command, np.array([acceleration]), self._initial_state
-        plan: Any = None
-        if sensor_data.waypoint is not None:  # the only known point of the plan
+        waypoint_source: Any = None  # in place of the map that `RobotState.lookahead_point` asks
+        if sensor_data.waypoint is not None:
             waypoint = np.array([sensor_data.waypoint], dtype=float)
-            plan = SimpleNamespace(lookahead_point=lambda robot_state, lookahead: waypoint)
-        return RobotState(pose, twist, pose, twist, ranges, *other_fields, occupancy_map=plan)
+            waypoint_source = SimpleNamespace(lookahead_point=lambda robot_state, lookahead: waypoint)
+        # True pose and twist, then those of odometry:
+        return RobotState(pose, twist, pose, twist, ranges, *other_fields, occupancy_map=waypoint_source)
 
 
 def make_empty_world(*points: tuple[float, float]) -> World:

@@ -106,7 +106,8 @@ class ControlLoop:
 
         Args:
             actions: Shape (num_envs, ...).
-            inactive: Mask of environments that ignore the step because their episode has ended, shape (num_envs,).
+            inactive: Mask of environments whose episode has ended, shape (num_envs,): they get reward 0 and do not end
+                again, and their other values are meaningless.
         """
         before = self.robot_state
         commands = self._actions.commands(actions)
@@ -116,7 +117,8 @@ class ControlLoop:
         if self._latency:
             delayed_commands = self._recent_commands.delay(commands, before.initial_state.records["command_latency"])
         after = self.simulator.step(delayed_commands, self.task.control_period, inactive)
-        observed_commands = commands if self._latency else after.command  # a real robot may limit the command
+        # Without latency, the executed command is observed, because a real robot may limit the command.
+        observed_commands = commands if self._latency else after.command
         outcome = self.task.outcome(before, actions, after)
         self.lengths += 1
         reward, terminated = outcome.reward, outcome.terminated
@@ -149,7 +151,7 @@ class ControlLoop:
         for command_filter in self._filters:
             command_filter.reset_at(indices)
         self._robot_state, reset_states = self.simulator.reset_at(indices, initial_state, rng)
-        self._robot_state.copy_path_lengths(before, indices, reset_states)
+        self._robot_state.reuse_path_lengths(before, indices, reset_states)
         self._recent_commands.reset_at(indices, reset_states.command)
         self._observation_pipeline.reset_at(indices, reset_states, observations)
 
@@ -182,7 +184,7 @@ class ControlLoop:
             "robot_state": self.robot_state.state(),
             "observations": self._observation_pipeline.state(),
             "filters": [command_filter.state() for command_filter in self._filters],
-            "late_commands": deepcopy(self._recent_commands.values),
+            "recent_commands": deepcopy(self._recent_commands.values),
             "lengths": self.lengths.copy(),
             "returns": self._returns.copy(),
             "distances": self.distances.copy(),
@@ -195,7 +197,7 @@ class ControlLoop:
         self._observation_pipeline.restore(state["observations"])
         for command_filter, filter_state in zip(self._filters, state["filters"], strict=True):
             command_filter.restore(filter_state)
-        self._recent_commands.values = deepcopy(state["late_commands"])
+        self._recent_commands.values = deepcopy(state["recent_commands"])
         self.lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
         self.distances = state["distances"].copy()
 
@@ -213,7 +215,7 @@ class SeededLoop(ControlLoop):
 
     def __init__(self, scene: Scene, simulator: Simulator) -> None:
         super().__init__(scene, simulator)
-        self._stream_keys, self._stream_positions = np.zeros((2, self.num_envs), dtype=np.uint64)
+        self._stream_keys, self._draw_counts = np.zeros((2, self.num_envs), dtype=np.uint64)
         self.seed(None)
 
     def seed(self, seed: Any) -> None:
@@ -224,7 +226,7 @@ class SeededLoop(ControlLoop):
         """Start an episode in every environment."""
         key_rng, noise_rng = self._rng.spawn(2)
         self._stream_keys = key_rng.integers(2**64, size=self.num_envs, dtype=np.uint64)
-        self._stream_positions = np.zeros(self.num_envs, dtype=np.uint64)
+        self._draw_counts = np.zeros(self.num_envs, dtype=np.uint64)
         return self.reset(self._initial_states(np.arange(self.num_envs)), noise_rng)
 
     def reset_some(self, indices: np.ndarray, observations: Observations) -> None:
@@ -232,20 +234,16 @@ class SeededLoop(ControlLoop):
         self.reset_at(indices, self._initial_states(indices), observations)
 
     def state(self) -> dict[str, Any]:
-        streams = {
-            "keys": self._stream_keys.copy(),
-            "draws": self._stream_positions.copy(),
-            "generator": self._rng.bit_generator.state,
-        }
-        return {**super().state(), **streams}
+        streams = {"keys": self._stream_keys.copy(), "draws": self._draw_counts.copy()}
+        return {**super().state(), **streams, "generator": self._rng.bit_generator.state}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         super().restore(state)
-        self._stream_keys, self._stream_positions = state["keys"].copy(), state["draws"].copy()
+        self._stream_keys, self._draw_counts = state["keys"].copy(), state["draws"].copy()
         self._rng.bit_generator.state = state["generator"]
 
     def _initial_states(self, indices: np.ndarray) -> InitialState:
-        random = StreamSource(self._stream_keys[indices], self._stream_positions[indices])
+        random = StreamSource(self._stream_keys[indices], self._draw_counts[indices])
         initial_state = self.task.randomized_initial_state(self.scene.spec, random)
-        self._stream_positions[indices] = random.counts
+        self._draw_counts[indices] = random.counts
         return initial_state

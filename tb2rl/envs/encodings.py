@@ -115,9 +115,8 @@ def make_encoding(mode: str, sensors: Sequence[Sensor]) -> Encoding:
     images = [sensor for sensor in sensors if len(sensor.shape) == 3]
     numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
     if len(images) + len(numbers) < len(sensors) or not sensors:
-        raise InputError(
-            "a task needs sensors; the shape of each must be (n,), or (channels, height, width) for an image"
-        )
+        shapes = "the shape of each must be (n,), or (channels, height, width) for an image"
+        raise InputError(f"a task needs sensors; {shapes}")
     if any(image.shape[0] != min(image.shape) for image in images):
         raise InputError(f"sensor {images[0].name}: the shape of an image is (channels, height, width)")
     if mode == "discrete":

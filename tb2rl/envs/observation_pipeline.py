@@ -86,9 +86,8 @@ class ObservationPipeline:
         self._frames, self._held_back = History(frame_stack - 1), History(latency)
         numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
         reads_commands = [sensor.command_history_length > 0 for sensor in numbers]
-        self._is_command = np.repeat(
-            reads_commands, [sensor.shape[0] for sensor in numbers]
-        )  # of the columns of a vector
+        # Mask of the columns of a vector.
+        self._is_command = np.repeat(reads_commands, [sensor.shape[0] for sensor in numbers])
 
     def reset(self, robot_state: RobotState) -> Observations:
         """Start episodes in every environment, and return the first observations."""

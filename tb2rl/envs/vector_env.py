@@ -61,7 +61,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode in every environment, or in those of the option `reset_mask`, which excludes a seed.
+        """Start an episode in every environment, or without a seed in those of the option `reset_mask`.
 
         Raises:
             InputError: If the mask is invalid, or there is another option.
@@ -81,7 +81,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         if not (isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,) and mask.any()):
             raise InputError(f"options.reset_mask must be a bool array of shape ({self.num_envs},) with a True in it")
         if seed is not None:
-            raise InputError("reset_mask excludes a seed, because the environments keep their random streams")
+            raise InputError("reset_mask cannot be combined with a seed; the environments keep their random streams")
         indices, observations = mask.nonzero()[0], deepcopy(self._observations)
         self.loop.reset_some(indices, observations)
         self._awaits_reset = self._awaits_reset & ~mask
@@ -91,7 +91,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         """Hold an action in each environment for a control period.
 
         Raises:
-            InputError: If an environment needs a reset, or an action is outside the action space.
+            InputError: If an environment needs a reset, or actions have the wrong shape or an unknown number.
         """
         actions = np.asarray(actions)
         discrete = isinstance(self.single_action_space, Discrete)  # continuous actions are clipped instead
@@ -102,7 +102,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         if len(reset_indices) and self._mode is AutoresetMode.DISABLED:
             fix = "start the next one by reset(options={'reset_mask': mask})"
             raise InputError(f"the episode of environment {reset_indices[0]} is over; {fix}")
-        transition = self.loop.step(actions, self._awaits_reset if len(reset_indices) else None)
+        transition = self.loop.step(actions, inactive=self._awaits_reset if len(reset_indices) else None)
         finished = transition.finished
         if self._mode is AutoresetMode.SAME_STEP:
             reset_indices = np.empty(0, int) if finished is None else finished.indices
@@ -114,13 +114,14 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         if finished is not None and self._mode is AutoresetMode.SAME_STEP:
             infos |= self._final_infos(finished)
         elif finished is not None:
-            for name in ("is_success", "ended", "failed"):
+            for name in ("is_success", "ended", "failed"):  # "ended" is the reason
                 infos[name][finished.indices] = finished.infos[name]
         observations = self._store(transition.observations)
         return observations, transition.reward, transition.terminated, transition.truncated, infos
 
     def _store(self, observations: Any) -> Any:
-        """Store and return the observations; a reset of some environments repeats them for the others."""
+        """Return the observations, and store them for the environments that the next `reset_mask` leaves out."""
+        # Only with DISABLED can environments be reset alone; the copy is safe from changes by the caller.
         self._observations = deepcopy(observations) if self._mode is AutoresetMode.DISABLED else observations
         return observations
 
@@ -128,7 +129,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         self.loop.close()
 
     def _infos(self) -> dict[str, Any]:
-        """Infos of all environments, as if no episode had ended."""
+        """Infos of all environments, which `step` corrects for those whose episode has ended."""
         infos = self.loop.infos()
         return infos | {f"_{name}": self._all_true for name in infos}
 
@@ -138,7 +139,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         for i, index in enumerate(finished.indices):
             observations[index] = take_rows(finished.observations, i)
         info = self._scatter(finished.infos, finished.indices)
-        mask = info["_ended"]
+        mask = info["_ended"]  # the same for all keys: the environments of `finished`
         return {"final_obs": observations, "_final_obs": mask, "final_info": info, "_final_info": mask}
 
     def _scatter(self, some_infos: Mapping[str, np.ndarray], indices: np.ndarray) -> dict[str, Any]:

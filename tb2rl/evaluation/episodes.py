@@ -239,15 +239,14 @@ class _Predictor:
         # The slot of each row of a batch; padding repeats slots.
         self._batch_slots = np.arange(max(self._num_slots, _MIN_BATCH_SIZE)) % self._num_slots
         self._recurrent_state: Any = None
-        self._is_first_step = np.zeros(len(self._batch_slots), dtype=bool)
+        self._restarted = np.zeros(len(self._batch_slots), dtype=bool)
 
     def predict(self, observations: Observations) -> np.ndarray:
         if isinstance(self._policy, BasePolicy):
-            arguments = {"state": self._recurrent_state, "episode_start": self._is_first_step, "deterministic": True}
-            actions, self._recurrent_state = self._policy.predict(
-                take_rows(observations, self._batch_slots), **arguments
-            )
-            self._is_first_step = np.zeros(len(self._batch_slots), dtype=bool)
+            batch = take_rows(observations, self._batch_slots)
+            arguments = {"state": self._recurrent_state, "episode_start": self._restarted, "deterministic": True}
+            actions, self._recurrent_state = self._policy.predict(batch, **arguments)
+            self._restarted = np.zeros(len(self._batch_slots), dtype=bool)
             return actions[: self._num_slots]
         state = {} if self._recurrent_state is None else {"state": self._recurrent_state}
         action, self._recurrent_state = self._policy.predict(take_rows(observations, 0), deterministic=True, **state)
@@ -255,7 +254,7 @@ class _Predictor:
 
     def restart(self, slots: np.ndarray, seed: int) -> None:
         """Reset the recurrent state of slots that start an episode; seed torch, too, if there is a single slot."""
-        self._is_first_step |= np.isin(self._batch_slots, slots)
+        self._restarted |= np.isin(self._batch_slots, slots)
         if self._num_slots == 1:
             th.manual_seed(seed)
             self._recurrent_state = None
@@ -270,5 +269,5 @@ def _nearest_distance(points, spatial_index):
     """The smallest distance from points (n, 2) to the obstacles of a world [m]; inf without obstacles."""
     smallest = np.inf
     for i in range(points.shape[0]):
-        smallest = min(smallest, clearance_at(points[i, 0], points[i, 1], spatial_index, 0))  # world 0
+        smallest = min(smallest, clearance_at(points[i, 0], points[i, 1], spatial_index, 0))  # world 0 of one
     return smallest

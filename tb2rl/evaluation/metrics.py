@@ -79,12 +79,13 @@ def _count_squares(path: np.ndarray) -> int:
 METRICS = (
     Metric("failure_free", "failure-free", "", lambda episode: not episode.failed, "rate"),
     Metric("success", "goal reached", "", lambda episode: episode.success, "rate", goals_only=True),
+    # `touched`: the bumper was pressed; not every task regards this as a failure.
     Metric("touch_free", "touch-free", "", lambda episode: not episode.touched, "rate", in_tables=False),
     Metric("distance", "distance", "m", lambda episode: episode.distance),
     Metric("return", "return", "", lambda episode: episode.episode_return),
     Metric("length", "length", "steps", lambda episode: episode.length),
     Metric("mean_speed", "speed", "m/s", lambda episode: episode.distance, "per second"),
-    # Shows robots that only drive in circles, because they visit few squares.
+    # Reveals robots that only drive in circles, because they visit few squares.
     Metric("median_squares", "visited", "squares of 1 m (median)", lambda e: _count_squares(e.path), "median"),
 )
 

@@ -1,19 +1,82 @@
-"""Base class of executors: runs jobs on workers in parallel, and shows a progress table."""
+"""Base class of executors, which run jobs on workers in parallel, and the serialization of jobs."""
 
+import hashlib
 import math
+import pickle
+import platform
 import sys
 import time
+import traceback
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
+import cloudpickle
 from rich.console import Console
 from rich.progress import Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from tb2rl.execution.job import Job, Result, serialize
+from tb2rl.core.errors import InputError
 
+RETRIES = 3  # number of retries of a job whose worker died
+Result = tuple[Any, Exception | None]  # return value of a job, or the error to raise
+
+_cache: dict[str, Any] = {}  # deserialized objects in this worker, by digest
 _POLL_PERIOD = 0.5  # [s] period of checking the deadline and the number of workers
+
+
+@dataclass(frozen=True)
+class Job:
+    """One call of a function.
+
+    Attributes:
+        name: Unique name, for messages and the progress table.
+        arguments: Arguments of the function, after the shared ones.
+        folder: Folder that the function creates, passed as the last argument. None: no folder, and no such argument.
+    """
+
+    name: str
+    arguments: tuple[Any, ...] = ()
+    folder: Path | None = None
+
+
+def run_job(load: Callable[[], Iterable[Any]], job: Job) -> Result:
+    """Run a job in this process; `load` returns the function and the shared arguments."""
+    folder = () if job.folder is None else (job.folder,)
+    try:
+        function, *shared = load()
+        return function(*shared, *job.arguments, *folder), None
+    except InputError as error:
+        return None, InputError(f"{job.name}: {error}")
+    except Exception:
+        return None, RuntimeError(f"{job.name} failed on {platform.node()}:\n{traceback.format_exc()}")
+
+
+def serialize(values: Iterable[Any]) -> dict[str, bytes]:
+    """Serialize objects by value, including classes and functions of the main script.
+
+    Returns:
+        The serialized objects in the same order, by a digest of position and content.
+    """
+    contents = [cloudpickle.dumps(value) for value in values]
+    return {f"{i} {hashlib.sha256(content).hexdigest()}": content for i, content in enumerate(contents)}
+
+
+def deserialize(digests: Iterable[str], fetch: Callable[[str], bytes]) -> list[Any]:
+    """Deserialize objects, or get them from the cache; objects with other digests are removed from the cache.
+
+    Args:
+        digests: Digests of all objects.
+        fetch: Function that returns a serialized object by its digest.
+    """
+    for digest in _cache.keys() - set(digests):
+        del _cache[digest]
+    for digest in digests:
+        if digest not in _cache:
+            _cache[digest] = pickle.loads(fetch(digest))
+    return [_cache[digest] for digest in digests]
 
 
 class Executor(AbstractContextManager["Executor"]):

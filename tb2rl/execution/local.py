@@ -19,8 +19,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.processes import ONE_THREAD, end_with_parent, hide_main_script, process_context, processors
-from tb2rl.execution.executor import Executor
-from tb2rl.execution.job import RETRIES, Job, Result, deserialize, run_job
+from tb2rl.execution.executor import RETRIES, Executor, Job, Result, deserialize, run_job
 
 _TERMINATION_TIMEOUT = 30.0  # [s] time for a training to finish its rollout and save a checkpoint
 
@@ -103,7 +102,7 @@ class _Worker:
         worker_end.close()  # so that the pipe closes when the process dies
 
     def send(self, job: Job, payloads: Mapping[str, bytes], num_deaths: int) -> None:
-        """Send a job with the payloads that the process has not cached; `num_deaths` of its workers have died."""
+        """Send a job with the payloads that the process has not cached; `num_deaths` workers have died at this job."""
         missing = {digest: payloads[digest] for digest in payloads.keys() - self.payloads.keys()}
         self.job, self.payloads, self.num_deaths = job, payloads, num_deaths
         with suppress(BrokenPipeError, ConnectionResetError):  # the process has died, and `wait` will retry the job

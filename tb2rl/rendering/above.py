@@ -1,22 +1,72 @@
 """Pictures of worlds and robots from above."""
 
+from __future__ import annotations
+
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from copy import copy
 
 import numpy as np
 import shapely
 from PIL import Image, ImageDraw, ImageOps
 
-from tb2rl.rendering.canvas import Canvas, Point, Points
-from tb2rl.rendering.colours import BEAM, BODY, DYNAMIC_OBSTACLE, FREE, GOAL, LABEL, NOSE, PATH, ROUTE, STRIP, WHEEL
+from tb2rl.rendering import colours
 from tb2rl.robots import Laser, Robot
-from tb2rl.worlds import World
-from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
+from tb2rl.worlds import DynamicObstacles, World
 from tb2rl.worlds.world import box_polygons
 
+SIDE = 640  # [px] longer side of a drawing
+_SUPERSAMPLING = 2  # drawn pixels for each side of a pixel, for smooth lines
+_MARGIN = 0.3  # [m] margin around the world
 GOAL_RADIUS = 0.2  # [m] radius of the ring that marks a goal
 _NOSE = ((150 / 178, 0.0), (50 / 178, 60 / 178), (50 / 178, -60 / 178))  # triangle in the robot's frame [robot radii]
 _TILE_SIDE, _TITLE_HEIGHT = 320, 18  # [px] side of a picture and height of its title in a grid
+
+Point = Sequence[float] | np.ndarray  # x, y [m], and optional numbers that are ignored
+Points = Iterable[Point]
+
+
+class Canvas:
+    """A drawing of a world's walls, with x to the right, y up, and lengths in metres."""
+
+    def __init__(self, world: World) -> None:
+        x0, y0, x1, y1 = world.bounds
+        self._left, self._top = x0 - _MARGIN, y1 + _MARGIN
+        sides = np.array([x1 - x0, y1 - y0]) + 2 * _MARGIN
+        self._scale = SIDE * _SUPERSAMPLING / sides.max()  # [px/m]
+        # Even width and height, because video encoders need them.
+        size = 2 * np.maximum(1, np.round(sides * self._scale / _SUPERSAMPLING / 2)).astype(int)
+        self._image = Image.new("RGB", tuple((size * _SUPERSAMPLING).tolist()), colours.FLOOR)
+        self._draw = ImageDraw.Draw(self._image)
+        for outline in world.outlines():
+            self.polygon(outline.exterior.coords, colours.WALL)
+
+    def copy(self) -> Canvas:
+        """A copy; drawing on it does not change the original."""
+        duplicate = copy(self)
+        duplicate._image = self._image.copy()
+        duplicate._draw = ImageDraw.Draw(duplicate._image)
+        return duplicate
+
+    def line(self, points: Points, colour: str, width: float) -> None:
+        """Draw a line, unless there are no points."""
+        if pixels := self._pixels(points):
+            self._draw.line(pixels, fill=colour, width=max(1, round(width * self._scale)), joint="curve")
+
+    def polygon(self, points: Points, colour: str) -> None:
+        self._draw.polygon(self._pixels(points), fill=colour)
+
+    def disc(self, x: float, y: float, radius: float, colour: str | None, outline: str | None = None) -> None:
+        """Draw a disc, or only its outline if `colour` is None."""
+        corners = self._pixels([(x - radius, y + radius), (x + radius, y - radius)])
+        self._draw.ellipse(corners, fill=colour, outline=outline, width=2 * _SUPERSAMPLING)
+
+    def array(self) -> np.ndarray:
+        """The drawing as a new array, shape (height, width, 3), uint8."""
+        return np.array(self._image.reduce(_SUPERSAMPLING))
+
+    def _pixels(self, points: Points) -> list[tuple[float, float]]:
+        return [((p[0] - self._left) * self._scale, (self._top - p[1]) * self._scale) for p in points]
 
 
 class WorldPicture:
@@ -48,8 +98,8 @@ class WorldPicture:
         x, y, yaw = pose
         for angle, distance in zip(self._laser.angles + yaw, ranges, strict=True):
             length = min(distance, self._laser.max_range)
-            canvas.line([(x, y), (x + length * math.cos(angle), y + length * math.sin(angle))], BEAM, 0.015)
-        canvas.line(path, PATH, 0.04)
+            canvas.line([(x, y), (x + length * math.cos(angle), y + length * math.sin(angle))], colours.BEAM, 0.015)
+        canvas.line(path, colours.PATH, 0.04)
         for outline in () if dynamic_obstacles is None else dynamic_obstacles.tolist():
             _draw_dynamic_obstacle(canvas, outline)
         draw_robot(canvas, self._robot, x, y, yaw)
@@ -59,13 +109,13 @@ class WorldPicture:
 def draw_goal(canvas: Canvas, goal: Point | None) -> None:
     """Draw a ring around a goal x, y [m], unless the goal is None or NaN."""
     if goal is not None and np.isfinite(goal).all():
-        canvas.disc(goal[0], goal[1], GOAL_RADIUS, None, outline=GOAL)
+        canvas.disc(goal[0], goal[1], GOAL_RADIUS, None, outline=colours.GOAL)
 
 
 def draw_routes(canvas: Canvas, groups: Sequence[DynamicObstacles]) -> None:
     """Draw the routes of dynamic obstacles."""
     for group in groups:
-        canvas.line(group.route, ROUTE, 0.04)
+        canvas.line(group.route, colours.ROUTE, 0.04)
 
 
 def draw_robot(canvas: Canvas, robot: Robot, x: float, y: float, yaw: float) -> None:
@@ -74,19 +124,19 @@ def draw_robot(canvas: Canvas, robot: Robot, x: float, y: float, yaw: float) -> 
     def to_world(forward: float, left: float) -> tuple[float, float]:
         return x + forward * cos - left * sin, y + forward * sin + left * cos
 
-    canvas.disc(x, y, robot.radius, BODY)
+    canvas.disc(x, y, robot.radius, colours.BODY)
     for left in (robot.wheel_separation / 2, -robot.wheel_separation / 2):
-        canvas.line([to_world(-robot.wheel_radius, left), to_world(robot.wheel_radius, left)], WHEEL, 0.03)
-    canvas.polygon([to_world(forward * robot.radius, left * robot.radius) for forward, left in _NOSE], NOSE)
+        canvas.line([to_world(-robot.wheel_radius, left), to_world(robot.wheel_radius, left)], colours.WHEEL, 0.03)
+    canvas.polygon([to_world(forward * robot.radius, left * robot.radius) for forward, left in _NOSE], colours.NOSE)
 
 
 def _draw_dynamic_obstacle(canvas: Canvas, outline: Sequence[float]) -> None:
     x, y, cos, sin, length, width = outline
     if width > 0.0:
         (box,) = box_polygons(np.array([[x, y, length, width, cos, sin]]))
-        canvas.polygon(box.exterior.coords, DYNAMIC_OBSTACLE)
+        canvas.polygon(box.exterior.coords, colours.DYNAMIC_OBSTACLE)
     elif length > 0.0:  # the length of a disc is its radius
-        canvas.disc(x, y, length, DYNAMIC_OBSTACLE)
+        canvas.disc(x, y, length, colours.DYNAMIC_OBSTACLE)
 
 
 def draw_plan(world: World, robot: Robot) -> np.ndarray:
@@ -98,7 +148,7 @@ def draw_plan(world: World, robot: Robot) -> np.ndarray:
     canvas = Canvas(world)
     # The free space is drawn in triangles, because it has holes, which `polygon` cannot draw.
     for triangle in shapely.get_parts(shapely.constrained_delaunay_triangles(world.free_space(robot.radius))):
-        canvas.polygon(triangle.exterior.coords, FREE)
+        canvas.polygon(triangle.exterior.coords, colours.FREE)
     draw_routes(canvas, world.dynamic_obstacles)
     draw_goal(canvas, None if world.goal is None else world.goal[:2])
     draw_robot(canvas, robot, *world.start)
@@ -115,10 +165,12 @@ def make_grid(
     if len(pictures) == 1:
         return pictures[0]
     columns = columns or math.ceil(math.sqrt(len(pictures)))
-    grid = Image.new("RGB", (columns * side, math.ceil(len(pictures) / columns) * (side + _TITLE_HEIGHT)), STRIP)
+    rows = math.ceil(len(pictures) / columns)
+    grid = Image.new("RGB", (columns * side, rows * (side + _TITLE_HEIGHT)), colours.STRIP)
     draw = ImageDraw.Draw(grid)
     for i, (picture, title) in enumerate(zip(pictures, titles, strict=True)):
         left, top = i % columns * side, i // columns * (side + _TITLE_HEIGHT)
-        grid.paste(ImageOps.pad(Image.fromarray(picture), (side - 8, side - 8), color=STRIP), (left + 4, top + 4))
-        draw.text((left + side // 2, top + side), title, LABEL, anchor="mt")
+        tile = ImageOps.pad(Image.fromarray(picture), (side - 8, side - 8), color=colours.STRIP)
+        grid.paste(tile, (left + 4, top + 4))
+        draw.text((left + side // 2, top + side), title, colours.LABEL, anchor="mt")
     return np.array(grid)

@@ -80,12 +80,6 @@ class Robot:
     # Defaults of this robot for fields of `tb2rl.tasks.Task`; explicit settings override them:
     task_settings: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    @cached_property
-    def parameters(self) -> np.ndarray:
-        """Parameters for compiled code, in the order of `tb2rl.simulation.spec.FIELDS`, shape (6,)."""
-        motors = self.max_speed, self.max_turn_rate, self.wheel_acceleration, self.wheel_coupling
-        return np.array([self.radius, self.wheel_separation, *motors])
-
     def within_limits(self, commands: np.ndarray) -> np.ndarray:
         """Commands v [m/s] and w [rad/s], shape (..., 2), clipped to the robot's limits."""
         limits = np.array([self.max_speed, self.max_turn_rate])

@@ -7,7 +7,5 @@ from tb2rl.runs.algorithm import driving_policy, make_algorithm, make_baseline, 
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.checkpoint import SUFFIX, is_saveable, read_checkpoint, restore_into, write_checkpoint
 from tb2rl.runs.config import Config, TrainSettings, as_preset, config_from, flatten, parse_settings, resolve
-from tb2rl.runs.folder import EVALUATION, EVALUATIONS, Run, config_file, read_config, restrict_imports, versions
-from tb2rl.runs.hub import HUB, cached_reference
-from tb2rl.runs.journal import Journal, read_lines
-from tb2rl.runs.loading import checkpoint_file, config_of, load, load_parameters, parameters_of, policy_digest
+from tb2rl.runs.folder import EVALUATION, TRAINING_EVALUATIONS, Run, read_lines, restrict_imports, versions
+from tb2rl.runs.loading import HUB, checkpoint_file, config_of, load, load_parameters, parameters_of, policy_digest

@@ -24,7 +24,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.envs.encodings import NUMBERS
 from tb2rl.envs.features import InverseRange
 from tb2rl.robots.vehicle import Vehicle
-from tb2rl.runs.arguments import LIBRARY_ERRORS
+from tb2rl.runs.arguments import LIBRARY_ERRORS, algorithm_arguments
 from tb2rl.runs.checkpoint import restore_into
 from tb2rl.runs.config import Config
 from tb2rl.tasks.actions import Velocities
@@ -50,7 +50,7 @@ def make_algorithm(config: Config, env: VecEnv | None = None) -> BaseAlgorithm:
             env,
             seed=train.seed,
             device=train.device if _has_device(train.device) else "cpu",  # so that policies load on any machine
-            **config.algorithm_arguments,
+            **algorithm_arguments(config.agent_arguments, config.scene.action_space),
         )
     except LIBRARY_ERRORS as error:
         raise settings_error(config, str(error)) from None
@@ -68,7 +68,7 @@ def check_trainable(config: Config) -> None:
     name, agent = config.agent_name, config.agent
     if agent.algorithm is None:
         raise InputError(f"agent {name} does not learn; try it with `python -m tb2rl.evaluate --agent {name}`")
-    actions = "named" if isinstance(config.scene.action_space, spaces.Discrete) else "continuous"
+    actions = "discrete" if isinstance(config.scene.action_space, spaces.Discrete) else "continuous"
     if agent.actions not in (None, actions):
         raise InputError(f"agent {name} learns {agent.actions} actions; those of task {config.task_name} are {actions}")
     if "action_masks" in inspect.signature(agent.load().predict).parameters:

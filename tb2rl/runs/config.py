@@ -3,7 +3,7 @@
 The tree has three sections, which are mappings: `agent`, `task` and `train`. `resolve` merges these layers; each layer
 overrides the earlier layers:
 
-1. The defaults of the signatures.
+1. The defaults in the code: of the agent, the task and `TrainSettings`.
 2. `configs/tasks/TASK.yaml`.
 3. `configs/agents/AGENT.yaml`.
 4. `configs/kinematic/AGENT.yaml`, if the user chooses the kinematic simulator.
@@ -24,22 +24,12 @@ from annotated_types import Ge, Gt, Le
 from pydantic import AfterValidator, Field
 from pydantic_core import to_jsonable_python
 
-from tb2rl.core import (
-    Agent,
-    InputError,
-    check_file_allowed,
-    find_agent,
-    find_file,
-    one_line,
-    read_yaml,
-    reference_to,
-    top_folder,
-)
-from tb2rl.core.files import parse_yaml
+from tb2rl.core import Agent, InputError, check_file_allowed, find_agent, one_line, reference_to
+from tb2rl.core.files import find_file, parse_yaml, read_yaml, top_folder
 from tb2rl.core.values import Count, CountOrZero, Fraction, Names, build
 from tb2rl.envs.scene import Scene, add_robot_defaults, make_scene
 from tb2rl.envs.worlds import absolute_worlds, paths_in
-from tb2rl.runs.arguments import algorithm_arguments, checked_arguments, is_schedule, with_policy
+from tb2rl.runs.arguments import checked_arguments, is_schedule, with_policy
 from tb2rl.simulation.simulator import batch_simulator, default_physics, find_simulator
 from tb2rl.tasks import Task
 from tb2rl.tasks.task import find_task
@@ -94,16 +84,6 @@ class Config:
     train: TrainSettings
     agent: Agent = field(compare=False, repr=False)  # the agent of this name, with the policy for these observations
     scene: Scene = field(compare=False, repr=False)  # the environment that the task's settings describe
-
-    @property
-    def algorithm_arguments(self) -> dict[str, Any]:
-        """The agent's arguments, converted for its algorithm, for example schedules to functions."""
-        return algorithm_arguments(self.agent_arguments, self.scene.action_space)
-
-    @property
-    def validation_scene(self) -> Scene:
-        """The scene in the worlds in which a training is evaluated."""
-        return self.scene.for_purpose("validation")
 
     def to_dict(self) -> dict[str, Any]:
         """The tree of plain values, which `config_from` converts back."""
@@ -241,7 +221,7 @@ def _nest(settings: Mapping[str, Any]) -> Layer:
 
 def _read_layer(name: str) -> Layer:
     file = top_folder("configs") / f"{name}.yaml"
-    return checked_sections(read_yaml(file), f"preset {file.name}") if file.is_file() else {}
+    return checked_sections(read_yaml(file), f"configs/{name}.yaml") if file.is_file() else {}
 
 
 def _merge(*layers: Layer) -> dict[str, Any]:

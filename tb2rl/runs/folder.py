@@ -1,12 +1,13 @@
-"""The run folder: all files of one training.
+"""The run folder: all files of one training; journals, from which interrupted work continues.
 
     runs/<task>/<agent>/<name>/
-        config.yaml         config and versions of packages; config.json in a shared run
+        config.yaml         config and versions of packages; config.json in a shared run, which is published on the hub
         checkpoints/        step-<timesteps>, the latest few: policy and training state for `--resume`
         best/policy         best policy of the evaluations during training
         final/policy        last policy
         evaluations.jsonl   one line for each evaluation during training
-        evaluation.json     standard evaluation: metrics and episodes; episodes.safetensors: their poses and actions
+        evaluation.json     standard evaluation, by `tb2rl.evaluate`: metrics and episodes
+        episodes.safetensors  its poses and actions
         suite-unseen.json   result of a suite of worlds
         tensorboard/        event files
         tracker-*.json      state of an experiment tracker; wandb/: offline files of Weights & Biases
@@ -17,9 +18,10 @@ Files are replaced atomically, so that a folder is valid at any time.
 from __future__ import annotations
 
 import json
+import os
 import platform
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -36,10 +38,9 @@ from tb2rl.core.values import checked
 from tb2rl.runs.algorithm import statistics_of
 from tb2rl.runs.checkpoint import SUFFIX, read_checkpoint, write_checkpoint
 from tb2rl.runs.config import Config, config_from
-from tb2rl.runs.journal import append_line, read_lines
 
 CONFIG, SHARED_CONFIG = "config.yaml", "config.json"  # config of a run folder, and of a shared run folder
-EVALUATIONS = "evaluations.jsonl"
+TRAINING_EVALUATIONS = "evaluations.jsonl"
 EVALUATION, EPISODES = "evaluation.json", f"episodes{SUFFIX}"  # the standard evaluation and its episodes
 _SUITE_FILE = "suite-{}.json"  # result of a suite, by the name of the suite
 _PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
@@ -67,7 +68,7 @@ class Run:
 
     @classmethod
     def open(cls, folder: Path, trust: bool = False) -> Run:
-        """Open a run folder; with `trust`, the config of a shared run may import any module."""
+        """Open a run folder; with `trust`, the config of a shared run may import any module outside it."""
         tree = read_config(folder)
         tree.pop("versions", None)
         try:
@@ -130,17 +131,16 @@ class Run:
         for file in (*policies, *self.checkpoints):
             if file.is_file():
                 return file
-        raise InputError(
-            f"{self.folder} has no policy yet; wait for its training, or remove the folder and train again"
-        )
+        hint = "wait for its training, or remove the folder and train again"
+        raise InputError(f"{self.folder} has no policy yet; {hint}")
 
-    def append_evaluation(self, entry: Mapping[str, Any]) -> None:
+    def append_training_evaluation(self, entry: Mapping[str, Any]) -> None:
         """Append an evaluation made during training: plain values by key, including "timesteps"."""
-        append_line(self.folder / EVALUATIONS, entry)
+        append_line(self.folder / TRAINING_EVALUATIONS, entry)
 
-    def drop_evaluations(self, after: int) -> None:
+    def drop_training_evaluations(self, after: int) -> None:
         """Remove the evaluations later than timestep `after`."""
-        path = self.folder / EVALUATIONS
+        path = self.folder / TRAINING_EVALUATIONS
         if path.is_file():
             kept = [json.dumps(entry) + "\n" for entry in read_lines(path) if entry["timesteps"] <= after]
             write_text(path, "".join(kept))
@@ -173,12 +173,12 @@ def config_file(folder: Path) -> Path:
 
 
 def is_shared(folder: Path) -> bool:
-    """Whether a folder is a shared run, such as those on the hub."""
+    """Whether a folder is a shared run (published on the hub, or downloaded from it), which has a "config.json"."""
     return (folder / SHARED_CONFIG).is_file()
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """Read the tree of a run's config, unchecked, with the versions of packages."""
+    """Read the tree of a run's config, with the versions of packages; checks only that it is a mapping."""
     file = config_file(folder)
     if not file.is_file():
         raise InputError(f"{folder} is not a run folder: it has no {CONFIG}")
@@ -194,15 +194,13 @@ def _read_json(file: Path) -> dict[str, Any]:
 
 @contextmanager
 def restrict_imports(folder: Path | None, trust: bool) -> Iterator[None]:
-    """Block imports from a run folder; without `trust`, a shared config may import only from known packages.
+    """Block imports of modules in a run folder; without `trust`, a shared config can import only known packages.
 
     If `folder` is None, all imports are allowed.
     """
-    if folder is None:
-        yield
-        return
-    is_untrusted = is_shared(folder) and not trust
-    with block_imports(folder), untrusted_source(str(folder)) if is_untrusted else nullcontext():
+    blocking = block_imports(folder) if folder else nullcontext()
+    is_untrusted = folder and is_shared(folder) and not trust
+    with blocking, untrusted_source(str(folder)) if is_untrusted else nullcontext():
         yield
 
 
@@ -223,3 +221,58 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"
+
+
+class Journal:
+    """A file of JSON lines: a description of the work, then its results.
+
+    Args:
+        path: Path of the file; None: no file.
+        work: Description of the work, as plain values; results of other work are discarded.
+
+    Attributes:
+        entries: Results of an earlier program, as plain values.
+        mismatch: First key of `work` whose value differs from that in the file; None: no difference, or no file.
+    """
+
+    def __init__(self, path: Path | None, work: Mapping[str, Any]) -> None:
+        self.path, self.entries, self.mismatch = path, list[Any](), None
+        if path is None:
+            return
+        work = json.loads(json.dumps(work))
+        earlier_work, *entries = (read_lines(path) if path.is_file() else []) or [work]
+        if earlier_work == work:
+            self.entries = entries
+        else:
+            self.mismatch = next((key for key in work if earlier_work.get(key) != work[key]), "kind")
+        write_text(path, "".join(json.dumps(line) + "\n" for line in (work, *self.entries)))
+
+    def append(self, entry: Any) -> None:
+        """Append a result, which is kept even if this process is killed afterwards."""
+        if self.path is not None:
+            append_line(self.path, entry)
+
+    def remove(self) -> None:
+        """Remove the file of finished work."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+
+
+def append_line(path: Path, entry: Any) -> None:
+    """Append a line of JSON to a file, and wait until the disk has stored it."""
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(entry) + "\n")
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def read_lines(path: Path) -> list[Any]:
+    """Read a file of JSON lines; ignore an incomplete last line and zero bytes, which a crash can leave."""
+    *lines, last_line = path.read_bytes().split(b"\n")
+    try:
+        entries = [json.loads(line) for line in lines if line.strip(b"\0 \t\r")]
+    except (ValueError, RecursionError) as error:
+        raise InputError(one_line(f"{path} is damaged: a line is not JSON: {error}")) from None
+    with suppress(ValueError, RecursionError):
+        entries.append(json.loads(last_line))
+    return entries

@@ -64,6 +64,7 @@ class ForwardAcceleration(_Motion):
     name, unit = "forward acceleration", "m/s^2"
 
     def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1)) -> None:
+        # The coupling is that of the other motor, and can have either sign.
         super().__init__(robot.wheel_acceleration + abs(robot.wheel_coupling), bins)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
@@ -86,7 +87,7 @@ def bumper_at(angle: float) -> int:
 
 
 class LastAction(Sensor):
-    """The latest commands v and w as shares of the robot's limits, the newest first; 0 at the start.
+    """The latest commands v and w as shares of the robot's limits, the newest first; at the start, its command then.
 
     The sensor has no latency. If `count` covers the latency of commands and observations, a robot with latency is a
     Markov decision process again (Katsikopoulos & Engelbrecht 2003, "Markov decision processes with delays and
@@ -112,7 +113,7 @@ class LastAction(Sensor):
 
 
 class Visited(Sensor):
-    """Time spent in the last minute near points around the robot [s], by odometry; a memory for policies without one.
+    """Time spent in the last minute near points around the robot, at most 10 s, by odometry; a memory for policies.
 
     The points are on a circle, counter-clockwise from straight ahead, then at the robot's position, then on a circle of
     twice the radius. A policy can prefer new places by these times, as in node counting (Koenig & Szymanski 1999,

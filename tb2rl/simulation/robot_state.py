@@ -89,7 +89,7 @@ class RobotState:
         """
         return self._simulator.spec.goal_paths.path_length(*self._goals, self.pose)
 
-    def copy_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
+    def reuse_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
         """Copy the path lengths of `earlier` to this state, if `earlier` has computed them.
 
         Args:

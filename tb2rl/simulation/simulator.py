@@ -20,7 +20,7 @@ from tb2rl.simulation.spec import InitialState, SimulationSpec
 
 Generators = np.random.Generator | Sequence[np.random.Generator]  # one for all environments, or one for each
 ResetGenerators = Sequence[np.random.Generator] | None  # one for each reset environment; None: the present generators
-StatesAfterReset = tuple[RobotState, RobotState]  # of all environments, and of the reset environments
+ResetStates = tuple[RobotState, RobotState]  # of all environments, and of the reset environments
 
 
 class Simulator(Protocol):
@@ -34,9 +34,7 @@ class Simulator(Protocol):
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
         """Start an episode with a robot at rest in every environment; `rng` generates the sensor noise from now on."""
 
-    def reset_at(
-        self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None
-    ) -> StatesAfterReset:
+    def reset_at(self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None) -> ResetStates:
         """Start new episodes in some environments; arrays of the latest robot state may be changed in place.
 
         Args:

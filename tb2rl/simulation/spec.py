@@ -6,6 +6,7 @@ import math
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from tb2rl.robots import Laser, Robot
 from tb2rl.simulation.random_streams import RandomSource
 from tb2rl.worlds import World
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
+from tb2rl.worlds.floor import PoseSampler
 from tb2rl.worlds.goal_paths import OWN_GOAL, RANDOM_GOALS, GoalPaths
-from tb2rl.worlds.pose_sampler import PoseSampler
 from tb2rl.worlds.spatial_index import SpatialIndex, join_indices
 
 PHYSICS_RATE = 80.0  # [Hz] of physics steps; at 60 Hz robots penetrate walls by 9 mm, 100 Hz takes a third more time
@@ -27,7 +28,7 @@ FIELDS = (
     "world",  # index in `SimulationSpec.worlds`
     "goal_x", "goal_y",  # [m]
     "min_x", "min_y", "max_x", "max_y",  # [m] bounds of the world
-    # Parameters of the robot, in the order of `Robot.parameters`:
+    # Fields of `Robot`:
     "radius", "wheel_separation", "max_speed", "max_turn_rate", "wheel_acceleration", "wheel_coupling",
     # Parameters drawn by `tb2rl.simulation.variation`:
     "wheel_radius",  # true / nominal
@@ -65,7 +66,7 @@ class SimulationSpec:
         for index, world in enumerate(self.worlds):
             table[index, POSE], table[index, BOUNDS] = world.start, world.bounds
             table[index, GOAL] = world.goal[:2] if world.goal else np.nan
-        table[:, PARAMETERS] = self.robot.parameters
+        table[:, PARAMETERS] = [getattr(self.robot, name) for name in FIELDS[PARAMETERS]]
         records = InitialState(table).records
         records["world"], records["goal_path"] = np.arange(len(self.worlds)), OWN_GOAL
         for nominal in ("wheel_radius", "assumed_separation", "left_encoder", "right_encoder", "mass", "friction"):
@@ -169,10 +170,13 @@ class InitialState:
         """
         return cls(spec.table[np.full(num_envs, world)])
 
-    @property
+    @cached_property
     def records(self) -> np.ndarray:
         """The table as records, shape (num_envs,): `initial_state.records["mass"][:] = 1.2`."""
         return self.table.view(RECORD)[:, 0]
+
+    def __getstate__(self) -> dict[str, Any]:  # without the cached view, which a copy would separate from the table
+        return {"table": self.table}
 
     @property
     def pose(self) -> np.ndarray:

@@ -20,7 +20,7 @@ from tb2rl.tasks.task import Beams, Clearance, Outcome, Period, Task, collision_
 from tb2rl.worlds import World
 from tb2rl.worlds.goal_paths import OWN_GOAL, RANDOM_GOALS, shortest_path_length
 
-_HISTORY_LENGTH = 3  # past commands observed: the latest, and one more for each latency (of commands, of observations)
+_HISTORY_LENGTH = 3  # observed past commands: the latest, one for the latency of commands, one for that of observations
 _MIN_APPROACH_SPEED = 0.02  # [m/s] a robot that approaches an obstacle at this speed causes the contact
 
 
@@ -36,8 +36,9 @@ class Navigate(Task):
     - `guide: plan`: the lookahead point on the shortest path. The planner knows the robot's pose and a map, which is
       the map of the world (`map: known`), or built from laser scans (`map: online`).
 
-    The reward for progress is the reduction of the path length to the goal, so driving straight into a dead end earns
-    nothing. If a dynamic obstacle runs into a robot that stands or drives away, the episode continues.
+    The reward for progress is the reduction of the path length to the goal, which is longer near walls, so driving
+    straight into a dead end earns nothing. If a dynamic obstacle runs into a robot that stands or drives away, the
+    episode continues.
     """
 
     goal_task: ClassVar[bool] = True

@@ -12,9 +12,8 @@ from stable_baselines3.common.logger import Image
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.runs import Run, driving_policy
-from tb2rl.training.diagnostics import TrainingDiagnostics
 from tb2rl.training.state import StatefulCallback, capture
-from tb2rl.training.statistics import EpisodeStatistics
+from tb2rl.training.statistics import EpisodeStatistics, TrainingDiagnostics
 from tb2rl.viz.pictures import draw_paths
 
 _NUM_DRAWN_PATHS = 5  # number of episodes in the picture eval/paths
@@ -29,10 +28,10 @@ class EvaluationCallback(StatefulCallback):
         on_evaluation: Callback that gets each evaluation; its exceptions end the training.
 
     Attributes:
-        stopped: Whether this callback stopped the training.
+        stopped_training: Whether this callback stopped the training.
     """
 
-    saved_attributes = ("_next", "_reached", "stopped", "_best", "_elapsed")
+    saved_attributes = ("_next", "_reached", "stopped_training", "_best", "_elapsed")
 
     def __init__(self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None = None) -> None:
         super().__init__()
@@ -45,7 +44,7 @@ class EvaluationCallback(StatefulCallback):
 
     def clear_early_stop(self) -> None:
         """Clear the early stop, and the number of good evaluations."""
-        self.stopped, self._reached = False, 0  # consecutive evaluations that reached `train.stop_score`
+        self.stopped_training, self._reached = False, 0  # consecutive evaluations that reached `train.stop_score`
 
     @property
     def _elapsed(self) -> float:
@@ -63,8 +62,8 @@ class EvaluationCallback(StatefulCallback):
             self._next = (self.num_timesteps // freq + 1) * freq
             rate = self.evaluate().good_rate
             self._reached = self._reached + 1 if stop_score is not None and rate >= stop_score else 0
-            self.stopped = self._reached >= self.settings.stop_evaluations
-        return not self.stopped
+            self.stopped_training = self._reached >= self.settings.stop_evaluations
+        return not self.stopped_training
 
     def evaluate(self, progress_bar: bool = False) -> Evaluation:
         """Evaluate the present policy."""
@@ -81,7 +80,7 @@ class EvaluationCallback(StatefulCallback):
         if summary["best"]:
             self._best = score
             self.run.save(self.model, "best/policy")
-        self.run.append_evaluation(summary)
+        self.run.append_training_evaluation(summary)
         for metric in shown_metrics(goal_task=True):
             self.logger.record(f"eval/{metric.key}", summary[metric.key])
         self.logger.record("eval/score", evaluation.score[0])
@@ -102,7 +101,7 @@ class CheckpointCallback(StatefulCallback):
     Attributes:
         callbacks: The callbacks of the training.
         signal_number: Signal that interrupted the training; 0: none.
-        stopped: Whether this callback stopped the training.
+        stopped_training: Whether this callback stopped the training.
     """
 
     saved_attributes = ("_next",)
@@ -112,7 +111,7 @@ class CheckpointCallback(StatefulCallback):
         super().__init__()
         self.run, self.freq = run, run.config.train.save_freq
         self._next = self.freq
-        self.signal_number, self.stopped = 0, False
+        self.signal_number, self.stopped_training = 0, False
 
     def handle_signal(self, number: int) -> None:
         """Handle a termination signal; raises a `KeyboardInterrupt` at the second signal."""
@@ -124,15 +123,15 @@ class CheckpointCallback(StatefulCallback):
             print("Ctrl-C again stops at once", flush=True)
 
     def _on_rollout_start(self) -> None:
-        self.stopped = bool(self.signal_number)
+        self.stopped_training = bool(self.signal_number)
         is_due = self.freq and self.num_timesteps >= self._next
         if is_due:
             self._next = (self.num_timesteps // self.freq + 1) * self.freq
-        if is_due or self.stopped:
+        if is_due or self.stopped_training:
             self.save(at_rollout_start=True)
 
     def _on_step(self) -> bool:
-        return not self.stopped
+        return not self.stopped_training
 
     def save(self, at_rollout_start: bool = False) -> None:
         """Save a checkpoint at the start of a rollout (`at_rollout_start`), or at the end of the training."""

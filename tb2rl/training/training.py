@@ -30,7 +30,7 @@ from tb2rl.training.error_translation import translate_learning_errors, translat
 from tb2rl.training.statistics import TensorBoard
 from tb2rl.training.trackers import TrackedRun, Tracker, attach_trackers, find_trackers, run_name
 
-_FAST_EPISODES, _SLOW_EPISODES = 1000, 20  # default numbers of evaluation episodes: kinematic, other or with images
+_FAST_EPISODES, _SLOW_EPISODES = 1000, 20  # default number of episodes of an evaluation; slow: with images or physics
 _EXTEND_HINT = "raise --total-timesteps to continue"
 
 
@@ -80,7 +80,7 @@ class FinishedTraining:
     seconds: float  # wall-clock time of these steps, including evaluations
     episode_lengths: Sequence[int]  # control steps of each episode
     signal_number: int  # signal that interrupted the training; 0: none
-    early_stop_timesteps: int | None  # all control steps of the run, if evaluations stopped the training early
+    early_stop_timesteps: int | None  # control steps of the run, including earlier resumes, if evaluations stopped it
 
 
 def train_config(
@@ -108,17 +108,18 @@ def train_config(
     folder, settings = Path(folder), config.train
     check_trainable(config)
     check_device(settings.device)
+    # The config of a checkpoint may be a stranger's, and must not import modules from its folder.
     trackers = find_trackers(settings.track, untrusted_folder=folder if checkpoint else None)
     with translate_resource_errors(folder), ExitStack() as resources:
         resources.callback(th.set_num_threads, th.get_num_threads())  # restored because the setting is global
         th.set_num_threads(settings.torch_threads)
         scene = config.scene.with_time_limit(settings.episode_steps) if settings.episode_steps else config.scene
         simulator = find_simulator(settings.simulation)
-        simulator.check(f"a training in simulation {settings.simulation!r}")
+        simulator.check(purpose=f"a training in simulation {settings.simulation!r}")
         env = TurtleBot2VecEnv(scene, settings.n_envs, settings.reward_scale, simulator)
         resources.callback(env.close)
         algorithm = make_algorithm(config, env)
-        evaluator = make_evaluator(config.validation_scene, settings) if settings.eval_freq else None
+        evaluator = make_evaluator(config.scene.for_purpose("validation"), settings) if settings.eval_freq else None
         resources.enter_context(evaluator or nullcontext())
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
         cleanup_on_failure = resources.enter_context(ExitStack())  # removes a new folder if a tracker fails to start
@@ -145,16 +146,16 @@ class _Learner:
 
     def restore(self, content: Mapping[str, Any]) -> None:
         """Restore a checkpoint into the new algorithm and callbacks."""
-        run, evaluations = self.run, self.callbacks.evaluation
+        run, evaluation = self.run, self.callbacks.evaluation
         file, settings = run.checkpoints[0], run.config.train
         load_parameters(self.algorithm, content, file)
         state.restore(content["training"], self.algorithm, self.callbacks, file)
         timesteps = self.algorithm.num_timesteps
-        if evaluations and evaluations.stopped:
+        if evaluation and evaluation.stopped_training:
             if settings.total_timesteps == content["config"]["train"]["total_timesteps"]:
                 raise InputError(f"{run.folder} has {describe_early_stop(settings, timesteps)}; {_EXTEND_HINT}")
-            evaluations.clear_early_stop()
-        run.drop_evaluations(after=timesteps)
+            evaluation.clear_early_stop()
+        run.drop_training_evaluations(after=timesteps)
         run.write_config()
 
     @contextmanager
@@ -175,23 +176,23 @@ class _Learner:
         """Learn, then save and evaluate the final policy."""
         run, algorithm = self.run, self.algorithm
         start_time, start_timesteps = time.monotonic(), algorithm.num_timesteps
-        evaluations, checkpoints = self.callbacks.evaluation, self.callbacks.checkpoint
-        with handle_termination_signals(checkpoints.handle_signal):
+        evaluation, checkpoint = self.callbacks.evaluation, self.callbacks.checkpoint
+        with handle_termination_signals(checkpoint.handle_signal):
             with translate_learning_errors(algorithm, run):
                 remaining = run.config.train.total_timesteps - start_timesteps
                 algorithm.learn(remaining, self.callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
-            if not checkpoints.stopped:
-                if evaluations and not evaluations.stopped:
-                    evaluations.evaluate(progress_bar)
-                checkpoints.save()  # after the evaluation, because its score is part of the checkpoint
+            if not checkpoint.stopped_training:  # if a signal stopped it, its checkpoint is already saved
+                if evaluation and not evaluation.stopped_training:
+                    evaluation.evaluate(progress_bar)
+                checkpoint.save()  # after the evaluation, because its score is part of the checkpoint
         return FinishedTraining(
             run,
             timesteps=algorithm.num_timesteps - start_timesteps,
             seconds=time.monotonic() - start_time,
             episode_lengths=list(self.callbacks.statistics.lengths),
-            signal_number=checkpoints.signal_number,
-            early_stop_timesteps=algorithm.num_timesteps if evaluations and evaluations.stopped else None,
+            signal_number=checkpoint.signal_number,
+            early_stop_timesteps=algorithm.num_timesteps if evaluation and evaluation.stopped_training else None,
         )
 
 
@@ -230,7 +231,7 @@ def resume(
         raise InputError(f"{folder} has no checkpoint to resume from")
     file, old_total = run.checkpoints[0], run.config.train.total_timesteps
     content = read_checkpoint(file)
-    # The totals differ if an earlier resume raised the total, but ended before its first checkpoint.
+    # An earlier resume may have raised the total of the config, but ended before it saved a checkpoint.
     if _with_total(checkpoint_config(content, file), old_total) != run.config or "training" not in content:
         raise InputError(f"{file} does not belong to the training of {folder}")
     new_total = old_total if total_timesteps is None else total_timesteps
@@ -250,7 +251,7 @@ def describe_early_stop(settings: TrainSettings, timesteps: int) -> str:
     """Describe in one line why evaluations stopped a training."""
     return (
         f"stopped after {timesteps} of {settings.total_timesteps} steps: {settings.stop_evaluations} evaluations in a "
-        f"row reached {100 * (settings.stop_score or 0.0):g} %"
+        f"row reached the train.stop_score of {100 * (settings.stop_score or 0.0):g} %"
     )
 
 

@@ -32,7 +32,7 @@ class TrainingResult:
 
     good_rate: float
     mean_return: float
-    used_steps: float  # fraction of `train.total_timesteps` until the training stopped
+    used_step_share: float  # fraction of `train.total_timesteps` until the training stopped
 
 
 def run_trial(
@@ -75,7 +75,7 @@ def run_trial(
         else:
             running_trial.set_user_attr("good_rates", [result.good_rate for result in results])
             running_trial.set_user_attr("mean_returns", [result.mean_return for result in results])
-            running_trial.set_user_attr("used_steps", [result.used_steps for result in results])
+            running_trial.set_user_attr("used_step_shares", [result.used_step_share for result in results])
             study.tell(running_trial, score(results, folder.default.train.best_by))
     return study.trials[trial.number]
 
@@ -119,8 +119,8 @@ def _train_once(config: Config, folder: Path, reporter: PruningReporter | None) 
     shutil.rmtree(folder / "checkpoints")  # to save space, because trials are not resumed
     with make_evaluator(config.scene.for_purpose("search"), config.train, SCORE_SEED) as evaluator:
         evaluation = evaluator.run(load(folder).policy)
-    used_steps = min(1.0, training.timesteps / config.train.total_timesteps)
-    return TrainingResult(evaluation.good_rate, evaluation.score[1], used_steps)
+    used_step_share = min(1.0, training.timesteps / config.train.total_timesteps)
+    return TrainingResult(evaluation.good_rate, evaluation.score[1], used_step_share)
 
 
 class PruningReporter:
@@ -162,5 +162,5 @@ def score(results: Sequence[TrainingResult], best_by: str) -> float:
     if best_by == "return":
         return sum(result.mean_return for result in results) / len(results)
     rate = sum(result.good_rate for result in results) / len(results)
-    used_steps = sum(result.used_steps for result in results) / len(results)
-    return round(200 * rate) / 200 - _STEPS_WEIGHT * used_steps
+    used_step_share = sum(result.used_step_share for result in results) / len(results)
+    return round(200 * rate) / 200 - _STEPS_WEIGHT * used_step_share

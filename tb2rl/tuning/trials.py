@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 
 from optuna import Study, Trial
 from optuna.exceptions import UpdateFinishedTrialError
@@ -12,15 +11,15 @@ from optuna.trial import FrozenTrial, TrialState
 
 from tb2rl.core.files import read_yaml
 from tb2rl.envs.worlds import worlds_of_files
-from tb2rl.execution.executor import Executor
-from tb2rl.execution.job import Job
+from tb2rl.execution.executor import Executor, Job
 from tb2rl.tuning.storage import heartbeats, make_sampler
 from tb2rl.tuning.study import DEFAULT, StudyFolder
 from tb2rl.tuning.training import run_trial
 
 _MAX_HISTORY = 300  # latest finished trials that a job gets for its pruner; limited, because each has half a kilobyte
 _POLL_PERIOD = 0.5  # [s] period of checking the trials of other processes
-_FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
+_HAS_HEARTBEAT = "has_heartbeat"  # user attribute of a trial; without heartbeats, Optuna never regards it as stale
+_COUNTED = (TrialState.COMPLETE, TrialState.PRUNED)  # states that count towards `n_trials`
 
 
 def run_trials(
@@ -44,14 +43,14 @@ def run_trials(
     deadline = math.inf if timeout is None else time.monotonic() + timeout
     shared = (worlds_of_files(folder.default.task.world), folder.options, read_yaml(folder.path / DEFAULT))
     running: dict[str, Trial] = {}  # trials by the name of their job
-    with heartbeats(folder, running) as heartbeat:
+    with heartbeats(folder, running) as record_heartbeat:
         try:
             while True:
-                jobs = _ask_jobs(folder, study, n_trials, heartbeat, running)
+                jobs = _ask_jobs(folder, study, n_trials, record_heartbeat, running)
                 for job, result in executor.as_completed(run_trial, jobs, shared, deadline - time.monotonic()):
                     print(_tell(folder, study, running[job.name], result), flush=True)
                     del running[job.name]
-                is_complete = len(study.get_trials(deepcopy=False, states=_FINISHED)) >= n_trials
+                is_complete = len(study.get_trials(deepcopy=False, states=_COUNTED)) >= n_trials
                 if is_complete or time.monotonic() > deadline:
                     return is_complete
                 time.sleep(_POLL_PERIOD)  # other processes run the last trials
@@ -64,17 +63,21 @@ def run_trials(
 
 
 def _ask_jobs(
-    folder: StudyFolder, study: Study, n_trials: int, heartbeat: Callable[[Trial], None], running: dict[str, Trial]
+    folder: StudyFolder,
+    study: Study,
+    n_trials: int,
+    record_heartbeat: Callable[[Trial], None],
+    running: dict[str, Trial],
 ) -> Iterator[Job]:
     """Ask for new trials; yield a job for each, and add the trial to `running`."""
-    while (trial := ask(folder, study, n_trials, heartbeat)) is not None:
+    while (trial := ask(folder, study, n_trials, record_heartbeat)) is not None:
         name = f"trial {trial.number}"
         running[name] = trial
         trials = study.get_trials(deepcopy=False)
-        earlier_trials = [other for other in trials[: trial.number] if other.state in (*_FINISHED, TrialState.RUNNING)]
+        earlier_trials = [other for other in trials[: trial.number] if other.state in (*_COUNTED, TrialState.RUNNING)]
         duplicate = next((other.number for other in earlier_trials if other.params == trial.params), None)
         if duplicate is None:
-            finished = [other for other in trials if other.state in _FINISHED][-_MAX_HISTORY:]
+            finished = [other for other in trials if other.state in _COUNTED][-_MAX_HISTORY:]
             yield Job(name, (study.study_name, finished, trials[trial.number]), folder.trial_folder(trial.number))
         else:
             study.tell(trial, state=TrialState.PRUNED)
@@ -82,22 +85,22 @@ def _ask_jobs(
             print(f"{name}: the same settings as trial {duplicate}", flush=True)
 
 
-def ask(folder: StudyFolder, study: Study, n_trials: int, heartbeat: Callable[[Trial], None]) -> Trial | None:
-    """Ask the study for a new trial; returns None if it has `n_trials` finished and running trials."""
+def ask(folder: StudyFolder, study: Study, n_trials: int, record_heartbeat: Callable[[Trial], None]) -> Trial | None:
+    """Ask the study for a new trial; returns None if it has `n_trials` complete, pruned and running trials."""
     with folder.lock():
         fail_stale_trials(study)
+        for running_trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+            # Its process died below, before `set_user_attr`; Optuna fails no trial that never had a heartbeat.
+            if _HAS_HEARTBEAT not in running_trial.user_attrs:
+                study.tell(running_trial.number, state=TrialState.FAIL)
         trials = study.get_trials(deepcopy=False)
-        if sum(trial.state in (*_FINISHED, TrialState.RUNNING) for trial in trials) >= n_trials:
+        if sum(trial.state in (*_COUNTED, TrialState.RUNNING) for trial in trials) >= n_trials:
             return None
-        study.sampler = make_sampler(folder.options, len(trials))
-        try:
-            trial = study.ask({key: entry.distribution for key, entry in folder.space.items()})
-            heartbeat(trial)
-            return trial
-        except BaseException:  # such as Ctrl-C before the first heartbeat, without which no trial becomes stale
-            with suppress(ValueError):  # the trial does not exist yet
-                study.tell(len(trials), state=TrialState.FAIL)
-            raise
+        study.sampler = make_sampler(folder.options, trial_number=len(trials))
+        trial = study.ask({key: entry.distribution for key, entry in folder.space.items()})
+        record_heartbeat(trial)
+        trial.set_user_attr(_HAS_HEARTBEAT, True)
+        return trial
 
 
 def _tell(folder: StudyFolder, study: Study, trial: Trial, result: FrozenTrial) -> str:
@@ -122,7 +125,7 @@ def _tell(folder: StudyFolder, study: Study, trial: Trial, result: FrozenTrial) 
         return f"{name}: {result.user_attrs['reason']} {seconds}"
     best = ", the best so far" if study.best_trial.number == trial.number else ""
     rates = ", ".join(f"{100 * rate:.1f}" for rate in result.user_attrs["good_rates"])
-    shares = result.user_attrs["used_steps"]
+    shares = result.user_attrs["used_step_shares"]
     steps = f"{100 * sum(shares) / len(shares):.0f} % of the steps"
     return f"{name}: {rates} % good episodes after {steps}{best} {seconds}"
 

@@ -51,14 +51,14 @@ def film_frames(steps: Iterable[EpisodeStep], period: float, rate: float, speed:
     for step in steps:
         before, after = step.before.pose[0], step.after.pose[0]
         path, ended, end_time = (*path, before), step.info["ended"], step.number * period
-        last_frame = FilmFrame(step, end_time, after, path, ended, _interpolate_outlines(step, 1.0))
+        end_frame = FilmFrame(step, end_time, after, path, ended, _interpolate_outlines(step, 1.0))
         while (time := index * speed / rate) < end_time - 1e-9:
             fraction = time / period - (step.number - 1)
             pose, outlines = interpolate_pose(before, after, fraction), _interpolate_outlines(step, fraction)
-            yield replace(last_frame, time=time, pose=pose, ended=None, dynamic_obstacles=outlines)
+            yield replace(end_frame, time=time, pose=pose, ended=None, dynamic_obstacles=outlines)
             index += 1
         if ended:
-            yield from [last_frame] * round(_LAST_FRAME_DURATION * rate)
+            yield from [end_frame] * round(_LAST_FRAME_DURATION * rate)
 
 
 def interpolate_pose(before: np.ndarray, after: np.ndarray, fraction: float) -> np.ndarray:
@@ -102,11 +102,12 @@ class AboveCamera:
         return self._picture.draw(frame.pose, self.ranges(frame), [*frame.path, frame.pose], frame.dynamic_obstacles)
 
     def ranges(self, frame: FilmFrame) -> np.ndarray:
-        """Exact ranges [m], shape (beams,); in a world without obstacles, as of a real robot, the measured ranges."""
-        if frame.dynamic_obstacles is None and not len(self._world.boxes) + len(self._world.posts):
+        """Exact ranges [m], shape (beams,), or the measured ones where no obstacles are known, as for a real robot."""
+        if frame.dynamic_obstacles is None and len(self._world.boxes) + len(self._world.posts) == 0:
             return frame.step.after.ranges[0]
         ranges = np.empty((1, len(self._beams[0])))
-        cast_many(frame.pose[None], np.zeros(1), self._beams, self._world.spatial_index, ranges)
+        world_ids = np.zeros(1)  # the index has only this world
+        cast_many(frame.pose[None], world_ids, self._beams, self._world.spatial_index, ranges)
         if frame.dynamic_obstacles is not None:
             cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], ranges)
         return ranges[0]
@@ -121,7 +122,7 @@ class ChaseCamera:
     max_rate = 10  # pictures per second; lower, because a picture takes several times as long as one from above
 
     def __init__(self, scene: Scene) -> None:
-        SIMULATOR.check("camera 'chase' (unlike 'above')")
+        SIMULATOR.check(purpose="camera 'chase' (unlike 'above')")
         from tb2rl.viz.scene_view import SceneView  # imports PyBullet, which may be missing
 
         self._task, self._view = scene.task, SceneView(scene.spec)

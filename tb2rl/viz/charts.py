@@ -3,9 +3,13 @@
 Charts contain no names from users, because `Markup` is not escaped; the page escapes these names.
 """
 
+from __future__ import annotations
+
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +24,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
 from tb2rl.evaluation.evaluation import Evaluation
+from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.rendering.colours import DYNAMIC_OBSTACLE, FAILED, FLOOR, GOAL, PATH, START, WALL
 from tb2rl.tasks.task import DYNAMIC_COLLISION
-from tb2rl.viz.curves import SeedCurves
 from tb2rl.viz.pictures import goals_in, group_by_world
 from tb2rl.worlds import World
 
@@ -32,8 +36,55 @@ ACTION_COLOURS = ("#9ecae9", "#e69f00", "#4b3a8c", "#009e73", "#cc79a7", "#f0e44
 WIDTH = 4.2  # [in] width of a figure; small, so that the text stays readable on a phone
 MAX_WORLDS, _MAX_COLUMNS = 12, 3  # of a figure with several worlds
 _MIN_CELL_SIDE, _MAX_CELLS = 0.1, 150  # cells of a heat map: side [m], number along a side of the map
+MAX_POINTS = 120  # maximum number of points of a drawn curve
 _MAX_MARKERS = 30  # curves with more points have no markers
 STYLE = matplotlib.rc_params_from_file(Path(__file__).with_name("charts.mplstyle"), use_default_template=False)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A quantity of one training over control steps."""
+
+    steps: np.ndarray  # [control steps], ascending, shape (points,)
+    values: np.ndarray  # shape (points,)
+
+    def downsample(self) -> Curve:
+        """At most `MAX_POINTS` of the points, including the first and the last one."""
+        selected = np.linspace(0, len(self.steps) - 1, min(MAX_POINTS, len(self.steps))).round().astype(int)
+        return Curve(self.steps[selected], self.values[selected])
+
+
+@dataclass(frozen=True)
+class SeedCurves:
+    """Curves of trainings that differ only in their seed; each has at least one point."""
+
+    name: str
+    colour: str
+    curves: Sequence[Curve]
+
+    @cached_property
+    def mean(self) -> Curve:
+        """The mean curve over the steps that all curves cover."""
+        first = max(curve.steps[0] for curve in self.curves)
+        last = min(curve.steps[-1] for curve in self.curves)
+        steps = np.unique(np.concatenate([curve.steps for curve in self.curves]))
+        steps = steps[(steps >= first) & (steps <= last)]
+        return Curve(steps, self._interpolate(steps).mean(axis=0)).downsample()
+
+    @cached_property
+    def interval(self) -> np.ndarray:
+        """The 95 % bootstrap interval of each point of `mean`, shape (points, 2)."""
+        values_by_step = self._interpolate(self.mean.steps).T
+        return np.array([bootstrap_interval(values) for values in values_by_step]).reshape(-1, 2)
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether some curves continue after the last step of `mean`."""
+        return len({curve.steps[-1] for curve in self.curves}) > 1
+
+    def _interpolate(self, steps: np.ndarray) -> np.ndarray:
+        """Values of all curves at some steps, shape (curves, len(steps))."""
+        return np.array([np.interp(steps, curve.steps, curve.values) for curve in self.curves])
 
 
 def distinct_colours(count: int, preferred: Sequence[str]) -> Sequence[str]:

@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 from markupsafe import Markup
 
-from tb2rl.deploy.bags.drive import Drive
+from tb2rl.deploy.bags.reading import Drive
 from tb2rl.rendering.colours import BEAM, FAILED, PATH, START
 from tb2rl.viz.charts import STYLE, chart, mark, mark_goals, svg, world_figure
 from tb2rl.viz.pictures import extend_bounds

@@ -35,7 +35,8 @@ class FilmOptions:
 
     Attributes:
         episodes: Number of episodes.
-        steps: Time limit of an episode [control steps]; None: the setting `episode_steps`, or 300 without this setting.
+        steps: Time limit of an episode [control steps]; None: `episode_steps` in the settings that `film` gets as an
+            argument, or else 300.
         seed: Seed of the first episode; each further episode adds 1.
         camera: "above" or "chase".
         speed: Playback speed; 1 is real time.
@@ -144,8 +145,8 @@ def record(
                 for step in steps:
                     if step.number == 1:
                         recorder.reset(step.before)
-                    command = scene.actions.commands(scene.actions.checked(step.action))[0]
-                    recorder.step(command, step.reward, step.after)
+                    policy_command = scene.actions.commands(scene.actions.checked(step.action))[0]  # before filters
+                    recorder.step(policy_command, step.reward, step.after)
     return bags
 
 
@@ -200,7 +201,7 @@ def write_film(
         try:
             with atomic_write(path) as temporary:
                 write(temporary, pictures, rate)
-        except BrokenPipeError:  # raised by printing to a closed stdout, not by the file
+        except BrokenPipeError:  # from `on_episode_end`, which may print to a closed stdout
             raise
         except (OSError, av.error.FFmpegError) as error:
             raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
@@ -215,7 +216,7 @@ def write_mp4(path: Path, pictures: Iterator[np.ndarray], rate: int) -> None:
         rate: Pictures per second.
     """
     with av.open(str(path.absolute()), "w", format="mp4", options={"movflags": "faststart"}) as container:
-        # The pictures change little, so a short motion search makes files only 8 % larger, in 1/6 less CPU time.
+        # The pictures change little, so a short motion search saves 1/6 of the CPU time, and files are only 8 % larger.
         options = {"preset": "veryfast", "crf": "22", "x264-params": "subme=1:me=dia"}
         stream = container.add_stream("libx264", rate=rate, options=options)
         stream.pix_fmt = "yuv420p"

@@ -15,9 +15,8 @@ from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.rendering import colours
 from tb2rl.viz import charts
 from tb2rl.viz.action_map import HEADINGS, action_map
-from tb2rl.viz.curves import TRAINING_CURVES, SeedCurves
 from tb2rl.viz.drives import DriveSection
-from tb2rl.viz.run_views import RunGroup, RunView, differences
+from tb2rl.viz.run_views import TRAINING_CURVES, RunGroup, RunView, differences
 from tb2rl.viz.suites import SuiteSection
 
 
@@ -65,7 +64,7 @@ def learning_curves(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
     drawn_charts = []
     for key, (title, label, is_rate) in {**TRAINING_CURVES, **evaluation_curves}.items():
         by_group = [(group, [view.curves[key] for view in group.views if key in view.curves]) for group in groups]
-        seed_curves = [SeedCurves(group.name, group.colour, curves) for group, curves in by_group if curves]
+        seed_curves = [charts.SeedCurves(group.name, group.colour, curves) for group, curves in by_group if curves]
         if seed_curves:
             picture = charts.draw_curves(seed_curves, label, is_rate)
             drawn_charts.append({"title": title, "groups": seed_curves, "picture": picture, "is_rate": is_rate})

@@ -6,8 +6,7 @@ import numpy as np
 
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.evaluation import Episode
-from tb2rl.rendering.above import draw_goal, draw_routes, make_grid
-from tb2rl.rendering.canvas import SIDE, Canvas
+from tb2rl.rendering.above import SIDE, Canvas, draw_goal, draw_routes, make_grid
 from tb2rl.rendering.colours import FAILED, PATH, START
 from tb2rl.worlds import World
 

@@ -9,17 +9,24 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
+from tensorboard.backend.event_processing.event_accumulator import SCALARS, EventAccumulator
 
 from tb2rl.core import InputError, one_line, top_folder
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation, load_evaluation
+from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.evaluation.statistics import bootstrap_interval
-from tb2rl.runs import HUB, Config, Run, cached_reference, config_file, flatten, read_config
-from tb2rl.runs.loading import checkpoint_file, config_of, load
-from tb2rl.viz.charts import GROUP_COLOURS, distinct_colours
-from tb2rl.viz.curves import Curve, read_curves
+from tb2rl.runs import HUB, TRAINING_EVALUATIONS, Config, Run, flatten, read_lines
+from tb2rl.runs.folder import config_file, read_config
+from tb2rl.runs.loading import cached_reference, checkpoint_file, config_of, load
+from tb2rl.viz.charts import GROUP_COLOURS, Curve, distinct_colours
 
 _EPISODES = 20  # number of episodes of an evaluation for the report
+TRAINING_CURVES = {  # by TensorBoard tag: title, label of the y axis, whether the values are rates
+    "rollout/ep_rew_mean": ("Return in training", "return of an episode", False),
+    "rollout/ep_len_mean": ("Length in training", "steps of an episode", False),
+    "rollout/failure_rate": ("Failures in training", "failed episodes", True),
+}
 
 
 @dataclass(frozen=True)
@@ -159,6 +166,28 @@ def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool =
     evaluation = load_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress=progress)
     versions = {str(key): str(value) for key, value in (read_config(folder).get("versions") or {}).items()}
     return RunView(name, run.config, versions, policy, curves, evaluation, is_stored)
+
+
+def read_curves(folder: Path, goal_task: bool) -> dict[str, Curve]:
+    """Read the existing curves of a run folder, by TensorBoard tag or by key of a metric.
+
+    Raises:
+        InputError: If the file of the evaluations during training is damaged.
+    """
+    points = {}
+    if (folder / "tensorboard").is_dir():
+        events = EventAccumulator(str(folder / "tensorboard"), size_guidance={SCALARS: 0}).Reload()  # 0: no limit
+        tags = [tag for tag in TRAINING_CURVES if tag in events.Tags()[SCALARS]]
+        points = {tag: [(event.step, event.value) for event in events.Scalars(tag)] for tag in tags}
+    file = folder / TRAINING_EVALUATIONS
+    lines = read_lines(file) if file.is_file() else []
+    keys = [metric.key for metric in shown_metrics(goal_task) if metric.statistic == "rate" and lines]
+    try:
+        points |= {key: [(line["timesteps"], line[key]) for line in lines] for key in keys}
+        tables = {key: np.asarray_chkfinite(rows, dtype=float) for key, rows in points.items()}
+        return {key: Curve(*rows[np.argsort(rows[:, 0], kind="stable")].T) for key, rows in tables.items()}
+    except (LookupError, OverflowError, TypeError, ValueError) as error:
+        raise InputError(one_line(f"{file} is damaged: {error!r}")) from None
 
 
 def group_runs(views: Iterable[RunView]) -> list[RunGroup]:

@@ -1,4 +1,4 @@
-"""Grid of the floor of a world: clearance and reachability of its cells.
+"""Grid of the floor of a world: clearance and reachability of its cells, and random start poses in the free ones.
 
 The computation takes milliseconds, while that of the exact free space (`World.free_space`) takes up to a second.
 """
@@ -6,13 +6,14 @@ The computation takes milliseconds, while that of the exact free space (`World.f
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.core.errors import InputError
-from tb2rl.worlds.grid import distance_to_post, squared_distance_to_box
+from tb2rl.worlds.geometry import distance_to_post, squared_distance_to_box
 from tb2rl.worlds.spatial_index import bounding_boxes
 from tb2rl.worlds.world import World
 
@@ -44,10 +45,8 @@ class Floor:
         """
         x0, y0, x1, y1 = world.bounds
         if (x1 - x0) * (y1 - y0) > MAX_CELLS * cell_side**2:
-            size = f"{x1 - x0:.4g} x {y1 - y0:.4g} m"
-            raise InputError(
-                f"world {world.name}: {size} have more than {MAX_CELLS} cells of {cell_side:g} m; set bounds"
-            )
+            problem = f"{x1 - x0:.4g} x {y1 - y0:.4g} m have more than {MAX_CELLS} cells of {cell_side:g} m"
+            raise InputError(f"world {world.name}: {problem}; set bounds")
         columns, rows = max(1, math.floor((x1 - x0) / cell_side)), max(1, math.floor((y1 - y0) / cell_side))
         left, bottom = (x0 + x1 - (columns - 1) * cell_side) / 2, (y0 + y1 - (rows - 1) * cell_side) / 2
         x, y = left + cell_side * np.arange(columns), bottom + cell_side * np.arange(rows)
@@ -111,6 +110,61 @@ class RaggedTable:
             self._memory = np.concatenate([self._memory[:first], spare])
         self._memory[first : self._used] = rows
         self.first_rows[index], self.lengths[index] = first, len(rows)
+
+
+class PoseSampler:
+    """Samples start poses of a robot with a radius [m] in many worlds, for all environments at once in compiled code.
+
+    `World.sample_poses` samples the exact free space instead.
+
+    A cell is reachable through any door that is wider than the robot. The free cells of a world are computed when its
+    first pose is sampled.
+    """
+
+    def __init__(self, worlds: Sequence[World], radius: float) -> None:
+        self._worlds, self._radius = worlds, radius
+        self._tables: dict[float, RaggedTable] = {}  # free cells of each world, by clearance
+
+    def sample_poses(self, worlds: np.ndarray, random_numbers: np.ndarray, clearance: float) -> np.ndarray:
+        """Sample poses that are reachable from the start of their world, uniformly except near walls.
+
+        Args:
+            worlds: Index of the world of each environment, shape (num_envs,).
+            random_numbers: Uniform in [0, 1), for cell, offset in x, offset in y, and yaw; shape (num_envs, 4).
+            clearance: Minimum distance to obstacles and bounds [m]; the start of each world must have it.
+
+        Returns:
+            x [m], y [m], yaw [rad], shape (num_envs, 3).
+        """
+        table = self._tables.setdefault(clearance, RaggedTable(len(self._worlds), 3))
+        for world in np.unique(worlds[table.first_rows[worlds] < 0]).tolist():
+            table.add(world, self._free_cells(self._worlds[world], clearance))
+        poses = np.empty((len(random_numbers), 3))
+        _sample_in_cells(worlds, random_numbers, table.first_rows, table.lengths, table.rows, poses)
+        return poses
+
+    def _free_cells(self, world: World, clearance: float) -> np.ndarray:
+        """Centre x, y of each cell with room for a start, and largest offset of the start in x and in y [m], (n, 3)."""
+        floor = Floor.of(world, max(clearance, self._radius) + CELL_SIZE)
+        is_free = np.isfinite(floor.steps_from(*world.start[:2], self._radius)) & (floor.clearance >= clearance)
+        if not is_free.any():  # the start of the world has the clearance, but no centre of a cell has it
+            return np.array([(*world.start[:2], 0.0)])
+        max_offset = (floor.clearance[is_free] - clearance) / math.sqrt(2.0)
+        return np.column_stack([floor.centres(is_free), np.minimum(max_offset, CELL_SIZE / 2)])
+
+
+@njit(cache=True)
+def _sample_in_cells(worlds, random_numbers, first_cells, cell_counts, cells, poses):
+    """Write random `poses` (num_envs, 3) in the `cells` of all worlds, whose rows are those of `_free_cells`.
+
+    `first_cells` and `cell_counts` (worlds,) are the first row of each world and its number of rows.
+    """
+    for i in range(random_numbers.shape[0]):
+        world = worlds[i]
+        cell = first_cells[world] + min(int(random_numbers[i, 0] * cell_counts[world]), cell_counts[world] - 1)
+        for axis in range(2):
+            poses[i, axis] = cells[cell, axis] + (2.0 * random_numbers[i, 1 + axis] - 1.0) * cells[cell, 2]
+        poses[i, 2] = math.tau * random_numbers[i, 3] - math.pi
 
 
 def limit_to_obstacles(

@@ -209,10 +209,10 @@ def _grid_position(grid, x, y):
 
     The position is upwards and to the right, from 0 at the centre of the lower left cell to 1 at the next centre.
     """
-    columns_right = min(max((x - grid[2]) / grid[4], 0.0), grid[1] - 1.0)
-    rows_up = min(max((y - grid[3]) / grid[4], 0.0), grid[0] - 1.0)
-    column, row = min(int(columns_right), max(int(grid[1]) - 2, 0)), min(int(rows_up), max(int(grid[0]) - 2, 0))
-    return row, column, rows_up - row, columns_right - column
+    column_position = min(max((x - grid[2]) / grid[4], 0.0), grid[1] - 1.0)
+    row_position = min(max((y - grid[3]) / grid[4], 0.0), grid[0] - 1.0)
+    column, row = min(int(column_position), max(int(grid[1]) - 2, 0)), min(int(row_position), max(int(grid[0]) - 2, 0))
+    return row, column, row_position - row, column_position - column
 
 
 @njit(cache=True)
@@ -224,10 +224,10 @@ def _interpolate(offsets, grids, cell_lengths, positions, lengths):
     for i in range(positions.shape[0]):
         row, column, up, right = _grid_position(grids[i], positions[i, 0], positions[i, 1])
         columns = int(grids[i, 1])
-        next_column, next_row = 1 if columns > 1 else 0, columns if grids[i, 0] > 1.0 else 0
+        to_right, to_above = 1 if columns > 1 else 0, columns if grids[i, 0] > 1.0 else 0
         cell = offsets[i] + row * columns + column
-        below = (1 - right) * cell_lengths[cell] + right * cell_lengths[cell + next_column]
-        above = (1 - right) * cell_lengths[cell + next_row] + right * cell_lengths[cell + next_row + next_column]
+        below = (1 - right) * cell_lengths[cell] + right * cell_lengths[cell + to_right]
+        above = (1 - right) * cell_lengths[cell + to_above] + right * cell_lengths[cell + to_above + to_right]
         lengths[i] = (1 - up) * below + up * above
 
 

@@ -5,17 +5,20 @@ The suite `unseen` is generated and frozen; `barn` is read from files of the BAR
 
 import hashlib
 import math
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from tb2rl.core.errors import InputError, unknown
-from tb2rl.worlds.formats.barn import read_barn
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.worlds.floor import PoseSampler
+from tb2rl.worlds.formats.imports import ImportOptions
+from tb2rl.worlds.formats.sdf import read_sdf
 from tb2rl.worlds.generators import FAMILIES, GeneratorSettings, generate, world_rng
 from tb2rl.worlds.goal_paths import shortest_path_length
-from tb2rl.worlds.pose_sampler import PoseSampler
 from tb2rl.worlds.world import World
 
 ROBOT_RADIUS = 0.178  # [m] radius of a TurtleBot2, for which the shortest paths are computed
@@ -26,6 +29,15 @@ _UNSEEN = GeneratorSettings("mixed", worlds=1000, difficulty=(0.0, 1.0), seed=0,
 _UNSEEN_TIME_LIMIT = 120.0  # [s] enough for the longest path at half the top speed
 _START_AND_GOAL_SEED = 1  # another seed than that of the worlds
 _BARN_TIME_LIMIT, _BARN_GOAL_RADIUS = 100.0, 1.0  # [s], [m] rules of the challenge
+# Worlds of BARN (Perille et al. 2020, "Benchmarking Metric Ground Navigation"): a yard with posts on a grid, and with
+# walls of posts on three sides. A robot starts near the closed end. The goal is beyond the open end.
+_START, _GOAL = (-2.25, 3.0, 1.57), (-2.25, 13.0, 1.57)  # x [m], y [m], yaw [rad]
+# The yard has x from -4.5 to 0 m and y from 0 to 9.6 m. The floor around it is infinite in the challenge, but 2 m wide
+# here, which suffices for all paths from the open end to the goal.
+_BOUNDS = (-6.5, -2.0, 2.0, 15.0)
+_PATH_CELL = 0.15  # [m] distance between rows of a reference path (along x) and between columns (along y)
+_PATH_ORIGIN = np.array([-4.425, 5.175])  # [m] x of row 0, y of column 0
+_FOLDERS = ("", "jackal_helper/worlds/BARN", "worlds/BARN", "BARN")  # possible folders in a repository
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +103,7 @@ def barn(path: Path) -> Suite:
     """Worlds of the BARN challenge: a robot must get within 1 m of the goal in 100 s without a collision.
 
     There are two differences from the challenge. Time is measured from the start of the episode, instead of after the
-    first 0.1 m of motion. The worlds have bounds (`tb2rl.worlds.formats.barn`), which limit the paths of planners.
+    first 0.1 m of motion. The worlds have bounds (`_BOUNDS`), which limit the paths of planners.
 
     Raises:
         InputError: If the path contains no such worlds (see `read_barn`), or a world has no path from start to goal.
@@ -118,3 +130,55 @@ def _randomise_start_and_goal(world: World, number: int) -> tuple[World, float]:
         length = shortest_path_length(candidate, ROBOT_RADIUS)
         if MIN_PATH_LENGTH <= length < math.inf:
             return candidate, length
+
+
+def read_barn(path: Path) -> list[tuple[World, float]]:
+    """Read the worlds of a file or a folder, sorted by number, with the lengths of their reference paths [m].
+
+    Args:
+        path: An .npz file with two arrays for each number N: `posts_N` has x, y and radius [m], shape (posts, 3), and
+            `path_N` has rows and columns of the reference path, shape (steps, 2). Or the folder of the data set or of
+            the challenge's repository, with `path_files/path_N.npy`, and `world_N.world` (or in `world_files`).
+
+    Raises:
+        InputError: If the path contains no such worlds.
+    """
+    try:
+        found = dict(_read_folder(path) if path.is_dir() else _read_archive(path))
+    except Exception as error:  # any error that a broken file causes
+        raise InputError(one_line(f"cannot read worlds of BARN from {path}: {error}")) from None
+    if not found:
+        raise InputError(f"there are no worlds of BARN in {path}: no arrays posts_N and path_N for any number N")
+    return [found[number] for number in sorted(found)]
+
+
+def _read_archive(path: Path) -> Iterator[tuple[int, tuple[World, float]]]:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        for number in _world_numbers(archive, r"posts_(\d{1,6})"):
+            posts = archive[f"posts_{number}"].tolist()
+            world = World.from_shapes(f"barn {number}", posts=posts, start=_START, goal=_GOAL, bounds=_BOUNDS)
+            yield number, (world, _reference_length(archive[f"path_{number}"]))
+
+
+def _read_folder(path: Path) -> Iterator[tuple[int, tuple[World, float]]]:
+    folder = next((path / name for name in _FOLDERS if (path / name / "path_files").is_dir()), None)
+    if folder is None:
+        raise InputError("there is no folder path_files with reference paths")
+    options = ImportOptions(start=_START, goal=_GOAL, bounds=_BOUNDS)
+    files = {file.name: file for file in (*folder.glob("world_*"), *folder.glob("world_files/world_*"))}
+    for number in _world_numbers(files, r"world_(\d{1,6})\.world"):
+        world = replace(read_sdf(files[f"world_{number}.world"], options), name=f"barn {number}")
+        yield number, (world, _reference_length(np.load(folder / f"path_files/path_{number}.npy", allow_pickle=False)))
+
+
+def _world_numbers(names: Iterable[str], pattern: str) -> list[int]:
+    return [int(match[1]) for name in names if (match := re.fullmatch(pattern, name))]
+
+
+def _reference_length(cells: np.ndarray) -> float:
+    """Length of a path from the start through cells (row and column), shape (steps, 2), to the goal [m]."""
+    path = np.concatenate([[_START[:2]], _PATH_ORIGIN + _PATH_CELL * cells, [_GOAL[:2]]])
+    length = float(np.hypot(*np.diff(path, axis=0).T).sum())
+    if not math.isfinite(length):
+        raise InputError("a reference path has a NaN or infinite value")
+    return length

@@ -31,7 +31,7 @@ Bounds = tuple[float, float, float, float]  # min x, min y, max x, max y [m]
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Obstacles, start and goal of a world; every construction is checked, see `from_shapes`.
+    """Obstacles, start and goal of a world. Start, goal and bounds are checked, and shapes in `from_shapes`.
 
     Attributes:
         boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
@@ -128,7 +128,7 @@ class World:
             margin: Enlargement on all sides [m]; corners of boxes stay sharp.
             segments: Number of segments of a quarter circle.
         """
-        margins = np.array([0.0, 0.0, margin, margin, 0.0, 0.0])
+        margins = np.array([0.0, 0.0, margin, margin, 0.0, 0.0])  # the first three also fit posts: x, y, radius
         return np.concatenate([box_polygons(self.boxes + margins), post_polygons(self.posts + margins[:3], segments)])
 
     def free_space(self, clearance: float) -> BaseGeometry:
@@ -147,7 +147,7 @@ class World:
         return self._free_spaces[clearance]
 
     def check_start(self, clearance: float) -> None:
-        """Raise the `InputError` of `free_space` if the start is too near a wall [m]; 1000 times faster."""
+        """Raise the `InputError` of `free_space` if the start has less clearance [m]; 1000 times faster than that."""
         (x, y, _), (x0, y0, x1, y1) = self.start, self.bounds
         if min(x - x0, x1 - x, y - y0, y1 - y, self.clearance(x, y)) < clearance - 1e-9:  # rounding errors
             raise self._start_error(clearance)
@@ -158,7 +158,7 @@ class World:
             return InputError(f"world {self.name}: the start ({x:g}, {y:g}) is outside the bounds")
         return InputError(
             f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to a wall, "
-            f"so there is no free space; move the start, or lower task.start_clearance if that is {clearance:g}"
+            f"so there is no free space; move the start, or, if task.start_clearance is {clearance:g}, lower it"
         )
 
     def clearance(self, x: float, y: float) -> float:

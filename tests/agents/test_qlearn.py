@@ -193,13 +193,13 @@ def test_the_policy_acts_by_running_averages_of_the_values(drive):
     first_two = -100.0, (-100.0 - 150.0) / 2  # the first ones have equal weights
     third = first_two[1] + 0.4 * (-175.0 - first_two[1])
     assert model.policy.q[1, 0].item() == pytest.approx(third + 0.4 * (-187.5 - third))
-    assert model._latest[1, 0] == pytest.approx(-187.5)
+    assert model._unaveraged_q[1, 0] == pytest.approx(-187.5)
 
 
 def test_averages_change_neither_learning_nor_exploration(frozen_lake):
     plain, averaging = (QLearning("QTable", frozen_lake(), seed=0, averaging=share) for share in (None, 0.01))
     for model in (plain, averaging):
         model.learn(2000)
-    np.testing.assert_array_equal(averaging._latest, plain.policy.q)
+    np.testing.assert_array_equal(averaging._unaveraged_q, plain.policy.q)
     np.testing.assert_array_equal(averaging.policy.visits, plain.policy.visits)
     assert not np.array_equal(averaging.policy.q, plain.policy.q)

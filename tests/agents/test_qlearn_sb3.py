@@ -52,7 +52,7 @@ def test_a_saved_model_acts_the_same_and_continues_to_learn(tmp_path, frozen_lak
     again = QLearning.load(tmp_path / "model", env=frozen_lake())
     states = np.arange(16)
     np.testing.assert_array_equal(again.predict(states)[0], model.predict(states)[0])
-    np.testing.assert_array_equal(again._latest, model._latest)
+    np.testing.assert_array_equal(again._unaveraged_q, model._unaveraged_q)
     epsilon, visits = model.exploration_rate, model.policy.visits.sum()
     assert epsilons(again, 100, reset_num_timesteps=False)[0] == epsilon, "resuming does not explore from the start"
     assert (again.num_timesteps, again.policy.visits.sum()) == (2100, visits + 100)

@@ -12,7 +12,7 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.execution.cluster import RayExecutor
-from tb2rl.execution.job import Job
+from tb2rl.execution.executor import Job
 from tb2rl.execution.local import LocalExecutor
 
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers cannot import tests

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from PIL import ImageColor
 
-from tb2rl.rendering.above import GOAL_RADIUS, WorldPicture, draw_plan, make_grid
-from tb2rl.rendering.canvas import SIDE, Canvas
+from tb2rl.rendering.above import GOAL_RADIUS, SIDE, Canvas, WorldPicture, draw_plan, make_grid
 from tb2rl.rendering.colours import BEAM, BODY, FLOOR, FREE, GOAL, NOSE, PATH, WALL, WHEEL
 from tb2rl.robots import Laser
 from tb2rl.robots.turtlebot2 import ROBOT

@@ -94,7 +94,7 @@ def test_what_a_library_refuses_is_one_line_that_names_the_settings(agent, setti
 
 @pytest.mark.parametrize(
     ("agent", "task", "learns", "has"),
-    [("qlearn", "drive", "named", "continuous"), ("td3", "my-maze", "continuous", "named")],
+    [("qlearn", "drive", "discrete", "continuous"), ("td3", "my-maze", "continuous", "discrete")],
 )
 def test_an_agent_that_cannot_do_the_actions_of_a_task_is_refused(agent, task, learns, has, refused):
     message = refused(make_algorithm, resolve(agent, task), None)

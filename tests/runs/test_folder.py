@@ -84,19 +84,19 @@ def test_a_process_that_dies_releases_its_lock(run):
 @pytest.mark.parametrize("end", [b"", b'{"timesteps": 90, "sc', b"\0" * 40], ids=["whole", "torn", "zeros"])
 def test_evaluations_while_training_are_appended_and_dropped_whatever_a_crash_left(end, run):
     file = run.folder / "evaluations.jsonl"
-    run.drop_evaluations(after=100)  # there is no file
+    run.drop_training_evaluations(after=100)  # there is no file
     for steps in (50, 150):
-        run.append_evaluation({"timesteps": steps, "score": 0.5})
+        run.append_training_evaluation({"timesteps": steps, "score": 0.5})
     file.write_bytes(file.read_bytes() + end)
-    run.drop_evaluations(after=100)
-    run.append_evaluation({"timesteps": 120})
+    run.drop_training_evaluations(after=100)
+    run.append_training_evaluation({"timesteps": 120})
     assert [json.loads(line)["timesteps"] for line in file.read_text().splitlines()] == [50, 120]
 
 
 def test_evaluations_with_a_damaged_line_are_refused_and_kept(run, refused):
     file = run.folder / "evaluations.jsonl"
     file.write_text(content := '{\n{"timesteps": 50}\n')
-    assert f"{file} is damaged" in refused(run.drop_evaluations, after=100)
+    assert f"{file} is damaged" in refused(run.drop_training_evaluations, after=100)
     assert file.read_text() == content
 
 

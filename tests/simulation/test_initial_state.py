@@ -5,7 +5,7 @@ import pytest
 
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState
-from tb2rl.simulation.spec import PARAMETERS
+from tb2rl.simulation.spec import FIELDS, PARAMETERS
 
 
 def test_the_default_is_the_start_the_goal_and_the_bounds_of_each_world(make_spec):
@@ -16,7 +16,7 @@ def test_the_default_is_the_start_the_goal_and_the_bounds_of_each_world(make_spe
         assert initial_state.pose[i].tolist() == list(world.start)
         assert initial_state.bounds[i].tolist() == list(world.bounds)
         np.testing.assert_array_equal(initial_state.goal[i], world.goal[:2] if world.goal else (np.nan, np.nan))
-        np.testing.assert_array_equal(initial_state.table[i, PARAMETERS], ROBOT.parameters)
+        assert initial_state.table[i, PARAMETERS].tolist() == [getattr(ROBOT, name) for name in FIELDS[PARAMETERS]]
     assert InitialState.default(spec, 3).world.tolist() == [0, 0, 0]
     assert InitialState.default(spec, 2, 1).pose.tolist() == [list(spec.worlds[1].start)] * 2
 

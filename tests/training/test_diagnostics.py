@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tb2rl.training.diagnostics import ADVICE
+from tb2rl.training.statistics import ADVICE
 from tb2rl.training.training import resume, train_config
 
 PROBLEMS = {

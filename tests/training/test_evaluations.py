@@ -70,7 +70,10 @@ def test_when_evaluations_stop_a_training_is_a_setting(train, shares, stopped_af
 def test_a_stopped_training_continues_if_more_steps_are_asked(small, rates, evaluations, tmp_path):
     rates(1.0, 1.0)
     run = train_config(small(**{**OFTEN, "stop_score": 0.99}), tmp_path / "run").run
-    with pytest.raises(InputError, match=r"stopped after 128 of 512 steps: 2 evaluations in a row reached 99 %; raise"):
+    with pytest.raises(
+        InputError,
+        match=r"stopped after 128 of 512 steps: 2 evaluations in a row reached the train.stop_score of 99 %; raise",
+    ):
         resume(run.folder)
     rates(1.0, 0.9, 0.9, 1.0, 1.0)
     more = resume(run.folder, total_timesteps=1024)
@@ -94,7 +97,10 @@ def test_the_command_prints_that_a_training_was_stopped_and_notes_its_evaluation
     flags = "--simulation kinematic --n-envs 4 --total-timesteps 512 --eval-freq 64 --no-evaluation --name run"
     few = ["train.stop_score=0.995", "train.eval_episodes=3", "train.eval_steps=10", "train.eval_simulation=bullet"]
     main([*flags.split(), "--set", *few])
-    assert "stopped after 128 of 512 steps: 2 evaluations in a row reached 99.5 %\n" in capsys.readouterr().out
+    assert (
+        "stopped after 128 of 512 steps: 2 evaluations in a row reached the train.stop_score of 99.5 %\n"
+        in capsys.readouterr().out
+    )
     line, _ = map(json.loads, (tmp_path / "runs/maze/qlearn/run/evaluations.jsonl").read_text().splitlines())
     assert (line["simulation"], line["episodes"], line["steps"]) == ("bullet", 3, 10)
     assert line["median_squares"] >= 1

@@ -10,7 +10,7 @@ from tb2rl.core.files import top_folder
 from tb2rl.core.plugins import agent_names
 from tb2rl.runs.config import resolve
 from tb2rl.tune import main
-from tb2rl.tuning.space import parse_space, read_space
+from tb2rl.tuning.study import parse_space, read_space
 
 FILES = sorted(file.stem for file in (top_folder("configs") / "tuning").glob("*.yaml"))
 TASKS = {"sac": "drive", "td3": "drive"}

@@ -77,6 +77,18 @@ def test_processes_that_share_a_study_run_different_trials_and_fail_stale_ones(m
     assert not folder.trial_folder(0).exists()
 
 
+def test_a_trial_whose_process_was_killed_before_its_first_heartbeat_fails(make_folder):
+    def kill(_):
+        raise SystemExit
+
+    folder = make_folder()
+    with open_study(folder) as study, heartbeats(folder, {}) as record:
+        with pytest.raises(SystemExit):
+            ask(folder, study, 1, kill)
+        assert ask(folder, study, 1, record).number == 1
+        assert [trial.state.name for trial in study.trials] == ["FAIL", "RUNNING"]
+
+
 def test_a_trial_that_others_failed_meanwhile_is_dropped(make_folder, executor, untrained, monkeypatch, capsys):
     folder, train = make_folder(), training._train
     with open_study(folder) as study, open_study(folder) as other:
@@ -135,11 +147,11 @@ def test_the_last_evaluation_of_a_training_that_stops_early_stands_for_the_remai
 
 
 def test_steps_decide_between_equal_rates_and_nothing_else():
-    def of(*rates, used_steps=1.0):
-        return score([TrainingResult(rate, 10.0, used_steps) for rate in rates], "success")
+    def of(*rates, used_step_share=1.0):
+        return score([TrainingResult(rate, 10.0, used_step_share) for rate in rates], "success")
 
-    assert of(0.99, 0.97) > of(0.97, 0.97, used_steps=0.0)
-    assert of(0.981, used_steps=0.3) > of(0.979, used_steps=0.4)
+    assert of(0.99, 0.97) > of(0.97, 0.97, used_step_share=0.0)
+    assert of(0.981, used_step_share=0.3) > of(0.979, used_step_share=0.4)
     assert of(1.0, 0.5) == of(0.75)
     assert score([TrainingResult(0.1, 10.0, 1.0), TrainingResult(0.1, 30.0, 1.0)], "return") == 20.0
 

@@ -7,7 +7,8 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.evaluation.statistics import bootstrap_interval
-from tb2rl.viz.curves import MAX_POINTS, Curve, SeedCurves, read_curves
+from tb2rl.viz.charts import MAX_POINTS, Curve, SeedCurves
+from tb2rl.viz.run_views import read_curves
 
 
 def test_curves_come_from_the_files_of_the_run(seeds):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.deploy.bags.drive import Drive
+from tb2rl.deploy.bags.reading import Drive
 from tb2rl.viz.drives import drive_section
 from tb2rl.viz.page import page
 from tb2rl.worlds import World

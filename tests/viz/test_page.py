@@ -10,7 +10,7 @@ import yaml
 
 from tb2rl.viz import page as page_module
 from tb2rl.viz.action_map import action_map
-from tb2rl.viz.curves import Curve
+from tb2rl.viz.charts import Curve
 from tb2rl.viz.page import page
 from tb2rl.viz.run_views import group_runs, read_run_view
 

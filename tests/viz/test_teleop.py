@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tb2rl.robots import Laser
-from tb2rl.viz.teleop import Teleop, range_lines
+from tb2rl.viz.window import Teleop, range_lines
 
 
 def test_ranges_are_bars_from_right_to_left():

@@ -7,8 +7,8 @@ import shapely
 from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.worlds import World
+from tb2rl.worlds.floor import PoseSampler
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, generate
-from tb2rl.worlds.pose_sampler import PoseSampler
 from tb2rl.worlds.registry import find_world
 
 WORLDS = generate(GeneratorSettings("mixed", worlds=5, difficulty=(1.0, 1.0)), GENERATORS["mixed"], "training")

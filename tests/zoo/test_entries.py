@@ -61,15 +61,15 @@ def test_a_card_and_its_figures_agree_with_the_episodes(entry):
     assert [episode["failed"] for episode in each] == [e["ended"] in ("collision", "out of bounds") for e in each]
     assert config_from(figures["config"]).task == entry.config.task, "settings that came later have their default"
     expected = {"maze", "mixed"} if entry.criterion == "success" else set(WORLDS)  # only these have a goal
-    assert set(entry.unseen_worlds) == (set() if entry.navigates else expected - {entry.config.task.world})
+    assert set(entry.unseen_world_summaries) == (set() if entry.navigates else expected - {entry.config.task.world})
     assert entry.is_built
-    for figures in entry.unseen_worlds.values():
+    for figures in entry.unseen_world_summaries.values():
         assert sum(figures["endings"].values()) == figures["episodes"] == EPISODES
 
 
 @pytest.mark.parametrize("policy", listed_suite_policies(), ids=lambda policy: policy.name)
 def test_listed_suite_policies_have_the_name_of_their_agent_or_entry_and_variation(policy):
-    reference, agent, task = policy.options.policy, policy.options.agent, policy.config.task
+    reference, agent, task = policy.evaluate_options.policy, policy.evaluate_options.agent, policy.config.task
     who = reference.removeprefix("zoo:") if reference else f"{agent}-{task.guide}"
     usual = "none" if agent else config_of(tb2rl.load(reference)).task.variation
     how = "exact" if task.variation == "none" else task.variation

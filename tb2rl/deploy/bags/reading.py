@@ -6,20 +6,88 @@ compared with the definitions of ROS. `read_drive` catches all exceptions, becau
 
 from __future__ import annotations
 
+import math
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tb2rl.core.errors import InputError, one_line
-from tb2rl.deploy.bags.drive import Drive
-from tb2rl.deploy.bags.messages import BagMessages, rosbags_library
-from tb2rl.deploy.bags.topics import MAX_VALUE, TOPIC_KINDS, find_topics
+from tb2rl.core.errors import InputError, one_line, unknown
+from tb2rl.core.values import Pose
+from tb2rl.deploy.bags.messages import BUMPER_EVENTS, BagMessages, rosbags_library
+from tb2rl.deploy.ros.messages import Goal, Odometry
+from tb2rl.deploy.ros.topics import split_pairs
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 MAX_MESSAGES = 2_000_000  # eleven hours at 50 Hz
+MAX_VALUE = 1e9  # [m], [m/s], [s] ...; larger values are errors
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A recorded drive. Each table has a row per message, or no rows if the bag lacks such messages.
+
+    The first column of each table is the time since the first message [s].
+
+    Attributes:
+        name: Name of the bag.
+        topics: The topics of the tables, by the kinds of `TOPIC_KINDS`.
+        odometry: Time, x [m], y [m], yaw [rad], forward speed [m/s], turn rate [rad/s], shape (messages, 6).
+        truth: True motion in the world's frame, from a simulation, with the columns of `odometry`.
+        scan_minima: Time, shortest range of a scan [m], inf without an obstacle in range, shape (messages, 2).
+        commands: Time, v [m/s], w [rad/s], shape (messages, 3).
+        bumper: Time, 1 if the bumper is pressed, else 0, shape (messages, 2).
+        goals: Time, x [m], y [m], shape (messages, 3).
+    """
+
+    name: str
+    topics: Mapping[str, str]
+    odometry: np.ndarray
+    truth: np.ndarray
+    scan_minima: np.ndarray
+    commands: np.ndarray
+    bumper: np.ndarray
+    goals: np.ndarray
+
+    @property
+    def trajectory(self) -> np.ndarray:
+        """The true motion if the bag has it, else the odometry."""
+        return self.truth if len(self.truth) else self.odometry
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s]."""
+        return float(self.trajectory[-1, 0] - self.trajectory[0, 0])
+
+    @property
+    def distance(self) -> float:
+        """Length of the path [m]."""
+        return float(np.hypot(*np.diff(self.trajectory[:, 1:3], axis=0).T).sum())
+
+    @property
+    def speed(self) -> float:
+        """Mean speed [m/s]; 0 if the duration is 0."""
+        return self.distance / self.seconds if self.seconds > 0.0 else 0.0
+
+    @property
+    def min_range(self) -> float:
+        """Shortest range of all scans [m]; inf without scans."""
+        return float(self.scan_minima[:, 1].min(initial=math.inf))
+
+    @property
+    def contacts(self) -> int | None:
+        """Number of contacts; None if the bag has no bumper messages."""
+        return int((np.diff(self.bumper[:, 1], prepend=0.0) > 0.0).sum()) if len(self.bumper) else None
+
+    def path_from(self, pose: Pose) -> np.ndarray:
+        """Return the path x, y [m], shape (messages, 2), shifted and rotated so that it begins at a pose."""
+        _, x, y, yaw, *_ = self.trajectory[0].tolist()
+        cos, sin = math.cos(pose[2] - yaw), math.sin(pose[2] - yaw)
+        return (self.trajectory[:, 1:3] - (x, y)) @ np.array([(cos, sin), (-sin, cos)]) + pose[:2]
 
 
 def is_bag(path: Path) -> bool:
@@ -92,3 +160,90 @@ def _make_table(kind: str, values: array[float]) -> np.ndarray:
     table = table[np.argsort(table[:, 0], kind="stable")]
     checked_columns = table[:, :1] if kind == "scan" else table  # a shortest range may be inf
     return table[(np.abs(checked_columns) < MAX_VALUE).all(axis=1)]
+
+
+# ---- kinds of topics: how to find a topic of each kind, and how to convert its messages
+
+
+def _motion(message: Any) -> Row:
+    odometry = Odometry.from_ros(message)
+    return *odometry.pose, *odometry.twist
+
+
+def _min_range(message: Any) -> Row:
+    ranges = message.ranges
+    valid = ranges[(ranges >= message.range_min) & (ranges <= min(message.range_max, MAX_VALUE))]
+    return (float(valid.min(initial=math.inf)),)
+
+
+def _command(message: Any) -> Row:
+    twist = getattr(message, "twist", message)
+    return twist.linear.x, twist.angular.z
+
+
+def _bumper_state(message: Any) -> Row:
+    return (float(message.data if hasattr(message, "data") else message.state),)
+
+
+@dataclass(frozen=True)
+class TopicKind:
+    """A kind of topic, whose messages become a table of a drive."""
+
+    types: tuple[str, ...]  # message types
+    names: tuple[str, ...]  # common topic names, the most likely first
+    value_count: int  # number of values from a message
+    convert: Callable[[Any], Row]  # returns the values from a message
+    any_name: bool = False  # whether to use a topic with another name, if its type matches
+
+
+_TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+_ODOMETRY, _SCAN, _GOAL = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/PoseStamped"
+_PRESSED = ("std_msgs/msg/Bool", *BUMPER_EVENTS.values())
+_TRUTH_TOPICS = ("/ground_truth", "/ground_truth/state", "/base_pose_ground_truth")
+_COMMAND_TOPICS = ("/cmd_vel", "/mobile_base/commands/velocity", "/commands/velocity")
+_BUMPER_TOPICS = ("/bumper", "/mobile_base/events/bumper", "/events/bumper")
+_GOAL_TOPICS = ("/move_base_simple/goal", "/goal_pose")
+TOPIC_KINDS: Mapping[str, TopicKind] = {  # in the order of the tables of a `Drive`
+    "odom": TopicKind((_ODOMETRY,), ("/odom", "/odometry/filtered"), 5, _motion, any_name=True),
+    "ground_truth": TopicKind((_ODOMETRY,), _TRUTH_TOPICS, 5, _motion),
+    "scan": TopicKind((_SCAN,), ("/kobuki/laser/scan", "/scan"), 1, _min_range, any_name=True),
+    "cmd_vel": TopicKind(_TWISTS, _COMMAND_TOPICS, 2, _command, any_name=True),
+    "bumper": TopicKind(_PRESSED, _BUMPER_TOPICS, 1, _bumper_state),
+    "goal": TopicKind((_GOAL,), _GOAL_TOPICS, 2, lambda message: Goal.from_ros(message).position),
+}
+
+
+def parse_topics(pairs: Iterable[str]) -> dict[str, str]:
+    """Parse topics by kind, such as "odom=/odometry/filtered".
+
+    Raises:
+        InputError: If a pair has no "=", or its kind is unknown.
+    """
+    topics = split_pairs(pairs, "KIND=NAME, such as odom=/odometry/filtered")
+    for kind in topics.keys() - TOPIC_KINDS.keys():
+        raise unknown("kind of topic", kind, TOPIC_KINDS)
+    return topics
+
+
+def find_topics(available: Mapping[str, tuple[str, int]], chosen: Mapping[str, str]) -> dict[str, str]:
+    """Find the topic of each kind; the result lacks kinds for which there is no topic.
+
+    Args:
+        available: Type and number of messages of each topic in the bag.
+        chosen: Topics that the user chose, by kind.
+
+    Raises:
+        InputError: If a chosen topic is not in the bag, or has another type.
+    """
+    found = {}
+    for kind, spec in TOPIC_KINDS.items():
+        counts = {topic: count for topic, (message_type, count) in available.items() if message_type in spec.types}
+        if kind in chosen and chosen[kind] not in counts:
+            types, possible = " or ".join(spec.types), one_line(", ".join(sorted(counts)) or "no topic")
+            raise InputError(f"the bag has no topic {chosen[kind]} of type {types}; {kind} can be: {possible}")
+        nonempty = sorted((topic for topic, count in counts.items() if count), key=lambda topic: -counts[topic])
+        by_name = [topic for name in spec.names for topic in nonempty if f"/{topic.lstrip('/')}" == name]
+        candidates = [*([chosen[kind]] if kind in chosen else by_name), *(nonempty if spec.any_name else ())]
+        if candidates:
+            found[kind] = candidates[0]
+    return found

@@ -18,22 +18,22 @@ from tb2rl.envs.filters import Filter, SpeedLimits
 
 from .path import PlannedPath
 from .policy_contract import Point, Policy, Pose, SensorData, Speeds, are_usable
-from .scan import Scan
-from .scan_reader import Mounting, ScanReader
+from .scan_reader import Mounting, Scan, ScanReader
 
 DRIVING, DRY_RUN, NOT_STARTED = "driving", "dry run", "not started"
 BUMPED, REACHED, STOPPED = "the bumper was touched", "the goal is reached", "told to stop"
 MAX_AGE = 0.5  # [s] of sensor data; with older data the robot stops
 _ZERO_SPEEDS: Speeds = (0.0, 0.0)
-_MAX_CLOCK_DIFFERENCE = 1e6  # [s] if clocks differ by more, only one of them shows simulated time
+_MAX_CLOCK_DIFFERENCE = 1e6  # [s] with a larger one, one clock is simulated time and the other is wall-clock time
 _MAX_EARLINESS = 0.1  # [control steps] a decision may come early by this much, because clocks jitter
+_MAX_WAIT = 2.0  # [control steps] a decision that lies farther ahead is made at once, because the clock was set back
 _MAX_SCAN_PERIOD = 1.2  # [control steps] a warning is given if scans arrive less often
-_MAX_RANGE_MIN_EXCESS = 0.1  # [m] a warning is given if `range_min` exceeds that of the training by more
+_RANGE_MIN_TOLERANCE = 0.1  # [m] a warning is given if `range_min` exceeds that of the training by more
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A mismatch between the policy and its robot; an error prevents driving, a warning does not."""
+    """Missing data, or a mismatch between policy and robot; an error prevents driving, a warning does not."""
 
     message: str
     is_error: bool
@@ -96,7 +96,7 @@ class Driver:
     def see_scan(self, scan: Scan, stamp: float) -> None:
         """Pass a scan with its time stamp [s]."""
         if self._scan_stamps and not stamp > self._scan_stamps[-1]:
-            self._scan_stamps.clear()  # the clock was set back
+            self._scan_stamps.clear()  # the clock was set back, or the stamp is repeated or NaN
         self._scan_stamps.append(stamp)
         self._scan = scan
 
@@ -141,7 +141,7 @@ class Driver:
         self._stop_reason = why
 
     def preflight(self) -> list[Finding]:
-        """Mismatches of policy and robot in the data that has arrived so far, errors first."""
+        """Missing data, and mismatches of policy and robot in the data that has arrived, errors first."""
         needs, limits, scan, stamps = self.needs, self._limits, self._scan, self._scan_stamps
         errors, warnings = self._missing_data(), []
         problem = self._reader.read(scan).problem if scan else ""
@@ -152,10 +152,10 @@ class Driver:
             errors.append(f"a scan arrives every {interval:.2g} s, but the robot stops after {MAX_AGE:g} s without one")
         elif interval > needs.period * _MAX_SCAN_PERIOD:
             warnings.append(f"a scan arrives every {interval:.2g} s, but the policy decides every {needs.period:g} s")
-        if scan and 0.0 < scan.range_max < needs.max_range:
+        if scan and 0.0 < scan.range_max < needs.max_range:  # 0: the scanner does not state it
             training = f"the policy was trained with {needs.max_range:g} m"
             warnings.append(f"beyond {scan.range_max:.3g} m the scanner sees no walls; {training}")
-        if scan and scan.range_min > needs.min_range + _MAX_RANGE_MIN_EXCESS:
+        if scan and scan.range_min > needs.min_range + _RANGE_MIN_TOLERANCE:
             warnings.append(f"the scanner sees nothing nearer than {scan.range_min:.3g} m")
         if needs.max_speed > limits.speed:
             warnings.append(f"the policy's {needs.max_speed:.3g} m/s are limited to {limits.speed:.3g} m/s")
@@ -165,7 +165,7 @@ class Driver:
 
     def command(self, now: float) -> Command:
         """Return the command for the base at the time `now` [s]."""
-        why = self._stop_reason or self._data_problem(now) or self._record_arrival()
+        why = self._stop_reason or self._data_problem(now) or self._check_arrival_at_goal()
         if not why and self._begin_control_step(now):
             why = self._decide()
         if why:
@@ -176,12 +176,12 @@ class Driver:
 
     def _missing_data(self) -> list[str]:
         """Describe the data that the policy needs and that has not arrived yet."""
-        goal = self.needs.goal
+        goal_kind = self.needs.goal
         missing = {
             "scan": self._scan is None,
             "odometry": self._needs_odometry and math.isnan(self._odometry_stamp),
-            "goal": goal is not None and self._goal is None,
-            "plan": goal == "plan" and self._plan is None,
+            "goal": goal_kind is not None and self._goal is None,
+            "plan": goal_kind == "plan" and self._plan is None,
         }
         return [f"no {name} has arrived yet" for name, is_missing in missing.items() if is_missing]
 
@@ -193,7 +193,7 @@ class Driver:
             return scan_problem or missing[0]
         return age_problem("odometry", now - self._odometry_stamp) if self._needs_odometry else ""
 
-    def _record_arrival(self) -> str:
+    def _check_arrival_at_goal(self) -> str:
         """Record a reached goal; returns `REACHED` if it is or was reached, else an empty string."""
         if self._goal is None or not self.needs.goal:
             return ""
@@ -202,9 +202,9 @@ class Driver:
         return REACHED if self._reached_goal == self._goal else ""
 
     def _begin_control_step(self, now: float) -> bool:
-        """Begin a control step, at first or when the last one is over; returns whether one began."""
+        """Begin a control step in a new episode, or when the last step is over; returns whether one began."""
         period, delay = self.needs.period, now - self._next_decision_time
-        if self._in_episode and -2.0 * period < delay < -_MAX_EARLINESS * period:
+        if self._in_episode and -_MAX_WAIT * period < delay < -_MAX_EARLINESS * period:
             return False
         is_on_time = self._in_episode and abs(delay) < 0.5 * period
         self._next_decision_time = (self._next_decision_time if is_on_time else now) + period
@@ -223,7 +223,8 @@ class Driver:
         self._in_episode = True
         plan = self._plan if self.needs.goal == "plan" else None
         waypoint = plan.lookahead_point(self._pose, self.needs.lookahead) if plan else None
-        sensor_data = SensorData(ranges, self._pose, self._twist, False, self._last_command, self._goal, waypoint)
+        bumped = False  # a contact ends the drive
+        sensor_data = SensorData(ranges, self._pose, self._twist, bumped, self._last_command, self._goal, waypoint)
         wanted = self._policy.act(sensor_data)
         if all(map(math.isfinite, wanted)):
             names = ("ranges", "pose", "twist", "bumped", "command")

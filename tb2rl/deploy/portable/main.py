@@ -39,8 +39,7 @@ from tb2rl.envs.filters import SpeedLimits
 from .driver import Command, Driver
 from .policy import ExportedPolicy
 from .policy_contract import MAX_MAGNITUDE
-from .scan import Scan
-from .scan_reader import Mounting
+from .scan_reader import Mounting, Scan
 from .termination import SignalGuard, SignalledError
 
 _KEYS = ("time", "scan", "odometry", "bumper", "goal", "plan", "start", "stop")

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from tb2rl.core.errors import InputError
 from tb2rl.deploy.ros.node import Node
 
-__all__ = ["create_node"]
-
 
 def create_node(version: int, name: str, arguments: Sequence[str] = ()) -> Node:
     """Join ROS 1 or ROS 2, as the environment variables configure it.

@@ -110,10 +110,9 @@ class DriverNode:
         if self._latencies:
             percentiles = np.percentile(self._latencies, [50, 99], axis=0).T * 1e3
             wall, cpu = (f"{median:.1f} ms, 99 % within {p99:.1f} ms" for median, p99 in percentiles)
+            times = f"median time from scan to command: {wall} (of processor time: {cpu})"
             with suppress(OSError):
-                _print(
-                    f"{len(self._latencies)} scans, median time from scan to command: {wall} (of processor time: {cpu})"
-                )
+                _print(f"{len(self._latencies)} scans, {times}")
 
     # ---- callbacks, in threads of ROS
 
@@ -159,9 +158,8 @@ class DriverNode:
         frame, name = self._odometry_frame, type(goal).__name__.lower()
         self._pending_goal = None if frame else goal
         if frame and goal.frame != frame:
-            _print(
-                f"the {name} is ignored: its frame is {goal.frame!r}; send it in the frame of the odometry, {frame!r}"
-            )
+            hint = f"send it in the frame of the odometry, {frame!r}"
+            _print(f"the {name} is ignored: its frame is {goal.frame!r}; {hint}")
         elif frame:
             try:
                 if isinstance(goal, Plan):

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Protocol, Self, dataclass_transform
 
 import numpy as np
 
-from tb2rl.deploy.portable.scan import Scan
+from tb2rl.deploy.portable.scan_reader import Scan
 from tb2rl.robots import Laser
 
 BILLION = 1_000_000_000  # [ns] in a second

@@ -19,7 +19,7 @@ from tb2rl.core import InputError, ignore_termination_signals
 from tb2rl.core.processes import hide_main_script, process_context, processors
 from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.simulation.robot_state import ARRAYS, RobotState
-from tb2rl.simulation.simulator import Generators, ResetGenerators, StatesAfterReset
+from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import InitialState, SimulationSpec
 
 _SPIN_TIME = 5e-3  # [s] of polling before `_receive` sleeps; longer than a step of the worlds of a process
@@ -115,9 +115,7 @@ class BulletBatch:
         self.travelled = np.hypot(change[:, 0], change[:, 1])
         return robot_state
 
-    def reset_at(
-        self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None
-    ) -> StatesAfterReset:
+    def reset_at(self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None) -> ResetStates:
         initial_states = [InitialState(initial_state.table[i : i + 1].copy()) for i in range(len(indices))]
         generators = [None] * len(indices) if rng is None else rng
         self._call("reset_values", indices, list(zip(initial_states, generators, strict=True)))
@@ -146,8 +144,7 @@ class BulletBatch:
     def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Camera images for the latest robot state of all environments, or of those that were reset last."""
         indices = self._all_indices if len(robot_state.pose) == self.num_envs else self._last_reset
-        images = self._call("camera", indices, [(width, height)] * len(indices))
-        colours, depth = zip(*images, strict=True)
+        colours, depth = zip(*self._call("camera", indices, [(width, height)] * len(indices)), strict=True)
         return np.stack(colours), np.stack(depth)
 
     def close(self) -> None:

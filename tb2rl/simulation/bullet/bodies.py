@@ -79,18 +79,18 @@ def add_floor(client: int) -> int:
 def add_walls(client: int, world: World) -> tuple[int, ...]:
     """Add all walls and posts of a world; return the numbers of the bodies.
 
-    Neighbouring shapes share a body, because bodies far from the robot take no time.
+    Each body has neighbouring shapes, so that most bodies are far from the robot, where they take no time.
     """
     box, post, quaternion = pybullet.GEOM_BOX, pybullet.GEOM_CYLINDER, pybullet.getQuaternionFromEuler
-    middle, upright = WALL_HEIGHT / 2, quaternion((0.0, 0.0, 0.0))
+    half_height, upright = WALL_HEIGHT / 2, quaternion((0.0, 0.0, 0.0))
     shapes = [  # type, half sizes, radius, position, orientation
-        (box, (length, width, middle), 0.0, (x, y, middle), quaternion((0.0, 0.0, math.atan2(sin, cos))))
-        for x, y, length, width, cos, sin in world.boxes.tolist()
+        (box, (*half_sizes, half_height), 0.0, (x, y, half_height), quaternion((0.0, 0.0, math.atan2(sin, cos))))
+        for x, y, *half_sizes, cos, sin in world.boxes.tolist()
     ]
-    shapes += [(post, (0.0,) * 3, radius, (x, y, middle), upright) for x, y, radius in world.posts.tolist()]
+    shapes += [(post, (0.0,) * 3, radius, (x, y, half_height), upright) for x, y, radius in world.posts.tolist()]
     centres, bodies = np.array([shape[3] for shape in shapes]), []
     for group in _group_neighbours(centres, np.arange(len(centres))):
-        # PyBullet's functions for arrays crash with tuples.
+        # `createCollisionShapeArray` and `createVisualShapeArray` crash with tuples.
         types, half_sizes, radii, positions, orientations = map(list, zip(*(shapes[k] for k in group), strict=True))
         lengths, colours = [WALL_HEIGHT] * len(group), [WALL_COLOUR] * len(group)
         sizes = {"halfExtents": half_sizes, "radii": radii, "lengths": lengths, "physicsClientId": client}
@@ -153,7 +153,7 @@ class RobotBody:
         pybullet.resetBasePositionAndOrientation(self.body, *self.frame_at(*map(float, pose)), self.client)
 
     def teleport(self, position: Any, orientation: Any, velocity: Any, wheels: Any) -> None:
-        """Put the robot into the state of a `motion`, and clear the contacts at its former position."""
+        """Restore the result of `motion`, and clear the contacts at the former position."""
         pybullet.resetBasePositionAndOrientation(self.body, (0.0, 0.0, 100.0), (0.0, 0.0, 0.0, 1.0), self.client)
         pybullet.performCollisionDetection(self.client)  # clears the contacts
         pybullet.resetBasePositionAndOrientation(self.body, position, orientation, self.client)
@@ -164,9 +164,8 @@ class RobotBody:
     def motion(self) -> dict[str, Any]:
         """Arguments for `teleport`: PyBullet's position, orientation and velocity of the base, and `wheel_states`."""
         position, orientation = pybullet.getBasePositionAndOrientation(self.body, self.client)
-        velocity = pybullet.getBaseVelocity(self.body, self.client)
-        wheels = self.wheel_states()
-        return {"position": position, "orientation": orientation, "velocity": velocity, "wheels": wheels}
+        motion = {"velocity": pybullet.getBaseVelocity(self.body, self.client), "wheels": self.wheel_states()}
+        return {"position": position, "orientation": orientation, **motion}
 
     def wheel_states(self) -> tuple[tuple[float, float], ...]:
         """Angle [rad] and rate [rad/s] of the left and the right wheel."""
@@ -223,9 +222,8 @@ def _check_wheels(client: int, body: int, wheels: tuple[int, int], robot: Robot)
     if not left > 0.0 > right:
         first, second = robot.wheel_joints
         found = f"{first!r} is at y = {left:.4g} m, {second!r} at y = {right:.4g} m"
-        raise InputError(
-            f"robot {robot.name}: wheel_joints must be the left wheel (y > 0) and the right wheel; {found}"
-        )
+        rule = "wheel_joints must be the left wheel (y > 0) and the right wheel"
+        raise InputError(f"robot {robot.name}: {rule}; {found}")
     in_urdf = ("wheel_separation", left - right), ("wheel_radius", height), ("wheel_radius", other_height)
     for name, urdf_value in in_urdf:
         value = getattr(robot, name)

@@ -13,7 +13,7 @@ from tb2rl.simulation.bullet.obstacle_bodies import BulletObstacles
 from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
 from tb2rl.simulation.odometry import encoder_odometry, is_exact
 from tb2rl.simulation.robot_state import ARRAYS, RobotState
-from tb2rl.simulation.simulator import Generators, ResetGenerators, StatesAfterReset
+from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
 from tb2rl.worlds.geometry import cast_beams, limit_ranges
 
@@ -124,7 +124,7 @@ class BulletSimulator:
             with quiet():
                 clear(self._client)  # takes half as long as opening another client
                 self._build()
-        self._initial_state, self._has_exact_odometry = initial_state, is_exact(initial_state)
+        self._initial_state, self._has_exact_odometry = initial_state, is_exact(initial_state.records)
         self._max_speed, self._max_turn_rate = float(row["max_speed"]), float(row["max_turn_rate"])
         # PyBullet cannot resize the wheels of a loaded body. Scaled commands move the robot as other wheels would.
         self._v_scale = float(row["wheel_radius"])
@@ -134,9 +134,7 @@ class BulletSimulator:
         # Divided by the substeps, because PyBullet applies the impulse of a whole step in each of them.
         self._torque = robot.wheel_torque * acceleration / self.spec.substeps
 
-    def reset_at(
-        self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None
-    ) -> StatesAfterReset:
+    def reset_at(self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None) -> ResetStates:
         robot_state = self.reset(initial_state, rng or self._rng)
         return robot_state, robot_state
 

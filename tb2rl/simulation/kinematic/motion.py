@@ -242,12 +242,18 @@ def scan_robots(indices, constants, robots, obstacles):
 
 
 @njit(cache=True)
-def reset_robots(indices, new_states, initial_states, robots):
-    """Put the robots `indices` (n,) at rest, and copy their `new_states` (n,) to `initial_states` (num_envs,)."""
+def reset_robots(indices, new_states, keys, constants, robots, obstacles):
+    """Put the robots `indices` (n,) at rest in `new_states` (n,), which become their `initial_states`, and scan.
+
+    `keys` (n,) are those of new random streams for the lasers; None: the streams continue.
+    """
     for row, i in enumerate(indices):
         start = new_states[row]
-        initial_states[i] = start
+        constants.initial_states[i] = start
         robots.poses[i, 0], robots.poses[i, 1], robots.poses[i, 2] = start.x, start.y, start.yaw
         robots.wheel_speeds[i], robots.twists[i], robots.commands[i] = 0.0, 0.0, 0.0
         robots.accelerations[i], robots.bumped[i] = 0.0, False
         robots.streams[i, 1] += np.uint64(1)
+        if keys is not None:
+            robots.streams[i, 0], robots.streams[i, 1] = keys[row], np.uint64(0)
+    scan_robots(indices, constants, robots, obstacles)

@@ -6,20 +6,24 @@ compares the motion with PyBullet.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tb2rl.simulation.kinematic.depth import depth_images
+from tb2rl.core.compiled import njit
 from tb2rl.simulation.kinematic.motion import reset_robots, scan_robots, step_block
 from tb2rl.simulation.kinematic.threads import parallel_for
 from tb2rl.simulation.obstacles.dynamic_obstacles import SimulatedObstacles
+from tb2rl.simulation.obstacles.outlines import cast_at_outlines
 from tb2rl.simulation.odometry import integrate_odometry, is_exact, measure_arcs
 from tb2rl.simulation.robot_state import RobotState
-from tb2rl.simulation.simulator import Generators, ResetGenerators, StatesAfterReset
+from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
+from tb2rl.worlds.geometry import cast_many
 from tb2rl.worlds.spatial_index import SpatialIndex
+from tb2rl.worlds.world import WALL_HEIGHT
 
 # Estimated duration [s] of a step in one thread: for each robot, for each of its beams, for each dynamic obstacle.
 _ROBOT_TIME, _BEAM_TIME, _OBSTACLE_TIME = 0.25e-6, 4e-9, 2e-6
@@ -30,7 +34,7 @@ _STATE_ARRAYS = ("poses", "wheel_speeds", "streams", "bumped", "commands", "acce
 
 
 class Constants(NamedTuple):
-    """Values that no step changes, for compiled code."""
+    """Values for compiled code that no step changes; only `reset_robots` changes rows of `initial_states`."""
 
     initial_states: np.ndarray  # records of the initial states, see `spec.RECORD`, shape (num_envs,)
     spatial_index: SpatialIndex  # obstacles of all worlds
@@ -38,7 +42,7 @@ class Constants(NamedTuple):
     laser_noise: float  # [m] standard deviation
     min_range: float  # [m]
     max_range: float  # [m]
-    physics_step: float  # [s] duration of PyBullet's physics step, for the same discretisation error
+    physics_step: float  # [s] duration of PyBullet's physics step, whose discretisation error the motion reproduces
 
 
 class RobotArrays(NamedTuple):
@@ -68,10 +72,12 @@ class RobotArrays(NamedTuple):
         return cls(*motion, np.empty((count, beams)), shortest_ranges, nearest_is_dynamic)
 
     def for_step(self, commands: np.ndarray) -> RobotArrays:
-        """Make new arrays for a step with these commands (num_envs, 2); robot states keep the present arrays."""
-        poses, wheel_speeds, streams, _, *results = self
+        """Copy the arrays that robot states hold, for a step with these commands (num_envs, 2)."""
         commands = np.array(commands, dtype=float, order="C")  # a copy, because `reset_at` overwrites commands
-        return RobotArrays(poses.copy(), wheel_speeds.copy(), streams, commands, *map(np.empty_like, results))
+        motion = self.poses.copy(), self.wheel_speeds.copy(), self.streams, commands, self.bumped.copy()
+        results = self.accelerations.copy(), self.twists.copy(), self.arcs, self.travelled
+        scan = np.empty(self.ranges.shape), self.shortest_ranges.copy(), self.nearest_is_dynamic.copy()
+        return RobotArrays(*motion, *results, *scan)
 
 
 class KinematicSimulator:
@@ -94,7 +100,7 @@ class KinematicSimulator:
         self._initial_state = initial_state
         self.robots = RobotArrays.at_rest(initial_state.pose, keys, len(self._beams[0]))
         # None: odometry has no errors and equals the true poses.
-        self._odometry = None if is_exact(initial_state) else initial_state.pose.copy()
+        self._odometry = None if is_exact(initial_state.records) else initial_state.pose.copy()
 
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
         self._place_robots(initial_state, _draw_keys(rng, self.num_envs))
@@ -116,30 +122,26 @@ class KinematicSimulator:
         robot_time = _ROBOT_TIME + _BEAM_TIME * len(self._beams[0]) + _OBSTACLE_TIME * self._obstacles.table.shape[1]
         arguments = self._constants, robots, duration, self._obstacles.arrays
         if self.num_envs * robot_time > MIN_PARALLEL_TIME:
-            parallel_for(step_block, self.num_envs, int(_THREAD_DELAY / robot_time), *arguments)
+            head_start = int(_THREAD_DELAY / robot_time)  # robots that this thread steps while the others wake up
+            parallel_for(step_block, self.num_envs, head_start, *arguments)
         else:
             step_block(0, self.num_envs, *arguments)
 
-    def reset_at(
-        self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None
-    ) -> StatesAfterReset:
-        robots = self.robots
-        reset_robots(indices, initial_state.records, self._initial_state.records, robots)
-        if rng is not None:
-            robots.streams[indices, 0], robots.streams[indices, 1] = _draw_keys(rng, len(indices)), 0  # as in `reset`
+    def reset_at(self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None) -> ResetStates:
+        robots, keys = self.robots, None if rng is None else _draw_keys(rng, len(indices))
+        self._obstacles.reset_at(indices, initial_state)
+        reset_robots(indices, initial_state.records, keys, self._constants, robots, self._obstacles.arrays)
         if self._odometry is not None:
             self._odometry[indices] = initial_state.pose
-        elif not is_exact(initial_state):
+        elif not is_exact(initial_state.records):
             self._odometry = robots.poses.copy()
-        self._obstacles.reset_at(indices, initial_state)
-        scan_robots(indices, self._constants, robots, self._obstacles.arrays)
         # Selecting these rows from the robot state of all environments would take four times as long.
         count = len(indices)
         zeros, zero_pairs, bumped = np.zeros(count), np.zeros((count, 2)), np.zeros(count, dtype=bool)
-        motion = initial_state.pose, zero_pairs
+        motion = measured_motion = initial_state.pose, zero_pairs
         measured = robots.ranges[indices], bumped, zero_pairs, zeros
-        reset_states = RobotState(*motion, *motion, *measured, initial_state, self, *self._obstacle_fields(indices))
-        return self._robot_state(), reset_states
+        fields = *motion, *measured_motion, *measured, initial_state, self, *self._obstacle_fields(indices)
+        return self._robot_state(), RobotState(*fields)
 
     def state(self) -> dict[str, Any]:
         """Motion, odometry, initial states and dynamic obstacles of all environments."""
@@ -165,7 +167,7 @@ class KinematicSimulator:
         self._place_robots(initial_state, state["streams"][:, 0])
         for name in _STATE_ARRAYS:
             getattr(self.robots, name)[:] = state[name]
-        exact = is_exact(initial_state) and (state["odometry"] == state["poses"]).all()
+        exact = is_exact(initial_state.records) and (state["odometry"] == state["poses"]).all()
         self._odometry = None if exact else state["odometry"].copy()
         return self._scan_all()
 
@@ -174,11 +176,29 @@ class KinematicSimulator:
 
     def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[None, np.ndarray]:
         """Depth images, see `RobotState.render_camera`; there are no colours."""
-        return None, depth_images(robot_state, self.spec.robot.camera, self.spec.spatial_index, width, height)
+        camera, poses, obstacles = self.spec.robot.camera, robot_state.pose, robot_state.dynamic_obstacles
+        forward, sideways, lens_height = camera.position
+        lens_poses, cos, sin = np.array(poses, dtype=float), np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        lens_poses[:, 0] += forward * cos - sideways * sin
+        lens_poses[:, 1] += forward * sin + sideways * cos
+        # PyBullet's renderer takes a pixel's colour and depth from its lower left corner, and not from its middle.
+        half_height = math.tan(camera.field_of_view / 2)  # [m] half height of the image at a depth of 1 m
+        leftward = half_height * (width - 2.0 * np.arange(width)) / height
+        upward = half_height * (height - 2.0 * np.arange(1, height + 1)) / height
+        cosines = 1.0 / np.hypot(1.0, leftward)  # of the angles between the rays and the optical axis
+        # Walls and dynamic obstacles have the same height, so that one planar ray is enough for a column of pixels.
+        rays, depths = (cosines, cosines * leftward), np.empty((len(lens_poses), width))
+        cast_many(lens_poses, robot_state.initial_state.world, rays, self.spec.spatial_index, depths)
+        if obstacles is not None:
+            cast_at_outlines(lens_poses, rays, obstacles, depths)
+        depths *= cosines
+        images = np.empty((len(lens_poses), height, width), dtype=np.float32)
+        _fill_images(depths, upward, lens_height, camera.range[1], images)
+        return None, images
 
     @property
     def _constants(self) -> Constants:
-        # Not an attribute, because a copy of the simulator would copy `records`, which are a view, without their table.
+        # Not an attribute, because `records` would no longer be a view of the table in a copy of the simulator.
         laser, records = self.spec.laser, self._initial_state.records
         limits = float(laser.noise), float(laser.min_range), float(laser.max_range)
         return Constants(records, self.spec.spatial_index, self._beams, *limits, self._physics_step)
@@ -187,10 +207,9 @@ class KinematicSimulator:
         """Measure at the present poses and wheel speeds."""
         robots = self.robots
         scan_robots(np.arange(self.num_envs), self._constants, robots, self._obstacles.arrays)
+        left, right = robots.wheel_speeds.T
         robots.twists[:, 0] = robots.wheel_speeds.mean(axis=1)
-        robots.twists[:, 1] = (
-            np.diff(robots.wheel_speeds, axis=1)[:, 0] / self._initial_state.records["wheel_separation"]
-        )
+        robots.twists[:, 1] = (right - left) / self._initial_state.records["wheel_separation"]
         return self._robot_state()
 
     def _robot_state(self) -> RobotState:
@@ -215,3 +234,27 @@ def _draw_keys(rng: Generators, count: int) -> np.ndarray:
     if isinstance(rng, np.random.Generator):
         return rng.integers(2**64, size=count, dtype=np.uint64)
     return np.array([generator.integers(2**64, dtype=np.uint64) for generator in rng])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_images(wall_depths, upward, lens_height, max_depth, images):
+    """Write the depth of each pixel: that of a wall, of the floor, or inf.
+
+    Args:
+        wall_depths: Depth of the nearest wall or obstacle in each column [m], shape (num_envs, width).
+        upward: Rise of the rays of each row per metre of depth, shape (height,).
+        lens_height: Height of the lens above the floor [m].
+        max_depth: Range of the camera [m].
+        images: Result [m], shape (num_envs, height, width).
+    """
+    for robot in range(wall_depths.shape[0]):
+        for row in range(upward.size):
+            rise, wall_end, depth_beyond = upward[row], np.inf, np.inf
+            if rise > 0.0:
+                wall_end = (WALL_HEIGHT - lens_height) / rise  # beyond this depth the ray is above the walls
+            elif rise < 0.0:
+                wall_end = depth_beyond = -lens_height / rise  # there the ray meets the floor
+            for column in range(wall_depths.shape[1]):
+                wall_depth = wall_depths[robot, column]
+                depth = wall_depth if wall_depth <= wall_end else depth_beyond
+                images[robot, row, column] = depth if depth <= max_depth else np.inf

@@ -8,16 +8,15 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 from tb2rl.simulation.obstacles import outlines
-from tb2rl.simulation.obstacles.outlines import EMPTY, FIELDS, OBSTACLE_TYPE, PATH, PERSON, STRAIGHT, ObstacleArrays
+from tb2rl.simulation.obstacles.outlines import EMPTY, FIELDS, OBSTACLE_TYPE, PATH, PERSON, TO_TARGETS, ObstacleArrays
 from tb2rl.simulation.random_streams import StreamSource
 from tb2rl.simulation.spec import InitialState, SimulationSpec
 from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
 from tb2rl.worlds.geometry import clearance_at
 
 _CANDIDATES = 8  # random start poses for each obstacle, which starts at the first pose with room
-_START_MARGIN = (
-    1.5  # [m] least gap between robot and obstacle at the start; without such a candidate the farthest is taken
-)
+# [m] Least gap between robot and obstacle at the start; without such a candidate the farthest is taken.
+_START_MARGIN = 1.5
 _CONSTANT_COLUMNS = [FIELDS.index("length"), FIELDS.index("width"), *range(FIELDS.index("kind"), len(FIELDS))]
 _EMPTY_ROW = np.eye(len(FIELDS))[outlines.COS]  # row without an obstacle: heading 0, all other values 0
 _SEED_COUNT = 2.0**53  # number of different float64 random numbers in [0, 1)
@@ -121,13 +120,13 @@ def _make_rows(group: DynamicObstacles, path_points: list[tuple[float, float]]) 
     table = np.zeros((group.count, len(FIELDS)))
     rows = outlines.as_records(table, OBSTACLE_TYPE)
     people, boxes = slice(group.people), slice(group.people + group.posts, None)
-    rows["cos"], rows["length"], rows["kind"] = 1.0, group.radius, STRAIGHT
+    rows["cos"], rows["length"], rows["kind"] = 1.0, group.radius, TO_TARGETS
     rows["min_speed"], rows["max_speed"] = group.speed
     if group.path is not None:
         loop = group.path if group.closed else (*group.path, *group.path[-2:0:-1])  # back and forth
         rows["kind"], rows["first"], rows["count"] = PATH, len(path_points), len(loop)
         path_points.extend(loop)
-    rows["kind"][people], rows["avoids"][people] = PERSON, group.avoid_robot
+    rows["kind"][people], rows["avoids_robot"][people] = PERSON, group.avoid_robot
     rows["length"][boxes], rows["width"][boxes] = group.size[0] / 2, group.size[1] / 2
     return table
 

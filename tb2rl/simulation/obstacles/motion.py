@@ -4,7 +4,7 @@ Posts and boxes move in straight lines, along a path or to random points. People
 `tb2rl.simulation.obstacles.people`. An obstacle that touches the robot stops, because nothing pushes the robot.
 
 Arguments in common: `arrays` is `ObstacleArrays`, `i` is the environment, `world_id` is its world in the
-`spatial_index`, and `initial_states` has the records of the initial states.
+`spatial_index`, and `initial_states` has a record for each environment: the robot's radius and the world's bounds.
 """
 
 import math
@@ -13,14 +13,15 @@ import numpy as np
 
 from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.simulation.obstacles import people
-from tb2rl.simulation.obstacles.outlines import EMPTY, PATH, PERSON, STRAIGHT, distance_to_outline, outer_radius
+from tb2rl.simulation.obstacles.outlines import EMPTY, PATH, PERSON, TO_TARGETS, distance_to_outline, outer_radius
 from tb2rl.simulation.random_streams import uniform
 from tb2rl.worlds.geometry import clearance_at
 
 DECISION_STEPS = 4  # physics steps from one call of `decide` to the next, so that there are 20 calls a second
 CONTACT = 2e-3  # [m] an obstacle with a smaller gap to the robot stops; below 1 mm, PyBullet would push the robot
-_MARGIN = 0.1  # [m] gap between walls and an obstacle on its way to a target, if its position has such a gap
-_PERSON_ARRIVAL, _ARRIVAL = 0.3, 1e-3  # [m] a person (a post or box) this near to its target chooses another
+_MARGIN = 0.1  # [m] gap to walls on the way to a target; an obstacle that is nearer to a wall keeps its present gap
+_PERSON_ARRIVAL = 0.3  # [m] a person this near to the target chooses another
+_ARRIVAL = 1e-3  # [m] the same for posts and boxes
 _WAITING_TIME = 1.0  # [s] after a contact with the robot, until another target is chosen
 _DIRECTIONS = 4  # number of random directions; the target is in the direction with the longest free way
 _MIN_DISTANCE, _MAX_DISTANCE = 1.0, 6.0  # [m] range of random distances to a target
@@ -35,7 +36,7 @@ def decide(i, duration, arrays, initial_states, spatial_index, world_id, robot_m
     obstacles = arrays.obstacles
     for k in range(obstacles.shape[1]):
         obstacle = obstacles[i, k]
-        if obstacle.kind < STRAIGHT:
+        if obstacle.kind < TO_TARGETS:  # `EMPTY` and `PATH` have no targets
             continue
         distance = math.hypot(obstacle.target_x - obstacle.x, obstacle.target_y - obstacle.y)
         obstacle.patience -= duration
@@ -45,17 +46,17 @@ def decide(i, duration, arrays, initial_states, spatial_index, world_id, robot_m
             people.attract_to_target(obstacle)
     for k in range(obstacles.shape[1]):
         for other in range(k + 1, obstacles.shape[1]):
-            people.repel_each_other(obstacles[i, k], obstacles[i, other])
+            people.repel_each_other(obstacles[i, k], obstacles[i, other])  # only people feel forces
     for k in range(obstacles.shape[1]):
         if obstacles[i, k].kind == PERSON:
-            radius = initial_states[i].radius
-            people.repel_from_walls_and_robot(obstacles[i, k], spatial_index, world_id, robot_motion, radius)
+            robot_radius = initial_states[i].radius
+            people.repel_from_walls_and_robot(obstacles[i, k], spatial_index, world_id, robot_motion, robot_radius)
             people.accelerate(obstacles[i, k], duration)
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
-    """Move the obstacles of an environment for a physics step of a `duration` [s], up to the robot at x, y [m].
+    """Move the obstacles of an environment for a physics step of a `duration` [s]; they stop at the robot at x, y [m].
 
     Returns:
         Whether an obstacle touched the robot.
@@ -68,8 +69,8 @@ def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
             continue
         cos, sin, next_point = obstacle.cos, obstacle.sin, obstacle.next
         if kind == PATH:
-            to_x, to_y = _follow_path(obstacle, arrays.path_points, duration * obstacle.speed)
-        elif kind == STRAIGHT:
+            to_x, to_y = _advance_on_path(obstacle, arrays.path_points, duration * obstacle.speed)
+        elif kind == TO_TARGETS:
             dx, dy = obstacle.target_x - from_x, obstacle.target_y - from_y
             share = min(1.0, duration * obstacle.speed / max(math.sqrt(dx * dx + dy * dy), 1e-9))
             to_x, to_y = from_x + share * dx, from_y + share * dy
@@ -84,7 +85,7 @@ def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
             touched = True
             obstacle.vx, obstacle.vy = 0.0, 0.0
             obstacle.patience = min(obstacle.patience, _WAITING_TIME)
-            obstacle.next = next_point
+            obstacle.next = next_point  # undoes `_advance_on_path`
             to_x, to_y = from_x + share * (to_x - from_x), from_y + share * (to_y - from_y)
             if share == 0.0:  # a box does not turn if it does not move
                 obstacle.cos, obstacle.sin = cos, sin
@@ -96,9 +97,10 @@ def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def share_until_contact(from_x, from_y, to_x, to_y, radius, obstacle):
-    """Share in [0, 1] of the robot's motion before it touches an obstacle; 1 without contact, or if they move apart.
+    """Share in [0, 1] of a motion, of robot or obstacle, before they touch; 1 without contact, or if they move apart.
 
-    The positions of the robot before and after the motion are relative to the obstacle's centre [m].
+    The robot's positions before and after the motion are relative to the obstacle's centre [m]. `radius` [m] is the
+    robot's, or that and a gap that counts as contact.
     """
     gap = distance_to_outline(to_x, to_y, obstacle) - radius
     if gap >= 0.0 or gap > distance_to_outline(from_x, from_y, obstacle) - radius:
@@ -118,14 +120,15 @@ def share_until_contact(from_x, from_y, to_x, to_y, radius, obstacle):
 def is_out_of_reach(x, y, max_speed, duration, radius, obstacles, i):
     """Whether the robot and its obstacles can neither touch nor avoid each other in a control step of a `duration` [s].
 
-    In this case they move independently, which is much faster. The robot is at x, y [m], below `max_speed` [m/s].
+    In this case they move independently, which is much faster. The robot at x, y [m] is not faster than
+    `max_speed` [m/s]. People who avoid the robot are never out of reach.
     """
     for k in range(obstacles.shape[1]):
         obstacle = obstacles[i, k]
-        if obstacle.length > 0.0:
+        if obstacle.kind != EMPTY:
             distance = math.hypot(obstacle.x - x, obstacle.y - y)
             approach = duration * (max_speed + people.MAX_SPEED_RATIO * obstacle.speed)
-            if obstacle.avoids != 0.0 or distance < radius + CONTACT + outer_radius(obstacle) + approach:
+            if obstacle.avoids_robot != 0.0 or distance < radius + CONTACT + outer_radius(obstacle) + approach:
                 return False
     return True
 
@@ -142,8 +145,8 @@ def step_obstacles_alone(i, steps, physics_step, arrays, initial_states, spatial
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
-def _follow_path(obstacle, path_points, length):
-    """Position of an obstacle on its path after `length` [m]."""
+def _advance_on_path(obstacle, path_points, length):
+    """Advance `obstacle.next` by `length` [m] of the path; returns the new position x, y [m], and does not set it."""
     x, y, first, count = obstacle.x, obstacle.y, int(obstacle.first), int(obstacle.count)
     for _ in range(count + 1):  # a path may be shorter than a step
         next_point = int(obstacle.next)

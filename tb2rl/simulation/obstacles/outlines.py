@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tb2rl.core.compiled import NO_REFCOUNT, njit
-from tb2rl.worlds.grid import chord_interval, slab_interval
+from tb2rl.worlds.geometry import chord_interval, slab_interval
 
 FIELDS = (
     # The outline:
@@ -26,15 +26,15 @@ FIELDS = (
     "force_x", "force_y",  # [m/s^2] social force on a person
     "room",  # [m] distance that a person can walk before walls matter
     # Constants of an episode:
-    "kind",  # `EMPTY`, `PATH`, `STRAIGHT` or `PERSON`
+    "kind",  # `EMPTY`, `PATH`, `TO_TARGETS` or `PERSON`
     "first", "count",  # first point of the path in `ObstacleArrays.path_points`, and number of its points
-    "avoids",  # whether a person avoids the robot
+    "avoids_robot",  # whether a person avoids the robot
     "min_speed", "max_speed",  # [m/s] range of the random target speed
 )  # fmt: skip
 X, Y, COS, SIN, LENGTH, WIDTH = range(6)
 OUTLINE = slice(0, 6)
 OBSTACLE_TYPE, _OUTLINE_TYPE = (np.dtype([(name, np.float64) for name in FIELDS[:end]]) for end in (None, OUTLINE.stop))
-EMPTY, PATH, STRAIGHT, PERSON = range(4)  # values of "kind": no obstacle, and three kinds of motion
+EMPTY, PATH, TO_TARGETS, PERSON = range(4)  # values of "kind": no obstacle, and three kinds of motion
 _MIN_DISTANCE = 1e-9  # [m] avoids a division by 0
 
 

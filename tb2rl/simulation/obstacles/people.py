@@ -80,7 +80,7 @@ def repel_from_walls_and_robot(person, spatial_index, world_id, robot_motion, ro
     """
     x, y, force_x, force_y = person.x, person.y, person.force_x, person.force_y
     robot_x, robot_y, robot_vx, robot_vy = robot_motion
-    if person.avoids != 0.0:
+    if person.avoids_robot != 0.0:
         dx, dy = robot_x - x, robot_y - y
         social_x, social_y = social_force(dx, dy, person.vx - robot_vx, person.vy - robot_vy)
         distance = max(math.sqrt(dx * dx + dy * dy), 1e-9)

@@ -1,1 +1,1 @@
-"""Readers of foreign formats: Gazebo's SDF, ROS maps and BARN; each ends with `imports.complete_world`."""
+"""Readers of foreign formats: Gazebo's SDF and ROS maps; each ends with `imports.complete_world`."""

@@ -3,23 +3,25 @@
 Obstacles are the collision shapes of all models. A `WorldWarning` lists unsupported parts.
 """
 
+import os
 from collections import Counter, defaultdict
 from functools import cache
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
 import numpy as np
 import shapely
 
-from tb2rl.core.errors import InputError
+from tb2rl.core.errors import InputError, one_line
 from tb2rl.worlds.formats.imports import ImportOptions, complete_world, warn
 from tb2rl.worlds.formats.markup import element_name, element_text, parse_numbers, parse_sizes, read_xml
-from tb2rl.worlds.formats.meshes import add_mesh, load_mesh
-from tb2rl.worlds.formats.model_path import ModelPath
 from tb2rl.worlds.formats.poses import IDENTITY, Scope, State
-from tb2rl.worlds.formats.slices import OmittedShape, Slice, is_upright
+from tb2rl.worlds.formats.slices import OmittedShape, Slice, is_upright, load_mesh
 from tb2rl.worlds.world import World
 
+# Gazebo's environment variables with folders of models.
+VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
 _MAX_PARTS = 20_000  # limit of models and shapes, because small files can include each other very often
 _NOT_FOUND = "models and meshes were not found, and nothing is downloaded; add their folders to GAZEBO_MODEL_PATH"
 
@@ -143,7 +145,7 @@ class _Reader:
         if shape.find("submesh") is not None:
             self._omit("the whole mesh is used instead of a <submesh>", path.name)
         mesh_scale = np.array(parse_sizes(shape, "scale", 3)) if shape.find("scale") is not None else np.ones(3)
-        add_mesh(self._load_mesh(path), pose, mesh_scale * scale, self.slice)
+        self.slice.add_mesh(self._load_mesh(path), pose, mesh_scale * scale)
 
     def _omit(self, reason: str, name: str) -> None:
         self.omissions[reason][name] += 1
@@ -153,6 +155,65 @@ class _Reader:
             name = owner.get("name") or element_text(owner.find("name")) or element_text(owner.find("uri"))
             label = f"{plugin.get('name') or plugin.get('filename')} of {name}"
             self._omit("plugins do not run, so objects that they move stand still", label)
+
+
+class ModelPath:
+    """Search path of models, which resolves `model://`, `package://`, `file://` and relative URIs to local files.
+
+    Models are searched in the folders of the setting `model_path`, of the environment variables of Gazebo, and near the
+    world file. Nothing is downloaded or read from other folders, because world files are untrusted.
+
+    Args:
+        world: The world file.
+        folders: Folders to search first.
+    """
+
+    def __init__(self, world: Path, folders: tuple[str, ...] = ()) -> None:
+        paths = [*folders, *(folder for name in VARIABLES for folder in os.environ.get(name, "").split(os.pathsep))]
+        world_folder = world.absolute().parent
+        listed_folders = [Path(folder).absolute() for folder in paths if folder]
+        # In TurtleBot3 and most other packages, worlds/ and models/ are in the same folder.
+        self._folders = [*listed_folders, world_folder, world_folder / "models", world_folder.parent / "models"]
+
+    def find(self, uri: str, within: Path) -> Path | None:
+        """Find the file or folder of a URI, None if there is none; the folder `within` contains the SDF file.
+
+        Raises:
+            InputError: If the URI leaves the search path.
+        """
+        scheme, _, quoted = uri.rpartition("://")
+        location = unquote(quoted)
+        candidates = [folder / location.lstrip("/") for folder in self._folders]
+        if scheme not in ("model", "package"):
+            candidates.insert(0, within / location)
+        paths = [self._checked(candidate, within) for candidate in candidates if uri]
+        return next((path for path in paths if os.path.exists(path)), None)  # noqa: PTH110 (`Path.exists` raises for long names)
+
+    def find_model(self, uri: str, within: Path) -> Path | None:
+        """Find the SDF file of a model. In a folder, this is the file with the highest version in model.config.
+
+        Raises:
+            InputError: If the URI or model.config leave the search path.
+        """
+        found = self.find(uri, within)
+        if found is None or not found.is_dir():
+            return found
+        config = found / "model.config"
+        versions = list(read_xml(config).iter("sdf")) if config.is_file() else []
+        name = element_text(max(versions, key=_version)) if versions else ""
+        model = self._checked(found / (name or "model.sdf"), found)
+        return model if model.is_file() else None
+
+    def _checked(self, path: Path, within: Path) -> Path:
+        """Normalise a path; raise an `InputError` if the result is outside of `within` and of the search path."""
+        path = Path(os.path.normpath(path))  # not `resolve`, because ROS workspaces are full of symbolic links
+        if not any(path.is_relative_to(folder) for folder in (within, *self._folders)):
+            raise InputError(one_line(f"{path} is outside of the model path; add its folder to the model path"))
+        return path
+
+
+def _version(sdf: Element) -> tuple[int, ...]:
+    return tuple(int(part) for part in sdf.get("version", "").split(".") if part.isdecimal())
 
 
 def _add_shape(shapes: list[Element], pose: np.ndarray, scale: np.ndarray, cut: Slice) -> None:
@@ -190,6 +251,7 @@ def _add_polyline(lines: list[Element], pose: np.ndarray, scale: np.ndarray, cut
             raise InputError("the <polyline> elements of a shape must not touch or cross each other")
         area = shapely.build_area(rings)
     if is_upright(pose):
+        # Raises `OmittedShape` if the laser passes above or below.
         cut.check_height(*sorted((pose[2, 3], pose[2, 3] + pose[2, 2] * height)))
         cut.add_outline(shapely.transform(area, lambda points: points @ pose[:2, :2].T + pose[:2, 3]))
     else:

@@ -1,18 +1,24 @@
-"""Cross-sections of solid shapes in the horizontal plane of the laser, as boxes and posts."""
+"""Cross-sections of solid shapes and meshes in the horizontal plane of the laser, as boxes and posts."""
 
+import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from tb2rl.core.errors import install_extra, one_line
+from tb2rl.worlds.formats.imports import mean_overlaps
+from tb2rl.worlds.formats.markup import read_limited, read_xml
 from tb2rl.worlds.occupancy_grid import merge_cells
 from tb2rl.worlds.world import BoxShape, PostShape
 
-OUTLINE_TOLERANCE = 0.002  # [m] for the simplification of outlines
+_OUTLINE_TOLERANCE = 0.002  # [m] for the simplification of outlines
 _MIN_THICKNESS = 0.01  # [m] minimum thickness of a wall; also the thickness of an open surface
 _THICKNESS_BISECTIONS = 16  # steps in the search for the thickest wall inside an outline
 _MIN_HOLE = 0.05  # [m] radius of the smallest hole between walls that is filled
@@ -21,6 +27,11 @@ _EPSILON = 1e-6  # [m] tolerance for rounding errors
 _MAX_TILT = 1e-6  # [rad] maximum tilt of an upright shape
 _PLANE_TOLERANCE = 1e-6  # [m] corners within this distance of the plane count as in the plane
 _CYLINDER_SIDES = 48  # sides of the prism that replaces a tilted cylinder; the error is 0.2 % of the radius
+_MESH_EXTENSIONS = (".dae", ".obj", ".stl")  # of Gazebo; files that they reference do not affect the shape
+_MESH_GRID = 1e-5  # [m] end points of lines are rounded to this grid, so that adjacent lines meet
+_MAX_LINES = 30_000  # limit of the number of lines in a cut
+_MAX_CROSSINGS = 40  # limit of the mean number of lines that a line crosses
+_ROBOT_RADIUS = 0.25  # [m] faces of an open body are solid if they have no room for a robot of this radius
 
 
 class OmittedShape(Exception):  # noqa: N818 (not an error, because the rest of the world is read)
@@ -54,8 +65,7 @@ class Slice:
         """Add a cylinder whose axis is the z axis of the pose."""
         if not is_upright(pose):
             angles = np.arange(_CYLINDER_SIDES) * math.tau / _CYLINDER_SIDES
-            outline = radius * np.column_stack([np.cos(angles), np.sin(angles)])
-            self.add_prisms(pose, [outline], -length / 2, length / 2)
+            self.add_prisms(pose, [radius * np.column_stack([np.cos(angles), np.sin(angles)])], -length / 2, length / 2)
             return
         x, y, z = pose[:3, 3]
         self.check_height(z - length / 2, z + length / 2)
@@ -92,20 +102,63 @@ class Slice:
 
     def add_outline(self, shape: BaseGeometry) -> None:
         """Add polygons: a rectangle as one box, others as walls inside the outline, with boxes in the holes."""
-        for part in shapely.get_parts(shapely.simplify(shape, OUTLINE_TOLERANCE)):
+        for part in shapely.get_parts(shapely.simplify(shape, _OUTLINE_TOLERANCE)):
             if part.area > 0:
                 x, y = part.exterior.coords[0]
                 # Coordinates are relative to a corner, so that copies of a polygon have the same key in the cache.
                 relative = shapely.transform(part, lambda points, corner=(x, y): np.round(points - corner, 9))
                 self.boxes += [(x + box[0], y + box[1], *box[2:]) for box in _divide_into_boxes(relative.wkb)]
 
-    def add_thin_walls(self, lines: Iterable[shapely.LineString]) -> None:
-        """Add the polylines of open surfaces as thin walls on the left side of the lines."""
-        for line in lines:
+    def add_mesh(self, mesh: Any, pose: np.ndarray, scale: np.ndarray) -> None:
+        """Add a mesh from `load_mesh`, with a scale (3,); open surfaces become thin walls on the left of lines."""
+        import trimesh
+
+        placed = mesh.copy()
+        placed.apply_transform(pose @ np.diag([*scale, 1.0]))
+        self.check_height(*placed.bounds[:, 2])
+        segments = trimesh.intersections.mesh_plane(placed, (0.0, 0.0, 1.0), (0.0, 0.0, self.height))
+        lines = shapely.linestrings(segments[:, :, :2])
+        if len(lines) > _MAX_LINES or mean_overlaps(lines) > _MAX_CROSSINGS:  # their union would take hours
+            raise OmittedShape("meshes that are too fine, or whose faces cut each other everywhere")
+        outline = shapely.union_all(lines, grid_size=_MESH_GRID)
+        faces = shapely.get_parts(shapely.polygonize([outline]))
+        body = shapely.union_all([face for face in faces if _is_solid(face, outline, bool(placed.is_watertight))])
+        self.add_outline(body)
+        open_lines = shapely.line_merge(outline.difference(body.buffer(2 * _MESH_GRID)))
+        for line in shapely.get_parts(shapely.simplify(open_lines, _OUTLINE_TOLERANCE)):
             points = np.array(line.coords)
             has_length = np.diff(points, axis=0).any(axis=1)
             starts, ends = points[:-1][has_length], points[1:][has_length]
             self.boxes += _walls(starts, ends, np.full(len(starts), _MIN_THICKNESS))
+
+
+def load_mesh(path: Path) -> Any:
+    """Load a mesh with trimesh, in metres.
+
+    Raises:
+        OmittedShape: If the file is not a mesh, or trimesh is missing.
+        InputError: If the file is too large, or declares entities.
+    """
+    extension = path.suffix.lower()
+    if extension not in _MESH_EXTENSIONS:
+        raise OmittedShape(f"unsupported mesh formats, other than {', '.join(_MESH_EXTENSIONS)}")
+    try:
+        import collada  # noqa: F401 (trimesh needs it for .dae)
+        import trimesh
+    except ImportError:
+        raise OmittedShape(f"meshes need the extra `meshes`: {install_extra('meshes')}") from None
+    # `read_xml` raises an error for entities, which the parser of trimesh would expand.
+    unit = read_xml(path).find("{*}asset/{*}unit") if extension == ".dae" else None
+    try:
+        file = io.BytesIO(read_limited(path))
+        mesh: Any = trimesh.load(file, file_type=extension[1:], force="mesh", skip_materials=True)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh.apply_scale(1.0 if unit is None else float(unit.get("meter", "1")))  # the up axis is ignored, as in Gazebo
+        if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+            raise ValueError("it has no faces, or infinite numbers")
+    except Exception as error:  # any error that a broken file causes
+        raise OmittedShape(one_line(f"unreadable meshes ({error})", 200)) from None
+    return mesh
 
 
 def is_upright(pose: np.ndarray) -> bool:
@@ -180,3 +233,15 @@ def _fill(part: shapely.Polygon) -> list[BoxShape]:
     cells = shapely.box(left, bottom, left + side, bottom + side)
     shapely.prepare(part)
     return merge_cells(shapely.contains(part, cells), side, (x0, y0, 0.0))
+
+
+def _is_solid(face: shapely.Polygon, outline: shapely.Geometry, closed: bool) -> bool:
+    """Whether a face of a cut is inside the body, so that a ray from it crosses the outline an odd number of times.
+
+    In an open body, such as a house of thin walls, faces with room for a robot are not solid.
+    """
+    if not closed and shapely.maximum_inscribed_circle(face, tolerance=0.01).length > _ROBOT_RADIUS:
+        return False
+    inside = face.representative_point()
+    end = (outline.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew, so that the ray meets no corner
+    return len(shapely.get_parts(shapely.LineString([inside, end]).intersection(outline))) % 2 == 1

@@ -57,11 +57,9 @@ def walls(connections: Pairs, widths: Sequence[float], heights: Sequence[float],
 
 def _borders(sizes: Sequence[float], thickness: float) -> list[float]:
     """Borders of cells and of the walls between them [m]."""
-    parts = [part for size in sizes for part in (size, thickness)][:-1]
-    return [0.0, *accumulate(parts)]
+    return [0.0, *accumulate([part for size in sizes for part in (size, thickness)][:-1])]
 
 
 def random_sizes(rng: np.random.Generator, total: float, min_size: float, count: int) -> list[float]:
     """Draw `count` random sizes of at least `min_size` [m] with the sum `total` [m]."""
-    shares = rng.dirichlet(np.ones(count))
-    return (min_size + (total - count * min_size) * shares).tolist()
+    return (min_size + (total - count * min_size) * rng.dirichlet(np.ones(count))).tolist()

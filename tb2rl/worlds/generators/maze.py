@@ -17,10 +17,8 @@ WALL = 0.16  # [m] thickness; six corridors of 1.2 m and the walls between them 
 def maze(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
     """A maze of equally wide corridors, as many as fit."""
     width, loop_probability = (float(np.interp(difficulty, (0.0, 1.0), ends)) for ends in (CORRIDOR, LOOPS))
-    columns, rows = (max(2, int((length + WALL + 1e-9) / (width + WALL))) for length in size)
+    counts = columns, rows = [max(2, int((length + WALL + 1e-9) / (width + WALL))) for length in size]
     connections = spanning_tree(rng, columns, rows)
     connections |= {pair for pair in adjacent_pairs(columns, rows) if rng.random() < loop_probability}
-    widths, heights = (
-        [(length - (count - 1) * WALL) / count] * count for length, count in zip(size, (columns, rows), strict=True)
-    )
+    widths, heights = ([(length - (n - 1) * WALL) / n] * n for length, n in zip(size, counts, strict=True))
     return walls(connections, widths, heights, WALL), []

@@ -8,9 +8,8 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.deploy.bags import reading
-from tb2rl.deploy.bags.drive import Drive
 from tb2rl.deploy.bags.messages import BUMPER_EVENTS
-from tb2rl.deploy.bags.reading import is_bag, read_drive
+from tb2rl.deploy.bags.reading import Drive, is_bag, read_drive
 from tb2rl.deploy.ros.messages import Twist
 
 pytest.importorskip("rosbags")

@@ -10,7 +10,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
 from tb2rl.deploy.graph import build_graph
 from tb2rl.deploy.network import OBSERVATION, extract_network, observation_spaces
-from tb2rl.deploy.portable.network import Network
+from tb2rl.deploy.portable.policy import Network
 from tb2rl.envs.encodings import stack_observations
 from tb2rl.runs.algorithm import driving_policy, make_algorithm
 from tb2rl.runs.config import resolve

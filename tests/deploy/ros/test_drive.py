@@ -59,6 +59,7 @@ def mean_speed(lines):
     return float(distance) / float(seconds)
 
 
+@pytest.mark.flaky(reruns=1)  # it compares processor time
 def test_in_lockstep_it_drives_as_in_an_evaluation_and_is_evaluated_as_here(graph):
     policy = POLICY[graph.version]
     with simulate(graph, *LOCKSTEP, "--set", "task.start=random", "--seed", "5") as simulated:

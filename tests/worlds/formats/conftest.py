@@ -6,7 +6,7 @@ import pytest
 
 from tb2rl.core.errors import WorldWarning
 from tb2rl.worlds.formats.imports import ImportOptions
-from tb2rl.worlds.formats.model_path import VARIABLES
+from tb2rl.worlds.formats.sdf import VARIABLES
 from tb2rl.worlds.registry import read_world
 
 
