@@ -12,12 +12,12 @@ from PIL import Image
 
 from tb2rl.commands.train import train_and_evaluate
 from tb2rl.core import InputError, read_text, write_text
+from tb2rl.core.files import read_files, write_files
 from tb2rl.evaluation.evaluate import EPISODES, evaluate
 from tb2rl.evaluation.evaluation import Evaluation, load_evaluation
 from tb2rl.evaluation.progress import progress, say
 from tb2rl.evaluation.statistics import wilson_interval
 from tb2rl.execution.arguments import make_executor
-from tb2rl.execution.cluster import read_files, write_files
 from tb2rl.execution.executor import Executor, Job
 from tb2rl.runs.folder import EVALUATION, TRAINING_EVALUATIONS, Run
 from tb2rl.simulation.simulator import default_physics

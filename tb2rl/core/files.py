@@ -1,10 +1,12 @@
-"""Finds files by name, reads text and YAML, and writes files atomically."""
+"""Finds files by name, reads text, YAML and folders, and writes files atomically."""
 
 import json
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
@@ -125,3 +127,23 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, tree: Any) -> None:
     """Write plain values as JSON, atomically."""
     write_text(path, json.dumps(tree, indent=1) + "\n")
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    """Read all files in a folder; returns their contents by relative path."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def write_files(files: Mapping[str, bytes], folder: Path) -> None:
+    """Write files into a temporary folder, then replace `folder` by it."""
+    folder = folder.absolute()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as parent:
+        staging = Path(parent, "folder")
+        staging.mkdir()
+        for name, content in files.items():
+            (staging / name).parent.mkdir(parents=True, exist_ok=True)
+            (staging / name).write_bytes(content)
+        shutil.rmtree(folder, ignore_errors=True)
+        staging.rename(folder)

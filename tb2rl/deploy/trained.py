@@ -21,7 +21,7 @@ _MARGIN = 5.0  # [m] of an empty world around the robot and its goal
 class TrainedPolicy:
     """A policy with the observations and actions of its training; a `tb2rl.deploy.Policy`.
 
-    With `map: online` the policy plans a path itself; with `map: known` it needs that of `Driver.set_plan`.
+    With `map: online` the policy plans a path itself; with `map: known` it needs one from `Driver.set_plan`.
     Goals are in the odometry frame, and odometry replaces the true pose.
 
     Args:

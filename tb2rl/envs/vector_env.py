@@ -121,7 +121,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
 
     def _store(self, observations: Any) -> Any:
         """Return the observations, and store them for the environments that the next `reset_mask` leaves out."""
-        # Only with DISABLED can environments be reset alone; the copy is safe from changes by the caller.
+        # With DISABLED, callers use `reset_mask`, and may change the returned arrays before; hence the copy.
         self._observations = deepcopy(observations) if self._mode is AutoresetMode.DISABLED else observations
         return observations
 

@@ -6,7 +6,6 @@ its node dies, Ray runs the job again elsewhere.
 
 import os
 import pickle
-import shutil
 import socket
 import sys
 import sysconfig
@@ -21,6 +20,7 @@ import cloudpickle
 
 import tb2rl
 from tb2rl.core.errors import InputError, install_extra, one_line
+from tb2rl.core.files import read_files, write_files
 from tb2rl.core.processes import ONE_THREAD, processors
 from tb2rl.execution.executor import RETRIES, Executor, Job, Result, deserialize, run_job, serialize
 
@@ -188,23 +188,3 @@ def _user_modules() -> Iterator[tuple[str, Path]]:
         file = Path(path).resolve()
         if not _LIBRARY_FOLDERS & set(file.parts) and not any(file.is_relative_to(folder) for folder in folders):
             yield name, file
-
-
-def read_files(folder: Path) -> dict[str, bytes]:
-    """Read all files in a folder; returns their contents by relative path."""
-    files = [path for path in folder.rglob("*") if path.is_file()]
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
-
-
-def write_files(files: Mapping[str, bytes], folder: Path) -> None:
-    """Write files into a temporary folder, then replace `folder` by it."""
-    folder = folder.absolute()
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as parent:
-        staging = Path(parent, "folder")
-        staging.mkdir()
-        for name, content in files.items():
-            (staging / name).parent.mkdir(parents=True, exist_ok=True)
-            (staging / name).write_bytes(content)
-        shutil.rmtree(folder, ignore_errors=True)
-        staging.rename(folder)
