@@ -51,9 +51,12 @@ class CameraSource(Protocol):
         """See `RobotState.render_camera`."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class RobotState:
-    """Sensor readings and true state of all robots, and the initial state of their episodes."""
+    """Sensor readings and true state of all robots, and the initial state of their episodes.
+
+    Nothing changes a state after its step, but it is not frozen, because then its construction would take 1 us more.
+    """
 
     pose: np.ndarray  # true x [m], y [m], yaw [rad] in the world's frame, shape (num_envs, 3)
     twist: np.ndarray  # true forward speed [m/s] and turn rate [rad/s], shape (num_envs, 2)
@@ -79,7 +82,7 @@ class RobotState:
 
     def __post_init__(self) -> None:
         if self.nearest_range is None:  # some simulators compute it with the ranges
-            object.__setattr__(self, "nearest_range", self.ranges.min(axis=1, initial=np.inf))
+            self.nearest_range = self.ranges.min(axis=1, initial=np.inf)
 
     @cached_property
     def path_length(self) -> np.ndarray:

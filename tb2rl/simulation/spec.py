@@ -168,7 +168,7 @@ class InitialState:
 
         `world` is the index of the world of all environments, or of each environment, shape (num_envs,).
         """
-        return cls(spec.table[np.full(num_envs, world)])
+        return cls(spec.table.take(np.full(num_envs, world), axis=0))
 
     @cached_property
     def records(self) -> np.ndarray:

@@ -79,16 +79,16 @@ def move(i, constants, robots, duration):
     Returns:
         Distance covered [m], positive forwards; turn [rad]; and whether the robot touched an obstacle.
     """
-    robot, poses, wheel_speeds = constants.initial_states[i], robots.poses, robots.wheel_speeds
-    spatial_index, world_id, physics_step = constants.spatial_index, int(robot.world), constants.physics_step
-    radius, separation = robot.radius, robot.wheel_separation
-    acceleration, coupling = robot.wheel_acceleration, robot.wheel_coupling
-    v, w = robots.commands[i, 0], robots.commands[i, 1]
-    scale = robot.wheel_radius  # true / nominal
-    turn_speed = 0.5 * separation * min(max(w, -robot.max_turn_rate), robot.max_turn_rate)  # of the rims
-    turn_speed *= robot.assumed_separation * scale
-    v = min(max(v, -robot.max_speed), robot.max_speed) * scale
-    left, right = wheel_speeds[i, 0], wheel_speeds[i, 1]
+    start, robot = robots.initial_states[i], robots.records[i]
+    spatial_index, world_id, physics_step = constants.spatial_index, int(start.world), constants.physics_step
+    radius, separation = start.radius, start.wheel_separation
+    acceleration, coupling = start.wheel_acceleration, start.wheel_coupling
+    v, w = robot.command[0], robot.command[1]
+    scale = start.wheel_radius  # true / nominal
+    turn_speed = 0.5 * separation * min(max(w, -start.max_turn_rate), start.max_turn_rate)  # of the rims
+    turn_speed *= start.assumed_separation * scale
+    v = min(max(v, -start.max_speed), start.max_speed) * scale
+    left, right = robot.wheel_speeds[0], robot.wheel_speeds[1]
     change_left, change_right = v - turn_speed - left, v + turn_speed - right
     sign = math.copysign(1.0, change_left * change_right)
     smaller, larger = min(abs(change_left), abs(change_right)), max(abs(change_left), abs(change_right))
@@ -96,7 +96,7 @@ def move(i, constants, robots, duration):
     second_end = first_end + (larger - smaller) / acceleration
     signed_duration = math.copysign(first_end, sign)
 
-    x, y, yaw = poses[i, 0], poses[i, 1], poses[i, 2]
+    x, y, yaw = robot.pose[0], robot.pose[1], robot.pose[2]
     max_distance = max(abs(left), abs(right), abs(v) + abs(turn_speed)) * duration
     is_free = clearance_at(x, y, spatial_index, world_id) > radius + max_distance  # no obstacle matters in this step
     bumped, distance, total_turn = False, 0.0, 0.0
@@ -122,10 +122,10 @@ def move(i, constants, robots, duration):
         distance += length
         total_turn += turn
         last_left, last_right, time = next_left, next_right, phase_end
-    poses[i, 0], poses[i, 1] = x, y
-    poses[i, 2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
-    wheel_speeds[i, 0] = wheel_speed(left, change_left, signed_duration, duration, acceleration, coupling)
-    wheel_speeds[i, 1] = wheel_speed(right, change_right, signed_duration, duration, acceleration, coupling)
+    robot.pose[0], robot.pose[1] = x, y
+    robot.pose[2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
+    robot.wheel_speeds[0] = wheel_speed(left, change_left, signed_duration, duration, acceleration, coupling)
+    robot.wheel_speeds[1] = wheel_speed(right, change_right, signed_duration, duration, acceleration, coupling)
     return distance, total_turn, bumped
 
 
@@ -135,29 +135,29 @@ def scan(i, constants, robots, scratch, obstacles):
 
     `scratch` consists of two arrays of shape (beams,).
     """
-    robot, poses, ranges = constants.initial_states[i], robots.poses, robots.ranges
-    x, y, yaw, beam_count = poses[i, 0], poses[i, 1], poses[i, 2], ranges.shape[1]
-    if robot.mount_x != 0.0 or robot.mount_y != 0.0:
+    start, robot, ranges = robots.initial_states[i], robots.records[i], robots.ranges
+    x, y, yaw, beam_count = robot.pose[0], robot.pose[1], robot.pose[2], ranges.shape[1]
+    if start.mount_x != 0.0 or start.mount_y != 0.0:
         cos, sin = math.cos(yaw), math.sin(yaw)
-        x, y = x + robot.mount_x * cos - robot.mount_y * sin, y + robot.mount_x * sin + robot.mount_y * cos
-    yaw += robot.mount_yaw
-    cast_beams((x, y, yaw), constants.beams, constants.spatial_index, int(robot.world), scratch, ranges, i)
+        x, y = x + start.mount_x * cos - start.mount_y * sin, y + start.mount_x * sin + start.mount_y * cos
+    yaw += start.mount_yaw
+    cast_beams((x, y, yaw), constants.beams, constants.spatial_index, int(start.world), scratch, ranges, i)
     if obstacles is not None:
-        robots.nearest_is_dynamic[i] = cast_at_obstacles(x, y, yaw, constants.beams, obstacles.obstacles, i, ranges)
-    noise = constants.laser_noise if robot.laser_noise < 0.0 else robot.laser_noise
-    key, first_number = robots.streams[i, 0], robots.streams[i, 1] * np.uint64(beam_count)
+        robot.nearest_is_dynamic = cast_at_obstacles(x, y, yaw, constants.beams, obstacles.obstacles, i, ranges)
+    noise = constants.laser_noise if start.laser_noise < 0.0 else start.laser_noise
+    key, first_number = robot.stream[0], robot.stream[1] * np.uint64(beam_count)
     if noise > 0.0:
         for beam in range(beam_count):
             ranges[i, beam] += noise * normal(key, first_number + np.uint64(beam))
-    if robot.bias != 0.0:
+    if start.bias != 0.0:
         for beam in range(beam_count):
-            ranges[i, beam] += robot.bias
+            ranges[i, beam] += start.bias
     limit_ranges(ranges, i, constants.min_range, constants.max_range)
-    if robot.dropped > 0.0:
+    if start.dropped > 0.0:
         for beam in range(beam_count):
-            if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < robot.dropped:
+            if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < start.dropped:
                 ranges[i, beam] = np.inf
-    robots.shortest_ranges[i] = shortest_range(ranges, i)
+    robot.shortest_range = shortest_range(ranges, i)
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
@@ -167,25 +167,24 @@ def move_among_obstacles(i, constants, robots, duration, obstacles):
     Returns:
         Distance covered [m], turn [rad], and whether the robot touched a wall, or a dynamic obstacle (two flags).
     """
-    robot, poses, wheel_speeds = constants.initial_states[i], robots.poses, robots.wheel_speeds
-    spatial_index, world_id, radius = constants.spatial_index, int(robot.world), robot.radius
+    initial_states, robot = robots.initial_states, robots.records[i]
+    start, spatial_index = initial_states[i], constants.spatial_index
+    world_id, radius, pose, wheel_speeds = int(start.world), start.radius, robot.pose, robot.wheel_speeds
     steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as in PyBullet
     physics_step = duration / steps
-    max_speed = max(abs(wheel_speeds[i, 0]), abs(wheel_speeds[i, 1]), robot.max_speed * robot.wheel_radius)
-    x, y = poses[i, 0], poses[i, 1]
+    max_speed = max(abs(wheel_speeds[0]), abs(wheel_speeds[1]), start.max_speed * start.wheel_radius)
+    x, y = pose[0], pose[1]
     if motion.is_out_of_reach(x, y, max_speed, duration, radius, obstacles.obstacles, i):
-        motion.step_obstacles_alone(
-            i, steps, physics_step, obstacles, constants.initial_states, spatial_index, world_id, (x, y)
-        )
+        motion.step_obstacles_alone(i, steps, physics_step, obstacles, initial_states, spatial_index, world_id, (x, y))
         distance, total_turn, wall_hit = move(i, constants, robots, duration)
         return distance, total_turn, wall_hit, False
     wall_hit, obstacle_hit, distance, total_turn = False, False, 0.0, 0.0
     for step in range(steps):
-        x, y, yaw, v = poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
+        x, y, yaw, v = pose[0], pose[1], pose[2], 0.5 * (wheel_speeds[0] + wheel_speeds[1])
         if step % motion.DECISION_STEPS == 0:
             period = min(motion.DECISION_STEPS, steps - step) * physics_step
             robot_motion = x, y, v * math.cos(yaw), v * math.sin(yaw)
-            motion.decide(i, period, obstacles, constants.initial_states, spatial_index, world_id, robot_motion)
+            motion.decide(i, period, obstacles, initial_states, spatial_index, world_id, robot_motion)
         hit = motion.move_obstacles(i, physics_step, obstacles, spatial_index, world_id, x, y, radius)
         obstacle_hit = hit or obstacle_hit
         length, turn, hit = move(i, constants, robots, physics_step)
@@ -194,51 +193,70 @@ def move_among_obstacles(i, constants, robots, duration, obstacles):
         for k in range(obstacles.obstacles.shape[1]):
             obstacle = obstacles.obstacles[i, k]
             if obstacle.length > 0.0:
-                relative = x - obstacle.x, y - obstacle.y, poses[i, 0] - obstacle.x, poses[i, 1] - obstacle.y
+                relative = x - obstacle.x, y - obstacle.y, pose[0] - obstacle.x, pose[1] - obstacle.y
                 share = min(share, motion.share_until_contact(*relative, radius, obstacle))
         if share < 1.0:
             obstacle_hit = True
-            poses[i, 0], poses[i, 1] = x + share * (poses[i, 0] - x), y + share * (poses[i, 1] - y)
+            pose[0], pose[1] = x + share * (pose[0] - x), y + share * (pose[1] - y)
         distance, total_turn = distance + share * length, total_turn + turn
     return distance, total_turn, wall_hit, obstacle_hit
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
-def _step_robots(first, end, constants, robots, duration, scratch, obstacles):
+def _step_robots(first, end, constants, before, robots, commands, duration, scratch, obstacles):
     """Loop of `step_block`, without allocations, because numba counts array references in functions that allocate."""
-    poses, wheel_speeds, twists = robots.poses, robots.wheel_speeds, robots.twists
     for i in range(first, end):
-        x, y, speed = poses[i, 0], poses[i, 1], 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
+        robots.records[i] = before[i]
+        robot = robots.records[i]
+        x, y, speed = robot.pose[0], robot.pose[1], robot.twist[0]
+        robot.command[0], robot.command[1] = commands[i, 0], commands[i, 1]
+        wall_hit, obstacle_hit = False, False
         if obstacles is None:
-            distance, turn, robots.bumped[i] = move(i, constants, robots, duration)
+            distance, turn, wall_hit = move(i, constants, robots, duration)
         else:
             distance, turn, wall_hit, obstacle_hit = move_among_obstacles(i, constants, robots, duration, obstacles)
-            robots.bumped[i] = wall_hit or obstacle_hit
-        robots.arcs[i, 0], robots.arcs[i, 1] = distance, turn
-        robots.travelled[i] = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
-        twists[i, 0] = 0.5 * (wheel_speeds[i, 0] + wheel_speeds[i, 1])
-        twists[i, 1] = (wheel_speeds[i, 1] - wheel_speeds[i, 0]) / constants.initial_states[i].wheel_separation
-        robots.accelerations[i] = (twists[i, 0] - speed) / duration
-        robots.streams[i, 1] += np.uint64(1)
+        robot.bumped = wall_hit or obstacle_hit
+        robot.arc[0], robot.arc[1] = distance, turn
+        robot.travelled = math.hypot(robot.pose[0] - x, robot.pose[1] - y)
+        _set_twist(robots, i)
+        robot.acceleration = (robot.twist[0] - speed) / duration
+        robot.stream[1] += np.uint64(1)
         scan(i, constants, robots, scratch, obstacles)
         if obstacles is not None:
-            robots.nearest_is_dynamic[i] = not wall_hit and (obstacle_hit or robots.nearest_is_dynamic[i])
+            robot.nearest_is_dynamic = not wall_hit and (obstacle_hit or robot.nearest_is_dynamic)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def step_block(first, end, constants, robots, duration, obstacles):
-    """Step the robots from `first` to `end` - 1 for a control period of `duration` [s]."""
+def step_block(first, end, constants, before, robots, commands, duration, obstacles):
+    """Step the robots from `first` to `end` - 1 for a control period.
+
+    Args:
+        first, end, constants, obstacles: See above.
+        before: Records of the robots before the step, shape (num_envs,).
+        robots: Results.
+        commands: v [m/s] and w [rad/s], shape (num_envs, 2).
+        duration: Of the control period [s].
+    """
     beams = constants.beams[0].size
-    _step_robots(first, end, constants, robots, duration, (np.empty(beams), np.empty(beams)), obstacles)
+    scratch = np.empty(beams), np.empty(beams)
+    _step_robots(first, end, constants, before, robots, commands, duration, scratch, obstacles)
 
 
 @njit(cache=True, error_model="numpy")
 def scan_robots(indices, constants, robots, obstacles):
-    """Run `scan` for the robots `indices` (n,)."""
+    """Measure with the robots `indices` (n,): laser ranges, see `scan`, and twists."""
     beams = constants.beams[0].size
     scratch = np.empty(beams), np.empty(beams)
     for i in indices:
+        _set_twist(robots, i)
         scan(i, constants, robots, scratch, obstacles)
+
+
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
+def _set_twist(robots, i):
+    robot = robots.records[i]
+    robot.twist[0] = 0.5 * (robot.wheel_speeds[0] + robot.wheel_speeds[1])
+    robot.twist[1] = (robot.wheel_speeds[1] - robot.wheel_speeds[0]) / robots.initial_states[i].wheel_separation
 
 
 @njit(cache=True)
@@ -248,12 +266,12 @@ def reset_robots(indices, new_states, keys, constants, robots, obstacles):
     `keys` (n,) are those of new random streams for the lasers; None: the streams continue.
     """
     for row, i in enumerate(indices):
-        start = new_states[row]
-        constants.initial_states[i] = start
-        robots.poses[i, 0], robots.poses[i, 1], robots.poses[i, 2] = start.x, start.y, start.yaw
-        robots.wheel_speeds[i], robots.twists[i], robots.commands[i] = 0.0, 0.0, 0.0
-        robots.accelerations[i], robots.bumped[i] = 0.0, False
-        robots.streams[i, 1] += np.uint64(1)
+        start, robot = new_states[row], robots.records[i]
+        robots.initial_states[i] = start
+        robot.pose[0], robot.pose[1], robot.pose[2] = start.x, start.y, start.yaw
+        robot.wheel_speeds[:], robot.command[:] = 0.0, 0.0
+        robot.acceleration, robot.bumped = 0.0, False
+        robot.stream[1] += np.uint64(1)
         if keys is not None:
-            robots.streams[i, 0], robots.streams[i, 1] = keys[row], np.uint64(0)
+            robot.stream[0], robot.stream[1] = keys[row], np.uint64(0)
     scan_robots(indices, constants, robots, obstacles)

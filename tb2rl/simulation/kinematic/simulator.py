@@ -30,13 +30,31 @@ _ROBOT_TIME, _BEAM_TIME, _OBSTACLE_TIME = 0.25e-6, 4e-9, 2e-6
 _THREAD_DELAY = 0.06e-3  # [s] from handing work to a sleeping thread until the thread starts
 MIN_PARALLEL_TIME = 0.25e-3  # [s] shorter steps run in one thread, because waking the others costs 0.1 ms or more
 _MAX_RESTORED_SPEED = 1e3  # [m/s] of a wheel in a restored state; a step at a higher speed could take for ever
-_STATE_ARRAYS = ("poses", "wheel_speeds", "streams", "bumped", "commands", "accelerations")  # keys in `state`
+_STATE_FIELDS = ("pose", "wheel_speeds", "stream", "bumped", "command", "acceleration")  # keys in `state`
+
+
+# Motion of a robot, and its measurements of the last step.
+ROBOT = np.dtype(
+    [
+        ("pose", "f8", 3),  # x [m], y [m], yaw [rad]
+        ("wheel_speeds", "f8", 2),  # [m/s] of the left and the right rim
+        ("stream", "u8", 2),  # random stream of the laser: its key, and the number of scans
+        ("command", "f8", 2),  # v [m/s], w [rad/s]
+        ("twist", "f8", 2),  # v [m/s], w [rad/s]
+        ("arc", "f8", 2),  # distance driven [m] and turn [rad] in the step
+        ("travelled", "f8"),  # [m] straight distance between the positions before and after the step
+        ("acceleration", "f8"),  # [m/s^2] forward, mean of the step
+        ("shortest_range", "f8"),  # [m] of the laser
+        ("bumped", "?"),  # whether the base touched an obstacle
+        ("nearest_is_dynamic", "?"),  # see `RobotState`
+    ],
+    align=True,
+)
 
 
 class Constants(NamedTuple):
-    """Values for compiled code that no step changes; only `reset_robots` changes rows of `initial_states`."""
+    """Values for compiled code that never change."""
 
-    initial_states: np.ndarray  # records of the initial states, see `spec.RECORD`, shape (num_envs,)
     spatial_index: SpatialIndex  # obstacles of all worlds
     beams: tuple[np.ndarray, np.ndarray]  # cosines and sines of the laser's beam directions, each of shape (beams,)
     laser_noise: float  # [m] standard deviation
@@ -46,38 +64,11 @@ class Constants(NamedTuple):
 
 
 class RobotArrays(NamedTuple):
-    """Motion of all robots and measurements of the last step; compiled code changes the arrays in place."""
+    """All robots; compiled code changes the arrays in place."""
 
-    poses: np.ndarray  # x [m], y [m], yaw [rad], shape (num_envs, 3)
-    wheel_speeds: np.ndarray  # [m/s] of the left and the right rim, shape (num_envs, 2)
-    streams: np.ndarray  # random stream of each laser: its key, and the number of scans; shape (num_envs, 2), uint64
-    commands: np.ndarray  # v [m/s], w [rad/s], shape (num_envs, 2)
-    bumped: np.ndarray  # whether the base touched an obstacle, shape (num_envs,)
-    accelerations: np.ndarray  # [m/s^2] forward, mean of the step, shape (num_envs,)
-    twists: np.ndarray  # v [m/s], w [rad/s], shape (num_envs, 2)
-    arcs: np.ndarray  # distance driven [m] and turn [rad] in the step, shape (num_envs, 2)
-    travelled: np.ndarray  # [m] straight distance between the positions before and after the step, shape (num_envs,)
+    initial_states: np.ndarray  # records of `spec.RECORD`, shape (num_envs,); only `reset_robots` changes them
+    records: np.ndarray  # records of `ROBOT`, shape (num_envs,)
     ranges: np.ndarray  # [m] laser ranges, shape (num_envs, beams)
-    shortest_ranges: np.ndarray  # [m] shortest range of each robot, shape (num_envs,)
-    nearest_is_dynamic: np.ndarray  # see `RobotState`, shape (num_envs,)
-
-    @classmethod
-    def at_rest(cls, poses: np.ndarray, keys: np.ndarray, beams: int) -> RobotArrays:
-        """Make the arrays of robots at rest at poses (num_envs, 3), with stream keys (num_envs,) for the lasers."""
-        count = len(poses)
-        streams, (wheel_speeds, commands, twists, arcs) = np.stack([keys, 0 * keys], axis=1), np.zeros((4, count, 2))
-        bumped, nearest_is_dynamic = np.zeros((2, count), dtype=bool)
-        accelerations, travelled, shortest_ranges = np.zeros((3, count))
-        motion = poses.copy(), wheel_speeds, streams, commands, bumped, accelerations, twists, arcs, travelled
-        return cls(*motion, np.empty((count, beams)), shortest_ranges, nearest_is_dynamic)
-
-    def for_step(self, commands: np.ndarray) -> RobotArrays:
-        """Copy the arrays that robot states hold, for a step with these commands (num_envs, 2)."""
-        commands = np.array(commands, dtype=float, order="C")  # a copy, because `reset_at` overwrites commands
-        motion = self.poses.copy(), self.wheel_speeds.copy(), self.streams, commands, self.bumped.copy()
-        results = self.accelerations.copy(), self.twists.copy(), self.arcs, self.travelled
-        scan = np.empty(self.ranges.shape), self.shortest_ranges.copy(), self.nearest_is_dynamic.copy()
-        return RobotArrays(*motion, *results, *scan)
 
 
 class KinematicSimulator:
@@ -89,16 +80,21 @@ class KinematicSimulator:
     """
 
     def __init__(self, spec: SimulationSpec, num_envs: int = 1) -> None:
-        self.spec, self.num_envs = spec, num_envs
-        self._beams = np.cos(spec.laser.angles), np.sin(spec.laser.angles)
-        self._physics_step = 1.0 / (PHYSICS_RATE * spec.substeps)  # [s]
+        self.spec, self.num_envs, laser = spec, num_envs, spec.laser
+        beams = np.cos(laser.angles), np.sin(laser.angles)
+        physics_step = 1.0 / (PHYSICS_RATE * spec.substeps)  # [s]
+        limits = float(laser.noise), float(laser.min_range), float(laser.max_range)
+        self._constants = Constants(spec.spatial_index, beams, *limits, physics_step)
         self._obstacles = SimulatedObstacles(spec, num_envs)
+        obstacle_count = self._obstacles.table.shape[1]
+        self._robot_time = _ROBOT_TIME + _BEAM_TIME * len(laser.angles) + _OBSTACLE_TIME * obstacle_count
         self._place_robots(InitialState.default(spec, num_envs), np.zeros(num_envs, dtype=np.uint64))
 
     def _place_robots(self, initial_state: InitialState, keys: np.ndarray) -> None:
         """Put all robots at their start poses, at rest, with stream keys (num_envs,) for their lasers."""
-        self._initial_state = initial_state
-        self.robots = RobotArrays.at_rest(initial_state.pose, keys, len(self._beams[0]))
+        self._initial_state, self._records = initial_state, np.zeros(self.num_envs, ROBOT)
+        self._records["pose"], self._records["stream"][:, 0] = initial_state.pose, keys
+        self._ranges = np.empty((self.num_envs, len(self.spec.laser.angles)))
         # None: odometry has no errors and equals the true poses.
         self._odometry = None if is_exact(initial_state.records) else initial_state.pose.copy()
 
@@ -109,45 +105,49 @@ class KinematicSimulator:
         return self._scan_all()
 
     def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
-        self.robots = robots = self.robots.for_step(commands)
-        self._obstacles.table = self._obstacles.table.copy()
-        self.step_robots(robots, duration)
-        self.travelled = robots.travelled
+        if self.spec.has_dynamic_obstacles:
+            self._obstacles.table = self._obstacles.table.copy()  # earlier robot states keep the present table
+        _, self._records, self._ranges = robots = self.stepped_robots(commands, duration)
+        self.travelled = robots.records["travelled"]
         if self._odometry is not None:
-            self._odometry = integrate_odometry(self._odometry, measure_arcs(robots.arcs, self._initial_state))
+            arcs = measure_arcs(robots.records["arc"], self._initial_state)
+            self._odometry = integrate_odometry(self._odometry, arcs)
         return self._robot_state()
 
-    def step_robots(self, robots: RobotArrays, duration: float) -> None:
-        """Run the compiled part of `step`, which changes `robots` and the dynamic obstacles in place."""
-        robot_time = _ROBOT_TIME + _BEAM_TIME * len(self._beams[0]) + _OBSTACLE_TIME * self._obstacles.table.shape[1]
-        arguments = self._constants, robots, duration, self._obstacles.arrays
-        if self.num_envs * robot_time > MIN_PARALLEL_TIME:
-            head_start = int(_THREAD_DELAY / robot_time)  # robots that this thread steps while the others wake up
+    def stepped_robots(self, commands: np.ndarray, duration: float) -> RobotArrays:
+        """The robots after a control period, in new arrays; the dynamic obstacles move in place."""
+        robots = RobotArrays(self._initial_state.records, np.empty(self.num_envs, ROBOT), np.empty(self._ranges.shape))
+        commands = np.ascontiguousarray(commands, dtype=float)
+        arguments = self._constants, self._records, robots, commands, duration, self._obstacles.arrays
+        if self.num_envs * self._robot_time > MIN_PARALLEL_TIME:
+            head_start = int(_THREAD_DELAY / self._robot_time)  # robots that this thread steps while the others wake up
             parallel_for(step_block, self.num_envs, head_start, *arguments)
         else:
             step_block(0, self.num_envs, *arguments)
+        return robots
 
     def reset_at(self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None) -> ResetStates:
-        robots, keys = self.robots, None if rng is None else _draw_keys(rng, len(indices))
+        keys = None if rng is None else _draw_keys(rng, len(indices))
         self._obstacles.reset_at(indices, initial_state)
-        reset_robots(indices, initial_state.records, keys, self._constants, robots, self._obstacles.arrays)
+        reset_robots(indices, initial_state.records, keys, self._constants, self._robots, self._obstacles.arrays)
         if self._odometry is not None:
             self._odometry[indices] = initial_state.pose
         elif not is_exact(initial_state.records):
-            self._odometry = robots.poses.copy()
+            self._odometry = self._records["pose"].copy()
         # Selecting these rows from the robot state of all environments would take four times as long.
         count = len(indices)
         zeros, zero_pairs, bumped = np.zeros(count), np.zeros((count, 2)), np.zeros(count, dtype=bool)
         motion = measured_motion = initial_state.pose, zero_pairs
-        measured = robots.ranges[indices], bumped, zero_pairs, zeros
+        measured = self._ranges[indices], bumped, zero_pairs, zeros
         fields = *motion, *measured_motion, *measured, initial_state, self, *self._obstacle_fields(indices)
-        return self._robot_state(), RobotState(*fields)
+        nearest_range = self._records["shortest_range"][indices]
+        return self._robot_state(), RobotState(*fields, nearest_range=nearest_range)
 
     def state(self) -> dict[str, Any]:
         """Motion, odometry, initial states and dynamic obstacles of all environments."""
-        odometry = self.robots.poses if self._odometry is None else self._odometry
+        odometry = self._records["pose"] if self._odometry is None else self._odometry
         return {
-            **{name: getattr(self.robots, name).copy() for name in _STATE_ARRAYS},
+            **{name: self._records[name].copy() for name in _STATE_FIELDS},
             "odometry": odometry.copy(),
             "initial_state": self._initial_state.table.copy(),
             "dynamic_obstacles": self._obstacles.state(),
@@ -164,10 +164,10 @@ class KinematicSimulator:
         if not (np.abs(state["wheel_speeds"]) < _MAX_RESTORED_SPEED).all():
             raise ValueError(f"wheel speeds must be below {_MAX_RESTORED_SPEED:g} m/s")
         self._obstacles.restore(state["dynamic_obstacles"], initial_state)
-        self._place_robots(initial_state, state["streams"][:, 0])
-        for name in _STATE_ARRAYS:
-            getattr(self.robots, name)[:] = state[name]
-        exact = is_exact(initial_state.records) and (state["odometry"] == state["poses"]).all()
+        self._place_robots(initial_state, state["stream"][:, 0])
+        for name in _STATE_FIELDS:
+            self._records[name] = state[name]
+        exact = is_exact(initial_state.records) and (state["odometry"] == state["pose"]).all()
         self._odometry = None if exact else state["odometry"].copy()
         return self._scan_all()
 
@@ -197,36 +197,29 @@ class KinematicSimulator:
         return None, images
 
     @property
-    def _constants(self) -> Constants:
-        # Not an attribute, because `records` would no longer be a view of the table in a copy of the simulator.
-        laser, records = self.spec.laser, self._initial_state.records
-        limits = float(laser.noise), float(laser.min_range), float(laser.max_range)
-        return Constants(records, self.spec.spatial_index, self._beams, *limits, self._physics_step)
+    def _robots(self) -> RobotArrays:
+        return RobotArrays(self._initial_state.records, self._records, self._ranges)
 
     def _scan_all(self) -> RobotState:
         """Measure at the present poses and wheel speeds."""
-        robots = self.robots
-        scan_robots(np.arange(self.num_envs), self._constants, robots, self._obstacles.arrays)
-        left, right = robots.wheel_speeds.T
-        robots.twists[:, 0] = robots.wheel_speeds.mean(axis=1)
-        robots.twists[:, 1] = (right - left) / self._initial_state.records["wheel_separation"]
+        scan_robots(np.arange(self.num_envs), self._constants, self._robots, self._obstacles.arrays)
         return self._robot_state()
 
     def _robot_state(self) -> RobotState:
         """Robot state of all environments."""
-        robots = self.robots
-        motion = measured_motion = robots.poses, robots.twists
+        records = self._records
+        motion = measured_motion = records["pose"], records["twist"]
         if self._odometry is not None:
-            measured_motion = self._odometry, measure_arcs(robots.twists, self._initial_state)
-        measured = robots.ranges, robots.bumped, robots.commands, robots.accelerations
+            measured_motion = self._odometry, measure_arcs(records["twist"], self._initial_state)
+        measured = self._ranges, records["bumped"], records["command"], records["acceleration"]
         fields = *motion, *measured_motion, *measured, self._initial_state, self, *self._obstacle_fields()
-        return RobotState(*fields, nearest_range=robots.shortest_ranges)
+        return RobotState(*fields, nearest_range=records["shortest_range"])
 
     def _obstacle_fields(self, indices: np.ndarray | slice = slice(None)) -> tuple[Any, ...]:
         """Fields `dynamic_obstacles` and `nearest_is_dynamic` of `RobotState` for some environments."""
         if not self.spec.has_dynamic_obstacles:
             return ()
-        return self._obstacles.outlines[indices], self.robots.nearest_is_dynamic[indices]
+        return self._obstacles.outlines[indices], self._records["nearest_is_dynamic"][indices]
 
 
 def _draw_keys(rng: Generators, count: int) -> np.ndarray:
