@@ -80,8 +80,8 @@ def _time_physics(env: TurtleBot2Env, rng: np.random.Generator) -> tuple[float, 
     after = simulator.state()
     simulator.restore(before)
     simulator.set_duration(env.task.control_period)
-    for command in env.scene.actions.commands(actions[:steps]):
-        simulator.set_wheel_speeds(command[None])
+    for command in env.scene.actions.commands(actions[:steps]).tolist():
+        simulator.set_wheel_speeds(command)
         bare_time += timeit(simulator.advance, number=1)
     simulator.restore(after)
     if done:

@@ -11,6 +11,7 @@ import numpy as np
 
 from tb2rl.core.errors import InputError
 from tb2rl.simulation.spec import InitialState, SimulationSpec
+from tb2rl.worlds.geometry import shortest_ranges
 
 # Arrays that a simulator measures, in the order of `for_one_robot`; the last two only with dynamic obstacles.
 ARRAYS = (
@@ -82,7 +83,7 @@ class RobotState:
 
     def __post_init__(self) -> None:
         if self.nearest_range is None:  # some simulators compute it with the ranges
-            self.nearest_range = self.ranges.min(axis=1, initial=np.inf)
+            self.nearest_range = shortest_ranges(self.ranges)
 
     @cached_property
     def path_length(self) -> np.ndarray:

@@ -137,6 +137,15 @@ def shortest_range(ranges, row):
 
 
 @njit(cache=True)
+def shortest_ranges(ranges):
+    """Shortest range in each row of `ranges` (num_envs, beams), shape (num_envs,); inf without beams."""
+    shortest = np.empty(ranges.shape[0])
+    for row in range(ranges.shape[0]):
+        shortest[row] = shortest_range(ranges, row)
+    return shortest
+
+
+@njit(cache=True)
 def cast_many(poses, world_ids, beams, spatial_index, ranges):
     """`cast_beams` from poses (num_envs, 3) in worlds (num_envs,); writes `ranges` (num_envs, beams)."""
     scratch = np.empty(beams[0].size), np.empty(beams[0].size)

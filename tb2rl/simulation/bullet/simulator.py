@@ -1,7 +1,7 @@
 """The reference physics: a robot driven by its wheels in PyBullet."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,7 @@ class BulletSimulator:
         self._obstacles = BulletObstacles(spec)
         self._last_placement: tuple[dict[str, Any], dict[str, Any]] | None = None  # motion and obstacles
         self._command_log: list[tuple[np.ndarray, float]] = []  # commands and durations since the last placement
-        self._speed, self._command, self._acceleration = 0.0, np.zeros((1, 2)), 0.0  # those of the last robot state
+        self._speed, self._command, self._acceleration = 0.0, np.zeros(2), 0.0  # those of the last robot state
         self._open()
         self._prepare(InitialState.default(spec, 1))
 
@@ -82,9 +82,9 @@ class BulletSimulator:
             motion, obstacles = self._last_placement
             self._obstacles.restore(obstacles, self._initial_state)
             self._place(motion)
-            for commands, duration in state["_command_log"]:
+            for command, duration in state["_command_log"]:
                 self.set_duration(duration)
-                self.set_wheel_speeds(commands)
+                self.set_wheel_speeds(command.tolist())
                 self.advance()
         vars(self).update({name: value for name, value in state.items() if name not in _CLIENT_ATTRIBUTES})
 
@@ -130,6 +130,9 @@ class BulletSimulator:
         self._v_scale = float(row["wheel_radius"])
         self._w_scale = self._v_scale * float(row["assumed_separation"])
         self._body.set_dynamics(float(row["mass"]), float(row["friction"]))
+        self._laser_mount = float(row["mount_x"]), float(row["mount_y"]), float(row["mount_yaw"])
+        noise = self.spec.laser.noise if row["laser_noise"] < 0.0 else float(row["laser_noise"])
+        self._laser_errors = noise, float(row["bias"]), float(row["dropped"])
         acceleration = float(row["wheel_acceleration"] / robot.wheel_acceleration)  # true / nominal
         # Divided by the substeps, because PyBullet applies the impulse of a whole step in each of them.
         self._torque = robot.wheel_torque * acceleration / self.spec.substeps
@@ -140,16 +143,18 @@ class BulletSimulator:
 
     def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         x, y = self._position
-        robot_state = RobotState.for_one_robot(self.step_values(commands[0], duration), self._initial_state, self)
+        robot_state = RobotState.for_one_robot(
+            self.step_values(commands[0].tolist(), duration), self._initial_state, self
+        )
         dx, dy = self._position[0] - x, self._position[1] - y
         self.travelled = np.array([(dx * dx + dy * dy) ** 0.5])
         return robot_state
 
-    def step_values(self, command: np.ndarray, duration: float) -> tuple[Any, ...]:
-        """Drive with a command (2,); returns the values of the robot state, see `reset_values`."""
-        self._command_log.append((np.array([command]), duration))
+    def step_values(self, command: Sequence[float], duration: float) -> tuple[Any, ...]:
+        """Drive with a command v, w; returns the values of the robot state, see `reset_values`."""
+        self._command_log.append((np.array(command), duration))
         self.set_duration(duration)
-        self.set_wheel_speeds(self._command_log[-1][0])
+        self.set_wheel_speeds(command)
         gap = max(self.world.clearance(*self._position) - self.spec.robot.radius - _MARGIN, 0.0)
         contact_free_share = min(gap / max(self._max_speed * self._v_scale * duration, 1e-9), 1.0)
         return self._measure(*self.advance(int(contact_free_share * self._steps)))
@@ -162,10 +167,9 @@ class BulletSimulator:
             substeps = {"numSubSteps": self.spec.substeps} if self.spec.substeps > 1 else {}
             pybullet.setPhysicsEngineParameter(duration / self._steps, **substeps, physicsClientId=self._client)
 
-    def set_wheel_speeds(self, commands: np.ndarray) -> None:
-        """Set the target speeds of the wheel motors for `commands` (1, 2), v [m/s] and w [rad/s]."""
-        robot = self.spec.robot
-        v, w = commands[0].tolist()
+    def set_wheel_speeds(self, command: Sequence[float]) -> None:
+        """Set the target speeds of the wheel motors for a command, v [m/s] and w [rad/s]."""
+        robot, (v, w) = self.spec.robot, command
         v = min(max(v, -self._max_speed), self._max_speed) * self._v_scale
         w = min(max(w, -self._max_turn_rate), self._max_turn_rate) * self._w_scale
         turn_speed = w * robot.wheel_separation / 2
@@ -225,7 +229,7 @@ class BulletSimulator:
         self._rng.bit_generator.state = dict(state["generator"])
         self._speed = float(state["speed"])
         self._command, self._acceleration = state["command"].copy(), float(state["acceleration"][0])
-        measured[ARRAYS.index("command")], measured[ARRAYS.index("acceleration")] = self._command[0], self._acceleration
+        measured[ARRAYS.index("command")], measured[ARRAYS.index("acceleration")] = self._command, self._acceleration
         return tuple(measured)
 
     def _place(self, motion: dict[str, Any]) -> None:
@@ -247,33 +251,32 @@ class BulletSimulator:
         self._position = x, y
         ranges, nearest_is_dynamic = self._scan(*pose)
         last_speed, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
-        self._command, duration = self._command_log[-1] if self._command_log else (np.zeros((1, 2)), math.inf)
+        self._command, duration = self._command_log[-1] if self._command_log else (np.zeros(2), math.inf)
         self._acceleration = (self._speed - last_speed) / duration
         twist, bumped = (self._speed, turn_rate), wall_hit or obstacle_hit
-        measured = pose, twist, *self._read_encoders(), ranges[0], bumped, self._command[0], self._acceleration
+        measured = pose, twist, *self._read_encoders(), ranges[0], bumped, self._command, self._acceleration
         if not self.spec.has_dynamic_obstacles:
             return measured
         return *measured, self._obstacles.outlines[0].copy(), not wall_hit and (obstacle_hit or nearest_is_dynamic)
 
     def _scan(self, x: float, y: float, yaw: float) -> tuple[np.ndarray, bool]:
         """Ranges [m], shape (1, beams), and whether the nearest obstacle is a dynamic one."""
-        row, laser = self._initial_state.records[0], self.spec.laser
-        ranges = np.empty((1, len(self._directions[0])))
-        if row["mount_x"] or row["mount_y"]:
-            mount_x, mount_y, cos, sin = float(row["mount_x"]), float(row["mount_y"]), math.cos(yaw), math.sin(yaw)
+        laser, ranges = self.spec.laser, np.empty((1, len(self._directions[0])))
+        (mount_x, mount_y, mount_yaw), (noise, bias, dropped) = self._laser_mount, self._laser_errors
+        if mount_x or mount_y:
+            cos, sin = math.cos(yaw), math.sin(yaw)
             x, y = x + mount_x * cos - mount_y * sin, y + mount_x * sin + mount_y * cos
-        pose, is_dynamic = (x, y, yaw + float(row["mount_yaw"])), False
+        pose, is_dynamic = (x, y, yaw + mount_yaw), False
         cast_beams(pose, self._directions, self.world.spatial_index, 0, self._scratch, ranges, 0)
         if self.spec.has_dynamic_obstacles:
             is_dynamic = cast_at_obstacles(*pose, self._directions, self._obstacles.arrays.obstacles, 0, ranges)
-        noise = laser.noise if row["laser_noise"] < 0.0 else row["laser_noise"]
         if noise:
             ranges += noise * self._rng.standard_normal(ranges.shape)
-        if row["bias"]:
-            ranges += row["bias"]
+        if bias:
+            ranges += bias
         limit_ranges(ranges, 0, laser.min_range, laser.max_range)
-        if row["dropped"]:
-            ranges[self._rng.random(ranges.shape) < row["dropped"]] = np.inf
+        if dropped:
+            ranges[self._rng.random(ranges.shape) < dropped] = np.inf
         return ranges, is_dynamic
 
     def _read_encoders(self) -> tuple[tuple[float, float, float], tuple[float, float]]:
