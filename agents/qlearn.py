@@ -43,7 +43,7 @@ class QLearning(BaseAlgorithm):
         update: "textbook" or "tutorial". "tutorial" sets the value of a state-action pair to the reward at its
             first visit, and also bootstraps from terminal states.
         averaging: The policy is greedy on running averages of the action values, because a large step size makes the
-            values oscillate (Polyak & Juditsky 1992). A new value has the weight 1 / visits, but at least this number.
+            values oscillate (Polyak & Juditsky 1992). A new value has the weight 1 / visits, but at least `averaging`.
             Exploration and update targets use the values, not the averages. None: no averages.
         device: Ignored, because the table is on the CPU.
     """
@@ -124,7 +124,7 @@ class QLearning(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         assert self.env is not None
-        if np.isnan(self._values[0, 0]):  # NaN marks the first call: start with the values of the policy
+        if np.isnan(self._values[0, 0]):  # NaN: `_unaveraged_q` is new, and starts with the values of the policy
             self._values[:] = self.policy.q.numpy()
         if reset_num_timesteps:
             self.exploration_rate = self.exploration_initial_eps
@@ -175,7 +175,7 @@ class QLearning(BaseAlgorithm):
     def _next_states(
         self, new_states: np.ndarray, dones: np.ndarray, infos: list[dict]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the next states, finished episodes with their final states, and the mask of terminal states."""
+        """Return the next states (of finished episodes: the final states) and the mask of terminal states."""
         if not dones.any():
             return new_states, dones
         next_states, terminated = new_states.copy(), dones.copy()

@@ -20,24 +20,25 @@ AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", fixed_observation=T
 
 NUM_SECTORS = 72  # number of sectors of the histogram, over 360 degrees; sector 0 points backwards
 _SECTOR_WIDTH = math.tau / NUM_SECTORS  # [rad]
-_MIN_WINDOW = 0.05  # [m] least free distance of an open direction, also if the target is nearer
-_SIDE_TOLERANCE = math.radians(10.0)  # a robot that keeps its side may still turn this far to the other side
+_MIN_WINDOW = 0.05  # [m] the window never becomes shorter, however near the target is
+_SIDE_TOLERANCE = math.radians(10.0)  # a turning robot may still choose a direction this far to the other side
 
 
 class VFH(LocalPlanner):
     """Turns to the best open direction, and drives as fast as the free distance ahead allows.
 
     The histogram holds how far the whole width of the robot can drive in each direction. A direction is open if
-    this distance is at least `window`, where the original VFH+ applies a threshold to a grid of past scans.
+    this distance is at least `window`. The original VFH+ applies a threshold to a grid of past scans instead.
     Directions without a scan are open. A valley is a range of open directions. Candidates are at least half of
     `valley` from the edges of a wide valley, or in the middle of a narrow one; the direction of the target may be a
-    candidate. A robot that turns on the spot keeps its side. Otherwise it could turn to and fro, because it does
-    not see behind. The turn rate replaces the previous direction, because the planner has no memory.
+    candidate. A robot that turns on the spot keeps turning to the left or to the right. Otherwise it could turn to
+    and fro, because it does not see behind. The turn rate replaces the previous direction, because the planner has
+    no memory.
 
     Args:
         observation_space, action_space, vehicle: See `LocalPlanner`.
         gap: Distance to keep from obstacles [m].
-        window: Least free distance of an open direction, less if the target is nearer [m].
+        window: Free distance that makes a direction open [m]; shrinks to the distance of a nearer target.
         valley: Least width of a wide valley [sectors of 5 degrees].
         to_target: Cost per radian of difference to the target's direction. It should exceed the sum of the other two
             costs, or the robot may never arrive.

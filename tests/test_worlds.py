@@ -48,7 +48,7 @@ def test_worlds_are_listed_with_their_descriptions_and_drawn(folder, capsys):
 
 def test_the_picture_of_a_generator_has_every_family(folder, monkeypatch):
     monkeypatch.setattr(worlds, "make_grid", lambda pictures, titles, columns: drawn.extend(titles) or pictures[0])
-    monkeypatch.setattr(worlds, "draw_plan", lambda *_: np.zeros((2, 2, 3), np.uint8))
+    monkeypatch.setattr(worlds, "draw_floor_plan", lambda *_: np.zeros((2, 2, 3), np.uint8))
     drawn: list[str] = []
     main(["draw", "mixed", "-o", "mixed.png"])
     assert {title.split()[0] for title in drawn} == {maker.__name__ for maker in FAMILIES}

@@ -29,7 +29,8 @@ _RESULTS = Path("runs", "suites")  # folder of the complete results, with a row 
 # Worlds for evaluations; without world `wall`, whose open sides let a robot drive away without collisions.
 WORLDS = ("loop", "circuit", "round", "maze", "mixed")
 UNSEEN_SUITE = "unseen"  # the suite of worlds that no training uses
-UNSEEN_WORLDS_FILE = "unseen_worlds.json"  # file in the folder of an entry: evaluations in worlds of other trainings
+# File in the folder of an entry: evaluations in those `WORLDS` in which it was not trained (not those of the suite).
+UNSEEN_WORLDS_FILE = "unseen_worlds.json"
 # Promised rates of good episodes (see `Entry.criterion`).
 PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_MAP, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
 # Promised mean speeds relative to the fastest command; lower in generated worlds, where posts require more turns.
@@ -149,7 +150,7 @@ class Entry:
 
     @property
     def navigates(self) -> bool:
-        """Whether the task is `navigate`, which is evaluated in suites instead of unseen worlds."""
+        """Whether the task is `navigate`, which is evaluated in suites, and not in other `WORLDS`."""
         return isinstance(self.config.task, Navigate)
 
     @cached_property
@@ -159,7 +160,7 @@ class Entry:
 
     @property
     def is_built(self) -> bool:
-        """Whether the training is complete, and the evaluations in unseen worlds or, for `navigate`, in a suite."""
+        """Whether the training and all evaluations are complete: in `WORLDS` or, for `navigate`, in the suite."""
         if not (self.folder / EVALUATION).is_file() or self.missing_worlds:
             return False
         return not self.navigates or self.suite_policy.summary(UNSEEN_SUITE) is not None
@@ -200,7 +201,8 @@ class Entry:
             return PROMISED_TABULAR
         if self.config.scene.spec.dynamic_obstacles:
             return PROMISED_AMONG_PEOPLE
-        return PROMISED_WITHOUT_MAP if getattr(self.config.task, "guide", "") == "goal" else PROMISED
+        uses_map = getattr(self.config.task, "guide", "") != "goal"
+        return PROMISED if uses_map else PROMISED_WITHOUT_MAP
 
     @property
     def relative_speed(self) -> float:

@@ -12,7 +12,7 @@ from tb2rl.core import InputError, one_line
 from tb2rl.core.files import atomic_write, parse_yaml
 from tb2rl.core.values import Worlds, checked
 from tb2rl.envs.worlds import find_worlds, paths_in
-from tb2rl.rendering.above import draw_plan, make_grid
+from tb2rl.rendering.above import draw_floor_plan, make_grid
 from tb2rl.robots import Robot
 from tb2rl.robots.robot import find_robot
 from tb2rl.worlds import World
@@ -52,7 +52,7 @@ def _draw(options: argparse.Namespace) -> None:
     if len(worlds) > _MAX_DRAWN:
         print(f"{len(worlds)} worlds; the first {_MAX_DRAWN} are drawn")
         del worlds[_MAX_DRAWN:]
-    picture = make_grid([draw_plan(world, robot) for world in worlds], [world.name for world in worlds], columns)
+    picture = make_grid([draw_floor_plan(world, robot) for world in worlds], [world.name for world in worlds], columns)
     with atomic_write(options.out) as temporary:
         Image.fromarray(picture).save(temporary, format=Image.registered_extensions()[suffix])
     print(f"wrote {options.out}")

@@ -99,7 +99,7 @@ def _exit_on_error() -> Iterator[None]:
             raise
         _fail(f"error: {error.strerror}: {error.filename}")
     except UnicodeEncodeError as error:
-        if error.object.isprintable():  # not a file name with undecodable bytes
+        if error.object.isprintable():  # an ordinary error; undecodable bytes of file names are not printable
             raise
         _fail(f"error: the name {one_line(ascii(error.object), 200)} is not text in {error.encoding}; use another one")
     except KeyboardInterrupt:
@@ -118,7 +118,8 @@ def _repair_streams() -> None:
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
         if stream is None:
-            # This call takes the lowest free descriptor. Otherwise the next opened file would get libraries' output.
+            # `open` takes the lowest free descriptor, that of the closed stream. Otherwise the next opened file would
+            # get it, and native libraries would write their output to that file.
             descriptor = os.open(os.devnull, os.O_RDWR)
             os.set_inheritable(descriptor, True)
             setattr(sys, name, os.fdopen(descriptor, "w" if number else "r"))

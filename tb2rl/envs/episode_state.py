@@ -16,7 +16,8 @@ from tb2rl.worlds.goal_paths import PREFERRED_GAP, lookahead_points, path_costs,
 
 _HISTORY_DURATION = 64.0  # [s] time that `PoseHistory` covers
 _PLANNING_PERIOD = 6  # [control steps] time between two plans of `OccupancyMapper`
-_HIT_INCREMENT, _MAX_HITS = 4, 20  # added to the cell where a beam ends (a passing beam subtracts 1); limit of |hits|
+_HIT_INCREMENT = 4  # added to the score of the cell where a beam ends; a passing beam subtracts 1
+_MAX_HITS = 20  # limit of the absolute score
 
 
 class EpisodeState(ABC):
@@ -76,7 +77,7 @@ class CommandHistory(EpisodeState):
         self._length = length
 
     def initial_arrays(self, robot_state: RobotState) -> dict[str, np.ndarray]:
-        """The command at the start, repeated; not 0 if a robot gets a new goal while it drives."""
+        """The command at the start, repeated; it is not 0 if a robot gets a new goal while it drives."""
         return {"commands": robot_state.command[:, None].repeat(self._length, axis=1)}  # the newest first
 
     def update(self, robot_state: RobotState, commands: np.ndarray) -> None:
@@ -113,7 +114,7 @@ class PoseHistory(EpisodeState):
         steps += 1
 
     def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
-        """Time spent within `radius` [m] of points (num_envs, n, 2) [s], shape (num_envs, n)."""
+        """Time [s] spent within `radius` [m] of points (num_envs, n, 2), shape (num_envs, n)."""
         counts = np.empty(points.shape[:2])
         _count_nearby(self._arrays["positions"], points, radius, counts)
         return self._interval * counts
@@ -156,15 +157,16 @@ class OccupancyMapper(EpisodeState):
 
     def update(self, robot_state: RobotState, commands: np.ndarray) -> None:
         """Add the latest scans to the grids, and renew the plans that are old enough."""
-        grids, arrays, max_clearance = self._grids(robot_state), self._arrays, self._radius + PREFERRED_GAP
+        geometries, arrays = self._grid_geometries(robot_state), self._arrays
+        max_clearance = self._radius + PREFERRED_GAP
         poses, ranges = np.array(robot_state.pose), np.array(robot_state.ranges)
-        _add_scans(poses, ranges, self._angles, self._max_range, grids, arrays["hits"])
+        _add_scans(poses, ranges, self._angles, self._max_range, geometries, arrays["hits"])
         arrays["age"] += 1
         for i in np.flatnonzero(arrays["age"] >= _PLANNING_PERIOD):
             clearance = np.minimum(self._distance_to_bounds(robot_state.initial_state.bounds[i]), max_clearance)
             _limit_clearance(arrays["hits"][i], max_clearance, clearance)
             costs = path_costs(clearance, self._radius)
-            arrays["path_length"][i] = path_lengths_to(robot_state.goal[i], costs, grids[i])
+            arrays["path_length"][i] = path_lengths_to(robot_state.goal[i], costs, geometries[i])
             arrays["age"][i] = 0
 
     def lookahead_point(self, robot_state: RobotState, lookahead: float) -> np.ndarray:
@@ -172,7 +174,7 @@ class OccupancyMapper(EpisodeState):
         points, lengths = np.empty((len(robot_state.pose), 2)), self._arrays["path_length"]
         offsets = np.arange(len(lengths)) * math.prod(self._shape)  # first cell of each grid in the flat array
         poses, goals = np.array(robot_state.pose), np.array(robot_state.goal)  # contiguous for compiled code
-        lookahead_points(offsets, self._grids(robot_state), lengths.ravel(), poses, goals, lookahead, points)
+        lookahead_points(offsets, self._grid_geometries(robot_state), lengths.ravel(), poses, goals, lookahead, points)
         return points
 
     def _distance_to_bounds(self, bounds: np.ndarray) -> np.ndarray:
@@ -182,7 +184,7 @@ class OccupancyMapper(EpisodeState):
         gap_x, gap_y = np.minimum(x, bounds[2] - bounds[0] - x), np.minimum(y, bounds[3] - bounds[1] - y)
         return np.maximum(np.minimum(gap_x, gap_y), 0.0)
 
-    def _grids(self, robot_state: RobotState) -> np.ndarray:
+    def _grid_geometries(self, robot_state: RobotState) -> np.ndarray:
         """Geometry of each grid: rows, columns, x, y of the first cell's centre [m], cell size [m]; (num_envs, 5)."""
         corners = robot_state.initial_state.bounds[:, :2]
         ones = np.ones((len(corners), 1))
@@ -190,14 +192,14 @@ class OccupancyMapper(EpisodeState):
 
 
 @njit(cache=True)
-def _add_scans(poses, ranges, angles, max_range, grids, hits):
+def _add_scans(poses, ranges, angles, max_range, geometries, hits):
     """Increase `hits` (num_envs, rows, columns) where beams (num_envs, beams) end, and decrease it where they pass.
 
     A beam without a hit passes up to `max_range` [m].
     """
     rows, columns = hits.shape[1], hits.shape[2]
     for i in range(poses.shape[0]):
-        x, y = (poses[i, 0] - grids[i, 2]) / CELL_SIZE, (poses[i, 1] - grids[i, 3]) / CELL_SIZE
+        x, y = (poses[i, 0] - geometries[i, 2]) / CELL_SIZE, (poses[i, 1] - geometries[i, 3]) / CELL_SIZE
         for beam in range(ranges.shape[1]):
             heading, length = poses[i, 2] + angles[beam], min(ranges[i, beam], max_range) / CELL_SIZE
             dx, dy = math.cos(heading), math.sin(heading)

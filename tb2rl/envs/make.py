@@ -14,7 +14,7 @@ from gymnasium.wrappers import HumanRendering
 from tb2rl.core import InputError, UnknownArgumentError, reference_to
 from tb2rl.core.plugins import TASKS
 from tb2rl.core.values import build, is_untyped
-from tb2rl.envs.scene import Scene, add_robot_defaults, make_scene
+from tb2rl.envs.scene import Scene, make_scene, with_robot_settings
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.envs.vector_env import TurtleBot2VectorEnv, find_autoreset_mode
 from tb2rl.envs.worlds import absolute_worlds
@@ -73,7 +73,7 @@ def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
     """
     task, task_class = (what, type(what)) if isinstance(what, Task) else (None, find_task(what))
     current = {field.name: getattr(task, field.name) for field in fields(task_class)} if task else {}
-    return build(task_class, {**current, **add_robot_defaults(settings, task_class, task)}, "task")
+    return build(task_class, {**current, **with_robot_settings(settings, task_class, task)}, "task")
 
 
 def _make_env_spec(scene: Scene, render_mode: str | None, simulation: Any) -> EnvSpec:
@@ -83,7 +83,7 @@ def _make_env_spec(scene: Scene, render_mode: str | None, simulation: Any) -> En
     """
     task, task_class = scene.task, type(scene.task)
     defaults = {field.name: field.default for field in fields(task_class)}
-    defaults |= {**add_robot_defaults({"robot": task.robot}, task_class), "robot": defaults["robot"]}
+    defaults |= {**with_robot_settings({"robot": task.robot}, task_class), "robot": defaults["robot"]}
     settings = {name: value for name, value in asdict(task).items() if getattr(task, name) != defaults[name]}
     if "world" in settings:
         settings["world"] = absolute_worlds(settings["world"])

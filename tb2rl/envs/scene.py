@@ -109,7 +109,7 @@ class Scene:
         latency = 0 if real_spec else task.resolved_variation.observation_latency[1]
         return ObservationPipeline(self.encoding, sensors, episode_states, task.frame_stack, latency)
 
-    def with_domain_randomization(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
+    def randomized_initial_state(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
         """Draw the task's variation of the robot, and keep world, pose and goal of `initial_state` (one environment).
 
         The draws come from a copy of `rng`, so that later sensor noise from `rng` does not depend on them.
@@ -143,13 +143,15 @@ class Scene:
         return _assemble(replace(self.task, **settings), self.observation, self.robot, worlds)
 
 
-def add_robot_defaults(settings: Mapping[str, Any], task_class: type[Task], task: Task | None = None) -> dict[str, Any]:
+def with_robot_settings(
+    settings: Mapping[str, Any], task_class: type[Task], task: Task | None = None
+) -> dict[str, Any]:
     """Add the task settings of the robot `settings["robot"]`; other keys of `settings` take precedence.
 
     Args:
         settings: Settings to change; without "robot" nothing is added.
         task_class: Class of the task.
-        task: The task before the change. Settings that it got from its old robot return to the defaults.
+        task: The task before the change. Settings that it got from its old robot return to the defaults of the class.
 
     Raises:
         InputError: If there is no such robot, or a key of its task settings is not a field of `Task`.
@@ -157,19 +159,19 @@ def add_robot_defaults(settings: Mapping[str, Any], task_class: type[Task], task
     name = settings.get("robot")
     if not isinstance(name, str):  # absent, or invalid, which the validation of settings reports later
         return dict(settings)
-    defaults = {field.name: field.default for field in fields(task_class)}
-    robot_settings = _settings_of(find_robot(name), defaults)
+    task_defaults = {field.name: field.default for field in fields(task_class)}
+    robot_settings = _settings_of(find_robot(name), task_defaults)
     for key in robot_settings:
         if key not in Task.__dataclass_fields__:
             raise unknown(f"key of robot {name}.task_settings", key, Task.__dataclass_fields__)
-    old_settings = _settings_of(find_robot(task.robot), defaults) if task else {}
-    reverted = {key: defaults[key] for key, value in old_settings.items() if getattr(task, key) == value}
+    old_settings = _settings_of(find_robot(task.robot), task_defaults) if task else {}
+    reverted = {key: task_defaults[key] for key, value in old_settings.items() if getattr(task, key) == value}
     return {**reverted, **robot_settings, **settings}
 
 
-def _settings_of(robot: Robot, defaults: Mapping[str, Any]) -> Mapping[str, Any]:
+def _settings_of(robot: Robot, task_defaults: Mapping[str, Any]) -> Mapping[str, Any]:
     """The task settings of a robot, with a larger `start_clearance` if the default is below the robot's radius."""
-    if defaults["start_clearance"] >= robot.radius:
+    if task_defaults["start_clearance"] >= robot.radius:
         return robot.task_settings
     return {"start_clearance": robot.radius + _START_MARGIN, **robot.task_settings}
 
@@ -207,7 +209,7 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
         if len(worlds) > 1:
             world.check_start(task.start_clearance if task.start == "random" else robot.radius)
     if len(worlds) == 1:
-        worlds[0].free_space(robot.radius)  # also checks the start; simulators need the free space anyway
+        worlds[0].free_space(robot.radius)  # checks the start, too; slower, but cached for the simulators
     actions, sensors = checked_task_parts(task, spec)
     encoding = make_encoding(observation, sensors)
     space = stacked_space(encoding.space, task.frame_stack)

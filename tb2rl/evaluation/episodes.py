@@ -1,7 +1,7 @@
 """Runs episodes of a policy in the environments of a control loop.
 
-Each environment is a slot: when its episode ends, it takes the next episode of a queue. An episode depends only on its
-seed and its number, not on the slot, the process, or other episodes.
+Each environment is a slot: when its episode ends, it takes the next episode of a queue. An episode depends only on the
+seed of the evaluation and on the episode's number, not on the slot, the process, or other episodes.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

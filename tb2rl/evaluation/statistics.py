@@ -1,7 +1,7 @@
 """Confidence intervals of rates and means, and comparisons of two sets of trainings (Agarwal et al. 2021, NeurIPS).
 
-The library rliable, with which tests compare the results, is not a dependency, because it brings 300 MB, fails with the
-newest pandas and arch, and draws its intervals from NumPy's global state.
+The project's tests compare the results with those of the library rliable. It is not a dependency, because it brings
+300 MB, fails with the newest pandas and arch, and draws its intervals from NumPy's global state.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Scores = Sequence[np.ndarray]  # an array for each task, with the score of each training, shape (trainings,)
+# An array for each task: the score of each training, shape (trainings,); with resampling (samples, trainings).
+Scores = Sequence[np.ndarray]
 # Seeds for each task: with fewer than `MIN_SEEDS` intervals are meaningless, with fewer than `GOOD_SEEDS` too narrow.
 MIN_SEEDS, GOOD_SEEDS = 5, 10
 _Z = 1.959964  # 97.5th percentile of the standard normal distribution
@@ -59,7 +60,7 @@ class Estimate:
 
 
 def interquartile_mean(scores: Scores) -> np.ndarray:
-    """The mean of the middle half of all scores, shape (...) for scores of shape (..., trainings)."""
+    """The mean of the middle half of all scores, shape (); with resampling (samples,)."""
     pooled = np.sort(np.concatenate(scores, axis=-1), axis=-1)
     quarter = pooled.shape[-1] // 4
     return pooled[..., quarter : pooled.shape[-1] - quarter].mean(axis=-1)

@@ -48,7 +48,7 @@ class SuiteEpisode:
     failed: bool
     time: NonNegative  # [s]
     moving_time: NonNegative  # [s] time after the first 0.1 m from the start; 0: the robot stayed within 0.1 m
-    distance: NonNegative  # [m] length of the path
+    distance: NonNegative  # [m] length of the driven path
     min_clearance: NonNegative | None  # [m] smallest gap between hull and obstacles; None: no obstacle
     world_name: str
     family: str
@@ -77,7 +77,7 @@ class SuiteMetrics:
     failed_rate: Fraction
     time_limit_rate: Fraction
     # Success weighted by path length (Anderson et al. 2018, "On evaluation of embodied navigation agents"). Shortest
-    # paths end a goal radius before the goal; in BARN this is a tenth of their length.
+    # paths end a goal radius before the goal; in BARN this radius is a tenth of their length.
     spl: Fraction
     time_ratio: NonNegative | None  # time to the goal / time of the shortest path at top speed; mean over successes
     mean_speed: NonNegative  # [m/s] total distance / total time
@@ -191,7 +191,7 @@ def suite_metrics(suite: Suite, scene: Scene, episodes: Sequence[SuiteEpisode]) 
     distances, times = (np.array([getattr(episode, name) for episode in episodes]) for name in ("distance", "time"))
     path_lengths, reference_lengths = np.array(suite.path_lengths)[worlds], suite.references
     longest_tenth = np.argsort(-path_lengths, kind="stable")[: math.ceil(len(worlds) / 10)]
-    shortest_lengths = np.maximum(path_lengths - getattr(scene.task, "goal_radius", 0.0), _MIN_PATH_LENGTH)
+    shortest_distances = np.maximum(path_lengths - getattr(scene.task, "goal_radius", 0.0), _MIN_PATH_LENGTH)
     clearances = [e.min_clearance for e in episodes if e.success and e.min_clearance is not None]
     scores = [barn_score(e, reference_lengths[e.world]) for e in episodes] if reference_lengths else []
     return SuiteMetrics(
@@ -200,8 +200,8 @@ def suite_metrics(suite: Suite, scene: Scene, episodes: Sequence[SuiteEpisode]) 
         success_interval=wilson_interval(int(success.sum()), len(worlds)),
         failed_rate=float(np.mean([episode.failed for episode in episodes])),
         time_limit_rate=float(np.mean([episode.ended == TIME_LIMIT for episode in episodes])),
-        spl=float(np.mean(success * shortest_lengths / np.maximum(distances, shortest_lengths))),
-        time_ratio=_mean((times * scene.robot.max_speed / shortest_lengths)[success]),
+        spl=float(np.mean(success * shortest_distances / np.maximum(distances, shortest_distances))),
+        time_ratio=_mean((times * scene.robot.max_speed / shortest_distances)[success]),
         mean_speed=sum(distances.tolist()) / sum(times.tolist()),
         mean_min_clearance=_mean(clearances),
         longest_tenth_success_rate=float(success[longest_tenth].mean()),
@@ -268,7 +268,7 @@ def restore_evaluation(result: SuiteResult, folder: Path) -> tuple[Evaluator, Po
     """
     try:
         config = config_from(result.config)
-    except (*LIBRARY_ERRORS, ImportError) as error:  # an InputError is a ValueError
+    except (*LIBRARY_ERRORS, ImportError) as error:  # LIBRARY_ERRORS contain ValueError, and so InputError
         raise InputError(one_line(f"the config of the result is invalid in this installation: {error}")) from None
     policy = make_baseline(config) if result.policy_digest is None else _find_policy(result, folder)
     suite = find_suite(result.suite, None if result.suite_path is None else Path(result.suite_path))

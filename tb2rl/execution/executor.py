@@ -129,7 +129,7 @@ class Executor(AbstractContextManager["Executor"]):
             TimeoutError: After `timeout`; the running jobs are terminated.
         """
         deadline, payloads = time.monotonic() + timeout, serialize([function, *shared])
-        waiting_jobs, rows, num_done = iter(jobs), dict[str, TaskID](), 0
+        waiting_jobs, running, num_done = iter(jobs), dict[str, TaskID](), 0
         total = f" of {len(jobs)}" if isinstance(jobs, Sized) else ""
         columns = TextColumn("{task.description}", markup=False), TimeElapsedColumn()
         is_hidden = not (show_progress and sys.stderr.isatty())
@@ -137,15 +137,15 @@ class Executor(AbstractContextManager["Executor"]):
             header = table.add_task(f"0{total} done")
             try:
                 while True:
-                    while len(rows) < self.num_workers and (job := next(waiting_jobs, None)) is not None:
+                    while len(running) < self.num_workers and (job := next(waiting_jobs, None)) is not None:
                         self.start(job, payloads)
-                        rows[job.name] = table.add_task(job.name)
-                    if not rows:
+                        running[job.name] = table.add_task(job.name)
+                    if not running:
                         return
                     if time.monotonic() > deadline:
                         raise TimeoutError
                     for job, (result, error) in self.wait(min(_POLL_PERIOD, max(0.0, deadline - time.monotonic()))):
-                        table.remove_task(rows.pop(job.name))
+                        table.remove_task(running.pop(job.name))
                         if error is not None:
                             raise error
                         num_done += 1

@@ -131,15 +131,15 @@ def draw_robot(canvas: Canvas, robot: Robot, x: float, y: float, yaw: float) -> 
 
 
 def _draw_dynamic_obstacle(canvas: Canvas, outline: Sequence[float]) -> None:
-    x, y, cos, sin, length, width = outline
-    if width > 0.0:
-        (box,) = box_polygons(np.array([[x, y, length, width, cos, sin]]))
+    x, y, cos, sin, half_length, half_width = outline
+    if half_width > 0.0:
+        (box,) = box_polygons(np.array([[x, y, half_length, half_width, cos, sin]]))
         canvas.polygon(box.exterior.coords, colours.DYNAMIC_OBSTACLE)
-    elif length > 0.0:  # the length of a disc is its radius
-        canvas.disc(x, y, length, colours.DYNAMIC_OBSTACLE)
+    elif half_length > 0.0:  # the radius of a disc
+        canvas.disc(x, y, half_length, colours.DYNAMIC_OBSTACLE)
 
 
-def draw_plan(world: World, robot: Robot) -> np.ndarray:
+def draw_floor_plan(world: World, robot: Robot) -> np.ndarray:
     """Draw a world, the robot at the start, and the space that its centre can reach; shape (height, width, 3), uint8.
 
     Raises:

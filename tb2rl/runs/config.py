@@ -27,7 +27,7 @@ from pydantic_core import to_jsonable_python
 from tb2rl.core import Agent, InputError, check_file_allowed, find_agent, one_line, reference_to
 from tb2rl.core.files import find_file, parse_yaml, read_yaml, top_folder
 from tb2rl.core.values import Count, CountOrZero, Fraction, Names, build
-from tb2rl.envs.scene import Scene, add_robot_defaults, make_scene
+from tb2rl.envs.scene import Scene, make_scene, with_robot_settings
 from tb2rl.envs.worlds import absolute_worlds, paths_in
 from tb2rl.runs.arguments import checked_arguments, is_schedule, with_policy
 from tb2rl.simulation.simulator import batch_simulator, default_physics, find_simulator
@@ -82,7 +82,7 @@ class Config:
     task: Task
     observation: str  # observation mode, "discrete" or "raw"
     train: TrainSettings
-    agent: Agent = field(compare=False, repr=False)  # the agent of this name, with the policy for these observations
+    agent: Agent = field(compare=False, repr=False)  # `agent_name`, with Stable-Baselines3's policy class for the space
     scene: Scene = field(compare=False, repr=False)  # the environment that the task's settings describe
 
     def to_dict(self) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class Config:
         if not settings:
             return self
         tree = self.to_dict()
-        tree["task"].update(add_robot_defaults(settings, type(self.task), self.task))
+        tree["task"].update(with_robot_settings(settings, type(self.task), self.task))
         return config_from(tree)
 
 
@@ -169,7 +169,7 @@ def resolve(
     _, task_class = find_agent(agent_name), find_task(task_name)  # unknown names raise an error
     kinematic_layers = [f"kinematic/{agent_name}"] if chosen["train"].get("simulation") == "kinematic" else []
     layers = [f"tasks/{task_name}", f"agents/{agent_name}", *kinematic_layers, f"tasks/{task_name}-{agent_name}"]
-    robot_layer = {"task": add_robot_defaults({"robot": robot}, task_class)} if robot else {}
+    robot_layer = {"task": with_robot_settings({"robot": robot}, task_class)} if robot else {}
     return config_from(_merge(*map(_read_layer, layers), robot_layer, chosen))
 
 

@@ -36,9 +36,9 @@ class Navigate(Task):
     - `guide: plan`: the lookahead point on the shortest path. The planner knows the robot's pose and a map, which is
       the map of the world (`map: known`), or built from laser scans (`map: online`).
 
-    The reward for progress is the reduction of the path length to the goal, which is longer near walls, so driving
-    straight into a dead end earns nothing. If a dynamic obstacle runs into a robot that stands or drives away, the
-    episode continues.
+    The reward for progress is the reduction of the path length to the goal, so driving straight into a dead end earns
+    nothing. In this length, a metre near a wall counts as more than a metre. If a dynamic obstacle runs into a robot
+    that stands or drives away, the episode continues.
     """
 
     goal_task: ClassVar[bool] = True
@@ -54,7 +54,7 @@ class Navigate(Task):
     beams: Beams | None = 60
     max_speed: Positive = 0.65  # [m/s]; the lowest speed is 0
     turn_rate: Positive = 2.0  # [rad/s] largest turn rate to both sides
-    named_actions: bool = False  # whether actions are five commands, not velocities
+    named_actions: bool = False  # whether actions are five named commands, not continuous velocities
     goal_radius: Positive = 0.3  # [m] distance to the goal at which it is reached
     goal_reward: float = 10.0  # replaces the reward of the step
     collision_reward: float = -10.0  # replaces the reward of the step
@@ -101,9 +101,9 @@ class Navigate(Task):
         if self.start == "fixed" or self.goal is not None:
             initial_state.records["goal_path"] = OWN_GOAL
             return initial_state
-        world, candidates = initial_state.world.astype(int), 1 + (random.uniform(2) * RANDOM_GOALS).astype(int)
-        lengths = [spec.goal_paths.path_length(world, goal, initial_state.pose) for goal in candidates.T]
-        farther = np.where(lengths[0] >= lengths[1], *candidates.T)  # because few episodes should start at their goal
+        world, goal_numbers = initial_state.world.astype(int), 1 + (random.uniform(2) * RANDOM_GOALS).astype(int)
+        lengths = [spec.goal_paths.path_length(world, goal, initial_state.pose) for goal in goal_numbers.T]
+        farther = np.where(lengths[0] >= lengths[1], *goal_numbers.T)  # because few episodes should start at their goal
         initial_state.records["goal_path"], initial_state.goal[:] = farther, spec.goal_paths.goals(world, farther)
         return initial_state
 
@@ -125,7 +125,7 @@ class Navigate(Task):
         """Whether each robot caused a contact with a wall or a dynamic obstacle, bool, shape (num_envs,).
 
         As in nuPlan's collisions at fault (Karnchanachari et al. 2024, "Towards learning-based planning"), a robot that
-        stands or drives away from a dynamic obstacle causes no contact, nor does a round base that turns on the spot.
+        stands, or drives away from a dynamic obstacle, causes no contact, nor does a round base that turns on the spot.
         """
         is_dynamic, outlines = after.nearest_is_dynamic, after.dynamic_obstacles
         if is_dynamic is None or outlines is None or not (after.bumped & is_dynamic).any():

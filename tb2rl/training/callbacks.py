@@ -69,7 +69,8 @@ class EvaluationCallback(StatefulCallback):
         """Evaluate the present policy."""
         start_time = time.monotonic()
         evaluation = self.evaluator.run(driving_policy(self.model), progress_bar)
-        score = evaluation.score if self.settings.best_by == "success" else (evaluation.score[1], 0.0)  # mean return
+        success_rate, mean_return = evaluation.score
+        score = (success_rate, mean_return) if self.settings.best_by == "success" else (mean_return, 0.0)
         summary = {
             "timesteps": self.num_timesteps,
             **evaluation.summary(),

@@ -1,4 +1,7 @@
-"""Runs the trainings of a trial in a worker, which has access neither to the study's database nor to its folder."""
+"""Runs the trainings of a trial in a worker, which may be on another machine.
+
+A worker uses neither the study's database nor the study's folder.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,8 @@ from tb2rl.training.training import make_evaluator, train_config
 from tb2rl.tuning.storage import make_pruner
 from tb2rl.tuning.study import StudyFolder, StudyOptions
 
-SCORE_SEED = 20_200_000  # seed of the episodes in the kinematic simulator for the score
-_STEPS_WEIGHT = 0.004  # weight of control steps in the score, less than the half percent to which rates are rounded
+SCORE_SEED = 20_200_000  # seed of the episodes for the score
+_STEPS_WEIGHT = 0.004  # what a training of full length loses in the score; less than the rounding of rates, 0.005
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ def run_trial(
         name: Name of the study; Hyperband derives the bracket of a trial from this name and the trial's number.
         finished_trials: Finished trials of the study.
         trial: The trial to run, with its parameters, distributions and number.
-        trial_folder: Folder of the trial.
+        trial_folder: Folder for the files of the trial, which the executor brings to the study.
 
     Returns:
         The finished trial, with its intermediate values and user attributes.
@@ -115,7 +118,7 @@ def _train_once(config: Config, folder: Path, reporter: PruningReporter | None) 
     if training.signal_number:
         raise KeyboardInterrupt
     if reporter:
-        reporter.report_remaining_steps()
+        reporter.report_remaining_evaluations()
     shutil.rmtree(folder / "checkpoints")  # to save space, because trials are not resumed
     with make_evaluator(config.scene.for_purpose("search"), config.train, SCORE_SEED) as evaluator:
         evaluation = evaluator.run(load(folder).policy)
@@ -144,8 +147,8 @@ class PruningReporter:
         if self._step < self._num_evaluations and self._trial.should_prune():
             raise TrialPruned(f"pruned after {100 * self._step / self._num_evaluations:.0f} % of the steps")
 
-    def report_remaining_steps(self) -> None:
-        """After an early stop, repeat the last value for all remaining steps, so that the pruner can compare them."""
+    def report_remaining_evaluations(self) -> None:
+        """After an early stop, report the last value for each missing evaluation, for comparisons with other trials."""
         for step in range(self._step + 1, self._num_evaluations + 1):
             self._trial.report(self._last_value, step)
 

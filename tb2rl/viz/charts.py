@@ -1,6 +1,6 @@
 """Charts of the report as SVG: learning curves, paths and heat maps.
 
-Charts contain no names from users, because `Markup` is not escaped; the page escapes these names.
+Charts contain no names from users, because `Markup` is not escaped; the page itself shows and escapes names.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ GROUP_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f7f7f", "#e69f00
 ACTION_COLOURS = ("#9ecae9", "#e69f00", "#4b3a8c", "#009e73", "#cc79a7", "#f0e442", "#d55e00", "#6b7280")
 WIDTH = 4.2  # [in] width of a figure; small, so that the text stays readable on a phone
 MAX_WORLDS, _MAX_COLUMNS = 12, 3  # of a figure with several worlds
-_MIN_CELL_SIDE, _MAX_CELLS = 0.1, 150  # cells of a heat map: side [m], number along a side of the map
+_MIN_CELL_SIDE, _MAX_CELLS = 0.1, 150  # of a heat map: side of a cell [m], cells along a side of the map
 MAX_POINTS = 120  # maximum number of points of a drawn curve
 _MAX_MARKERS = 30  # curves with more points have no markers
 STYLE = matplotlib.rc_params_from_file(Path(__file__).with_name("charts.mplstyle"), use_default_template=False)

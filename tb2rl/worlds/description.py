@@ -53,7 +53,7 @@ class Description:
     walls: tuple[Wall, ...] = ()
     boxes: tuple[Box, ...] = ()
     posts: tuple[Post, ...] = ()
-    drawing: str = ""  # lines of characters: `#` wall, `S` start, `G` goal, `.` or a blank free floor
+    drawing: str = ""  # lines of characters: `#` is wall, `S` start, `G` goal; `.` or a space is free floor
     cell: Positive = 2.0  # [m] side of the square of a character; the default leaves room to turn in a corridor
     start: Pose | None = None
     goal: Pose | None = None
@@ -135,7 +135,9 @@ def _parse_drawing(text: str, cell: float, label: str) -> tuple[list[BoxShape], 
                 poses[mark] = (begin + 0.5) * cell, (row + 0.5) * cell, 0.0
             else:
                 known = "# (wall), one S (start), one G (goal), and . or a blank (free floor)"
-                raise InputError(f"{label}: the drawing has {mark!r} in line {number}, column {end}; it takes {known}")
+                raise InputError(
+                    f"{label}: the drawing has {mark!r} in line {number}, column {begin + 1}; it takes {known}"
+                )
     boxes: list[BoxShape] = []
     for left, right, bottom, top in stack_runs(*np.array(wall_runs, dtype=int).reshape(-1, 3).T).tolist():
         centre = (left + right) / 2 * cell, (bottom + top) / 2 * cell

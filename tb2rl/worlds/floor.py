@@ -17,7 +17,7 @@ from tb2rl.worlds.geometry import distance_to_post, squared_distance_to_box
 from tb2rl.worlds.spatial_index import bounding_boxes
 from tb2rl.worlds.world import World
 
-# [m] Side of a cell. If two adjacent centres are 0.18 m from all walls, all points between them are 0.17 m away.
+# [m] Side of a cell. If two adjacent centres keep 0.18 m from all walls, all points between them keep 0.17 m.
 CELL_SIZE = 0.1
 MAX_CELLS = 4_000_000  # limit of a grid, enough for a floor of 200 x 200 m, which takes 0.25 GB
 
@@ -81,12 +81,12 @@ class Floor:
 
 
 def nearest_cell(coordinate: float, first_centre: float, cell_side: float, count: float) -> int:
-    """Index, of `count`, of the row or column nearest to a coordinate [m]; 0 at `first_centre` [m], and for NaN."""
+    """Index, below `count`, of the row or column nearest to a coordinate [m]; 0 at `first_centre` [m], and for NaN."""
     return 0 if math.isnan(coordinate) else int(min(max(round((coordinate - first_centre) / cell_side), 0), count - 1))
 
 
 class RaggedTable:
-    """Arrays of different lengths, one after the other in a float32 table that grows in amortised time.
+    """Arrays of different lengths, one after the other in a float32 table that grows in amortised constant time.
 
     Attributes:
         first_rows: First row of each array in the table, shape (count,); -1 before the array is added.
@@ -117,8 +117,8 @@ class PoseSampler:
 
     `World.sample_poses` samples the exact free space instead.
 
-    A cell is reachable through any door that is wider than the robot. The free cells of a world are computed when its
-    first pose is sampled.
+    A cell is reachable if the robot itself has room on a path to it; the path may have less than the clearance of the
+    poses. The free cells of a world are computed when its first pose is sampled.
     """
 
     def __init__(self, worlds: Sequence[World], radius: float) -> None:
@@ -183,7 +183,7 @@ def limit_to_obstacles(
 
 @njit(cache=True)
 def _limit_cells(boxes, posts, x, y, columns, rows, clearance):
-    """`limit_to_obstacles`, for each obstacle in a range of columns and a range of rows, shape (obstacles, 2)."""
+    """Do `limit_to_obstacles` with the range of columns and of rows near each obstacle, each (obstacles, 2)."""
     for k in range(columns.shape[0]):
         for row in range(rows[k, 0], rows[k, 1]):
             for column in range(columns[k, 0], columns[k, 1]):

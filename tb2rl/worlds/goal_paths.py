@@ -1,9 +1,9 @@
-"""Shortest paths to a goal from anywhere in a world: path lengths and lookahead points.
+"""Cheapest paths to a goal from anywhere in a world: path lengths and lookahead points.
 
 Path lengths come from fast marching (Sethian 1996, "A fast marching level set method for monotonically advancing
 fronts") on the grid of `tb2rl.worlds.floor`. Unlike a graph search over neighbouring cells, fast marching does not
 prefer the axes of the grid. Cells near a wall have higher costs, so that paths keep a distance from walls where there
-is room.
+is room. The length of a path is weighted with these costs: near walls, a metre counts as more than a metre.
 """
 
 import math
@@ -19,8 +19,8 @@ RANDOM_GOALS = 4  # number of random goals in each world, besides the world's ow
 OWN_GOAL = 0  # number of a world's own goal; the random goals have the numbers 1 to `RANDOM_GOALS`
 PREFERRED_GAP = 0.35  # [m] between robot and walls; cells with a smaller gap cost more
 _DOUBLE_COST_GAP = 0.15  # [m] cells with this gap cost about double; the additional cost grows with 1 / gap^2
-_MAX_COST = 20.0  # high enough for any detour; higher costs would hide the direction of the path
-_UNREACHABLE_COST = 3.0  # cost of unreachable cells, which robots enter by rounding errors only
+_MAX_COST = 20.0  # high enough to prefer any detour; steeper costs would distort the direction of the path
+_UNREACHABLE_COST = 3.0  # cost of cells without a path to the goal, which robots enter by rounding errors only
 _FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, a passage too narrow for the robot can seem 0.5 m wide
 _PATH_STEP = 0.5 * _FINE_CELL  # [m] longer steps along a path would cut corners
 _STRAIGHT_RADIUS = 0.25  # [m] distance from the goal below which paths are straight
@@ -43,7 +43,7 @@ class GoalPaths:
 
     def goals(self, worlds: np.ndarray, goal_numbers: np.ndarray) -> np.ndarray:
         """X and y of goals [m], shape (num_envs, 2), by worlds and goal numbers of shape (num_envs,)."""
-        return self._goals[self._goal_rows(worlds, goal_numbers)]
+        return self._goals[self._goal_indices(worlds, goal_numbers)]
 
     def path_length(self, worlds: np.ndarray, goal_numbers: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Path lengths to goals [m], shape (num_envs,).
@@ -53,7 +53,7 @@ class GoalPaths:
             positions: x, y [m] in the first two columns, such as poses, shape (num_envs, n).
         """
         lengths, positions = np.empty(len(positions)), np.array(positions)  # always contiguous, to compile only once
-        offsets = self._lengths.first_rows[self._goal_rows(worlds, goal_numbers)]
+        offsets = self._lengths.first_rows[self._goal_indices(worlds, goal_numbers)]
         _interpolate(offsets, self._grids[worlds], self._lengths.rows, positions, lengths)
         return lengths
 
@@ -61,29 +61,30 @@ class GoalPaths:
         self, worlds: np.ndarray, goal_numbers: np.ndarray, positions: np.ndarray, lookahead: float
     ) -> np.ndarray:
         """Points `lookahead` [m] ahead on the paths, or the goals if they are nearer, shape (num_envs, 2)."""
-        rows, positions = self._goal_rows(worlds, goal_numbers), np.array(positions)
-        offsets, goals, points = self._lengths.first_rows[rows], self._goals[rows], np.empty((len(positions), 2))
+        goal_indices, positions = self._goal_indices(worlds, goal_numbers), np.array(positions)
+        offsets, goals = self._lengths.first_rows[goal_indices], self._goals[goal_indices]
+        points = np.empty((len(positions), 2))
         lookahead_points(offsets, self._grids[worlds], self._lengths.rows, positions, goals, lookahead, points)
         return points
 
-    def _goal_rows(self, worlds: np.ndarray, goal_numbers: np.ndarray) -> np.ndarray:
-        """Rows of goals in `_goals` and `_lengths`; computes missing paths first."""
-        rows = worlds * (RANDOM_GOALS + 1) + goal_numbers
-        is_missing = self._lengths.first_rows[rows] < 0
+    def _goal_indices(self, worlds: np.ndarray, goal_numbers: np.ndarray) -> np.ndarray:
+        """Indices of goals in `_goals` and `_lengths`; computes missing paths first."""
+        indices = worlds * (RANDOM_GOALS + 1) + goal_numbers
+        is_missing = self._lengths.first_rows[indices] < 0
         if is_missing.any():  # `unique` is slow, and this runs in every step
-            for row in np.unique(rows[is_missing]).tolist():
-                self._compute_paths(row, *divmod(row, RANDOM_GOALS + 1))
-        return rows
+            for index in np.unique(indices[is_missing]).tolist():
+                self._compute_paths(index, *divmod(index, RANDOM_GOALS + 1))
+        return indices
 
-    def _compute_paths(self, row: int, world: int, number: int) -> None:
+    def _compute_paths(self, index: int, world: int, number: int) -> None:
         if world not in self._floors:
             self._floors[world] = self._make_floor(world)
         (costs, goal_cells), own_goal = self._floors[world], self._worlds[world].goal
         if number != OWN_GOAL:
-            self._goals[row] = goal_cells[np.random.default_rng((world, number)).integers(len(goal_cells))]
+            self._goals[index] = goal_cells[np.random.default_rng((world, number)).integers(len(goal_cells))]
         elif own_goal is not None:
-            self._goals[row] = own_goal[:2]
-        self._lengths.add(row, path_lengths_to(self._goals[row], costs, self._grids[world]).ravel())
+            self._goals[index] = own_goal[:2]
+        self._lengths.add(index, path_lengths_to(self._goals[index], costs, self._grids[world]).ravel())
 
     def _make_floor(self, world: int) -> tuple[np.ndarray, np.ndarray]:
         """Path costs of all cells of a world, and x, y of the cells for random goals [m]."""
@@ -97,7 +98,7 @@ class GoalPaths:
 
 
 def path_lengths_to(goal: np.ndarray, costs: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Path length from each cell of a grid to a goal [m], shape (rows, columns).
+    """Path length from each cell of a grid to a goal [m], weighted with the costs, shape (rows, columns).
 
     Args:
         goal: x, y [m], shape (2,).
@@ -276,7 +277,7 @@ def lookahead_points(offsets, grids, cell_lengths, positions, goals, lookahead, 
             path_x, path_y = _path_direction(offsets[i], grids[i], cell_lengths, row, column, up, right)
             norm = math.hypot(path_x, path_y)
             if not norm > 1e-6:
-                break  # the goal is unreachable
+                break  # no neighbouring cell is nearer to the goal
             step = min(_PATH_STEP, remaining)
             x, y, remaining = x + step * path_x / norm, y + step * path_y / norm, remaining - step
         points[i, 0], points[i, 1] = x, y

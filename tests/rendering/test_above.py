@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import ImageColor
 
-from tb2rl.rendering.above import GOAL_RADIUS, SIDE, Canvas, WorldPicture, draw_plan, make_grid
+from tb2rl.rendering.above import GOAL_RADIUS, SIDE, Canvas, WorldPicture, draw_floor_plan, make_grid
 from tb2rl.rendering.colours import BEAM, BODY, FLOOR, FREE, GOAL, NOSE, PATH, WALL, WHEEL
 from tb2rl.robots import Laser
 from tb2rl.robots.turtlebot2 import ROBOT
@@ -107,7 +107,7 @@ def test_a_picture_leaves_no_trace_on_the_next_one():
 
 
 def test_a_plan_shows_walls_reachable_space_start_and_goal():
-    picture = draw_plan(find_world("maze"), ROBOT)
+    picture = draw_floor_plan(find_world("maze"), ROBOT)
     for colour, least in ((WALL, 0.02), (FREE, 0.5), (BODY, 5e-4), (GOAL, 1e-4)):
         assert has(picture, colour).mean() > least
 
@@ -117,11 +117,11 @@ def test_a_room_behind_a_narrow_door_is_not_reachable(door, least, most):
     side = (4 - door) / 2
     walls = [(4, side / 2, 0.2, side, 0), (4, 4 - side / 2, 0.2, side, 0)]
     world = World.from_shapes("door", walls, start=(2, 2, 0), bounds=(0, 0, 8, 4))
-    assert least < has(draw_plan(world, ROBOT), FREE).mean() < most
+    assert least < has(draw_floor_plan(world, ROBOT), FREE).mean() < most
 
 
 def test_a_grid_holds_all_plans_and_a_single_one_is_unchanged():
-    plan = draw_plan(find_world("loop"), ROBOT)
+    plan = draw_floor_plan(find_world("loop"), ROBOT)
     assert make_grid([plan], ["loop"]) is plan
     grid = make_grid([plan] * 5, list("abcde"), columns=5)
     assert grid.shape[1] == pytest.approx(5 * grid.shape[0], rel=0.1)

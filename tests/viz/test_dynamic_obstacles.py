@@ -5,7 +5,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from tb2rl.rendering.above import draw_plan
+from tb2rl.rendering.above import draw_floor_plan
 from tb2rl.rendering.colours import DYNAMIC_OBSTACLE, ROUTE
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.tasks.task import DYNAMIC_COLLISION
@@ -62,7 +62,7 @@ def test_the_chase_camera_shows_them(make):
 def test_plans_and_pictures_of_paths_show_their_routes(make, coloured):
     obstacles = parse_dynamic_obstacles(LOOP, "dynamic_obstacles")
     world = World.from_shapes("hall", start=(0, 0, 0), bounds=(-5, -5, 5, 5), dynamic_obstacles=obstacles)
-    picture = draw_plan(world, ROBOT)
+    picture = draw_floor_plan(world, ROBOT)
     scale = picture.shape[1] / 10.6
     rows, columns = coloured(picture, ROUTE).T
     assert columns.min() / scale - 5.3 == pytest.approx(-3.0, abs=0.1)

@@ -1,7 +1,7 @@
 """Reads drives from bags of any robot: ROS 1 files, ROS 2 folders, mcap and db3 files.
 
-A bag contains definitions of its message types, from which the library would generate code. For safety they are only
-compared with the definitions of ROS. `read_drive` catches all exceptions, because the library documents none.
+A bag contains definitions of its message types, from which `rosbags` could generate code. For safety it must not: the
+definitions are only compared with those of ROS. `read_drive` catches all exceptions, because `rosbags` documents none.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tb2rl.deploy.ros.topics import split_pairs
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 MAX_MESSAGES = 2_000_000  # eleven hours at 50 Hz
-MAX_VALUE = 1e9  # [m], [m/s], [s] ...; larger values are errors
+MAX_VALUE = 1e9  # [m], [m/s], [s] ...; messages with larger values are left out
 Row = tuple[float, ...]
 
 
@@ -198,7 +198,7 @@ class TopicKind:
 
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 _ODOMETRY, _SCAN, _GOAL = "nav_msgs/msg/Odometry", "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/PoseStamped"
-_PRESSED = ("std_msgs/msg/Bool", *BUMPER_EVENTS.values())
+_BUMPER = ("std_msgs/msg/Bool", *BUMPER_EVENTS.values())
 _TRUTH_TOPICS = ("/ground_truth", "/ground_truth/state", "/base_pose_ground_truth")
 _COMMAND_TOPICS = ("/cmd_vel", "/mobile_base/commands/velocity", "/commands/velocity")
 _BUMPER_TOPICS = ("/bumper", "/mobile_base/events/bumper", "/events/bumper")
@@ -208,7 +208,7 @@ TOPIC_KINDS: Mapping[str, TopicKind] = {  # in the order of the tables of a `Dri
     "ground_truth": TopicKind((_ODOMETRY,), _TRUTH_TOPICS, 5, _motion),
     "scan": TopicKind((_SCAN,), ("/kobuki/laser/scan", "/scan"), 1, _min_range, any_name=True),
     "cmd_vel": TopicKind(_TWISTS, _COMMAND_TOPICS, 2, _command, any_name=True),
-    "bumper": TopicKind(_PRESSED, _BUMPER_TOPICS, 1, _bumper_state),
+    "bumper": TopicKind(_BUMPER, _BUMPER_TOPICS, 1, _bumper_state),
     "goal": TopicKind((_GOAL,), _GOAL_TOPICS, 2, lambda message: Goal.from_ros(message).position),
 }
 

@@ -71,7 +71,7 @@ class DriverNode:
         self._callback_error: Exception | None = None
         self._zero_repeats_left, self._scan_count, self._scan_stamp = _ZERO_COMMAND_REPEATS, 0, math.nan
         self._last_ros_time, self._last_decision_time = math.nan, -math.inf  # [s] of ROS time
-        # [s] of wall-clock time:
+        # [s] of wall-clock time; the last tick is the last change of the ROS time:
         self._last_tick = self._last_command_time = self._last_diagnostics = self._last_preflight = self._clock.now()
         self._command, self._printed_state, self._findings = Command(0.0, 0.0, ""), "", list[Finding]()
         self._pending_goal: Goal | Plan | None = None  # waits for the first odometry, because its frame is checked
@@ -117,7 +117,7 @@ class DriverNode:
     # ---- callbacks, in threads of ROS
 
     def _guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap a callback: the lock is held, and an exception ends the node. Services return a message."""
+        """Wrap a callback: the lock is held, and an exception ends the node; a service then returns the error."""
 
         def guarded(*message: Any) -> Any:
             with self._lock:
@@ -203,7 +203,7 @@ class DriverNode:
         if wall_time > self._last_tick + _FROZEN_TIME and wall_time > self._last_command_time + _COMMAND_TIMEOUT:
             self._publish(Command(0.0, 0.0, "simulated time is frozen"))
         elif ros_time > self._scan_stamp + MAX_AGE or not last_decision <= ros_time < last_decision + max_gap:
-            self._decide(ros_time)
+            self._decide(ros_time)  # by the last scan; if that is stale, the driver stops the robot
         if wall_time > self._last_diagnostics + _DIAGNOSTICS_PERIOD:
             self._last_diagnostics = wall_time
             self._publish_diagnostics()
@@ -215,7 +215,7 @@ class DriverNode:
     def _publish(self, command: Command) -> None:
         if command.why == DRIVING:
             self._zero_repeats_left = _ZERO_COMMAND_REPEATS
-        elif self._velocity.connected():  # only received zero commands count
+        elif self._velocity.connected():  # zero commands count only if a node receives them
             self._zero_repeats_left = max(0, self._zero_repeats_left - 1)
         if not self._driver.dry_run and self._zero_repeats_left > 0:
             self._velocity.publish(Twist(command.v, command.w))

@@ -86,7 +86,7 @@ def move(i, constants, robots, duration):
     v, w = robot.command[0], robot.command[1]
     scale = start.wheel_radius  # true / nominal
     turn_speed = 0.5 * separation * min(max(w, -start.max_turn_rate), start.max_turn_rate)  # of the rims
-    turn_speed *= start.assumed_separation * scale
+    turn_speed *= start.assumed_separation * scale  # assumed / true separation
     v = min(max(v, -start.max_speed), start.max_speed) * scale
     left, right = robot.wheel_speeds[0], robot.wheel_speeds[1]
     change_left, change_right = v - turn_speed - left, v + turn_speed - right
@@ -100,7 +100,7 @@ def move(i, constants, robots, duration):
     max_distance = max(abs(left), abs(right), abs(v) + abs(turn_speed)) * duration
     is_free = clearance_at(x, y, spatial_index, world_id) > radius + max_distance  # no obstacle matters in this step
     bumped, distance, total_turn = False, 0.0, 0.0
-    time, end = 0.5 * physics_step, duration + 0.5 * physics_step
+    time, end = 0.5 * physics_step, duration + 0.5 * physics_step  # half a step later: speeds at the steps' ends
     last_left = wheel_speed(left, change_left, signed_duration, time, acceleration, coupling)
     last_right = wheel_speed(right, change_right, signed_duration, time, acceleration, coupling)
     for phase in range(3):
@@ -112,7 +112,7 @@ def move(i, constants, robots, duration):
         mean_left, mean_right = 0.5 * (last_left + next_left), 0.5 * (last_right + next_right)
         length = 0.5 * (mean_left + mean_right) * (phase_end - time)
         rate = (mean_right - mean_left) / separation
-        turn, lag = rate * (phase_end - time), 0.5 * rate * physics_step
+        turn, lag = rate * (phase_end - time), 0.5 * rate * physics_step  # lag: headings at the steps' starts
         if is_free:
             x, y, yaw = pose_after_arc(x, y, yaw - lag, length, turn)
         else:
@@ -192,7 +192,7 @@ def move_among_obstacles(i, constants, robots, duration, obstacles):
         share = 1.0
         for k in range(obstacles.obstacles.shape[1]):
             obstacle = obstacles.obstacles[i, k]
-            if obstacle.length > 0.0:
+            if obstacle.length > 0.0:  # otherwise the record is empty
                 relative = x - obstacle.x, y - obstacle.y, pose[0] - obstacle.x, pose[1] - obstacle.y
                 share = min(share, motion.share_until_contact(*relative, radius, obstacle))
         if share < 1.0:
@@ -222,7 +222,7 @@ def _step_robots(first, end, constants, before, robots, commands, duration, scra
         robot.acceleration = (robot.twist[0] - speed) / duration
         robot.stream[1] += np.uint64(1)
         scan(i, constants, robots, scratch, obstacles)
-        if obstacles is not None:
+        if obstacles is not None:  # a contact counts before the laser's ranges, and a wall before an obstacle
             robot.nearest_is_dynamic = not wall_hit and (obstacle_hit or robot.nearest_is_dynamic)
 
 
