@@ -118,7 +118,7 @@ def free_distance(points, curvature, radius, gap, max_distance):
         points: Laser hits, shape (beams, 2).
         curvature: Curvature of the arc, positive to the left [1/m].
         radius: Radius of the robot [m].
-        gap: Distance to keep from obstacles [m]; for points that are closer than this, only contact counts.
+        gap: Distance to keep from obstacles [m]; for points that are already closer, the gap is 0.
         max_distance: Largest distance of interest [m].
     """
     free = math.inf

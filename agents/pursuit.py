@@ -61,8 +61,8 @@ class Pursuit(LocalPlanner):
         square = np.maximum(x**2 + y**2, 1e-6)
         curvature, look = 2.0 * y / square, np.minimum(np.sqrt(square), self.look)
         _choose_arcs(view, look, self.bends, self.vehicle.radius, self.gap, curvature, free, sides)
-        drop = self.braking * self.vehicle.period  # [m/s] lost by braking for a period; braking begins a period late
-        v = np.sqrt(drop**2 + 2.0 * self.braking * free) - drop
+        drop = self.braking * self.vehicle.period  # [m/s] lost by braking for a period
+        v = np.sqrt(drop**2 + 2.0 * self.braking * free) - drop  # stops within `free`; braking begins a period late
         v = np.minimum(v, self.vehicle.turn_rate / np.maximum(np.abs(curvature), 1e-6))
         v = np.minimum(v, self.vehicle.max_speed)
         bearing = np.arctan2(y, x)

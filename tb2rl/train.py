@@ -28,7 +28,7 @@ def main(parser: ArgumentParser) -> None:
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9")
     add("--name", help="name of the run folder runs/TASK/AGENT/NAME (default: date and time)")
     add("--total-timesteps", type=int, help="control steps, over all environments")
-    add("--episodes", type=int, help="stop after this number of episodes, if not by --total-timesteps before")
+    add("--episodes", type=int, help="stop after this number of episodes, or earlier at --total-timesteps")
     add("--seed", type=int, help="random seed")
     add("--seeds", metavar="A..B", help="train once with each of these seeds, and print a summary")
     add_executor_arguments(parser)

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
         config = resolve(agent, "navigate", settings={**worlds, "task.guide": "plan", "task.map": "online"})
         env = make_env(config.task, "raw", simulation="kinematic")
         env.step(make_baseline(config).predict(env.reset()[0])[0])
-    posts = [(x / 10, 1.0, 0.01) for x in range(200)]  # enough posts for the laser to use the spatial grid
+    posts = [(x / 10, 1.0, 0.01) for x in range(200)]  # enough posts for a spatial index with a grid
     World.from_shapes("posts", posts=posts, start=(0.0, 0.0, 0.0)).clearance(0.0, 0.0)
     print("compiled; later starts load the compiled code")
 

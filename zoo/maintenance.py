@@ -114,7 +114,7 @@ def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
         config = entry.recipe_config
         folder = default_folder(config).with_name(f"{name}-{datetime.now():%Y%m%d-%H%M%S}")
         jobs.append(Job(name, (config, str(folder), 0), folder))
-    for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):
+    for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):  # no worlds from files
         assert job.folder is not None
         run, entry = Run.open(job.folder), to_train[job.name]
         draw(load_evaluation(run), job.folder / PICTURE)

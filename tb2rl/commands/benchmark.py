@@ -153,7 +153,7 @@ def measure_training(options: argparse.Namespace) -> Iterator[Figure]:
 
 
 def measure_trained(options: argparse.Namespace) -> Iterator[Figure]:
-    """Time of training and its evaluations until one of these passes (inf: none does), and a standard evaluation."""
+    """Time of a training until one of its evaluations passes (inf: none does), and rate of a standard evaluation."""
     for simulation, agent in product(options.simulations, learners()):
         seconds = list[float]()
         for seed in range(options.seeds):

@@ -1,4 +1,4 @@
-"""Implementation of `python -m tb2rl.evaluate`: evaluations by episodes, and suites.
+"""Implementation of `python -m tb2rl.evaluate`: evaluates a policy in episodes or on a suite.
 
 The functions `chosen_...` load what the arguments of `arguments.py` select, also for other commands.
 """

@@ -20,7 +20,8 @@ from tb2rl.runs.loading import config_of, load
 
 # The check of an export compares actions for random observations; few images, because onnx's evaluator is slow.
 _NUM_OBSERVATIONS, _NUM_IMAGES = 100, 4
-_TOLERANCE, _MAX_EXCEEDED = 1e-4, 0.05  # maximum share of actions that differ by more, because of rounding
+_TOLERANCE = 1e-4  # actions that differ by less count as equal
+_MAX_DIFFERENT = 0.05  # maximum share of actions that differ by more than the tolerance, because of rounding
 
 
 def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
@@ -73,7 +74,7 @@ def _check_same_actions(act: Callable[[Mapping[str, np.ndarray]], np.ndarray], p
     observations = stack_observations([space.sample() for _ in range(num_samples)])
     expected, _ = policy.predict(observations, deterministic=True)
     actions = act(observations if isinstance(observations, dict) else {OBSERVATION: observations})
-    if np.mean(np.abs(actions - expected) > _TOLERANCE) > _MAX_EXCEEDED:
+    if np.mean(np.abs(actions - expected) > _TOLERANCE) > _MAX_DIFFERENT:
         name = type(policy.policy).__name__
         raise InputError(f"{name} cannot be exported, because it computes more than its layers: the actions differ")
 

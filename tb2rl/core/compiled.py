@@ -30,7 +30,7 @@ from tb2rl.core.files import atomic_write
 # at the counters. The option is private in numba; if it is missing, the loops are only slower.
 NO_REFCOUNT: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
-_user_cache_dir = numba.config.CACHE_DIR  # NUMBA_CACHE_DIR of the user
+_configured_cache_dir = numba.config.CACHE_DIR  # NUMBA_CACHE_DIR, before `_use_temporary_folder` changes it
 _source_times: dict[str, float] = {}  # modification times [s] of the files with decorated functions
 
 
@@ -84,8 +84,8 @@ def _compile_with_cache(function: Callable[..., Any], file: Path, options: dict[
         with suppress(FileNotFoundError):  # another process has removed the file
             if index_file.stat().st_mtime < newest_source_time:
                 index_file.unlink()
-    user_folders = Path(_user_cache_dir).glob(f"{file.parent.name}_*") if _user_cache_dir else ()
-    other_folders = [other for other in (file.parent / "__pycache__", *user_folders) if other != folder]
+    configured_folders = Path(_configured_cache_dir).glob(f"{file.parent.name}_*") if _configured_cache_dir else ()
+    other_folders = [other for other in (file.parent / "__pycache__", *configured_folders) if other != folder]
     for index_file in [file for other in other_folders for file in other.glob(pattern)]:
         with suppress(OSError):
             if index_file.stat().st_mtime >= newest_source_time and not (folder / index_file.name).exists():

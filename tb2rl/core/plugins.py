@@ -58,7 +58,7 @@ def find_plugin(kind: Kind, name: str) -> Any:
         InputError: If the plugin does not exist; the message lists the known names.
     """
     if ":" in name:
-        check_module_allowed(name)  # outside `try`, which begins the messages of `import_object` with the kind
+        check_module_allowed(name)  # outside `try`, so that its message does not begin with the kind
         try:
             return import_object(name)
         except InputError as error:

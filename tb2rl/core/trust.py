@@ -51,9 +51,9 @@ def _reject(item: str) -> None:
 
 def _is_allowed(module: str) -> bool:
     package, _, submodule = module.partition(".")
-    if package == "tb2rl":  # only its subpackages, because in a checkout it also imports files beside the package
-        rooms = {room.name for room in pkgutil.iter_modules([str(Path(__file__).parent.parent)])}
-        return submodule.partition(".")[0] in {*rooms, "agents"}
+    if package == "tb2rl":  # only its own modules, because in a checkout it also imports files beside the package
+        own_modules = {info.name for info in pkgutil.iter_modules([str(Path(__file__).parent.parent)])}
+        return submodule.partition(".")[0] in {*own_modules, "agents"}
     # Installed packages with entry points are trusted.
     groups = [f"tb2rl.{kind}" for kind in ("agents", "robots", "tasks", "worlds")]
     plugins = {point.module.partition(".")[0] for group in groups for point in entry_points(group=group)}

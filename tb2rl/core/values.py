@@ -21,7 +21,7 @@ Fraction = Annotated[float, Ge(0), Le(1)]
 Count = Annotated[int, Ge(1), Le(2**31 - 1)]
 CountOrZero = Annotated[int, Ge(0), Le(2**31 - 1)]
 Point = tuple[float, float]
-MAX_WORLDS = 10_000  # maximum number of worlds of a task, which take 15 to 20 s to read or to generate
+MAX_WORLDS = 10_000  # maximum number of worlds of a task; to read or generate so many takes 15 to 20 s
 
 
 def _require(condition: Callable[[Any], bool], message: str) -> AfterValidator:

@@ -84,7 +84,7 @@ def find_needs(scene: Scene) -> Needs:
         if len(sensor.shape) == 3:
             raise InputError(one_line(f"sensor {sensor.name} reads images, and a driver has no camera"))
         probe = _Probe(sensor, scene.spec)
-        if "pose" in probe.fields and not probe.lookaheads:  # a path follower takes its pose from odometry
+        if "pose" in probe.fields and not probe.lookaheads:  # only a path follower may read it, from odometry
             raise _unavailable_error(sensor, "pose")
         fields, lookaheads = fields | probe.fields, lookaheads | probe.lookaheads
     if len(lookaheads) > 1:
@@ -114,7 +114,7 @@ class _Probe:
         sensor.read(self)  # type: ignore[arg-type]
 
     def lookahead_point(self, lookahead: float) -> np.ndarray:
-        """Record the lookahead, and return any point, as `RobotState.lookahead_point` does."""
+        """Record the lookahead; stands in for `RobotState.lookahead_point`, and returns an arbitrary point."""
         self.lookaheads.add(lookahead)
         return self._state.goal
 

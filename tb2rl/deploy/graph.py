@@ -76,7 +76,7 @@ class _Graph:
         return output_names[0] if outputs == 1 else output_names
 
     def output(self, value: str, name: str, dtype: int, shape: tuple[int | str, ...]) -> onnx.ValueInfoProto:
-        """Make a value an output of the graph with another name."""
+        """Make a value an output of the graph, under another name."""
         self.nodes.append(helper.make_node("Identity", [value], [name]))
         return helper.make_tensor_value_info(name, dtype, shape)
 

@@ -1,4 +1,4 @@
-"""Extracts the layers from observations to greedy actions from a policy, as numpy arrays.
+"""Extracts the layers of a policy, from observations to greedy actions, as numpy arrays.
 
 `graph.py` converts the layers to an ONNX graph, and `portable/policy.py` runs them with numpy.
 """
@@ -55,7 +55,7 @@ def extract_network(algorithm: BaseAlgorithm) -> Network:
     """
     policy: Any = algorithm.policy
     space: Any = algorithm.observation_space
-    if hasattr(policy, "best_actions"):  # a table with a row for each state; a row is the dot product classes @ strides
+    if hasattr(policy, "best_actions"):  # a table with a row for each state; its index is classes @ strides
         best, strides = policy.best_actions(), np.cumprod([1, *space.nvec[:0:-1]])[::-1]
         table = _layer("table", strides=strides, best=best.astype(np.min_scalar_type(best.max())))
         return Network({OBSERVATION: ()}, (table,))

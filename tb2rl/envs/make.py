@@ -83,6 +83,7 @@ def _make_env_spec(scene: Scene, render_mode: str | None, simulation: Any) -> En
     """
     task, task_class = scene.task, type(scene.task)
     defaults = {field.name: field.default for field in fields(task_class)}
+    # `make_env` adds the task settings of the robot itself, so these count as defaults.
     defaults |= {**with_robot_settings({"robot": task.robot}, task_class), "robot": defaults["robot"]}
     settings = {name: value for name, value in asdict(task).items() if getattr(task, name) != defaults[name]}
     if "world" in settings:
@@ -114,7 +115,7 @@ def _task_reference(task_class: type[Task]) -> str | type[Task]:
 
 def make_for_gymnasium(task: str, **arguments: Any) -> gymnasium.Env:
     """The entry point for `gymnasium.make`, see `make_env`. Gymnasium shows images if a simulator has no window."""
-    # The frame is not stored in a variable, because that reference cycle would keep the environment alive.
+    # No variable stores the current frame, because that reference cycle would keep the environment alive.
     arguments = _with_time_limit(arguments, _requested_time_limit(sys._getframe(1).f_locals))
     simulator_type = find_simulator(arguments.get("simulation") or default_physics())
     if arguments.get("render_mode") != "human" or simulator_type.has_window:

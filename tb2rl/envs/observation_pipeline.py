@@ -86,7 +86,7 @@ class ObservationPipeline:
         self._frames, self._held_back = History(frame_stack - 1), History(latency)
         numbers = [sensor for sensor in sensors if len(sensor.shape) == 1]
         reads_commands = [sensor.command_history_length > 0 for sensor in numbers]
-        # Mask of the columns of a vector.
+        # Mask of the columns of a vector that hold past commands.
         self._is_command = np.repeat(reads_commands, [sensor.shape[0] for sensor in numbers])
 
     def reset(self, robot_state: RobotState) -> Observations:
@@ -99,7 +99,7 @@ class ObservationPipeline:
         return _concatenate([initial] * self._frame_stack)
 
     def step(self, robot_state: RobotState, commands: np.ndarray) -> Observations:
-        """The observations after a control step; `commands` (num_envs, 2) are the policy's, before command latency."""
+        """The observations after a control step; `commands` (num_envs, 2) are those of the step, before latency."""
         for episode_state in self._episode_states:
             episode_state.update(robot_state, commands)
         latest = self._encode(_with_episode_states(robot_state, self._episode_states))

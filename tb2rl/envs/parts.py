@@ -37,8 +37,8 @@ SENSORS: dict[str, tuple[type[Sensor], ...]] = {  # by name in `task.observe`
 def observed_sensors(task: Task, task_sensors: tuple[Sensor, ...], spec: SimulationSpec) -> tuple[Sensor, ...]:
     """The sensors in `task.observe`, or `task_sensors` if `task.observe` is None.
 
-    If `task_sensors` or `task.available_sensors` has a sensor of the same class, an entry without arguments selects
-    that sensor, with its settings.
+    An entry without arguments selects the sensor of its class, with its settings, in `task_sensors` or else in
+    `task.available_sensors`; if there is none, a new sensor with default settings is made.
 
     Args:
         task: The task.
@@ -124,6 +124,7 @@ def checked_task_parts(task: Task, spec: SimulationSpec) -> tuple[Actions, tuple
     _require(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
     with np.errstate(all="ignore"):  # some tasks divide by a speed, which is 0 here
         goalless_worlds = [index for index, world in enumerate(spec.worlds) if task.goal_task and world.goal is None]
+        # Starts in world 0 and in each world without a goal, which random starts may miss; then in random worlds.
         for start_spec in (*map(spec.for_world, {0, *goalless_worlds}), spec):
             random = GeneratorSource(np.random.default_rng(0), _NUM_ENVS)
             initial_state = task.initial_state(start_spec, random)

@@ -189,6 +189,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         if "pose" not in options:
             return self.task.randomized_initial_state(spec, GeneratorSource(self.np_random))
         x, y, yaw = checked(Pose, options["pose"], "options.pose")
+        # The draws come from a copy, so that later sensor noise does not depend on them.
         initial_state = self.task.randomized_initial_state(spec, GeneratorSource(deepcopy(self.np_random)))
         world = spec.worlds[int(initial_state.world[0])]
         if not world.contains((x, y)) or world.clearance(x, y) < spec.robot.radius:

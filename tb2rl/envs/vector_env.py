@@ -61,10 +61,10 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode in every environment, or without a seed in those of the option `reset_mask`.
+        """Start an episode in every environment, or in those of the option `reset_mask`.
 
         Raises:
-            InputError: If the mask is invalid, or there is another option.
+            InputError: If the mask is invalid or combined with a seed, or there is another option.
         """
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
@@ -91,7 +91,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
         """Hold an action in each environment for a control period.
 
         Raises:
-            InputError: If an environment needs a reset, or actions have the wrong shape or an unknown number.
+            InputError: If an environment needs a reset, actions have the wrong shape, or a discrete action is invalid.
         """
         actions = np.asarray(actions)
         discrete = isinstance(self.single_action_space, Discrete)  # continuous actions are clipped instead
@@ -121,7 +121,7 @@ class TurtleBot2VectorEnv(VectorEnv[Any, Any, Any]):
 
     def _store(self, observations: Any) -> Any:
         """Return the observations, and store them for the environments that the next `reset_mask` leaves out."""
-        # With DISABLED, callers use `reset_mask`, and may change the returned arrays before; hence the copy.
+        # With DISABLED, callers use `reset_mask`, and may change the returned arrays before that; hence the copy.
         self._observations = deepcopy(observations) if self._mode is AutoresetMode.DISABLED else observations
         return observations
 

@@ -269,5 +269,5 @@ def _nearest_distance(points, spatial_index):
     """The smallest distance from points (n, 2) to the obstacles of a world [m]; inf without obstacles."""
     smallest = np.inf
     for i in range(points.shape[0]):
-        smallest = min(smallest, clearance_at(points[i, 0], points[i, 1], spatial_index, 0))  # world 0 of one
+        smallest = min(smallest, clearance_at(points[i, 0], points[i, 1], spatial_index, 0))  # 0: the only world
     return smallest

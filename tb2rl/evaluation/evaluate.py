@@ -36,7 +36,7 @@ EPISODES, STEPS = 100, 1500  # number and time limit [control steps] of the stan
 SEED = 20_180_000  # seed of the standard evaluation, far from the seeds that trainings use
 VALIDATION_SEED = 20_190_000  # seed of the evaluations during training
 SOLVED_RATE = 0.95  # minimum success rate of a solved task
-# Maximum number of slots in a process, if each slot is a simulated world of its own, and if slots are rows of arrays.
+# Maximum slots in a process if each is a simulated world of its own, or if all are rows of arrays, respectively.
 _MAX_WORLD_SLOTS, _MAX_ARRAY_SLOTS = 25, 1024
 _BLOCK_SIZE = 100  # number of initial states that are drawn with one seed, see `random_initial_states`
 
@@ -250,7 +250,7 @@ def random_initial_states(scene: Scene, episodes: int, seed: int) -> InitialStat
     for block in range(math.ceil(episodes / _BLOCK_SIZE)):
         block_seed = [seed, block] if block else seed
         states = _draw_block(scene, block_seed, "random")
-        if scene.task.start == "fixed":  # such a task also has the fixed goals of its worlds
+        if scene.task.start == "fixed":  # such a task has fixed goals, too, so only the poses are random
             fixed = _draw_block(scene, block_seed, "fixed")
             states.goal[:], states.records["goal_path"] = fixed.goal, fixed.records["goal_path"]
         tables.append(states.table)

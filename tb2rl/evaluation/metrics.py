@@ -21,7 +21,7 @@ class Metric:
         value: Function from an episode to its value.
         statistic: Statistic of the values: a "rate" with its 95 % interval, a "mean" with the standard deviation, the
             "median", or the sum "per second" of simulated time.
-        goals_only: Whether tables show the metric for tasks with a goal only.
+        goals_only: Whether tables show the metric only for tasks with a goal.
         in_tables: Whether tables show the metric at all.
     """
 

@@ -196,7 +196,7 @@ def _normalized_to_tensor(
 ) -> tuple[Any, bool]:
     """Normalize an observation like `VecNormalize.normalize_obs`, then call the policy's `obs_to_tensor`.
 
-    The method itself is not used, because a copied or unpickled `VecNormalize` cannot be copied or pickled again.
+    `normalize_obs` is not used, because a copied or unpickled `VecNormalize` cannot be copied or pickled again.
     """
     parts = dict(observation) if isinstance(observation, dict) else {NUMBERS: observation}
     for key, moments in statistics.items():

@@ -106,7 +106,7 @@ def restore_into(present: Any, saved: Any, where: str) -> Any:
             return present
     elif isinstance(present, deque) and isinstance(saved, list):
         entries = [tuple(entry) if isinstance(entry, list) else entry for entry in saved]
-        values = [[*entry.values()] if isinstance(entry, Mapping) else entry for entry in entries]
+        values = [[*entry.values()] if isinstance(entry, Mapping) else entry for entry in entries]  # for `np.shape`
         if all(map(is_saveable, entries)) and len(set(map(np.shape, values))) <= 1:
             return deque(entries, maxlen=present.maxlen)
     elif isinstance(present, list | tuple):

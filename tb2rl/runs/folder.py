@@ -1,4 +1,4 @@
-"""The run folder: all files of one training; journals, from which interrupted work continues.
+"""The run folder, with all files of one training, and journals, from which interrupted work continues.
 
     runs/<task>/<agent>/<name>/
         config.yaml         config and versions of packages; config.json in a shared run, which is published on the hub
@@ -7,7 +7,7 @@
         final/policy        last policy
         evaluations.jsonl   one line for each evaluation during training
         evaluation.json     standard evaluation, by `tb2rl.evaluate`: metrics and episodes
-        episodes.safetensors  its poses and actions
+        episodes.safetensors  its paths and actions
         suite-unseen.json   result of a suite of worlds
         tensorboard/        event files
         tracker-*.json      state of an experiment tracker; wandb/: offline files of Weights & Biases
@@ -231,8 +231,9 @@ class Journal:
         work: Description of the work, as plain values; results of other work are discarded.
 
     Attributes:
-        entries: Results of an earlier program, as plain values.
-        mismatch: First key of `work` whose value differs from that in the file; None: no difference, or no file.
+        entries: Results of an earlier process, as plain values.
+        mismatch: First key of `work` whose value differs from that in the file, or "kind" if only the file has further
+            keys; None: no difference, or no file.
     """
 
     def __init__(self, path: Path | None, work: Mapping[str, Any]) -> None:

@@ -31,8 +31,8 @@ def measure_arcs(arcs: np.ndarray, initial_state: InitialState) -> np.ndarray:
     """Measure arcs with the errors of encoders and gyros.
 
     Args:
-        arcs: True lengths [m] and turns [rad], or speeds and turn rates, shape (num_envs, 2). The arcs of one robot may
-            have any number of rows.
+        arcs: True lengths [m] and turns [rad], or speeds and turn rates, shape (num_envs, 2). For one robot, `arcs`
+            may have any number of rows.
         initial_state: Errors of each robot.
 
     Returns:

@@ -35,13 +35,13 @@ class PoseHistory(Protocol):
 
 
 class CommandHistory(Protocol):
-    """The latest commands, at the time when they were given, before any latency."""
+    """The latest commands as given, without the latency after which they take effect."""
 
     def last(self, count: int) -> np.ndarray:
-        """V [m/s] and w [rad/s], newest first, shape (num_envs, count, 2); 0 before the first command."""
+        """V [m/s] and w [rad/s], newest first, shape (num_envs, count, 2); at first, the command at the start."""
 
 
-class CameraSource(Protocol):
+class StateSource(Protocol):
     """The simulator of a robot state, which renders images on demand."""
 
     @property
@@ -56,7 +56,7 @@ class CameraSource(Protocol):
 class RobotState:
     """Sensor readings and true state of all robots, and the initial state of their episodes.
 
-    Nothing changes a state after its step, but it is not frozen, because then its construction would take 1 us more.
+    Only `Simulator.reset_at` changes its arrays later. It is not frozen, because freezing would cost 1 us per state.
     """
 
     pose: np.ndarray  # true x [m], y [m], yaw [rad] in the world's frame, shape (num_envs, 3)
@@ -68,7 +68,7 @@ class RobotState:
     command: np.ndarray  # latest command in effect, v [m/s], w [rad/s], shape (num_envs, 2); 0 at the start
     acceleration: np.ndarray  # [m/s^2] forward, mean since the last state, shape (num_envs,); 0 at the start
     initial_state: InitialState  # initial states of the episodes
-    camera: CameraSource | None = None  # the simulator; None: the state does not come from a simulator
+    simulator: StateSource | None = None  # None: the state does not come from a simulator
     # Outlines of the dynamic obstacles, shape (num_envs, obstacles, 6): x, y [m], cos and sin of the heading, and two
     # sizes [m]: half length and half width of a box, radius and 0 of a circle, 0 and 0 in a row without an obstacle.
     # None: no dynamic obstacles.
@@ -91,7 +91,7 @@ class RobotState:
 
         This is privileged information for rewards. The goals must be those of `SimulationSpec.goal_paths`.
         """
-        return self._simulator.spec.goal_paths.path_length(*self._goals, self.pose)
+        return self._source.spec.goal_paths.path_length(*self._goals, self.pose)
 
     def reuse_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
         """Copy the path lengths of `earlier` to this state, if `earlier` has computed them.
@@ -112,13 +112,13 @@ class RobotState:
         """
         if self.occupancy_map is not None:
             return self.occupancy_map.lookahead_point(self, lookahead)
-        return self._simulator.spec.goal_paths.lookahead_point(*self._goals, self.pose, lookahead)
+        return self._source.spec.goal_paths.lookahead_point(*self._goals, self.pose, lookahead)
 
     @property
-    def _simulator(self) -> CameraSource:
-        if self.camera is None:
+    def _source(self) -> StateSource:
+        if self.simulator is None:
             raise InputError("this robot state does not come from a simulator, so it has no paths and no images")
-        return self.camera
+        return self.simulator
 
     @property
     def _goals(self) -> tuple[np.ndarray, np.ndarray]:
@@ -136,19 +136,19 @@ class RobotState:
             Colours, shape (num_envs, height, width, 3), uint8, or None from a simulator without colours; depth along
             the optical axis [m], shape (num_envs, height, width), float32, inf beyond the camera's range.
         """
-        return self._simulator.render_camera(self, width, height)
+        return self._source.render_camera(self, width, height)
 
     @classmethod
-    def for_one_robot(cls, values: Sequence[Any], initial_state: InitialState, camera: CameraSource) -> RobotState:
+    def for_one_robot(cls, values: Sequence[Any], initial_state: InitialState, simulator: StateSource) -> RobotState:
         """Make the state of one robot from a value for each of `ARRAYS`: a number, a sequence, or an array."""
         arrays = [value[None] if isinstance(value, np.ndarray) else np.array([value]) for value in values]
         columns: dict[str, Any] = dict(zip(ARRAYS, arrays, strict=False))
-        return cls(**columns, initial_state=initial_state, camera=camera)
+        return cls(**columns, initial_state=initial_state, simulator=simulator)
 
     @classmethod
-    def from_state(cls, state: Mapping[str, Any], camera: CameraSource | None = None) -> RobotState:
-        """Make a robot state from the result of `state`; `camera` is the simulator that continues from it."""
-        return cls(**{**state, "initial_state": InitialState(np.array(state["initial_state"]))}, camera=camera)
+    def from_state(cls, state: Mapping[str, Any], simulator: StateSource | None = None) -> RobotState:
+        """Make a robot state from the result of `state`; `simulator` continues from it."""
+        return cls(**{**state, "initial_state": InitialState(np.array(state["initial_state"]))}, simulator=simulator)
 
     def state(self) -> dict[str, Any]:
         """Copies of all measured arrays by name, and of the table of initial states."""

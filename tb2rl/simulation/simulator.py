@@ -95,9 +95,9 @@ class SimulatorType:
         """Raise an `InputError` if the simulator cannot run here; `purpose` is its use, for the message."""
         reason = self.unavailable()
         if reason is not None:
-            user = purpose or f'simulation="{self.name}" (another one is simulation="{batch_simulator().name}")'
+            use = purpose or f'simulation="{self.name}" (another one is simulation="{batch_simulator().name}")'
             remedy = f": {self.install}" if self.install and reason == NOT_INSTALLED else ""
-            raise InputError(f"{user} needs {self.title}, which {reason}{remedy}")
+            raise InputError(f"{use} needs {self.title}, which {reason}{remedy}")
 
     def open(self, spec: SimulationSpec, num_envs: int = 1, window: bool = False, processes: int | None = None) -> Any:
         """Make a simulator of this type.

@@ -118,7 +118,7 @@ class SimulationSpec:
         return spec
 
     def check_table(self, table: np.ndarray) -> None:
-        """Raise a `ValueError` if a table of initial states from a file has values that could cause endless steps."""
+        """Raise a `ValueError` if a table of initial states from a file has values that could make a step endless."""
         rows, parameters = InitialState(table).records, table[:, PARAMETERS.start :]
         known = np.isin(rows["world"], range(len(self.worlds))) & np.isin(rows["goal_path"], range(RANDOM_GOALS + 1))
         if not (known.all() and (np.abs(parameters) < _MAX_PARAMETER).all()):
@@ -139,7 +139,7 @@ class SimulationSpec:
         Args:
             worlds: Index of the world of all environments, or of each environment, shape (num_envs,).
             random_numbers: Uniform in [0, 1), shape (num_envs, 4).
-            clearance: Minimum distance to obstacles and bounds [m]; with several worlds, all starts must have it.
+            clearance: Minimum distance to obstacles and bounds [m]; with several worlds, each `World.start` needs it.
 
         Raises:
             InputError: If the only world has no such free space.

@@ -141,7 +141,7 @@ class Task(ABC):
         return (LaserRanges(spec.laser, self.range_bins),)
 
     def available_sensors(self, spec: SimulationSpec) -> tuple[Sensor, ...]:
-        """Sensors with settings of the task, that `observe` can select by name, besides those of `sensors`."""
+        """Sensors, made with the task's settings, that `observe` can select by name besides those of `sensors`."""
         return Task.sensors(self, spec)
 
     def prepare_worlds(self, worlds: tuple[World, ...], robot: Robot) -> tuple[World, ...]:
@@ -178,7 +178,7 @@ class CollisionTask(Task):
     margin_reward: float = 0.0  # penalty at contact; at a gap below the margin it is scaled by (1 - gap / margin)^2
 
     def collision_outcome(self, reward: np.ndarray, after: RobotState) -> Outcome:
-        """The outcome of a step; adds the penalties for margin and collision to `reward` (num_envs,)."""
+        """The outcome of a step; `reward` (num_envs,) gets the margin penalty, or is replaced by `collision_reward`."""
         collided = after.bumped | (after.nearest_range < self.collision_range)
         if self.margin:
             gap = after.nearest_range - after.initial_state.records["radius"]

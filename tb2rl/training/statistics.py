@@ -1,4 +1,4 @@
-"""Statistics of the episodes of a training, for TensorBoard and as lines of the ROS tutorial, and advice from them."""
+"""Statistics of a training's episodes, for TensorBoard and as lines in the ROS tutorial's format, and advice."""
 
 import sys
 import time
@@ -21,7 +21,7 @@ from tb2rl.training.state import StatefulCallback
 
 _WINDOW = 100  # number of latest episodes for running statistics and diagnostics
 _MIN_EPISODES = 20  # number of episodes that the checks of episodes need
-_WARM_UP_STEPS = 10_000  # [control steps] checks of episodes start later, because no agent learns earlier
+_WARM_UP_STEPS = 10_000  # [control steps] after which checks of episodes start, because no agent learns earlier
 _NUM_CHECKS = 100  # checks per training
 _SHORT_EPISODE = 15  # [control steps] shorter episodes are too short to learn from
 _SPINNING_SPEED = 0.08  # [m/s] mean speed below which a robot spins; the tutorial's robot drives at 0.05 m/s in turns

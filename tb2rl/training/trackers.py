@@ -115,7 +115,7 @@ def _find_tracker(name: str) -> type[Tracker]:
 
 
 def find_trackers(names: Sequence[str], untrusted_folder: Path | None = None) -> list[type[Tracker]]:
-    """Find tracker classes by name; `restrict_imports` restricts names from an `untrusted_folder`."""
+    """Find tracker classes by name; for names from the config in an `untrusted_folder`, see `restrict_imports`."""
     with restrict_imports(untrusted_folder, trust=False):
         return [_find_tracker(name) for name in names]
 
@@ -161,7 +161,7 @@ def translate_tracker_errors(name: str, *errors: type[Exception]) -> Iterator[No
 
 
 def runs_folder(folder: Path) -> Path:
-    """The nearest folder named `runs` that contains a run folder, or the parent of the run folder."""
+    """The nearest folder named `runs` above a run folder, or else the parent of the run folder."""
     parents = folder.absolute().parents
     return next((parent for parent in parents if parent.name == "runs"), parents[0])
 

@@ -48,7 +48,7 @@ def open_study(folder: StudyFolder) -> Iterator[optuna.Study]:
 
 @contextmanager
 def heartbeats(folder: StudyFolder, running: Mapping[str, optuna.Trial]) -> Iterator[Callable[[optuna.Trial], None]]:
-    """Record heartbeats of running trials in a thread; other processes fail trials without heartbeats.
+    """Record heartbeats of running trials in a thread; other processes mark trials without heartbeats as failed.
 
     Args:
         folder: Folder of the study.

@@ -90,7 +90,7 @@ def ask(folder: StudyFolder, study: Study, n_trials: int, record_heartbeat: Call
     with folder.lock():
         fail_stale_trials(study)
         for running_trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            # Its process died below, before `set_user_attr`; Optuna fails no trial that never had a heartbeat.
+            # The process that asked for it died before `set_user_attr` below. Optuna fails no trial without heartbeat.
             if _HAS_HEARTBEAT not in running_trial.user_attrs:
                 study.tell(running_trial.number, state=TrialState.FAIL)
         trials = study.get_trials(deepcopy=False)

@@ -62,7 +62,7 @@ def film_frames(steps: Iterable[EpisodeStep], period: float, rate: float, speed:
 
 
 def interpolate_pose(before: np.ndarray, after: np.ndarray, fraction: float) -> np.ndarray:
-    """Linear interpolation between two poses (3,), with the shorter of both turns."""
+    """Linear interpolation between two poses (3,); the yaw turns the shorter way."""
     difference = after - before
     difference[2] = math.remainder(difference[2], math.tau)
     return before + fraction * difference
@@ -106,7 +106,7 @@ class AboveCamera:
         if frame.dynamic_obstacles is None and len(self._world.boxes) + len(self._world.posts) == 0:
             return frame.step.after.ranges[0]
         ranges = np.empty((1, len(self._beams[0])))
-        world_ids = np.zeros(1)  # the index has only this world
+        world_ids = np.zeros(1)  # the only world in its spatial index
         cast_many(frame.pose[None], world_ids, self._beams, self._world.spatial_index, ranges)
         if frame.dynamic_obstacles is not None:
             cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], ranges)

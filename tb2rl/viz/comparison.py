@@ -88,7 +88,7 @@ def compare(first: ComparedRuns, second: ComparedRuns) -> list[Comparison]:
 def _draw_profiles(sets: Sequence[Scores], label: str) -> Markup:
     """Performance profiles: the share of runs above each score, with the 95 % interval of this share."""
     figure, axes = chart(label.lower(), "share of runs above")
-    values = np.concatenate([task for scores in sets for task in scores])
+    values = np.concatenate([task_scores for scores in sets for task_scores in scores])
     thresholds = np.linspace(min(values.min() - 0.02, 0.98), values.max() + 0.01, _NUM_THRESHOLDS)
     for i, scores in enumerate(sets):
         (shares, low, high), colour = statistics.performance_profile(scores, thresholds), GROUP_COLOURS[i]

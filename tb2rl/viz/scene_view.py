@@ -20,8 +20,8 @@ from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.bullet.obstacle_bodies import ObstacleBodies
 
 _CHASE_CAMERA = Camera(position=(-1.4, 0.0, 1.3), field_of_view=math.radians(55.0), range=(0.05, 30.0))
-_CHASE_TARGET = (0.5, 0.0, 0.1)  # [m] centre of the chase camera's image in the robot's frame
-_FLOOR_COLOUR, _SKY_COLOUR = np.array((244, 241, 234)), (255, 255, 255)  # RGB of 255
+_CHASE_TARGET = (0.5, 0.0, 0.1)  # [m] point in the robot's frame at which the chase camera looks
+_FLOOR_COLOUR, _SKY_COLOUR = np.array((244, 241, 234)), (255, 255, 255)  # RGB, from 0 to 255
 _TILE_CONTRAST = 34.0  # difference between light and dark tiles, of 255
 _GOAL_COLOUR = (0.42, 0.75, 0.29, 1.0)  # RGBA
 _HIDDEN_POSITION = (0.0, 0.0, -100.0)  # [m] position of the goal's disc if there is no goal
@@ -84,8 +84,8 @@ class SceneView:
         position, target = _chase_camera_pose(pose)
         distance = math.dist(position, target)
         pitch = math.degrees(math.asin((target[2] - position[2]) / distance))
-        heading = math.degrees(pose[2]) - 90.0
-        pybullet.resetDebugVisualizerCamera(distance, heading, pitch, target, physicsClientId=self._client)
+        yaw = math.degrees(pose[2]) - 90.0  # at yaw 0, the camera of PyBullet's window looks along the y axis
+        pybullet.resetDebugVisualizerCamera(distance, yaw, pitch, target, physicsClientId=self._client)
 
     def chase_picture(self, width: int, height: int) -> np.ndarray:
         """The picture of the chase camera behind the robot, shape (height, width, 3), uint8."""

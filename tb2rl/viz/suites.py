@@ -39,7 +39,7 @@ def result_files(files: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
 def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> SuiteSection:
     """Make the section of a result, which was read from `file`, by repeating and filming some episodes."""
     selected = select_episodes(result)
-    if not selected:  # a summary
+    if not selected:  # a summary has no episodes
         return SuiteSection(result, [])
     try:
         evaluator, policy = restore_evaluation(result, file.parent)
@@ -52,7 +52,7 @@ def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> Su
 
 
 def select_episodes(result: SuiteResult) -> Sequence[SuiteEpisode]:
-    """The first episodes that missed the goal; if none did, the one with the smallest clearance or longest path."""
+    """The first episodes that missed the goal; if none, the one with the least clearance, on a tie the longest path."""
 
     def rank(episode: SuiteEpisode) -> tuple[float, float]:
         return math.inf if episode.min_clearance is None else episode.min_clearance, -episode.distance

@@ -93,12 +93,12 @@ class Window:
 
 def has_display() -> bool:
     """Whether there is probably a display, and the default simulator has a window."""
-    display_is_set = not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))  # on Linux only
+    display_is_set = not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY"))  # only Linux needs it
     return display_is_set and default_simulator().has_window
 
 
 class Teleop:
-    """A simulated robot with a command that keys change, and the task's reward and endings.
+    """A simulated robot whose command is changed by keys, with the task's reward and endings.
 
     Args:
         scene: The robot, the worlds and the task.

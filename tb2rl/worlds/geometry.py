@@ -249,7 +249,7 @@ def clearance_in_grid(x, y, spatial_index, world_id):
     first_cell = int(worlds[world_id, WORLD.first_cell])
     column, row = cell_of(x0, side, x, columns), cell_of(y0, side, y, rows)
     # Distances from the left and the lower side of the cell. A point outside the grid is replaced by the nearest point
-    # of the grid, which is nearer to all obstacles, so that no ring is left out.
+    # of the grid, which is nearer to all obstacles, so that the search does not end too early.
     from_left = min(max(x - x0, 0.0), columns * side) - column * side
     from_bottom = min(max(y - y0, 0.0), rows * side) - row * side
     nearest = np.inf

@@ -21,7 +21,7 @@ PREFERRED_GAP = 0.35  # [m] between robot and walls; cells with a smaller gap co
 _DOUBLE_COST_GAP = 0.15  # [m] cells with this gap cost about double; the additional cost grows with 1 / gap^2
 _MAX_COST = 20.0  # high enough to prefer any detour; steeper costs would distort the direction of the path
 _UNREACHABLE_COST = 3.0  # cost of cells without a path to the goal, which robots enter by rounding errors only
-_FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, a passage too narrow for the robot can seem 0.5 m wide
+_FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, a passage in which the robot gets stuck can look like one of 0.5 m
 _PATH_STEP = 0.5 * _FINE_CELL  # [m] longer steps along a path would cut corners
 _STRAIGHT_RADIUS = 0.25  # [m] distance from the goal below which paths are straight
 _GOAL_CLEARANCE = 0.3  # [m] clearance of random goals, if any reachable cell has it
@@ -208,7 +208,7 @@ def _pop(keys, cells, size):
 def _grid_position(grid, x, y):
     """Row and column of the lower left of the four cells around a point, and the position of the point between them.
 
-    The position is upwards and to the right, from 0 at the centre of the lower left cell to 1 at the next centre.
+    The position has two parts, up and right, each from 0 at the centre of the lower left cell to 1 at the next centre.
     """
     column_position = min(max((x - grid[2]) / grid[4], 0.0), grid[1] - 1.0)
     row_position = min(max((y - grid[3]) / grid[4], 0.0), grid[0] - 1.0)

@@ -19,7 +19,7 @@ class Region:
 
     point: Point  # a point in the region, x and y [m]
     area: float  # area that the robot would cover there [m^2]
-    closed: bool  # whether the region is enclosed, so that a robot of any size cannot reach it
+    closed: bool  # whether the region is enclosed, so that no robot, however small, can reach it
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def find_reachability(world: World, radius: float) -> Reachability:
 
 
 def _find_doors(inside: BaseGeometry, obstacles: BaseGeometry, rooms: list[BaseGeometry], radius: float) -> list[Door]:
-    """Find doors: parts of the floor that touch two or more rooms, and that the robot cannot cover from any room."""
+    """Find doors: floor that the robot cannot cover, between the areas that it covers from two or more rooms."""
     covered = [room.buffer(radius * 1.001) for room in rooms]  # enlarged, because arcs are polygons
     pieces = shapely.get_parts(inside.difference(obstacles).difference(shapely.union_all(covered)))
     door_parts = [piece for piece in pieces if sum(area.distance(piece) < 1e-6 for area in covered) >= 2]

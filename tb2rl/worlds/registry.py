@@ -89,7 +89,7 @@ def find_maker(reference: str, *arguments: str) -> Callable[..., World]:
     as `os.remove`.
 
     Raises:
-        InputError: If there is no such function, or it does not take positional arguments of these names.
+        InputError: If there is no such function, or it does not take one positional argument for each of `arguments`.
     """
     found, name = find_plugin("world", reference), reference.partition(":")[2]
     try:

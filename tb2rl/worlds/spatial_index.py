@@ -13,10 +13,10 @@ import numpy as np
 
 from tb2rl.core.compiled import njit
 
-GRID_THRESHOLD = 100  # most obstacles of a world without a grid; with so few, plain loops are faster for 36 beams
-_MAX_ENTRIES_PER_OBSTACLE = 32  # mean over all cell lists; cells are enlarged until the lists are short enough
+GRID_THRESHOLD = 100  # maximum number of obstacles without a grid; with so few, plain loops are faster for 36 beams
+_MAX_ENTRIES_PER_OBSTACLE = 32  # mean over all obstacles; cells are enlarged until the lists are short enough
 _MIN_CELL_SIDE = 1e-6  # [m]
-_SLACK = 1e-6  # share of the cell side by which obstacles are enlarged, so that rounding errors omit none
+_SLACK = 1e-6  # share of the cell side by which cells are enlarged, so that rounding errors omit no obstacle
 # Columns of `SpatialIndex.worlds`, `boxes` and `posts`; numba compiles them as constants.
 _World = namedtuple("_World", "x0 y0 cell_side columns rows first_cell first_box end_box first_post end_post")
 _Box = namedtuple("_Box", "x y half_length half_width cos sin")
@@ -33,9 +33,9 @@ class SpatialIndex(NamedTuple):
     # and rows of the grid (0 without a grid); position of its first cell in `cell_lists`; first and end row of its
     # boxes and of its posts (ends are exclusive).
     worlds: np.ndarray
-    # The cell lists of each world with a grid, as compressed sparse rows. First comes a position in this array for each
-    # cell, where the obstacles of the cell begin and those of the previous cell end, lowest row of cells first; then
-    # the end of the last list; then the obstacles: k for row k of `boxes`, -1 - k for row k of `posts`.
+    # The cell lists of each world with a grid, as compressed sparse rows. First, for each cell (lowest row first),
+    # comes the position in this array where its obstacles begin and those of the previous cell end; then the end of
+    # the last list; then the obstacles: k for row k of `boxes`, -1 - k for row k of `posts`.
     cell_lists: np.ndarray
 
 
@@ -100,10 +100,11 @@ def _list_obstacles(boxes, posts, centres, half_sizes, grid, cells, entries):
     """Write each pair of a cell and an obstacle in it to `cells` and `entries`.
 
     Args:
-        boxes, posts, entries: See `SpatialIndex`.
+        boxes, posts: See `SpatialIndex`.
         centres, half_sizes: See `bounding_boxes`.
         grid: First five columns of `SpatialIndex.worlds`.
-        cells: Cell of each entry.
+        cells: Result, the cell of each pair.
+        entries: Result, the obstacle of each pair, as in `SpatialIndex.cell_lists`.
 
     Returns:
         Number of pairs; -1 if they are more than `cells` can hold.

@@ -37,7 +37,7 @@ _START, _GOAL = (-2.25, 3.0, 1.57), (-2.25, 13.0, 1.57)  # x [m], y [m], yaw [ra
 _BOUNDS = (-6.5, -2.0, 2.0, 15.0)
 _PATH_CELL = 0.15  # [m] distance between rows of a reference path (along x) and between columns (along y)
 _PATH_ORIGIN = np.array([-4.425, 5.175])  # [m] x of row 0, y of column 0
-_FOLDERS = ("", "jackal_helper/worlds/BARN", "worlds/BARN", "BARN")  # possible folders in a repository
+_FOLDERS = ("", "jackal_helper/worlds/BARN", "worlds/BARN", "BARN")  # possible folders of the worlds in a repository
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,9 @@ Bounds = tuple[float, float, float, float]  # min x, min y, max x, max y [m]
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Obstacles, start and goal of a world. Start, goal and bounds are checked, and shapes in `from_shapes`.
+    """Obstacles, start and goal of a world.
+
+    The constructor checks start, goal and bounds; `from_shapes` also checks the shapes.
 
     Attributes:
         boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).

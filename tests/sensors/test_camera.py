@@ -30,14 +30,14 @@ def camera():
 
 
 def test_depth_is_0_at_0_m_and_255_at_the_cameras_range_and_where_nothing_was_hit(camera, make_robot_state):
-    images = Camera(ROBOT.camera, width=5, height=2).read(make_robot_state(pose=[(0, 0, 0)] * 2, camera=camera))
+    images = Camera(ROBOT.camera, width=5, height=2).read(make_robot_state(pose=[(0, 0, 0)] * 2, simulator=camera))
     assert (images.dtype, images.shape) == (np.uint8, (2, 1, 2, 5))
     assert images[0, 0].tolist() == [[0, 64, 128, 255, 255]] * 2
     assert (images[1] == round(255 / RANGE)).all()
 
 
 def test_colours_come_first_and_depth_is_the_last_channel(camera, make_robot_state):
-    robot_state = make_robot_state(pose=[(0, 0, 0)] * 2, camera=camera)
+    robot_state = make_robot_state(pose=[(0, 0, 0)] * 2, simulator=camera)
     colours = Camera(ROBOT.camera, colour=True, depth=False, width=5, height=2).read(robot_state)
     both = Camera(ROBOT.camera, colour=True, width=5, height=2).read(robot_state)
     np.testing.assert_array_equal(colours, camera.colours.transpose(0, 3, 1, 2))

@@ -92,7 +92,7 @@ def test_the_position_on_a_path_at_the_start_and_the_speed_are_random(walk):
 def test_obstacles_move_far_at_their_speed_and_through_no_wall(kind, world, walk):
     group = {kind: 3, "radius": 0.25, "size": [0.4, 0.4], "speed": 0.8}
     outlines, states = walk(group, world, num_envs=8, steps=150)
-    places, clearance = outlines[..., [X, Y]], states[0].camera.spec.worlds[0].clearance
+    places, clearance = outlines[..., [X, Y]], states[0].simulator.spec.worlds[0].clearance
     least = min(clearance(*place) for place in places.reshape(-1, 2))
     assert least > (0.24 if kind == "people" else 0.178)  # where a robot can be, there they may start
     speeds = np.linalg.norm(np.diff(places, axis=0), axis=-1) / PERIOD

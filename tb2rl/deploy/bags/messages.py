@@ -26,18 +26,18 @@ class BagMessages:
         name = type_name.replace("/msg/", "/").replace("/", "/msg/")
         name = BUMPER_EVENTS[self.ros] if name in BUMPER_EVENTS.values() else name
         _, fields = self.store.fielddefs[name]
-        values = {field: self._default_value(node_type.name, detail) for field, (node_type, detail) in fields}
+        values = {field: self._default_value(kind.name, detail) for field, (kind, detail) in fields}
         if "seq" in values:
             values["seq"] = self.seq
         return self.store.types[name](**values)
 
-    def _default_value(self, node_type: str, detail: Any) -> Any:
-        if node_type == "NAME":
+    def _default_value(self, kind: str, detail: Any) -> Any:
+        if kind == "NAME":
             return self.make_message(detail)
-        if node_type == "BASE":
+        if kind == "BASE":
             return {"string": "", "bool": False}.get(detail[0], 0)
-        (element_node_type, element_detail), length = detail
-        return np.zeros(length, dtype=element_detail[0]) if element_node_type.name == "BASE" else []
+        (element_kind, element_detail), length = detail
+        return np.zeros(length, dtype=element_detail[0]) if element_kind.name == "BASE" else []
 
     def make_time(self, nanoseconds: int) -> Any:
         seconds, remainder = divmod(nanoseconds, BILLION)

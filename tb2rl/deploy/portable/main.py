@@ -58,8 +58,8 @@ def main(arguments: list[str] | None = None) -> None:
         try:
             status, problem = _answer_all(options, guard)
         except OSError as error:  # such as a closed pipe
-            with suppress(OSError, ValueError):  # so that the interpreter does not fail to flush stdout when it exits
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else the flush at exit could fail
             status, problem = 2, f"the input or the output failed: {error}"
     if problem:
         _log("error: {}".format(" ".join(problem.split())[:300]))

@@ -165,7 +165,7 @@ class ScanReader:
         cos, sin = np.cos(all_angles[valid]), np.sin(all_angles[valid])
         along, across = mounting.x * cos + mounting.y * sin, mounting.y * cos - mounting.x * sin  # of the scanner [m]
         no_hit, horizon = np.isinf(distances), range_max if 0.0 < range_max < math.inf else self._needs.max_range
-        along += np.where(no_hit, horizon, distances)
+        along += np.where(no_hit, horizon, distances)  # of each reading; axes along and across its direction
         radius, theta = np.where(no_hit, np.inf, np.hypot(along, across)), angles + np.arctan2(across, along)
         right_end, left_end = theta[0], theta[-1]
         if not full_circle:

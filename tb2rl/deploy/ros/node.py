@@ -84,7 +84,7 @@ class Node(Protocol):
         """Call `receive` with each message; `latest_only`: drop waiting messages when a new one arrives."""
 
     def create_service(self, service: str, type_name: str, callback: Callable[[], str | None]) -> None:
-        """Offer a service; "~/NAME" is private to the node. ROS 2 has no `SET_PHYSICS`, so that service is not offered.
+        """Offer a service; "~/NAME" is private to the node. ROS 2 has no `SET_PHYSICS`; it is not offered there.
 
         `callback` runs in a thread of ROS. It returns the reason of a failure, else None or an empty string.
         """

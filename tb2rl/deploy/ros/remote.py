@@ -24,7 +24,7 @@ _RESET_SERVICES = ("/gazebo/reset_world", "/reset_world")  # of Gazebo in ROS 1 
 _ZERO_COMMAND = (0.0, 0.0)
 _ZERO_COMMAND_REPEATS = 10  # number of zero commands in a row; then other programs can drive the robot
 _MAX_REST_SPEEDS = (0.02, 0.05)  # [m/s], [rad/s] of a robot at rest, because odometry is noisy
-_MAX_EARLINESS, _MAX_LATENESS = 0.1, 0.5  # [control steps] a step may end so long before or after its planned end
+_MAX_EARLINESS, _MAX_LATENESS = 0.1, 0.5  # [control steps] a step may end this much before or after its planned end
 _SCANS_AFTER_RESET = 2  # number of scans to wait for; the first may be from before the reset
 # All in seconds of wall-clock time:
 _POLL_PERIOD = 0.02
@@ -202,10 +202,10 @@ class RemoteRobot:
         """Stop the robot if the next step is late; repeat zero commands, and the command of a step in progress."""
         with self._condition:
             now, repeat_period = self._clock.now(), _SIMULATED_REPEAT_PERIOD if self._uses_sim_time else 0.0
-            has_command = self._zero_repeats_left > 0 or self._repeat_until > -math.inf
+            must_repeat = self._zero_repeats_left > 0 or self._repeat_until > -math.inf
             if now > self._watchdog_deadline and self._command != _ZERO_COMMAND:
                 self._send(_ZERO_COMMAND)
-            elif has_command and now > self._last_publish_time + repeat_period:
+            elif must_repeat and now > self._last_publish_time + repeat_period:
                 self._publish()
 
     # ---- called with the lock of `_condition` held

@@ -80,7 +80,7 @@ class SimulationServer:
         node.create_service("/gazebo/unpause_physics", EMPTY, lambda: self._pause(False))
         node.create_service("/gazebo/reset_world", EMPTY, lambda: self._reset(reset_clock=False))
         node.create_service("/gazebo/reset_simulation", EMPTY, lambda: self._reset(reset_clock=True))
-        node.create_service("/gazebo/set_physics_properties", SET_PHYSICS, lambda: None)  # programs ignore its effect
+        node.create_service("/gazebo/set_physics_properties", SET_PHYSICS, lambda: None)  # programs need no effect
         node.announce_sim_time()
 
     def run(self) -> None:
@@ -107,7 +107,7 @@ class SimulationServer:
         return self._lockstep is None or (self._scan.connected() and any(each.connected() for each in self._commands))
 
     def _step(self) -> None:
-        self._has_answer &= self._has_resumed  # a command after a pause answers the scan before the pause
+        self._has_answer &= self._has_resumed  # after a pause, a command that precedes the scan counts as its answer
         self._has_resumed = self._is_interrupted = False
         self._publish(with_scan=self._ticks_until_scan == 0)
         if self._ticks_until_scan == 0:

@@ -14,10 +14,10 @@ Topic = Annotated[str, StringConstraints(pattern="^/?[A-Za-z][A-Za-z0-9_]*(/[A-Z
 
 @dataclass(frozen=True)
 class Topics:
-    """Topics of the simulated robot; the defaults are those of the 2018 tutorial's robot in Gazebo."""
+    """Topics of the simulated robot; the defaults are those of the tutorial's robot in Gazebo, see FROM_ROS.md."""
 
     velocity: Topic = "/cmd_vel"  # commands to the base
-    navigation: Topic = "/cmd_vel_mux/input/navi"  # commands by the input of the TurtleBot2's multiplexer
+    navigation: Topic = "/cmd_vel_mux/input/navi"  # commands to the navigation input of the TurtleBot2's multiplexer
     scan: Topic = "/kobuki/laser/scan"
     odometry: Topic = "/odom"
     colours: Topic = "/camera/rgb/image_raw"

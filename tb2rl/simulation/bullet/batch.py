@@ -123,7 +123,9 @@ class BulletBatch:
         self._initial_states[indices] = initial_state.table
         columns: dict[str, Any] = {name: self._records[name][indices] for name in self._columns}
         self._last_reset = indices
-        return self._robot_state(), RobotState(**columns, initial_state=InitialState(initial_state.table), camera=self)
+        return self._robot_state(), RobotState(
+            **columns, initial_state=InitialState(initial_state.table), simulator=self
+        )
 
     def state(self) -> dict[str, Any]:
         """The state of each world, and the poses of the latest robot state."""
@@ -177,7 +179,7 @@ class BulletBatch:
         """Robot state of all environments, with copies of the records."""
         columns: dict[str, Any] = {name: self._records[name].copy() for name in self._columns}
         self._poses = columns["pose"]
-        return RobotState(**columns, initial_state=InitialState(self._initial_states), camera=self)
+        return RobotState(**columns, initial_state=InitialState(self._initial_states), simulator=self)
 
 
 def _receive(pipe: Connection) -> Any:

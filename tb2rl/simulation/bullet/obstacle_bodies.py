@@ -37,7 +37,7 @@ class ObstacleBodies:
             pybullet.resetBasePositionAndOrientation(body, (x, y, WALL_HEIGHT / 2), orientation, self._client)
 
     def _add(self, length: float, width: float) -> int:
-        shape = pybullet.GEOM_CYLINDER if width == 0.0 else pybullet.GEOM_BOX  # ignores sizes of the other shape
+        shape = pybullet.GEOM_CYLINDER if width == 0.0 else pybullet.GEOM_BOX  # each ignores sizes of the other
         size = {"radius": length, "halfExtents": (length, width, WALL_HEIGHT / 2), "physicsClientId": self._client}
         collision = pybullet.createCollisionShape(shape, height=WALL_HEIGHT, **size)
         visual = pybullet.createVisualShape(shape, length=WALL_HEIGHT, rgbaColor=_COLOUR, **size)
@@ -66,7 +66,7 @@ class BulletObstacles(SimulatedObstacles):
         self._bodies.place(self.outlines[0])
 
     def begin_step(self, steps: int, duration: float, robot: RobotBody, initial_state: InitialState) -> bool:
-        """Begin a control step, and complete it if the robot is out of reach of all obstacles.
+        """Begin a control step; the obstacles complete it here if the robot is out of their reach.
 
         Args:
             steps: Number of physics steps in the control step.
@@ -75,7 +75,7 @@ class BulletObstacles(SimulatedObstacles):
             initial_state: Initial state of the episode.
 
         Returns:
-            Whether the control step is complete. If not, `step` must run each physics step.
+            Whether the obstacles have completed the control step. If not, `step` must run each physics step.
         """
         self._steps, self._duration, self.touched = steps, duration, False
         if not self.table.shape[1]:

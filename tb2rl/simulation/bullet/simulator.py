@@ -71,7 +71,7 @@ class BulletSimulator:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Repeat the drive in a new client, because the state of the physics cannot be copied without rounding errors.
 
-        In 1 of 300 drives among adjacent posts, contacts of an earlier episode changed the last digits of the poses.
+        Among adjacent posts, 1 of 300 copies differs in the last digits, because it lacks earlier episodes' contacts.
         """
         vars(self).update(state)
         if self._client < 0:
@@ -187,9 +187,9 @@ class BulletSimulator:
             Whether the robot touched a wall, and whether it touched a dynamic obstacle.
         """
         wall_hit, obstacles, client, steps = False, self._obstacles, self._client, self._steps
-        is_complete = obstacles.begin_step(steps, self._duration / steps, self._body, self._initial_state)
+        obstacles_done = obstacles.begin_step(steps, self._duration / steps, self._body, self._initial_state)
         for step in range(steps):
-            if is_complete:
+            if obstacles_done:
                 pybullet.stepSimulation(client)
             else:
                 obstacles.step(step)
@@ -200,7 +200,7 @@ class BulletSimulator:
     def state(self) -> dict[str, Any]:
         """Motion and sensors of the robot, initial state and dynamic obstacles."""
         motion = self._body.motion()
-        # PyBullet rounds a restored motion. Restoring it here, too, lets both copies continue from the same numbers.
+        # PyBullet rounds a restored motion. Restoring it here, too, lets this simulator go on from the same numbers.
         self._prepare(self._initial_state, rebuild=True)
         self._place(motion)
         return {

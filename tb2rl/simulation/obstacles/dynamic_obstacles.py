@@ -89,8 +89,8 @@ class SimulatedObstacles:
         else:
             candidates = candidates[..., [1, 2, 3, 0]]
         if (self._presence < 1.0).any():
-            group_numbers = np.take_along_axis(source.uniform(count), self._first_of_group[worlds], axis=1)
-            table[group_numbers >= self._presence[worlds]] = _EMPTY_ROW
+            group_draws = np.take_along_axis(source.uniform(count), self._first_of_group[worlds], axis=1)
+            table[group_draws >= self._presence[worlds]] = _EMPTY_ROW
         _place_obstacles(obstacles, self._path_points, candidates, starts, self._spec.spatial_index)
         self.table[indices], self.streams[indices, 0], self.streams[indices, 1] = table, keys, source.counts
 

@@ -100,7 +100,7 @@ def share_until_contact(from_x, from_y, to_x, to_y, radius, obstacle):
     """Share in [0, 1] of a motion, of robot or obstacle, before they touch; 1 without contact, or if they move apart.
 
     The robot's positions before and after the motion are relative to the obstacle's centre [m]. `radius` [m] is the
-    robot's, or that and a gap that counts as contact.
+    robot's radius, to which the gap that counts as contact may be added.
     """
     gap = distance_to_outline(to_x, to_y, obstacle) - radius
     if gap >= 0.0 or gap > distance_to_outline(from_x, from_y, obstacle) - radius:
@@ -118,7 +118,7 @@ def share_until_contact(from_x, from_y, to_x, to_y, radius, obstacle):
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def is_out_of_reach(x, y, max_speed, duration, radius, obstacles, i):
-    """Whether the robot and its obstacles can neither touch nor avoid each other in a control step of a `duration` [s].
+    """Whether the robot and its obstacles cannot affect each other in a control step of a `duration` [s].
 
     In this case they move independently, which is much faster. The robot at x, y [m] is not faster than
     `max_speed` [m/s]. People who avoid the robot are never out of reach.

@@ -35,9 +35,9 @@ class ImportOptions:
     """Settings that take precedence over a world file.
 
     Attributes:
-        start: x [m], y [m], yaw [rad]; None: the start of the file, otherwise the point farthest from all walls.
+        start: x [m], y [m], yaw [rad]; None: the start that the file sets, otherwise the point farthest from all walls.
         goal: x [m], y [m] and optionally yaw [rad]; None: the goal of the file, if there is one.
-        bounds: Rectangle of the world; None: the bounding box of obstacles, start and goal.
+        bounds: Rectangle of the world; None: the bounds of a map, else the bounding box of obstacles, start and goal.
         unknown: Meaning of a map's unknown cells.
         laser_height: Height at which the shapes of an SDF world are cut [m].
         model_path: Folders of SDF models, searched before those of environment variables.
@@ -72,16 +72,16 @@ def complete_world(
     """
     if len(boxes) + len(posts) > _MAX_OBSTACLES:
         raise InputError(f"world {name} has {len(boxes) + len(posts)} obstacles, the limit is {_MAX_OBSTACLES}")
-    fixed = options.bounds or bounds
-    known_bounds = fixed or (None if boxes or posts else (-_OPEN_MARGIN, -_OPEN_MARGIN, _OPEN_MARGIN, _OPEN_MARGIN))
-    world = World.from_shapes(name, boxes, posts, start=(0.0, 0.0, 0.0), bounds=known_bounds, description=description)
+    bounds = options.bounds or bounds
+    initial_bounds = bounds or (None if boxes or posts else (-_OPEN_MARGIN, -_OPEN_MARGIN, _OPEN_MARGIN, _OPEN_MARGIN))
+    world = World.from_shapes(name, boxes, posts, start=(0.0, 0.0, 0.0), bounds=initial_bounds, description=description)
     x0, y0, x1, y1 = world.bounds
     for pose in (options.start, options.goal):
-        if fixed is None and pose is not None and not (x0 <= pose[0] <= x1 and y0 <= pose[1] <= y1):
+        if bounds is None and pose is not None and not (x0 <= pose[0] <= x1 and y0 <= pose[1] <= y1):
             x0, y0 = min(x0, pose[0] - _MARGIN), min(y0, pose[1] - _MARGIN)
             x1, y1 = max(x1, pose[0] + _MARGIN), max(y1, pose[1] + _MARGIN)
     start = options.start or _farthest_from_walls(world)
-    if start is None and fixed is None:  # a single wall or post fills its bounding box
+    if start is None and bounds is None:  # a single wall or post fills its bounding box
         x0, y0, x1, y1 = x0 - _OPEN_MARGIN, y0 - _OPEN_MARGIN, x1 + _OPEN_MARGIN, y1 + _OPEN_MARGIN
         start = _farthest_from_walls(replace(world, bounds=(x0, y0, x1, y1)))
     if start is None:
@@ -103,9 +103,9 @@ def _farthest_from_walls(world: World) -> Pose | None:
     outlines = world.outlines(_DOOR_RADIUS, _ARC_SEGMENTS)
     if mean_overlaps(outlines) * len(outlines) > _MAX_OVERLAPS:
         raise InputError(f"world {world.name}: its obstacles overlap too often to find a start; set one")
-    outside = shapely.box(*world.bounds).buffer(_MARGIN, join_style="mitre")
-    rooms = shapely.get_parts(outside.difference(shapely.disjoint_subset_union_all(outlines)))
-    is_enclosed = ~shapely.intersects(rooms, outside.exterior)
+    enlarged_bounds = shapely.box(*world.bounds).buffer(_MARGIN, join_style="mitre")
+    rooms = shapely.get_parts(enlarged_bounds.difference(shapely.disjoint_subset_union_all(outlines)))
+    is_enclosed = ~shapely.intersects(rooms, enlarged_bounds.exterior)
     rooms, indices = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
     rooms, is_enclosed = rooms[shapely.area(rooms) > 0], is_enclosed[indices][shapely.area(rooms) > 0]
     if len(rooms) == 0:

@@ -27,7 +27,7 @@ def read_xml(path: Path) -> Element:
     content = read_limited(path)
     try:
         return ElementTree.fromstring(content, ElementTree.XMLParser(target=_NoEntities()))
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two also from the encoding
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two for unsupported encodings, too
         raise InputError(one_line(f"{path} is not XML: {error}")) from None
 
 
@@ -35,7 +35,7 @@ def read_limited(path: Path) -> bytes:
     """Read a regular file of at most `MAX_FILE_SIZE` bytes.
 
     Raises:
-        InputError: If the path is no such file.
+        InputError: If the path is not a regular file, or the file is larger.
         OSError: If the file cannot be read.
     """
     if not os.path.isfile(path):  # noqa: PTH113 (Path.is_file raises for a name that is too long)

@@ -59,7 +59,7 @@ class _Reader:
         self._find_model = cache(self._models.find_model)
 
     def read(self, root: Element) -> None:
-        """Read the first world of an <sdf>, or its models without a world."""
+        """Read the first world of an <sdf>, or its models if it has no world."""
         worlds = root.findall("world")
         for world in worlds[1:]:
             self._omit("only the first world of the file is read, not", element_name(world))

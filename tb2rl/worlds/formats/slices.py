@@ -27,11 +27,11 @@ _EPSILON = 1e-6  # [m] tolerance for rounding errors
 _MAX_TILT = 1e-6  # [rad] maximum tilt of an upright shape
 _PLANE_TOLERANCE = 1e-6  # [m] corners within this distance of the plane count as in the plane
 _CYLINDER_SIDES = 48  # sides of the prism that replaces a tilted cylinder; the error is 0.2 % of the radius
-_MESH_EXTENSIONS = (".dae", ".obj", ".stl")  # of Gazebo; files that they reference do not affect the shape
+_MESH_EXTENSIONS = (".dae", ".obj", ".stl")  # of Gazebo's meshes; files that a mesh references do not affect its shape
 _MESH_GRID = 1e-5  # [m] end points of lines are rounded to this grid, so that adjacent lines meet
 _MAX_LINES = 30_000  # limit of the number of lines in a cut
 _MAX_CROSSINGS = 40  # limit of the mean number of lines that a line crosses
-_ROBOT_RADIUS = 0.25  # [m] faces of an open body are solid if they have no room for a robot of this radius
+_ROBOT_RADIUS = 0.25  # [m] in a cut of an open body, a face with room for a robot of this radius is not solid
 
 
 class OmittedShape(Exception):  # noqa: N818 (not an error, because the rest of the world is read)
@@ -110,7 +110,7 @@ class Slice:
                 self.boxes += [(x + box[0], y + box[1], *box[2:]) for box in _divide_into_boxes(relative.wkb)]
 
     def add_mesh(self, mesh: Any, pose: np.ndarray, scale: np.ndarray) -> None:
-        """Add a mesh from `load_mesh`, with a scale (3,); open surfaces become thin walls on the left of lines."""
+        """Add a mesh from `load_mesh`, with a scale (3,); open surfaces become thin walls on one side of the cut."""
         import trimesh
 
         placed = mesh.copy()

@@ -13,14 +13,14 @@ from tb2rl.worlds.world import World
 
 CORRIDOR = (1.6, 1.0)  # [m] minimum width at difficulty 0 and 1
 WALL = 0.16  # [m] thickness
-_PASSAGE = 2 * MIN_PASSAGE / CORRIDOR[0]  # required passage on a small floor, as a share of the corridor's width
+_PASSAGE_SHARE = 2 * MIN_PASSAGE / CORRIDOR[0]  # required passage on a small floor, as a share of the corridor's width
 _MIN_TREE = 0.75  # minimum share of the blocks in the tree; the other blocks are solid
 
 
 def circuit(rng: np.random.Generator, difficulty: float, size: Size) -> World:
     """A circuit whose corridor varies in width."""
     narrowest = min(_blocks(difficulty, length)[1] for length in size)
-    return solvable(_draw, rng, difficulty, size, max_passage=_PASSAGE * narrowest)
+    return solvable(_draw, rng, difficulty, size, max_passage=_PASSAGE_SHARE * narrowest)
 
 
 def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
