@@ -45,7 +45,7 @@ def test_outcomes_of_several_environments_are_those_of_each_alone(name, make_rob
     task, rng, num_envs = find_task(name)(), np.random.default_rng(0), 60
     spec = make_spec(world_of(name))
     start = task.initial_state(spec.for_world(0), random_source())
-    aim = {"goal": start.goal[0], "bounds": start.bounds[0], "camera": SimpleNamespace(spec=spec)}
+    aim = {"goal": start.goal[0], "bounds": start.bounds[0], "simulator": SimpleNamespace(spec=spec)}
     poses = rng.uniform((-2, -4, -3), (7, 4, 3), (2, num_envs, 3))
     nearest, bumped = rng.uniform(0.1, 4, num_envs), rng.random(num_envs) < 0.2
     task.actions.space.seed(0)

@@ -142,7 +142,7 @@ def test_the_last_evaluation_of_a_training_that_stops_early_stands_for_the_remai
     report = PruningReporter(study.ask(), 4, "success")
 
     report(SimpleNamespace(good_rate=0.75, score=(0.5, 100.0)))
-    report.report_remaining_steps()
+    report.report_remaining_evaluations()
     assert study.trials[0].intermediate_values == dict.fromkeys((1, 2, 3, 4), 0.75)
 
 
