@@ -57,9 +57,9 @@ class LocalPlanner(BasePolicy):
         planner, observed = type(self).__name__.lower(), {*latest} & {*_INPUTS}
         has_target = "waypoint" in observed or observed >= {"goal direction", "goal distance"}
         if not (has_target and observed >= {"laser", "forward speed", "turn rate"}):
-            needed = "a laser, its speeds and a goal or a waypoint, as in task navigate"
-            found = f"(task.observe: laser, twist, waypoint), got {', '.join(sorted(observed)) or 'none of them'}"
-            raise InputError(f"{planner} needs {needed} {found}")
+            needed = "a laser, the robot's speeds and a goal or a waypoint, as in task navigate"
+            found = ", ".join(sorted(observed)) or "none of them"
+            raise InputError(f"{planner} needs {needed} (task.observe: laser, twist, waypoint), got {found}")
         if not isinstance(action_space, spaces.Box):
             raise InputError(f"{planner} sets speeds, so it needs task.named_actions=false")
         beams, directions = len(self._columns["laser"]), vehicle.directions
@@ -110,7 +110,7 @@ def rotation_side(view, robot, radius, gap):
 
 @njit(cache=True, **NO_REFCOUNT)
 def free_distance(points, curvature, radius, gap, max_distance):
-    """The distance along an arc to the first contact [m]; inf without contact within `max_distance` of the robot.
+    """The distance along an arc to the first contact [m]; inf without a contact.
 
     The obstacle distance of the dynamic window approach (Fox, Burgard & Thrun 1997).
 
@@ -119,7 +119,7 @@ def free_distance(points, curvature, radius, gap, max_distance):
         curvature: Curvature of the arc, positive to the left [1/m].
         radius: Radius of the robot [m].
         gap: Distance to keep from obstacles [m]; for points that are already closer, the gap is 0.
-        max_distance: Largest distance of interest [m].
+        max_distance: Points farther than this from the robot (and the gap) are ignored [m].
     """
     free = math.inf
     for beam in range(points.shape[0]):
@@ -152,7 +152,9 @@ def _contact_distance(x, y, curvature, radius):
     if abs(curvature) < _MAX_STRAIGHT_CURVATURE:
         return x - math.sqrt(radius * radius - y * y) if x > 0.0 and abs(y) < radius else math.inf
     arc_radius = 1.0 / abs(curvature)
-    outward = arc_radius - math.copysign(y, y * curvature)  # x, outward: the point relative to the arc's centre
+    outward = arc_radius - math.copysign(
+        y, y * curvature
+    )  # x, outward: the point from the arc's centre, seen by the robot
     square = x * x + outward * outward
     if not (arc_radius - radius) ** 2 < square < (arc_radius + radius) ** 2:
         return math.inf

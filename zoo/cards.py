@@ -7,7 +7,7 @@ from pathlib import Path
 import jinja2
 
 from tb2rl.worlds.suites import SUITES
-from tb2rl.zoo.entry import WORLDS, Entry, listed_suite_policies, navigating_policies
+from tb2rl.zoo.entry import WORLDS, Entry, navigating_policies, policies_of_suites_yaml
 
 
 def card(entry: Entry) -> str:
@@ -19,7 +19,7 @@ def card(entry: Entry) -> str:
 def table(built_entries: Sequence[Entry]) -> str:
     """README of the zoo: results of all policies in their own worlds, in unseen worlds and in suites."""
     results = defaultdict(list)  # separate tables for suites of the same name with different worlds
-    for policy in (*navigating_policies(built_entries), *listed_suite_policies()):
+    for policy in (*navigating_policies(built_entries), *policies_of_suites_yaml()):
         for summary in policy.summaries:
             results[SUITES.index(summary.suite), summary.suite_digest].append((policy, summary))
     suites = [results[key] for key in sorted(results)]

@@ -246,7 +246,7 @@ def entries() -> list[Entry]:
     return [Entry(name, recipe, zoo_folder() / name) for name, recipe in recipes.items()]
 
 
-def listed_suite_policies() -> list[SuitePolicy]:
+def policies_of_suites_yaml() -> list[SuitePolicy]:
     """The policies of `suites.yaml`, with their arguments of `python -m tb2rl.evaluate`."""
     file = zoo_folder() / "suites.yaml"
     listed = read_yaml(file) if file.is_file() else {}
@@ -259,12 +259,12 @@ def navigating_policies(built_entries: Iterable[Entry]) -> list[SuitePolicy]:
 
 
 def select(names: Sequence[str]) -> tuple[list[Entry], list[SuitePolicy]]:
-    """Find entries and listed suite policies by name; without names return all.
+    """Find entries and policies of suites.yaml by name; without names return all.
 
     Raises:
         InputError: If a name is unknown.
     """
-    all_entries, policies = entries(), listed_suite_policies()
+    all_entries, policies = entries(), policies_of_suites_yaml()
     known_names = [item.name for item in (*all_entries, *policies)]
     for name in names:
         if name not in known_names:

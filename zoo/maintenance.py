@@ -43,9 +43,9 @@ def build(options: argparse.Namespace) -> None:
     barn = [] if options.barn is None else [find_suite("barn", options.barn)]
     with make_executor(options) as executor:
         train(selected, options.again, executor)
-        selected, listed_policies = select(options.names)  # new objects, because entries cache their files
-        evaluate_in_unseen_worlds(selected, executor)
-    policies = [*navigating_policies(selected), *listed_policies]
+        selected, other_policies = select(options.names)  # new objects, because entries cache their files
+        evaluate_in_other_worlds(selected, executor)
+    policies = [*navigating_policies(selected), *other_policies]
     for suite in [find_suite(UNSEEN_SUITE), *barn] if policies else []:
         for policy in policies:
             policy.evaluate_in(suite, options)
@@ -56,26 +56,26 @@ def build(options: argparse.Namespace) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Check cards and suite results, without names also the README; exit with status 1 if there are problems."""
+    """Check cards and suite results, and the README if no names are given; exit with status 1 if there are problems."""
     default_physics().check(_PYBULLET_USER)
     names, num_episodes = options.names, EPISODES if options.episodes is None else options.episodes
-    selected, listed_policies = select(names)
+    selected, other_policies = select(names)
     if not 1 <= num_episodes <= EPISODES:
         raise InputError(f"--episodes must be from 1 to {EPISODES}, got {num_episodes}")
     problems = [line for entry in progress(selected, "checking", "policy") for line in _problems(entry, num_episodes)]
-    policies = [*navigating_policies(selected), *listed_policies]
+    policies = [*navigating_policies(selected), *other_policies]
     files = [policy.file(suite) for policy in policies for suite in SUITES] if names else suites_folder().glob("*")
     files = [file for file in files if file.is_file()]
     valid = {policy.file(summary.suite) for policy in policies for summary in policy.summaries}
     stale = sorted(file for file in files if file not in valid)
     problems += [f"suites/{file.name} is stale: its policy or task has changed or is gone" for file in stale]
     if not names and read_text(zoo_folder() / "README.md") != table(selected):
-        problems.append("README.md differs from the files")
+        problems.append("README.md does not match the results")
     for line in problems:
         say(line)
     if problems:
         raise SystemExit(1)
-    print(f"{len(selected)} cards hold" + (f", and {len(files)} results of suites" if files else ""))
+    print(f"{len(selected)} cards hold" + (f", and so do {len(files)} results of suites" if files else ""))
 
 
 def _problems(entry: Entry, num_episodes: int) -> list[str]:
@@ -94,7 +94,7 @@ def _problems(entry: Entry, num_episodes: int) -> list[str]:
     if read_text(entry.folder / "README.md") != card(entry):
         problems.append("its card differs from its files")
     if rate < low:
-        problems.append(f"{percent(rate)} good episodes, below the card's interval from {percent(low, 1)}")
+        problems.append(f"{percent(rate)} good episodes, below {percent(low, 1)}, the lower end of the card's interval")
     if speed < (1 - _SPEED_TOLERANCE) * speed_before:
         problems.append(f"{speed:.3f} m/s, {speed_before:.3f} m/s when the card was written")
     return [f"{entry.name}: {problem}" for problem in problems]
@@ -125,8 +125,8 @@ def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
         print(f"{job.name}: trained in {job.folder}", flush=True)
 
 
-def evaluate_in_unseen_worlds(entries: Sequence[Entry], executor: Executor) -> None:
-    """Evaluate policies in their missing unseen worlds, and write the summaries to their folders."""
+def evaluate_in_other_worlds(entries: Sequence[Entry], executor: Executor) -> None:
+    """Evaluate policies in those unseen `WORLDS` that have no summary yet, and write the summaries to their folders."""
     missing = {f"{entry.name} in {world}": (entry, world) for entry in entries for world in entry.missing_worlds}
     jobs = [Job(name, (read_files(entry.folder), world)) for name, (entry, world) in missing.items()]
     for job, summary in executor.as_completed(_evaluate_in_world, jobs):

@@ -118,7 +118,7 @@ class ControlLoop:
         if self._latency:
             delayed_commands = self._recent_commands.delay(commands, before.initial_state.records["command_latency"])
         after = self.simulator.step(delayed_commands, self.task.control_period, inactive)
-        # Without latency, the executed command is observed, because a real robot may limit the command.
+        # With latency, the policy observes its filtered command; without, the executed one, which a robot may limit.
         observed_commands = commands if self._latency else after.command
         outcome = self.task.outcome(before, actions, after)
         reward, terminated = outcome.reward, outcome.terminated
@@ -151,7 +151,7 @@ class ControlLoop:
         for command_filter in self._filters:
             command_filter.reset_at(indices)
         self._robot_state, reset_states = self.simulator.reset_at(indices, initial_state, rng)
-        self._robot_state.reuse_path_lengths(before, indices, reset_states)
+        self._robot_state.copy_goal_path_lengths(before, indices, reset_states)
         self._recent_commands.reset_at(indices, reset_states.command)
         self._observation_pipeline.reset_at(indices, reset_states, observations)
 
@@ -209,7 +209,7 @@ class ControlLoop:
 
 @njit(cache=True)
 def _count_step(lengths, returns, distances, reward, travelled, terminated, episode_steps):
-    """Add a step to the sums of each episode, in place; compiled only because numpy takes 3 us for a few environments.
+    """Add a step to the sums of each episode, in place; compiled because numpy takes 3 us even for few environments.
 
     All arrays have the shape (num_envs,). Returns which episodes are truncated after `episode_steps`.
     """

@@ -141,9 +141,9 @@ def _run_remote(
     load()  # first, because unpickling the job may need the user's modules; the objects stay in a cache
     job: Job = pickle.loads(pickled_job)
     with TemporaryDirectory(prefix="tb2rl-job-") as parent:
-        folder = Path(parent, "folder")
-        result = run_job(load, replace(job, folder=job.folder and folder))
-        return result, read_files(folder) if folder.is_dir() else None
+        local_folder = Path(parent, "folder")
+        result = run_job(load, replace(job, folder=job.folder and local_folder))
+        return result, read_files(local_folder) if local_folder.is_dir() else None
 
 
 class UserModules:

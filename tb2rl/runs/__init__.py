@@ -3,7 +3,7 @@
 `folder.py` lists the files of a run folder. This room imports environments and the rooms below them.
 """
 
-from tb2rl.runs.algorithm import driving_policy, make_algorithm, make_baseline, settings_error
+from tb2rl.runs.algorithm import make_algorithm, make_baseline, policy_with_normalization, settings_error
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.checkpoint import SUFFIX, is_saveable, read_checkpoint, restore_into, write_checkpoint
 from tb2rl.runs.config import Config, TrainSettings, as_preset, config_from, flatten, parse_settings, resolve

@@ -179,7 +179,7 @@ def _statistics_tree(statistics: RunningMeanStd) -> dict[str, Any]:
     return {"mean": np.array(statistics.mean), "var": np.array(statistics.var), "count": count}
 
 
-def driving_policy(algorithm: BaseAlgorithm) -> BasePolicy:
+def policy_with_normalization(algorithm: BaseAlgorithm) -> BasePolicy:
     """A policy for observations that are not normalized; it shares the networks of the algorithm's policy."""
     env = algorithm.get_vec_normalize_env()
     if env is None or not env.norm_obs:

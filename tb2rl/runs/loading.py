@@ -25,7 +25,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from tb2rl.core import InputError, one_line, top_folder, unknown, untrusted_source
 from tb2rl.core.errors import install_extra
 from tb2rl.core.values import CountOrZero, checked
-from tb2rl.runs.algorithm import driving_policy, load_statistics, make_algorithm
+from tb2rl.runs.algorithm import load_statistics, make_algorithm, policy_with_normalization
 from tb2rl.runs.arguments import LIBRARY_ERRORS
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import Config, config_from
@@ -40,7 +40,8 @@ _REFERENCE = re.compile(r"hf:([\w.-]+/[\w.-]+)(?:@([\w./-]+))?")
 def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
     """Load a trained agent, ready to `predict`; `make_env` makes the environment of its training.
 
-    A policy trained with `train.norm_obs` normalises its observations itself. To continue its training, resume its run.
+    A policy trained with `train.norm_obs` normalises its observations itself. A loaded agent cannot train; resume its
+    run instead.
 
     Args:
         reference: A run folder (its best policy is loaded), a checkpoint, "zoo:NAME", or a policy on the hub,
@@ -63,7 +64,7 @@ def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
     load_parameters(algorithm, {**content, "training": None}, file)  # without the state to resume from
-    algorithm.policy = driving_policy(algorithm)
+    algorithm.policy = policy_with_normalization(algorithm)
     if env := algorithm.get_vec_normalize_env():
         env.training = False
     algorithm.trained_with = config  # type: ignore[attr-defined]

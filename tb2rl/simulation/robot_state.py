@@ -93,7 +93,7 @@ class RobotState:
         """
         return self._source.spec.goal_paths.path_length(*self._goals, self.pose)
 
-    def reuse_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
+    def copy_goal_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
         """Copy the path lengths of `earlier` to this state, if `earlier` has computed them.
 
         Args:

@@ -11,7 +11,7 @@ from stable_baselines3.common.logger import Image
 
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.metrics import shown_metrics
-from tb2rl.runs import Run, driving_policy
+from tb2rl.runs import Run, policy_with_normalization
 from tb2rl.training.state import StatefulCallback, capture
 from tb2rl.training.statistics import EpisodeStatistics, TrainingDiagnostics
 from tb2rl.viz.pictures import draw_paths
@@ -68,7 +68,7 @@ class EvaluationCallback(StatefulCallback):
     def evaluate(self, progress_bar: bool = False) -> Evaluation:
         """Evaluate the present policy."""
         start_time = time.monotonic()
-        evaluation = self.evaluator.run(driving_policy(self.model), progress_bar)
+        evaluation = self.evaluator.run(policy_with_normalization(self.model), progress_bar)
         success_rate, mean_return = evaluation.score
         score = (success_rate, mean_return) if self.settings.best_by == "success" else (mean_return, 0.0)
         summary = {

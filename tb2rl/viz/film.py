@@ -145,7 +145,7 @@ def record(
                 for step in steps:
                     if step.number == 1:
                         recorder.reset(step.before)
-                    policy_command = scene.actions.commands(scene.actions.checked(step.action))[0]  # before filters
+                    policy_command = scene.actions.commands(scene.actions.checked(step.action))[0]  # not yet filtered
                     recorder.step(policy_command, step.reward, step.after)
     return bags
 

@@ -135,9 +135,8 @@ def _parse_drawing(text: str, cell: float, label: str) -> tuple[list[BoxShape], 
                 poses[mark] = (begin + 0.5) * cell, (row + 0.5) * cell, 0.0
             else:
                 known = "# (wall), one S (start), one G (goal), and . or a blank (free floor)"
-                raise InputError(
-                    f"{label}: the drawing has {mark!r} in line {number}, column {begin + 1}; it takes {known}"
-                )
+                place = f"line {number}, column {begin + 1}"
+                raise InputError(f"{label}: the drawing has {mark!r} in {place}; it takes {known}")
     boxes: list[BoxShape] = []
     for left, right, bottom, top in stack_runs(*np.array(wall_runs, dtype=int).reshape(-1, 3).T).tolist():
         centre = (left + right) / 2 * cell, (bottom + top) / 2 * cell

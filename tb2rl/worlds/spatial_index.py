@@ -14,9 +14,9 @@ import numpy as np
 from tb2rl.core.compiled import njit
 
 GRID_THRESHOLD = 100  # maximum number of obstacles without a grid; with so few, plain loops are faster for 36 beams
-_MAX_ENTRIES_PER_OBSTACLE = 32  # mean over all obstacles; cells are enlarged until the lists are short enough
+_MAX_ENTRIES_PER_OBSTACLE = 32  # mean over all obstacles; the cell side is doubled until the lists are short enough
 _MIN_CELL_SIDE = 1e-6  # [m]
-_SLACK = 1e-6  # share of the cell side by which cells are enlarged, so that rounding errors omit no obstacle
+_SLACK = 1e-6  # share of the cell side; obstacles this close to a cell are in its list, in spite of rounding
 # Columns of `SpatialIndex.worlds`, `boxes` and `posts`; numba compiles them as constants.
 _World = namedtuple("_World", "x0 y0 cell_side columns rows first_cell first_box end_box first_post end_post")
 _Box = namedtuple("_Box", "x y half_length half_width cos sin")
@@ -57,10 +57,10 @@ def join_indices(indices: Sequence[SpatialIndex]) -> SpatialIndex:
         worlds[1:, first] = worlds[:-1, end]
     worlds[1:, WORLD.first_cell] = np.cumsum([len(index.cell_lists) for index in indices])[:-1]
     cell_lists = [index.cell_lists.copy() for index in indices]
-    for world, shifted in zip(worlds.astype(np.int32), cell_lists, strict=True):
+    for world, cell_list in zip(worlds.astype(np.int32), cell_lists, strict=True):
         offset_count = world[WORLD.columns] * world[WORLD.rows] + 1
-        shifted[:offset_count] += world[WORLD.first_cell]
-        entries = shifted[offset_count:]
+        cell_list[:offset_count] += world[WORLD.first_cell]
+        entries = cell_list[offset_count:]
         entries += np.where(entries < 0, -world[WORLD.first_post], world[WORLD.first_box])
     boxes, posts = (np.concatenate([index[table] for index in indices]) for table in (0, 1))
     return SpatialIndex(boxes, posts, worlds, np.concatenate(cell_lists))

@@ -75,7 +75,7 @@ def test_a_batch_of_robots_acts_as_each_of_them_alone(policy, playground):
 @pytest.mark.parametrize(
     ("task", "settings", "message"),
     [
-        ("drive", {}, "vfh needs a laser, its speeds and a goal or a waypoint"),
+        ("drive", {}, "vfh needs a laser, the robot's speeds and a goal or a waypoint"),
         ("navigate", {"world": "wall", "named_actions": True}, "task.named_actions=false"),
         ("navigate", {"world": "wall", "beams": 1}, "vfh needs 2 beams or more"),
         (

@@ -12,7 +12,7 @@ from tb2rl.runs.config import config_from
 from tb2rl.runs.loading import config_of
 from tb2rl.zoo import maintenance
 from tb2rl.zoo.cards import card, overview, table
-from tb2rl.zoo.entry import WORLDS, entries, listed_suite_policies, suites_folder, zoo_folder
+from tb2rl.zoo.entry import WORLDS, entries, policies_of_suites_yaml, suites_folder, zoo_folder
 
 ENTRIES = entries()
 PLACES = ("maze-loop", "maze-circuit", "maze-round", "maze-maze", "my-maze-loop", "wall-wall")  # of every agent
@@ -67,8 +67,8 @@ def test_a_card_and_its_figures_agree_with_the_episodes(entry):
         assert sum(figures["endings"].values()) == figures["episodes"] == EPISODES
 
 
-@pytest.mark.parametrize("policy", listed_suite_policies(), ids=lambda policy: policy.name)
-def test_listed_suite_policies_have_the_name_of_their_agent_or_entry_and_variation(policy):
+@pytest.mark.parametrize("policy", policies_of_suites_yaml(), ids=lambda policy: policy.name)
+def test_policies_of_suites_yaml_have_the_name_of_their_agent_or_entry_and_variation(policy):
     reference, agent, task = policy.evaluate_options.policy, policy.evaluate_options.agent, policy.config.task
     who = reference.removeprefix("zoo:") if reference else f"{agent}-{task.guide}"
     usual = "none" if agent else config_of(tb2rl.load(reference)).task.variation

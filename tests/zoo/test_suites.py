@@ -14,7 +14,7 @@ from tb2rl.runs import loading
 from tb2rl.runs.folder import Run
 from tb2rl.zoo import maintenance
 from tb2rl.zoo.cards import overview
-from tb2rl.zoo.entry import Entry, entries, listed_suite_policies
+from tb2rl.zoo.entry import Entry, entries, policies_of_suites_yaml
 
 MINE = (
     "--agent qlearn --task navigate --simulation kinematic --total-timesteps 50"
@@ -83,7 +83,7 @@ def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main
     assert driven == [0, 1, 2], "what is there is kept"
 
     main(["check"])
-    assert capsys.readouterr().out.endswith("0 cards hold, and 1 results of suites\n")
+    assert capsys.readouterr().out.endswith("0 cards hold, and so do 1 results of suites\n")
     tree = json.loads(file.read_text())
     tree["figures"]["all"]["success_rate"] = 1.0
     file.write_text(json.dumps(tree))
@@ -91,7 +91,7 @@ def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main
     with pytest.raises(SystemExit, match="1"):
         main(["check"])
     said = capsys.readouterr().out
-    assert "README.md differs from the files" in said
+    assert "README.md does not match the results" in said
     assert "suites/gone-unseen.json is stale: its policy or task has changed or is gone" in said
     file.write_text("<<<<<<< HEAD")
     with pytest.raises(SystemExit, match="2"):
@@ -101,7 +101,7 @@ def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main
 
 def test_other_worlds_and_another_task_and_again_are_driven_anew(main, suite_zoo, driven, set_suite):
     def summary():
-        (policy,) = listed_suite_policies()
+        (policy,) = policies_of_suites_yaml()
         return policy.summary("unseen")
 
     main(["build"])

@@ -24,7 +24,7 @@ DRIVING, DRY_RUN, NOT_STARTED = "driving", "dry run", "not started"
 BUMPED, REACHED, STOPPED = "the bumper was touched", "the goal is reached", "told to stop"
 MAX_AGE = 0.5  # [s] of sensor data; with older data the robot stops
 _ZERO_SPEEDS: Speeds = (0.0, 0.0)
-_MAX_CLOCK_DIFFERENCE = 1e6  # [s] with a larger one, one clock is simulated time and the other is wall-clock time
+_MAX_CLOCK_DIFFERENCE = 1e6  # [s] if the clocks differ by more, one shows simulated and one wall-clock time
 _MAX_EARLINESS = 0.1  # [control steps] a decision may come early by this much, because clocks jitter
 _MAX_WAIT = 2.0  # [control steps] a decision that lies farther ahead is made at once, because the clock was set back
 _MAX_SCAN_PERIOD = 1.2  # [control steps] a warning is given if scans arrive less often
@@ -47,7 +47,7 @@ class Command:
         v: Forward speed [m/s].
         w: Turn rate to the left [rad/s].
         why: "driving", or the reason for a stop in plain words.
-        wanted: The v and w of this command without `dry_run`; zeros if the robot is stopped.
+        wanted: The v and w after all filters, which a dry run does not send; zeros if the robot is stopped.
     """
 
     v: float
@@ -223,19 +223,19 @@ class Driver:
         self._in_episode = True
         plan = self._plan if self.needs.goal == "plan" else None
         waypoint = plan.lookahead_point(self._pose, self.needs.lookahead) if plan else None
-        bumped = False  # a contact ends the drive
+        bumped = False  # after a contact the policy is not asked
         sensor_data = SensorData(ranges, self._pose, self._twist, bumped, self._last_command, self._goal, waypoint)
-        wanted = self._policy.act(sensor_data)
-        if all(map(math.isfinite, wanted)):
+        speeds = self._policy.act(sensor_data)
+        if all(map(math.isfinite, speeds)):
             names = ("ranges", "pose", "twist", "bumped", "command")
             robot_state: Any = SimpleNamespace(**{name: np.array([getattr(sensor_data, name)]) for name in names})
-            commands = np.array([wanted])
+            commands = np.array([speeds])
             for command_filter in self._filters:
                 commands = command_filter(commands, robot_state)
-            wanted = tuple(commands[0].tolist())
-        if not all(map(math.isfinite, wanted)):
-            return "the policy or a filter returned {} and {} in place of finite speeds".format(*wanted)
-        self._wanted = wanted
+            speeds = tuple(commands[0].tolist())
+        if not all(map(math.isfinite, speeds)):
+            return "the policy or a filter returned {} and {} in place of finite speeds".format(*speeds)
+        self._wanted = speeds
         return ""
 
 

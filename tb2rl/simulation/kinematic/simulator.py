@@ -83,8 +83,8 @@ class KinematicSimulator:
         self.spec, self.num_envs, laser = spec, num_envs, spec.laser
         beams = np.cos(laser.angles), np.sin(laser.angles)
         physics_step = 1.0 / (PHYSICS_RATE * spec.substeps)  # [s]
-        limits = float(laser.noise), float(laser.min_range), float(laser.max_range)
-        self._constants = Constants(spec.spatial_index, beams, *limits, physics_step)
+        values = float(laser.noise), float(laser.min_range), float(laser.max_range)
+        self._constants = Constants(spec.spatial_index, beams, *values, physics_step)
         self._obstacles = SimulatedObstacles(spec, num_envs)
         obstacle_count = self._obstacles.table.shape[1]
         self._robot_time = _ROBOT_TIME + _BEAM_TIME * len(laser.angles) + _OBSTACLE_TIME * obstacle_count
@@ -100,13 +100,13 @@ class KinematicSimulator:
 
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
         self._place_robots(initial_state, _draw_keys(rng, self.num_envs))
-        self._obstacles.table = self._obstacles.table.copy()  # earlier robot states keep the present table
+        self._obstacles.table = self._obstacles.table.copy()  # earlier robot states refer to the old table
         self._obstacles.reset_at(np.arange(self.num_envs), initial_state)
         return self._scan_all()
 
     def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         if self.spec.has_dynamic_obstacles:
-            self._obstacles.table = self._obstacles.table.copy()  # earlier robot states keep the present table
+            self._obstacles.table = self._obstacles.table.copy()  # earlier robot states refer to the old table
         _, self._records, self._ranges = robots = self.stepped_robots(commands, duration)
         self.travelled = robots.records["travelled"]
         if self._odometry is not None:
@@ -187,13 +187,12 @@ class KinematicSimulator:
         upward = half_height * (height - 2.0 * np.arange(1, height + 1)) / height
         cosines = 1.0 / np.hypot(1.0, leftward)  # of the angles between the rays and the optical axis
         # Walls and dynamic obstacles have the same height, so that one planar ray is enough for a column of pixels.
-        rays, depths = (cosines, cosines * leftward), np.empty((len(lens_poses), width))
-        cast_many(lens_poses, robot_state.initial_state.world, rays, self.spec.spatial_index, depths)
+        rays, distances = (cosines, cosines * leftward), np.empty((len(lens_poses), width))
+        cast_many(lens_poses, robot_state.initial_state.world, rays, self.spec.spatial_index, distances)
         if obstacles is not None:
-            cast_at_outlines(lens_poses, rays, obstacles, depths)
-        depths *= cosines
+            cast_at_outlines(lens_poses, rays, obstacles, distances)
         images = np.empty((len(lens_poses), height, width), dtype=np.float32)
-        _fill_images(depths, upward, lens_height, camera.range[1], images)
+        _fill_images(distances * cosines, upward, lens_height, camera.range[1], images)
         return None, images
 
     @property

@@ -12,7 +12,7 @@ from tb2rl.deploy.graph import build_graph
 from tb2rl.deploy.network import OBSERVATION, extract_network, observation_spaces
 from tb2rl.deploy.portable.policy import Network
 from tb2rl.envs.encodings import stack_observations
-from tb2rl.runs.algorithm import driving_policy, make_algorithm
+from tb2rl.runs.algorithm import make_algorithm, policy_with_normalization
 from tb2rl.runs.config import resolve
 from tb2rl.runs.loading import config_of
 
@@ -53,7 +53,7 @@ def random_policy(agent, task, settings):
     env, rng = algorithm.get_vec_normalize_env(), np.random.default_rng(0)
     for met in env.obs_rms.values() if env and isinstance(env.obs_rms, dict) else [env.obs_rms] if env else []:
         met.mean, met.var = rng.uniform(0.0, 9.0, met.mean.shape), rng.uniform(0.1, 9.0, met.var.shape)
-    algorithm.policy = driving_policy(algorithm)
+    algorithm.policy = policy_with_normalization(algorithm)
     return algorithm, config.scene.actions
 
 
