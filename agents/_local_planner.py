@@ -152,9 +152,8 @@ def _contact_distance(x, y, curvature, radius):
     if abs(curvature) < _MAX_STRAIGHT_CURVATURE:
         return x - math.sqrt(radius * radius - y * y) if x > 0.0 and abs(y) < radius else math.inf
     arc_radius = 1.0 / abs(curvature)
-    outward = arc_radius - math.copysign(
-        y, y * curvature
-    )  # x, outward: the point from the arc's centre, seen by the robot
+    # The point relative to the arc's centre: forward by x, and from the centre towards the robot by `outward`.
+    outward = arc_radius - math.copysign(y, y * curvature)
     square = x * x + outward * outward
     if not (arc_radius - radius) ** 2 < square < (arc_radius + radius) ** 2:
         return math.inf

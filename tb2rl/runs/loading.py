@@ -40,8 +40,7 @@ _REFERENCE = re.compile(r"hf:([\w.-]+/[\w.-]+)(?:@([\w./-]+))?")
 def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
     """Load a trained agent, ready to `predict`; `make_env` makes the environment of its training.
 
-    A policy trained with `train.norm_obs` normalises its observations itself. A loaded agent cannot train; resume its
-    run instead.
+    A policy trained with `train.norm_obs` normalises its observations itself. To continue a training, resume its run.
 
     Args:
         reference: A run folder (its best policy is loaded), a checkpoint, "zoo:NAME", or a policy on the hub,
