@@ -157,7 +157,7 @@ def scan(i, constants, robots, scratch, obstacles):
         for beam in range(beam_count):
             if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < start.dropped:
                 ranges[i, beam] = np.inf
-    robot.shortest_range = shortest_range(ranges, i)
+    robot.nearest_range = shortest_range(ranges, i)
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")

@@ -44,7 +44,7 @@ ROBOT = np.dtype(
         ("arc", "f8", 2),  # distance driven [m] and turn [rad] in the step
         ("travelled", "f8"),  # [m] straight distance between the positions before and after the step
         ("acceleration", "f8"),  # [m/s^2] forward, mean of the step
-        ("shortest_range", "f8"),  # [m] of the laser
+        ("nearest_range", "f8"),  # [m] shortest range of the laser
         ("bumped", "?"),  # whether the base touched an obstacle
         ("nearest_is_dynamic", "?"),  # see `RobotState`
     ],
@@ -140,7 +140,7 @@ class KinematicSimulator:
         motion = measured_motion = initial_state.pose, zero_pairs
         measured = self._ranges[indices], bumped, zero_pairs, zeros
         fields = *motion, *measured_motion, *measured, initial_state, self, *self._obstacle_fields(indices)
-        nearest_range = self._records["shortest_range"][indices]
+        nearest_range = self._records["nearest_range"][indices]
         return self._robot_state(), RobotState(*fields, nearest_range=nearest_range)
 
     def state(self) -> dict[str, Any]:
@@ -212,7 +212,7 @@ class KinematicSimulator:
             measured_motion = self._odometry, measure_arcs(records["twist"], self._initial_state)
         measured = self._ranges, records["bumped"], records["command"], records["acceleration"]
         fields = *motion, *measured_motion, *measured, self._initial_state, self, *self._obstacle_fields()
-        return RobotState(*fields, nearest_range=records["shortest_range"])
+        return RobotState(*fields, nearest_range=records["nearest_range"])
 
     def _obstacle_fields(self, indices: np.ndarray | slice = slice(None)) -> tuple[Any, ...]:
         """Fields `dynamic_obstacles` and `nearest_is_dynamic` of `RobotState` for some environments."""
