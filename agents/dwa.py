@@ -12,7 +12,7 @@ from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.core.values import NonNegative, Positive
 from tb2rl.robots.vehicle import Vehicle
 
-AGENT = Agent(algorithm=None, policy="tb2rl.agents.dwa:DWA", fixed_observation=True)
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.dwa:DWA", fixed_obs_mode=True)
 
 NUM_SPEEDS, NUM_TURN_RATES = 4, 15  # samples of v and w, including both ends; w also includes the middle
 _HEADING_TIME = 0.4  # [s] the heading is evaluated after driving for this time

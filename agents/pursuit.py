@@ -16,7 +16,7 @@ from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.core.values import NonNegative, Positive
 from tb2rl.robots.vehicle import Vehicle
 
-AGENT = Agent(algorithm=None, policy="tb2rl.agents.pursuit:Pursuit", fixed_observation=True)
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.pursuit:Pursuit", fixed_obs_mode=True)
 
 _CURVATURE_STEP = 0.25  # [1/m] curvature difference of neighbouring candidate arcs
 _MAX_DISTANCE = 1.0  # [m] obstacles farther along the arc are ignored

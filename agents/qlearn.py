@@ -21,7 +21,7 @@ from tb2rl.agents._qtable import QTable, Transitions, UpdateRule, update_table
 from tb2rl.core.values import Fraction
 
 AGENT = Agent(
-    "tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", fixed_observation=True, actions="discrete"
+    "tb2rl.agents.qlearn:QLearning", policy="QTable", observation="discrete", fixed_obs_mode=True, actions="discrete"
 )
 
 

@@ -16,7 +16,7 @@ from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.core.values import NonNegative, Positive
 from tb2rl.robots.vehicle import Vehicle
 
-AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", fixed_observation=True)
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.vfh:VFH", fixed_obs_mode=True)
 
 NUM_SECTORS = 72  # number of sectors of the histogram, over 360 degrees; sector 0 points backwards
 _SECTOR_WIDTH = math.tau / NUM_SECTORS  # [rad]
@@ -31,8 +31,8 @@ class VFH(LocalPlanner):
     this distance is at least `window`. The original VFH+ applies a threshold to a grid of past scans instead.
     Directions without a scan are open. A valley is a range of open directions. Candidates are at least half of
     `valley` from the edges of a wide valley, or in the middle of a narrow one; the direction of the target may be a
-    candidate. A robot that turns on the spot keeps turning to the left or to the right. Otherwise it could turn to
-    and fro, because it does not see behind. The turn rate replaces the previous direction, because the planner has
+    candidate. A robot that turns on the spot keeps turning to the same side. Otherwise it could turn to and fro,
+    because it does not see behind. The turn rate replaces the previous direction, because the planner has
     no memory.
 
     Args:
@@ -91,20 +91,20 @@ def _shorten_free_distances(free, points, radius):
     Args:
         free: Free distances [m], shape (num_envs, NUM_SECTORS); changed in place.
         points: See `LocalView`.
-        radius: Radius of the disc [m]; a point inside the disc blocks all directions towards the point.
+        radius: Radius of the disc [m]; a point inside the disc blocks all directions up to 90 degrees from it.
     """
     for robot in range(points.shape[0]):
         for beam in range(points.shape[1]):
             x, y = points[robot, beam, 0], points[robot, beam, 1]
             distance, bearing = math.hypot(x, y), math.atan2(y, x)
             half_angle = math.asin(radius / distance) if distance > radius else math.pi / 2.0
-            first_sector = math.ceil((bearing - half_angle) / _SECTOR_WIDTH)
-            for sector in range(first_sector, math.floor((bearing + half_angle) / _SECTOR_WIDTH) + 1):
-                angle = sector * _SECTOR_WIDTH - bearing
+            first_step = math.ceil((bearing - half_angle) / _SECTOR_WIDTH)  # counted from straight ahead
+            for step in range(first_step, math.floor((bearing + half_angle) / _SECTOR_WIDTH) + 1):
+                angle = step * _SECTOR_WIDTH - bearing
                 half_chord = math.sqrt(max(radius**2 - (distance * math.sin(angle)) ** 2, 0.0))
                 contact = max(distance * math.cos(angle) - half_chord, 0.0) if distance > radius else 0.0
-                column = (sector + NUM_SECTORS // 2) % NUM_SECTORS
-                free[robot, column] = min(free[robot, column], contact)
+                sector = (step + NUM_SECTORS // 2) % NUM_SECTORS
+                free[robot, sector] = min(free[robot, sector], contact)
 
 
 @njit(cache=True, **NO_REFCOUNT)

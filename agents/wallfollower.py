@@ -10,7 +10,7 @@ from stable_baselines3.common.policies import BasePolicy
 from tb2rl import Agent
 from tb2rl.core.errors import InputError
 
-AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", fixed_observation=True)
+AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", fixed_obs_mode=True)
 
 FORWARD, LEFT, RIGHT = 0, 1, 2
 ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # v, w of forward, left, right; from -1 to 1

@@ -18,7 +18,7 @@ class Agent:
         policy: Name of the algorithm's policy; `ANY_POLICY` selects the policy for the observation space. For an agent
             that does not learn, a `BasePolicy`, as "module:Class".
         observation: Default observation mode, "discrete" or "raw".
-        fixed_observation: Whether the agent supports only this observation mode.
+        fixed_obs_mode: Whether the agent supports only this observation mode.
         actions: Type of actions that the agent can learn, "discrete" (`Commands`) or "continuous" (`Velocities`); None:
             all types that the algorithm supports.
     """
@@ -26,7 +26,7 @@ class Agent:
     algorithm: str | None
     policy: str = ANY_POLICY
     observation: str = "raw"
-    fixed_observation: bool = False
+    fixed_obs_mode: bool = False
     actions: str | None = None
 
     def load(self) -> Any:

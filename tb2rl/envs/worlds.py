@@ -12,7 +12,7 @@ from tb2rl.core.files import is_path
 from tb2rl.core.values import MAX_WORLDS, build
 from tb2rl.worlds import ImportOptions, World
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings, Purpose, generate
-from tb2rl.worlds.registry import CODE_REFERENCE, find_maker, find_world, world_extensions, world_names
+from tb2rl.worlds.registry import WORLD_OR_READER, find_maker, find_world, world_extensions, world_names
 
 _MAX_NAMES = 3  # most worlds that a title lists by name
 _registered: dict[str, tuple[World, ...]] = {}  # worlds from another process, by `_key` of their entry
@@ -22,9 +22,10 @@ def find_worlds(setting: Any, purpose: Purpose = "training") -> tuple[World, ...
     """Find, read or generate the worlds of a task.
 
     Args:
-        setting: A name for `find_world`, a generator's name, a folder, the settings of a generator, a file with
-            `tb2rl.worlds.ImportOptions` ({file: my_map.yaml, start: [0, 0, 0]}), or a list of these. If a world and a
-            generator have the same name (`maze`), the name alone is the world, and `{generator: maze}` the generator.
+        setting: A name for `find_world`, a generator's name, a folder, the settings of a generator, a file and
+            `tb2rl.worlds.ImportOptions` for it ({file: my_map.yaml, start: [0, 0, 0]}), or a list of these. If a world
+            and a generator have the same name (`maze`), the name alone is the world, and `{generator: maze}` the
+            generator.
         purpose: Purpose of generated worlds; other worlds do not depend on it.
 
     Raises:
@@ -56,8 +57,8 @@ def absolute_worlds(setting: Any) -> Any:
         return {**setting, "file": absolute_worlds(setting["file"]), **({"model_path": folders} if folders else {})}
     if not isinstance(setting, str):
         return tuple(map(absolute_worlds, setting))
-    if reference := CODE_REFERENCE.fullmatch(setting):
-        return f"{reference[1]}:{Path(reference[2]).resolve()}" if reference[2] else setting
+    if reference := WORLD_OR_READER.fullmatch(setting):
+        return f"{reference[1]}:{Path(reference['path']).resolve()}" if reference["path"] else setting
     is_file = is_path(setting) and os.path.isfile(setting)  # noqa: PTH113 (Path.is_file raises for a name that is too long)
     return str(Path(setting).resolve()) if is_file or _is_folder(setting) else setting
 
@@ -68,15 +69,15 @@ def paths_in(setting: Any) -> Iterator[str]:
         if isinstance(entry, Mapping):
             if "file" in entry:
                 yield from [*paths_in(str(entry["file"])), *_import_options(entry).model_path]
-        elif reference := CODE_REFERENCE.fullmatch(entry):
-            yield from filter(None, [reference[2]])
+        elif reference := WORLD_OR_READER.fullmatch(entry):
+            yield from filter(None, [reference["path"]])
         elif is_path(entry) or _is_folder(entry):
             yield entry
 
 
 def are_generated(setting: Any) -> bool:
     """Whether a setting has generated worlds, which depend on the purpose."""
-    entries, names = _entries(setting), _generators()
+    entries, names = _entries(setting), _bare_generator_names()
     return any("file" not in entry if isinstance(entry, Mapping) else entry in names for entry in entries)
 
 
@@ -84,9 +85,9 @@ def worlds_title(setting: Any, worlds: Sequence[World]) -> str:
     """A title for the worlds of a setting: "loop", "loop, circuit", "512 worlds of mixed"."""
     if len(worlds) <= _MAX_NAMES:
         return ", ".join(world.name for world in worlds)
-    generator = setting["generator"] if isinstance(setting, Mapping) else setting
-    has_one_generator = are_generated(setting) and isinstance(generator, str)
-    return f"{len(worlds)} worlds of {generator}" if has_one_generator else f"{len(worlds)} worlds"
+    source = setting["generator"] if isinstance(setting, Mapping) else setting
+    is_generator = are_generated(setting) and isinstance(source, str)
+    return f"{len(worlds)} worlds of {source}" if is_generator else f"{len(worlds)} worlds"
 
 
 def _entries(setting: Any) -> Sequence[str | Mapping[str, Any]]:
@@ -101,10 +102,10 @@ def _source(entry: str | Mapping[str, Any]) -> Any:
         return [_file_and_options(entry)] if "file" in entry else build(GeneratorSettings, entry, "task.world")
     if _is_folder(entry):
         return [(file, None) for file in _files_in(entry)]
-    if entry in _generators():
+    if entry in _bare_generator_names():
         return GeneratorSettings(entry)
     if ":" not in entry and not is_path(entry) and entry not in world_names():
-        raise unknown("world", entry, [*world_names(), *_generators()])
+        raise unknown("world", entry, [*world_names(), *_bare_generator_names()])
     return [(entry, None)]
 
 
@@ -119,8 +120,8 @@ def _key(entry: Any) -> str:
 
 
 def _file_and_options(entry: Mapping[str, Any]) -> tuple[str, ImportOptions]:
-    file, reference = entry["file"], CODE_REFERENCE.fullmatch(entry["file"])
-    if file in _generators() or _is_folder(file) or (reference and reference[2] is None):
+    file, reference = entry["file"], WORLD_OR_READER.fullmatch(entry["file"])
+    if file in _bare_generator_names() or _is_folder(file) or (reference and reference["path"] is None):
         raise InputError(one_line(f"task.world.file must be a single file; {file} is not"))
     return file, _import_options(entry)
 
@@ -138,7 +139,7 @@ def _generated_worlds(settings: GeneratorSettings, purpose: Purpose) -> tuple[Wo
     return generate(settings, GENERATORS[settings.generator], purpose)
 
 
-def _generators() -> list[str]:
+def _bare_generator_names() -> list[str]:
     """Names of generators, without those that are also names of worlds."""
     return [name for name in GENERATORS if name not in world_names()]
 

@@ -36,7 +36,7 @@ EPISODES, STEPS = 100, 1500  # number and time limit [control steps] of the stan
 SEED = 20_180_000  # seed of the standard evaluation, far from the seeds that trainings use
 VALIDATION_SEED = 20_190_000  # seed of the evaluations during training
 SOLVED_RATE = 0.95  # minimum success rate of a solved task
-# Maximum slots in a process if each is a simulated world of its own, or if all are rows of arrays, respectively.
+# Maximum slots (environments, see `run_episodes`) in a process, for simulators that need processes and for others.
 _MAX_WORLD_SLOTS, _MAX_ARRAY_SLOTS = 25, 1024
 _BLOCK_SIZE = 100  # number of initial states that are drawn with one seed, see `random_initial_states`
 
@@ -66,7 +66,8 @@ def evaluate(
         simulation: An argument of `find_simulator`, such as a name or a `RosRobot`; None: `default_simulator`.
         progress: Whether to show a progress bar if there is a terminal.
         options: `steps` is the time limit of an episode [control steps]; its default is the setting `episode_steps`, or
-            1500 without this setting. `episodes` is the number of episodes. See `Evaluator` for `seed` and `workers`.
+            1500 without this setting. `episodes` is the number of episodes: 100 in simulation, or 1 with a
+            `simulation` outside, such as a robot. See `Evaluator` for `seed` and `workers`.
 
     Raises:
         InputError: If the policy does not exist, a setting is invalid, or the policy has other spaces than the task.
@@ -189,14 +190,14 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         if num_slots not in self._loops:
             self._loops[num_slots] = ControlLoop.open(self.scene, self.simulator, num_slots, processes=1)
         starts = [self._episode_start(number) for number in numbers]
-        records = run_episodes(self._loops[num_slots], policy, starts, self.simulator.is_external)
-        finished: dict[int, Episode] = {}
+        ended = run_episodes(self._loops[num_slots], policy, starts, self.simulator.is_external)
+        finished: dict[int, Episode] = {}  # by number; episodes may end in another order
         threads = th.get_num_threads()
         th.set_num_threads(1)  # because the networks are small, and more threads only wait for each other
         try:
             for number in numbers:
                 while number not in finished:
-                    finished.update([next(records)])
+                    finished.update([next(ended)])
                 yield finished.pop(number)
         finally:
             th.set_num_threads(threads)

@@ -25,7 +25,7 @@ from tb2rl.envs.encodings import NUMBERS
 from tb2rl.envs.features import InverseRange
 from tb2rl.robots.vehicle import Vehicle
 from tb2rl.runs.arguments import LIBRARY_ERRORS, algorithm_arguments
-from tb2rl.runs.checkpoint import restore_into
+from tb2rl.runs.checkpoint import restore_like
 from tb2rl.runs.config import Config
 from tb2rl.tasks.actions import Velocities
 
@@ -161,7 +161,7 @@ def load_statistics(algorithm: BaseAlgorithm, tree: Any) -> None:
     env = algorithm.get_vec_normalize_env()
     if env is None:
         return
-    restored = restore_into(statistics_of(algorithm), tree, "normalisation")
+    restored = restore_like(statistics_of(algorithm), tree, "normalisation")
     current = [*_observation_statistics(env).values(), env.ret_rms]
     for statistics, values in zip(current, [*restored["observations"].values(), restored["rewards"]], strict=True):
         vars(statistics).update(values)

@@ -2,7 +2,7 @@
 
 A checkpoint is a safetensors file, which cannot contain code. Its header contains the plain values as JSON, with
 references to the arrays. safetensors compares all shapes with the size of the file, so that a damaged file cannot cause
-large allocations. `restore_into` compares names, shapes and types with those of the training, because compiled code
+large allocations. `restore_like` compares names, shapes and types with those of the training, because compiled code
 does not check them.
 """
 
@@ -81,7 +81,7 @@ def is_saveable(value: Any) -> bool:
     return isinstance(value, bool | int | float | np.ndarray | np.generic | th.Tensor | deque)
 
 
-def restore_into(present: Any, saved: Any, where: str) -> Any:
+def restore_like(present: Any, saved: Any, where: str) -> Any:
     """Convert a tree from a checkpoint to the types of the present tree.
 
     Arrays are copied into the present arrays, because the memory layout of weights can affect a network's rounding.
@@ -95,11 +95,11 @@ def restore_into(present: Any, saved: Any, where: str) -> Any:
         ValueError: If the trees differ in names, shapes or types, or a number is not finite.
     """
     if isinstance(present, th.Tensor):
-        return th.from_numpy(restore_into(present.detach().cpu().numpy(), saved, where)).to(present.device)
+        return th.from_numpy(restore_like(present.detach().cpu().numpy(), saved, where)).to(present.device)
     if isinstance(present, Mapping) and isinstance(saved, Mapping):
         if differing := saved.keys() ^ set(map(str, present)):
             raise ValueError(f"{where} has missing or unknown attributes: {', '.join(sorted(differing))}")
-        return {key: restore_into(part, saved[str(key)], f"{where}.{key}") for key, part in present.items()}
+        return {key: restore_like(part, saved[str(key)], f"{where}.{key}") for key, part in present.items()}
     if isinstance(present, np.ndarray) and isinstance(saved, np.ndarray):
         if (saved.shape, saved.dtype) == (present.shape, present.dtype):
             present[...] = saved
@@ -111,7 +111,7 @@ def restore_into(present: Any, saved: Any, where: str) -> Any:
             return deque(entries, maxlen=present.maxlen)
     elif isinstance(present, list | tuple):
         if isinstance(saved, list) and len(saved) == len(present):
-            parts = [restore_into(part, saved[i], f"{where}.{i}") for i, part in enumerate(present)]
+            parts = [restore_like(part, saved[i], f"{where}.{i}") for i, part in enumerate(present)]
             return type(present)(*parts) if hasattr(present, "_fields") else type(present)(parts)
     elif isinstance(present, float | np.floating):  # a checkpoint may contain a whole number as an integer
         if type(saved) in (int, float) and math.isfinite(saved):

@@ -109,7 +109,7 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     agent_name, task_name = str(sections["agent"].pop("name")), str(sections["task"].pop("name"))
     agent = find_agent(agent_name)
     observation = str(sections["task"].pop("observation", agent.observation))
-    if agent.fixed_observation and observation != agent.observation:
+    if agent.fixed_obs_mode and observation != agent.observation:
         raise InputError(f"agent {agent_name} needs task.observation={agent.observation}, got {observation!r}")
     task = build(find_task(task_name), sections["task"], "task")
     for file in paths_in(task.world):

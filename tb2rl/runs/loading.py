@@ -22,7 +22,7 @@ import numpy as np
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.core import InputError, one_line, top_folder, unknown, untrusted_source
+from tb2rl.core import InputError, distrust, one_line, top_folder, unknown
 from tb2rl.core.errors import install_extra
 from tb2rl.core.values import CountOrZero, checked
 from tb2rl.runs.algorithm import load_statistics, make_algorithm, policy_with_normalization
@@ -52,7 +52,7 @@ def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
         InputError: If the policy does not exist or is damaged.
     """
     file, source = checkpoint_file(reference, trust), str(reference)
-    with untrusted_source(source) if source.startswith(HUB) and not trust else nullcontext():
+    with distrust(source) if source.startswith(HUB) and not trust else nullcontext():
         content, folder = read_checkpoint(file), run_folder(file)
         config = checkpoint_config(content, file, trust)
         # People review only the config file, so it must equal the config in the checkpoint.
@@ -216,7 +216,7 @@ def hub_library() -> Any:
 def translate_errors(reference: str) -> Iterator[None]:
     """Translate errors of huggingface_hub, except file errors, into one line.
 
-    The line does not contain the request, because requests contain the user's token.
+    `from None` drops the request of an error, because it contains the user's token.
     """
     hub = hub_library()
     names = ("HfHubHTTPError", "HFValidationError", "LocalEntryNotFoundError", "LocalTokenNotFoundError")

@@ -64,7 +64,7 @@ class ForwardAcceleration(_Motion):
     name, unit = "forward acceleration", "m/s^2"
 
     def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1)) -> None:
-        # The other motor adds or subtracts the coupling, which can have either sign.
+        # Upper bound: the other wheel's motor adds or subtracts the coupling, a constant of either sign.
         super().__init__(robot.wheel_acceleration + abs(robot.wheel_coupling), bins)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
@@ -89,7 +89,7 @@ def bumper_at(angle: float) -> int:
 class LastAction(Sensor):
     """The latest commands v and w as shares of the robot's limits, the newest first.
 
-    Entries before the first command are the command at the start. The sensor has no latency. If `count` covers the
+    Earlier entries are the command in effect at the reset. The sensor has no latency. If `count` covers the
     latency of commands and observations, a robot with latency is a Markov decision process again (Katsikopoulos &
     Engelbrecht 2003, "Markov decision processes with delays and asynchronous cost collection").
 
@@ -113,7 +113,7 @@ class LastAction(Sensor):
 
 
 class Visited(Sensor):
-    """Time spent in the last minute near points around the robot, at most 10 s, by odometry; a memory for policies.
+    """Time spent near points around the robot in the last minute, clipped to 10 s, by odometry; a memory for policies.
 
     The points are on a circle, counter-clockwise from straight ahead, then at the robot's position, then on a circle of
     twice the radius. A policy can prefer new places by these times, as in node counting (Koenig & Szymanski 1999,

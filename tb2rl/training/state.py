@@ -1,7 +1,7 @@
 """Capture and restore the state of a training, so that a resumed training is identical to the last bit.
 
-The state is captured at the start of a rollout, when the on-policy buffer is empty. This module uses private attributes
-of Stable-Baselines3, which has no public interface to the state of an algorithm.
+The state is captured between rollouts, when the on-policy buffer has no data to keep. This module uses private
+attributes of Stable-Baselines3, which has no public interface to the state of an algorithm.
 """
 
 import random
@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import unwrap_vec_normalize
 
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.envs.encodings import take_rows
-from tb2rl.runs import LIBRARY_ERRORS, is_saveable, parameters_of, restore_into
+from tb2rl.runs import LIBRARY_ERRORS, is_saveable, parameters_of, restore_like
 
 _NOT_SAVED = {  # attributes of this process, or set by `tb2rl.runs.loading.load_parameters` or by `restore`
     "verbose", "start_time", "_total_timesteps", "_num_timesteps_at_start", "tensorboard_log", "n_envs",
@@ -45,7 +45,7 @@ class StatefulCallback(BaseCallback):
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore the saved attributes."""
-        values = restore_into(self.state(), state, type(self).__name__)
+        values = restore_like(self.state(), state, type(self).__name__)
         for name in self.saved_attributes:
             setattr(self, name, values[name.lstrip("_")])
 
@@ -80,7 +80,7 @@ def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Callb
     assert algorithm.env is not None
     try:
         _reset(algorithm)
-        for name, value in restore_into(_attributes(algorithm), state["algorithm"], "algorithm").items():
+        for name, value in restore_like(_attributes(algorithm), state["algorithm"], "algorithm").items():
             setattr(algorithm, name, value)
         if state["replay_buffer"] is not None:
             _refill(algorithm.replay_buffer, state["replay_buffer"])  # type: ignore[attr-defined]
@@ -112,7 +112,7 @@ def _reset(algorithm: BaseAlgorithm) -> None:
     algorithm.set_logger(Logger(None, []))  # else Stable-Baselines3 creates a temporary folder for a logger
     vec_normalize = algorithm.get_vec_normalize_env()
     if vec_normalize is not None:
-        vec_normalize.training = False  # because the reset must not update the restored statistics
+        vec_normalize.training = False  # else the reset would update the statistics that `load_parameters` has restored
     algorithm._setup_learn(0, reset_num_timesteps=False)
     if vec_normalize is not None:
         vec_normalize.training = True
@@ -143,7 +143,7 @@ def _slice_slots(value: Any, buffer: BaseBuffer, num_slots: int) -> Any:
 
 def _refill(buffer: BaseBuffer, saved: Mapping[str, Any]) -> None:
     present = _slice_slots(_attributes(buffer), buffer, buffer.buffer_size if saved["full"] else saved["pos"])
-    for name, value in restore_into(present, saved, "replay_buffer").items():
+    for name, value in restore_like(present, saved, "replay_buffer").items():
         if not isinstance(value, np.ndarray | Mapping):  # arrays were restored in place
             setattr(buffer, name, value)
 
@@ -160,7 +160,7 @@ def _environments_state(env: Any) -> dict[str, Any]:
 
 
 def _restore_environments(env: Any, saved: Any) -> None:
-    state = restore_into(_environments_state(env), saved, "environments")
+    state = restore_like(_environments_state(env), saved, "environments")
     env.unwrapped.loop.restore(state.pop("loop"))
     if state:
         vars(unwrap_vec_normalize(env)).update(state)
@@ -175,7 +175,7 @@ def _generators_state(algorithm: BaseAlgorithm) -> dict[str, Any]:
         "python": random.getstate(),
         "numpy": np.random.get_state(legacy=False),  # noqa: NPY002 (Stable-Baselines3 draws from it)
         "torch": th.get_rng_state(),
-        "own": {name: generator.bit_generator.state for name, generator in _own_generators(algorithm).items()},
+        "sb3": {name: generator.bit_generator.state for name, generator in _sb3_generators(algorithm).items()},
     }
 
 
@@ -187,11 +187,11 @@ def _restore_generators(algorithm: BaseAlgorithm, states: Mapping[str, Any]) -> 
     random.setstate((version, tuple(words), gauss))
     np.random.set_state(states["numpy"])  # noqa: NPY002
     th.set_rng_state(th.from_numpy(states["torch"]))
-    for name, generator in _own_generators(algorithm).items():
-        generator.bit_generator.state = states["own"][name]
+    for name, generator in _sb3_generators(algorithm).items():
+        generator.bit_generator.state = states["sb3"][name]
 
 
-def _own_generators(algorithm: BaseAlgorithm) -> dict[str, np.random.Generator]:
+def _sb3_generators(algorithm: BaseAlgorithm) -> dict[str, np.random.Generator]:
     candidates = {"actions": algorithm.action_space.np_random, **vars(algorithm)}
     return {name: value for name, value in candidates.items() if isinstance(value, np.random.Generator)}
 
@@ -207,7 +207,7 @@ class _RestoreRandomState(BaseCallback):
 
     Checkpoints are saved in `on_rollout_start`, just after Stable-Baselines3 has sampled the matrices. A resumed
     training starts this rollout again, and samples them a second time. A checkpoint from the end of a training has
-    no matrices; then this callback does nothing.
+    None instead of a list of matrices; then this callback does nothing.
     """
 
     def __init__(self, algorithm: BaseAlgorithm, generators: Mapping[str, Any], matrices: Any) -> None:

@@ -102,11 +102,11 @@ class AboveCamera:
         return self._picture.draw(frame.pose, self.ranges(frame), [*frame.path, frame.pose], frame.dynamic_obstacles)
 
     def ranges(self, frame: FilmFrame) -> np.ndarray:
-        """Exact ranges [m], shape (beams,), or the measured ones where no obstacles are known, as for a real robot."""
+        """Exact ranges [m], shape (beams,), or the measured ones if no obstacles are known, as for a real robot."""
         if frame.dynamic_obstacles is None and len(self._world.boxes) + len(self._world.posts) == 0:
             return frame.step.after.ranges[0]
         ranges = np.empty((1, len(self._beams[0])))
-        world_ids = np.zeros(1)  # the only world in its spatial index
+        world_ids = np.zeros(1)  # the spatial index of a world has only this world
         cast_many(frame.pose[None], world_ids, self._beams, self._world.spatial_index, ranges)
         if frame.dynamic_obstacles is not None:
             cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], ranges)

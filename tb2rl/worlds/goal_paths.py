@@ -19,9 +19,9 @@ RANDOM_GOALS = 4  # number of random goals in each world, besides the world's ow
 OWN_GOAL = 0  # number of a world's own goal; the random goals have the numbers 1 to `RANDOM_GOALS`
 PREFERRED_GAP = 0.35  # [m] between robot and walls; cells with a smaller gap cost more
 _DOUBLE_COST_GAP = 0.15  # [m] cells with this gap cost about double; the additional cost grows with 1 / gap^2
-_MAX_COST = 20.0  # high enough to prefer any detour; steeper costs would distort the direction of the path
+_MAX_COST = 20.0  # of a cell at a wall; paths prefer detours. With higher costs, their directions would be distorted
 _UNREACHABLE_COST = 3.0  # cost of cells without a path to the goal, which robots enter by rounding errors only
-_FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, a passage in which the robot gets stuck can look like one of 0.5 m
+_FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, a passage too narrow for the robot can look 0.5 m wide
 _PATH_STEP = 0.5 * _FINE_CELL  # [m] longer steps along a path would cut corners
 _STRAIGHT_RADIUS = 0.25  # [m] distance from the goal below which paths are straight
 _GOAL_CLEARANCE = 0.3  # [m] clearance of random goals, if any reachable cell has it
@@ -138,8 +138,8 @@ def shortest_path_length(world: World, radius: float) -> float:
 def march(costs, row, column, cell_side):
     """Path length from all cells to the cell `row`, `column` [m], shape (rows, columns), float32.
 
-    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. The length does not
-    come from the neighbour with the shortest path, because that neighbour may be behind a thin wall.
+    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. This is not the
+    neighbour with the shortest path, which may be behind a thin wall.
 
     Args:
         costs: See `path_costs`, shape (rows, columns).
@@ -217,23 +217,23 @@ def _grid_position(grid, x, y):
 
 
 @njit(cache=True)
-def _interpolate(offsets, grids, cell_lengths, positions, lengths):
+def _interpolate(offsets, grids, lengths_of_cells, positions, lengths):
     """Write path lengths (num_envs,), interpolated linearly between cell centres; see `GoalPaths.path_length`.
 
-    The `cell_lengths` of each environment begin at its offset (num_envs,), in the order of the cells of its grid.
+    The `lengths_of_cells` of each environment begin at its offset (num_envs,), in the order of the cells of its grid.
     """
     for i in range(positions.shape[0]):
         row, column, up, right = _grid_position(grids[i], positions[i, 0], positions[i, 1])
         columns = int(grids[i, 1])
         to_right, to_above = 1 if columns > 1 else 0, columns if grids[i, 0] > 1.0 else 0
         cell = offsets[i] + row * columns + column
-        below = (1 - right) * cell_lengths[cell] + right * cell_lengths[cell + to_right]
-        above = (1 - right) * cell_lengths[cell + to_above] + right * cell_lengths[cell + to_above + to_right]
+        below = (1 - right) * lengths_of_cells[cell] + right * lengths_of_cells[cell + to_right]
+        above = (1 - right) * lengths_of_cells[cell + to_above] + right * lengths_of_cells[cell + to_above + to_right]
         lengths[i] = (1 - up) * below + up * above
 
 
 @njit(cache=True)
-def _path_direction(offset, grid, cell_lengths, row, column, up, right):
+def _path_direction(offset, grid, lengths_of_cells, row, column, up, right):
     """Direction of the path at a point, interpolated linearly between the directions in the four cells around it.
 
     `row`, `column`, `up` and `right` are those of `_grid_position`. The direction in a cell is the gradient towards its
@@ -247,11 +247,11 @@ def _path_direction(offset, grid, cell_lengths, row, column, up, right):
             weight = (up if i else 1.0 - up) * (right if j else 1.0 - right)
             r, c = min(row + i, rows - 1), min(column + j, columns - 1)
             cell = offset + r * columns + c
-            here = cell_lengths[cell]
-            at_left = cell_lengths[cell - 1] if c > 0 else np.inf
-            at_right = cell_lengths[cell + 1] if c + 1 < columns else np.inf
-            below = cell_lengths[cell - columns] if r > 0 else np.inf
-            above = cell_lengths[cell + columns] if r + 1 < rows else np.inf
+            here = lengths_of_cells[cell]
+            at_left = lengths_of_cells[cell - 1] if c > 0 else np.inf
+            at_right = lengths_of_cells[cell + 1] if c + 1 < columns else np.inf
+            below = lengths_of_cells[cell - columns] if r > 0 else np.inf
+            above = lengths_of_cells[cell + columns] if r + 1 < rows else np.inf
             x = max(here - min(at_left, at_right), 0.0)
             y = max(here - min(below, above), 0.0)
             length = math.sqrt(x * x + y * y)
@@ -262,7 +262,7 @@ def _path_direction(offset, grid, cell_lengths, row, column, up, right):
 
 
 @njit(cache=True)
-def lookahead_points(offsets, grids, cell_lengths, positions, goals, lookahead, points):
+def lookahead_points(offsets, grids, lengths_of_cells, positions, goals, lookahead, points):
     """Write lookahead points (num_envs, 2); see `GoalPaths.lookahead_point` and `_interpolate`."""
     for i in range(positions.shape[0]):
         x, y, remaining = positions[i, 0], positions[i, 1], lookahead
@@ -274,7 +274,7 @@ def lookahead_points(offsets, grids, cell_lengths, positions, goals, lookahead, 
                 x, y = x + share * goal_dx, y + share * goal_dy
                 break
             row, column, up, right = _grid_position(grids[i], x, y)
-            path_x, path_y = _path_direction(offsets[i], grids[i], cell_lengths, row, column, up, right)
+            path_x, path_y = _path_direction(offsets[i], grids[i], lengths_of_cells, row, column, up, right)
             norm = math.hypot(path_x, path_y)
             if not norm > 1e-6:
                 break  # no neighbouring cell is nearer to the goal

@@ -17,7 +17,7 @@ from tb2rl.worlds.formats.maps import read_map
 from tb2rl.worlds.formats.sdf import read_sdf
 from tb2rl.worlds.world import World
 
-CODE_REFERENCE = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(.+))?")  # module:WORLD, or module:reader:path
+WORLD_OR_READER = re.compile(r"([A-Za-z_][\w.]*:[A-Za-z_]\w*)(?::(?P<path>.+))?")  # module:WORLD, or module:reader:path
 _BUILT_IN = top_folder("configs") / "worlds"  # folder of the built-in worlds
 _MAX_FILE_SIZE = 2**20  # [bytes] for text files, because YAML is slow; a world of 5 000 boxes has 0.5 MB
 _IMAGE = re.compile(r"^image[ \t]*:(.*)", re.MULTILINE)  # line of a map's YAML file with the path of its image
@@ -62,7 +62,7 @@ def find_world(reference: str, options: ImportOptions | None = None) -> World:
     Raises:
         InputError: If there is no such world, or its file is invalid.
     """
-    code = CODE_REFERENCE.fullmatch(reference)
+    code = WORLD_OR_READER.fullmatch(reference)
     if code is None:
         path = find_file(reference, _BUILT_IN, "world")
         readers: Mapping[str, Any] = {**_entry_points(), **READERS}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError
-from tb2rl.runs.checkpoint import read_checkpoint, restore_into, write_checkpoint
+from tb2rl.runs.checkpoint import read_checkpoint, restore_like, write_checkpoint
 from tb2rl.runs.folder import Run
 from tb2rl.training.training import resume, train_config
 
@@ -79,7 +79,7 @@ def test_only_the_filled_rows_of_a_buffer_are_saved(runs, tmp_path):
 
 def test_an_array_is_written_into_the_present_one():
     present, saved = np.zeros((2, 3), order="F"), np.arange(6.0).reshape(2, 3)
-    found = restore_into({"a": present}, {"a": saved}, "it")["a"]
+    found = restore_like({"a": present}, {"a": saved}, "it")["a"]
     assert found is present
     assert found.flags.f_contiguous, "a convolution rounds otherwise for another memory layout"
     np.testing.assert_array_equal(found, saved)
