@@ -27,7 +27,7 @@ from tb2rl.worlds.suites import SUITES, find_suite
 from tb2rl.zoo.cards import card, percent, table
 from tb2rl.zoo.entry import UNSEEN_SUITE, Entry, entries, navigating_policies, select, suites_folder, zoo_folder
 
-_PYBULLET_USER = "the zoo, whose evaluations use PyBullet,"  # subject of the message if PyBullet is missing
+_PYBULLET_USER = "the zoo, whose evaluations use PyBullet,"  # start of the message "... needs PyBullet"
 _SPEED_TOLERANCE = 0.02  # relative difference of mean speeds between machines
 _NUM_DRAWN = 30  # number of first episodes in a picture; later episodes are drawn only if they failed
 PICTURE = "paths.png"
@@ -43,9 +43,9 @@ def build(options: argparse.Namespace) -> None:
     barn = [] if options.barn is None else [find_suite("barn", options.barn)]
     with make_executor(options) as executor:
         train(selected, options.again, executor)
-        selected, other_policies = select(options.names)  # new objects, because entries cache their files
+        selected, yaml_policies = select(options.names)  # new objects, because entries cache their files
         evaluate_in_other_worlds(selected, executor)
-    policies = [*navigating_policies(selected), *other_policies]
+    policies = [*navigating_policies(selected), *yaml_policies]
     for suite in [find_suite(UNSEEN_SUITE), *barn] if policies else []:
         for policy in policies:
             policy.evaluate_in(suite, options)
@@ -59,11 +59,11 @@ def check(options: argparse.Namespace) -> None:
     """Check cards and suite results, and the README if no names are given; exit with status 1 if there are problems."""
     default_physics().check(_PYBULLET_USER)
     names, num_episodes = options.names, EPISODES if options.episodes is None else options.episodes
-    selected, other_policies = select(names)
+    selected, yaml_policies = select(names)
     if not 1 <= num_episodes <= EPISODES:
         raise InputError(f"--episodes must be from 1 to {EPISODES}, got {num_episodes}")
     problems = [line for entry in progress(selected, "checking", "policy") for line in _problems(entry, num_episodes)]
-    policies = [*navigating_policies(selected), *other_policies]
+    policies = [*navigating_policies(selected), *yaml_policies]
     files = [policy.file(suite) for policy in policies for suite in SUITES] if names else suites_folder().glob("*")
     files = [file for file in files if file.is_file()]
     valid = {policy.file(summary.suite) for policy in policies for summary in policy.summaries}
@@ -75,7 +75,7 @@ def check(options: argparse.Namespace) -> None:
         say(line)
     if problems:
         raise SystemExit(1)
-    print(f"{len(selected)} cards hold" + (f", and so do {len(files)} results of suites" if files else ""))
+    print(f"{len(selected)} cards pass" + (f", and so do {len(files)} results of suites" if files else ""))
 
 
 def _problems(entry: Entry, num_episodes: int) -> list[str]:
@@ -94,7 +94,7 @@ def _problems(entry: Entry, num_episodes: int) -> list[str]:
     if read_text(entry.folder / "README.md") != card(entry):
         problems.append("its card differs from its files")
     if rate < low:
-        problems.append(f"{percent(rate)} good episodes, below {percent(low, 1)}, the lower end of the card's interval")
+        problems.append(f"{percent(rate)} good episodes, below {percent(low, 1)}, the lower end of its earlier interval")
     if speed < (1 - _SPEED_TOLERANCE) * speed_before:
         problems.append(f"{speed:.3f} m/s, {speed_before:.3f} m/s when the card was written")
     return [f"{entry.name}: {problem}" for problem in problems]
@@ -114,7 +114,7 @@ def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
         config = entry.recipe_config
         folder = default_folder(config).with_name(f"{name}-{datetime.now():%Y%m%d-%H%M%S}")
         jobs.append(Job(name, (config, str(folder), 0), folder))
-    for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):  # no worlds from files
+    for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):  # `worlds`: none from files
         assert job.folder is not None
         run, entry = Run.open(job.folder), to_train[job.name]
         draw(load_evaluation(run), job.folder / PICTURE)

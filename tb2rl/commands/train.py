@@ -177,13 +177,13 @@ def _print_training(training: FinishedTraining) -> None:
     print(f"trained {training.timesteps} steps in {training.seconds:.0f} s ({rate:.0f} steps/s, evaluations included)")
     if training.early_stop_timesteps is not None:
         print(describe_early_stop(training.run.config.train, training.early_stop_timesteps))
-    print(tutorial_scores(training.episode_lengths))  # as the ROS tutorial prints at its end
+    print(tutorial_scores(training.episode_lengths))  # episode lengths, as the famous ROS tutorial prints them
 
 
 def _summarize(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
     """Print the summary of several seeds, and write it to `seeds.json`."""
     failed = [seed for seed, summary in summaries.items() if summary["success_rate"] < SOLVED_RATE]
-    summary: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "passed_from": SOLVED_RATE}
+    summary: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "solved_rate": SOLVED_RATE}
     print(f"{len(summaries)} seeds in {folder}")
     for name, key, scale, unit in (("success", "success_rate", 100, "%"), ("distance", "mean_distance", 1, "m")):
         values = [summary[key] for summary in summaries.values()]

@@ -55,7 +55,7 @@ def extract_network(algorithm: BaseAlgorithm) -> Network:
     """
     policy: Any = algorithm.policy
     space: Any = algorithm.observation_space
-    if hasattr(policy, "best_actions"):  # a table with a row for each state; its index is classes @ strides
+    if hasattr(policy, "best_actions"):  # a table with a row for each state: row observation @ strides
         best, strides = policy.best_actions(), np.cumprod([1, *space.nvec[:0:-1]])[::-1]
         table = _layer("table", strides=strides, best=best.astype(np.min_scalar_type(best.max())))
         return Network({OBSERVATION: ()}, (table,))
@@ -74,7 +74,7 @@ def extract_network(algorithm: BaseAlgorithm) -> Network:
             preprocessing.append(_layer("image", largest=np.float32(255.0 if policy.normalize_images else 1.0)))
         is_combined = type(extractor) is CombinedExtractor  # then each part has an extractor, in the order of the space
         inputs[name] = (*preprocessing, *_convert(extractor.extractors[name] if is_combined else extractor))
-    actions: Any = algorithm.action_space  # continuous actions and squashed outputs lie in [-1, 1]
+    actions: Any = algorithm.action_space  # the bounds are -1 and 1, so that squashed outputs need no scaling
     is_discrete = isinstance(actions, spaces.Discrete)
     action_layer = _layer("argmax") if is_discrete else _layer("clip", low=actions.low, high=actions.high)
     return Network(inputs, (*layers, action_layer))

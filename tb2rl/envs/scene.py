@@ -109,7 +109,7 @@ class Scene:
         latency = 0 if real_spec else task.resolved_variation.observation_latency[1]
         return ObservationPipeline(self.encoding, sensors, episode_states, task.frame_stack, latency)
 
-    def randomized_initial_state(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
+    def with_variation(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
         """Draw the task's variation of the robot, and keep world, pose and goal of `initial_state` (one environment).
 
         The draws come from a copy of `rng`, so that later sensor noise from `rng` does not depend on them.

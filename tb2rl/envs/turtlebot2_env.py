@@ -1,4 +1,4 @@
-"""Tasks as Gymnasium environments: a control loop with one environment."""
+"""Tasks as Gymnasium environments, each with a control loop for one robot."""
 
 from collections.abc import Mapping
 from copy import deepcopy
@@ -51,8 +51,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         simulation: The simulator: a registered name, "module:Class", a `SimulatorType`, or an object with the attribute
             `simulator_type`. None: `default_physics`.
 
-    A copy (`copy.deepcopy`, `pickle`) continues independently from the state of the original. An environment with a
-    window cannot be copied.
+    A copy (`copy.deepcopy`, `pickle`) starts in the state of the original, and is independent afterwards. An
+    environment with a window cannot be copied.
 
     Raises:
         InputError: If the render mode or the simulator is unknown, or a window cannot be opened.
@@ -91,7 +91,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
                 alone, a result of `Task.initial_state` for one environment, from which world, pose and goal are taken.
 
         Raises:
-            InputError: If there is no such world, the pose is inside a wall, or `initial_state` is invalid.
+            InputError: If there is no such world, the pose touches a wall, or `initial_state` is invalid.
         """
         super().reset(seed=seed)
         observations = self.loop.reset(self._initial_state(options or {}), self.np_random)
@@ -182,7 +182,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         if (initial_state := options.get("initial_state")) is not None:
             if not isinstance(initial_state, InitialState) or len(initial_state.table) != 1 or len(options) > 1:
                 raise InputError("options.initial_state must be one row of InitialState, alone; or use options.pose")
-            return self.scene.randomized_initial_state(initial_state, self.np_random)
+            return self.scene.with_variation(initial_state, self.np_random)
         if options.get("world") is not None:
             index = checked(Annotated[int, Ge(0), Lt(len(spec.worlds))], options["world"], "options.world")
             spec = spec.for_world(index)
@@ -193,6 +193,6 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         initial_state = self.task.randomized_initial_state(spec, GeneratorSource(deepcopy(self.np_random)))
         world = spec.worlds[int(initial_state.world[0])]
         if not world.contains((x, y)) or world.clearance(x, y) < spec.robot.radius:
-            raise InputError(f"the start ({x:g}, {y:g}) is inside a wall or outside of world {world.name}")
+            raise InputError(f"the start ({x:g}, {y:g}) touches a wall or is outside of world {world.name}")
         initial_state.pose[:] = x, y, yaw
         return initial_state

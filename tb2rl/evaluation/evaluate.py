@@ -211,7 +211,7 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         seed = self.seed + number
         rng = np.random.default_rng(seed)
         initial_state = InitialState(self.initial_states.table[[number]])
-        return EpisodeStart(number, seed, self.scene.randomized_initial_state(initial_state, rng), rng)
+        return EpisodeStart(number, seed, self.scene.with_variation(initial_state, rng), rng)
 
     def close(self) -> None:
         """End the worker processes, and close the control loops."""

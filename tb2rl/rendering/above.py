@@ -100,8 +100,8 @@ class WorldPicture:
             length = min(distance, self._laser.max_range)
             canvas.line([(x, y), (x + length * math.cos(angle), y + length * math.sin(angle))], colours.BEAM, 0.015)
         canvas.line(path, colours.PATH, 0.04)
-        for outline in () if dynamic_obstacles is None else dynamic_obstacles.tolist():
-            _draw_dynamic_obstacle(canvas, outline)
+        for row in () if dynamic_obstacles is None else dynamic_obstacles.tolist():
+            _draw_dynamic_obstacle(canvas, row)
         draw_robot(canvas, self._robot, x, y, yaw)
         return canvas.array()
 
@@ -130,8 +130,8 @@ def draw_robot(canvas: Canvas, robot: Robot, x: float, y: float, yaw: float) -> 
     canvas.polygon([to_world(forward * robot.radius, left * robot.radius) for forward, left in _NOSE], colours.NOSE)
 
 
-def _draw_dynamic_obstacle(canvas: Canvas, outline: Sequence[float]) -> None:
-    x, y, cos, sin, half_length, half_width = outline
+def _draw_dynamic_obstacle(canvas: Canvas, row: Sequence[float]) -> None:
+    x, y, cos, sin, half_length, half_width = row
     if half_width > 0.0:
         (box,) = box_polygons(np.array([[x, y, half_length, half_width, cos, sin]]))
         canvas.polygon(box.exterior.coords, colours.DYNAMIC_OBSTACLE)

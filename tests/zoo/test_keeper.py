@@ -33,7 +33,7 @@ def test_a_recipe_becomes_an_entry_that_holds_until_its_figures_are_touched(main
     main(["check"])
     said = capsys.readouterr().out
     assert "mine: 0 % good episodes, " in said
-    assert said.endswith("1 cards hold\n")
+    assert said.endswith("1 cards pass\n")
     figures = own_zoo / "mine" / "evaluation.json"
     tree = json.loads(figures.read_text())
     for each in tree["each"]:

@@ -83,7 +83,7 @@ def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main
     assert driven == [0, 1, 2], "what is there is kept"
 
     main(["check"])
-    assert capsys.readouterr().out.endswith("0 cards hold, and so do 1 results of suites\n")
+    assert capsys.readouterr().out.endswith("0 cards pass, and so do 1 results of suites\n")
     tree = json.loads(file.read_text())
     tree["figures"]["all"]["success_rate"] = 1.0
     file.write_text(json.dumps(tree))

@@ -21,8 +21,8 @@ from tb2rl.worlds.world import BoxShape, PostShape
 _OUTLINE_TOLERANCE = 0.002  # [m] for the simplification of outlines
 _MIN_THICKNESS = 0.01  # [m] minimum thickness of a wall; also the thickness of an open surface
 _THICKNESS_BISECTIONS = 16  # steps in the search for the thickest wall inside an outline
-_MIN_HOLE = 0.05  # [m] radius of the smallest hole between walls that is filled
-_HOLE_CELLS = 16  # grid cells along the longer side of a filled hole
+_MIN_CORE = 0.05  # [m] radius of the smallest core of a solid, between its walls, that is filled
+_CORE_CELLS = 16  # grid cells along the longer side of a filled core
 _EPSILON = 1e-6  # [m] tolerance for rounding errors
 _MAX_TILT = 1e-6  # [rad] maximum tilt of an upright shape
 _PLANE_TOLERANCE = 1e-6  # [m] corners within this distance of the plane count as in the plane
@@ -30,12 +30,12 @@ _CYLINDER_SIDES = 48  # sides of the prism that replaces a tilted cylinder; the 
 _MESH_EXTENSIONS = (".dae", ".obj", ".stl")  # of Gazebo's meshes; files that a mesh references do not affect its shape
 _MESH_GRID = 1e-5  # [m] end points of lines are rounded to this grid, so that adjacent lines meet
 _MAX_LINES = 30_000  # limit of the number of lines in a cut
-_MAX_CROSSINGS = 40  # limit of the mean number of lines that a line crosses
-_ROBOT_RADIUS = 0.25  # [m] in a cut of an open body, a face with room for a robot of this radius is not solid
+_MAX_OVERLAPS = 40  # limit of the mean number of lines whose bounding boxes overlap that of a line
+_ROBOT_RADIUS = 0.25  # [m] in a cut of an open body, a region with room for a robot of this radius is not solid
 
 
 class OmittedShape(Exception):  # noqa: N818 (not an error, because the rest of the world is read)
-    """A shape is omitted from the world; the text is the reason."""
+    """A shape is omitted from the world; the text describes all shapes with the same reason."""
 
 
 @dataclass
@@ -101,7 +101,7 @@ class Slice:
         self.add_outline(sections[0] if len(sections) == 1 else shapely.union_all(sections, grid_size=_EPSILON))
 
     def add_outline(self, shape: BaseGeometry) -> None:
-        """Add polygons: a rectangle as one box, others as walls inside the outline, with boxes in the holes."""
+        """Add polygons: a rectangle as one box, others as walls along the edges, with boxes in the core."""
         for part in shapely.get_parts(shapely.simplify(shape, _OUTLINE_TOLERANCE)):
             if part.area > 0:
                 x, y = part.exterior.coords[0]
@@ -110,7 +110,7 @@ class Slice:
                 self.boxes += [(x + box[0], y + box[1], *box[2:]) for box in _divide_into_boxes(relative.wkb)]
 
     def add_mesh(self, mesh: Any, pose: np.ndarray, scale: np.ndarray) -> None:
-        """Add a mesh from `load_mesh`, with a scale (3,); open surfaces become thin walls on one side of the cut."""
+        """Add a mesh from `load_mesh`, with a scale (3,); open surfaces become thin walls left of their lines."""
         import trimesh
 
         placed = mesh.copy()
@@ -118,11 +118,11 @@ class Slice:
         self.check_height(*placed.bounds[:, 2])
         segments = trimesh.intersections.mesh_plane(placed, (0.0, 0.0, 1.0), (0.0, 0.0, self.height))
         lines = shapely.linestrings(segments[:, :, :2])
-        if len(lines) > _MAX_LINES or mean_overlaps(lines) > _MAX_CROSSINGS:  # their union would take hours
+        if len(lines) > _MAX_LINES or mean_overlaps(lines) > _MAX_OVERLAPS:  # their union would take hours
             raise OmittedShape("meshes that are too fine, or whose faces cut each other everywhere")
         outline = shapely.union_all(lines, grid_size=_MESH_GRID)
-        faces = shapely.get_parts(shapely.polygonize([outline]))
-        body = shapely.union_all([face for face in faces if _is_solid(face, outline, bool(placed.is_watertight))])
+        regions = shapely.get_parts(shapely.polygonize([outline]))
+        body = shapely.union_all([part for part in regions if _is_solid(part, outline, bool(placed.is_watertight))])
         self.add_outline(body)
         open_lines = shapely.line_merge(outline.difference(body.buffer(2 * _MESH_GRID)))
         for line in shapely.get_parts(shapely.simplify(open_lines, _OUTLINE_TOLERANCE)):
@@ -191,9 +191,9 @@ def _divide_into_boxes(polygon: bytes) -> list[BoxShape]:
     thickness = _max_thickness(part, starts, ends)
     boxes = list(_walls(starts, ends, thickness))
     walls = shapely.union_all(_wall_polygons(starts, ends, thickness))
-    for hole in shapely.get_parts(part.difference(walls)):
-        if hole.area > 0 and shapely.maximum_inscribed_circle(hole, tolerance=0.01).length > _MIN_HOLE:
-            boxes += _fill(hole)
+    for core in shapely.get_parts(part.difference(walls)):
+        if core.area > 0 and shapely.maximum_inscribed_circle(core, tolerance=0.01).length > _MIN_CORE:
+            boxes += _fill(core)
     return boxes
 
 
@@ -227,7 +227,7 @@ def _walls(starts: np.ndarray, ends: np.ndarray, thickness: np.ndarray) -> Itera
 def _fill(part: shapely.Polygon) -> list[BoxShape]:
     """Fill a polygon with boxes, so that its inside is not floor; walls hide the boxes from the laser."""
     x0, y0, x1, y1 = part.bounds
-    side = max(x1 - x0, y1 - y0) / _HOLE_CELLS
+    side = max(x1 - x0, y1 - y0) / _CORE_CELLS
     columns, rows = max(1, math.ceil((x1 - x0) / side)), max(1, math.ceil((y1 - y0) / side))
     left, bottom = x0 + side * np.arange(columns), y0 + side * np.arange(rows)[:, None]
     cells = shapely.box(left, bottom, left + side, bottom + side)
@@ -235,13 +235,13 @@ def _fill(part: shapely.Polygon) -> list[BoxShape]:
     return merge_cells(shapely.contains(part, cells), side, (x0, y0, 0.0))
 
 
-def _is_solid(face: shapely.Polygon, outline: shapely.Geometry, closed: bool) -> bool:
-    """Whether a face of a cut is inside the body, so that a ray from it crosses the outline an odd number of times.
+def _is_solid(region: shapely.Polygon, outline: shapely.Geometry, closed: bool) -> bool:
+    """Whether a region of a cut is inside the body, so that a ray from it crosses the outline an odd number of times.
 
-    In an open body, such as a house of thin walls, faces with room for a robot are not solid.
+    In an open body, such as a house of thin walls, regions with room for a robot are not solid.
     """
-    if not closed and shapely.maximum_inscribed_circle(face, tolerance=0.01).length > _ROBOT_RADIUS:
+    if not closed and shapely.maximum_inscribed_circle(region, tolerance=0.01).length > _ROBOT_RADIUS:
         return False
-    inside = face.representative_point()
+    inside = region.representative_point()
     end = (outline.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew, so that the ray meets no corner
     return len(shapely.get_parts(shapely.LineString([inside, end]).intersection(outline))) % 2 == 1
