@@ -94,9 +94,9 @@ def _problems(entry: Entry, num_episodes: int) -> list[str]:
     if read_text(entry.folder / "README.md") != card(entry):
         problems.append("its card differs from its files")
     if rate < low:
-        problems.append(f"{percent(rate)} good episodes, below {percent(low, 1)}, the lower end of its earlier interval")
+        problems.append(f"{percent(rate)} good episodes, but at least {percent(low, 1)} are expected from its evaluation")
     if speed < (1 - _SPEED_TOLERANCE) * speed_before:
-        problems.append(f"{speed:.3f} m/s, {speed_before:.3f} m/s when the card was written")
+        problems.append(f"{speed:.3f} m/s, but {speed_before:.3f} m/s in the same episodes before")
     return [f"{entry.name}: {problem}" for problem in problems]
 
 
@@ -126,7 +126,7 @@ def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
 
 
 def evaluate_in_other_worlds(entries: Sequence[Entry], executor: Executor) -> None:
-    """Evaluate policies in those unseen `WORLDS` that have no summary yet, and write the summaries to their folders."""
+    """Evaluate policies in their `missing_worlds`, and write the summaries to their folders."""
     missing = {f"{entry.name} in {world}": (entry, world) for entry in entries for world in entry.missing_worlds}
     jobs = [Job(name, (read_files(entry.folder), world)) for name, (entry, world) in missing.items()]
     for job, summary in executor.as_completed(_evaluate_in_world, jobs):

@@ -155,7 +155,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Return to a `state`; later steps are the same as after the original one."""
-        if not self.path:  # without an episode the simulator has no source of noise
+        if not self.path:  # only a reset gives the simulator its noise generator
             self.loop.reset(InitialState.default(self.scene.spec, 1), self.np_random)
         self.loop.restore(state)
         self.np_random.bit_generator.state = state["generator"]

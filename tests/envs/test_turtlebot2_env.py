@@ -38,8 +38,8 @@ def test_an_option_sets_the_pose_while_noise_and_goal_stay(make):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"pose": (0, 0, 0)}, "inside a wall or outside of world loop"),
-        ({"pose": (-4.9, 0, 0)}, "inside a wall or outside of world loop"),  # its middle is not, but its side is
+        ({"pose": (0, 0, 0)}, "touches a wall or is outside of world loop"),
+        ({"pose": (-4.9, 0, 0)}, "touches a wall or is outside of world loop"),  # its middle is not, but its side is
         ({"pose": (100, 100, 0)}, "outside of world loop"),
         ({"pose": (np.nan, 0, 0)}, "options.pose"),
         ({"initial_state": (0, 0, 0)}, "alone; or use options.pose"),
