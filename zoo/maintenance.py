@@ -94,7 +94,7 @@ def _problems(entry: Entry, num_episodes: int) -> list[str]:
     if read_text(entry.folder / "README.md") != card(entry):
         problems.append("its card differs from its files")
     if rate < low:
-        problems.append(f"{percent(rate)} good episodes, but at least {percent(low, 1)} are expected from its evaluation")
+        problems.append(f"{percent(rate)} good episodes, but its evaluation promises at least {percent(low, 1)}")
     if speed < (1 - _SPEED_TOLERANCE) * speed_before:
         problems.append(f"{speed:.3f} m/s, but {speed_before:.3f} m/s in the same episodes before")
     return [f"{entry.name}: {problem}" for problem in problems]
