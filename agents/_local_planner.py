@@ -65,7 +65,7 @@ class LocalPlanner(BasePolicy):
         beams, directions = len(self._columns["laser"]), vehicle.directions
         angles = np.linspace(-math.pi / 2, math.pi / 2, beams) if directions is None else np.asarray(directions)
         if beams < 2 or len(angles) != beams:
-            raise InputError(f"{planner} needs 2 beams or more and their directions, got {beams} and {len(angles)}")
+            raise InputError(f"{planner} needs 2 beams or more and as many directions, got {beams} and {len(angles)}")
         self._beam_directions = np.column_stack([np.cos(angles), np.sin(angles)])
         self.vehicle = vehicle
 
@@ -119,7 +119,7 @@ def free_distance(points, curvature, radius, gap, max_distance):
         curvature: Curvature of the arc, positive to the left [1/m].
         radius: Radius of the robot [m].
         gap: Distance to keep from obstacles [m]; for points that are already closer, the gap is 0.
-        max_distance: Points farther than this from the robot (and the gap) are ignored [m].
+        max_distance: Points farther than this outside the circle of radius + gap are ignored [m].
     """
     free = math.inf
     for beam in range(points.shape[0]):
@@ -152,7 +152,7 @@ def _contact_distance(x, y, curvature, radius):
     if abs(curvature) < _MAX_STRAIGHT_CURVATURE:
         return x - math.sqrt(radius * radius - y * y) if x > 0.0 and abs(y) < radius else math.inf
     arc_radius = 1.0 / abs(curvature)
-    # The point relative to the arc's centre: forward by x, and from the centre towards the robot by `outward`.
+    # Seen from the arc's centre (0, 1 / curvature), the point is x ahead and `outward` towards the robot.
     outward = arc_radius - math.copysign(y, y * curvature)
     square = x * x + outward * outward
     if not (arc_radius - radius) ** 2 < square < (arc_radius + radius) ** 2:

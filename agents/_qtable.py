@@ -31,7 +31,7 @@ class UpdateRule(NamedTuple):
 
     learning_rate: float
     gamma: float
-    first_update_is_reward: bool  # store the reward at the first visit of a pair, as the tutorial does
+    first_update_is_reward: bool  # store the reward at the first visit of a pair, as the ROS tutorial does
     averaging: float  # least weight of a new value in the running average; 0: the plain mean
 
 

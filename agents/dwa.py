@@ -23,7 +23,7 @@ class _Limits(NamedTuple):
     """Limits of the robot and of the search, in metres, seconds and radians; see `DWA`."""
 
     max_speed: float
-    turn_rate: float
+    max_turn_rate: float
     acceleration: float
     turn_acceleration: float
     period: float
@@ -86,15 +86,15 @@ class DWA(LocalPlanner):
 
 @njit(cache=True, **NO_REFCOUNT)
 def _choose_commands(view, limits, weights, commands):
-    """Write the best v, w into `commands`, zeros of shape (num_envs, 2)."""
+    """Replace zeros in `commands`, shape (num_envs, 2), by the best v, w; without a safe pair both remain 0."""
     for robot in range(commands.shape[0]):
         side = rotation_side(view, robot, limits.radius, limits.gap)
         if side:
-            commands[robot, 1] = side * limits.turn_rate
+            commands[robot, 1] = side * limits.max_turn_rate
             continue
         low, high = _reachable_range(view.speed[robot], limits.acceleration * limits.period, 0.0, limits.max_speed)
         turn_change = limits.turn_acceleration * limits.period
-        right, left = _reachable_range(view.turn_rate[robot], turn_change, -limits.turn_rate, limits.turn_rate)
+        right, left = _reachable_range(view.turn_rate[robot], turn_change, -limits.max_turn_rate, limits.max_turn_rate)
         best = -math.inf
         for i in range(NUM_SPEEDS):
             v = low + (high - low) * i / (NUM_SPEEDS - 1)

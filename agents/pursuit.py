@@ -19,7 +19,7 @@ from tb2rl.robots.vehicle import Vehicle
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.pursuit:Pursuit", fixed_obs_mode=True)
 
 _CURVATURE_STEP = 0.25  # [1/m] curvature difference of neighbouring candidate arcs
-_MAX_DISTANCE = 1.0  # [m] obstacles farther along the arc are ignored
+_MAX_DISTANCE = 1.0  # [m] obstacles farther from the robot are ignored
 
 
 class Pursuit(LocalPlanner):
@@ -32,9 +32,9 @@ class Pursuit(LocalPlanner):
     Args:
         observation_space, action_space, vehicle: See `LocalPlanner`.
         gap: Distance to keep from obstacles [m].
-        behind: Bearing of the target from which the robot turns on the spot [rad].
+        behind: Bearing of the target, to either side, above which the robot turns on the spot [rad].
         braking: Assumed deceleration [m/s^2].
-        look: Free distance that an arc should have [m].
+        look: Free distance that an arc should have [m]; shrinks to the distance of a nearer target.
         bends: Number of candidate arcs on either side of Coulter's, in curvature steps of 0.25 / m.
         gain: Turn rate on the spot per radian of bearing [1/s].
     """
@@ -74,14 +74,14 @@ class Pursuit(LocalPlanner):
 
 @njit(cache=True, **NO_REFCOUNT)
 def _choose_arcs(view, look, bends, radius, gap, curvatures, free, sides):
-    """Change arcs to nearby free ones, and find the side to which blocked robots rotate.
+    """Change each arc to the nearest one that is free as far as required, else to the freest; also find `sides`.
 
     Args:
         view: `LocalView`.
         look: Required free distances [m], shape (num_envs,).
         bends, radius, gap: See `Pursuit`.
         curvatures: Curvatures of the arcs to the targets [1/m], shape (num_envs,); changed in place.
-        free: Output: free distances of the arcs [m], shape (num_envs,).
+        free: Output: free distances of the changed arcs [m], shape (num_envs,).
         sides: Output: `rotation_side` of each robot, shape (num_envs,).
     """
     for robot in range(free.shape[0]):

@@ -30,10 +30,10 @@ class VFH(LocalPlanner):
     The histogram holds how far the whole width of the robot can drive in each direction. A direction is open if
     this distance is at least `window`. The original VFH+ applies a threshold to a grid of past scans instead.
     Directions without a scan are open. A valley is a range of open directions. Candidates are at least half of
-    `valley` from the edges of a wide valley, or in the middle of a narrow one; the direction of the target may be a
-    candidate. A robot that turns on the spot keeps turning to the same side. Otherwise it could turn to and fro,
-    because it does not see behind. The turn rate replaces the previous direction, because the planner has
-    no memory.
+    `valley` from the edges of a wide valley, or in the middle of a narrow one; the direction of the target replaces
+    that of its sector. A robot that turns on the spot keeps turning to the same side. Otherwise it could turn to and
+    fro, because it does not see behind. The previous direction is estimated from the turn rate, because the planner
+    has no memory.
 
     Args:
         observation_space, action_space, vehicle: See `LocalPlanner`.

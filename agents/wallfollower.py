@@ -13,7 +13,7 @@ from tb2rl.core.errors import InputError
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", fixed_obs_mode=True)
 
 FORWARD, LEFT, RIGHT = 0, 1, 2
-ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # v, w of forward, left, right; from -1 to 1
+ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # v, w of forward, left, right; v = -1: standstill
 
 
 class WallFollower(BasePolicy):
@@ -21,7 +21,7 @@ class WallFollower(BasePolicy):
 
     Args:
         observation_space: `tb2rl.envs.encodings.SensorBox` that begins with five or more ranges from -90 to 90 degrees.
-        action_space: Named actions that begin with forward, left, right; or v and w, from -1 to 1.
+        action_space: Named actions that begin with forward, left, right; or v, w from -1 to 1; v = -1 is standstill.
         side: Distance to keep from the wall [m].
         ahead: Free distance to keep ahead [m].
         guard: Least range; the robot turns away from an obstacle that is nearer [m].
@@ -58,7 +58,7 @@ class WallFollower(BasePolicy):
         latest = observation[:, -observation.shape[1] // self._frame_stack :]
         ranges = latest[:, : len(self._front)]
         abeam, oblique = ranges[:, 0], ranges[:, self._oblique]
-        # The angle of the wall, from a triangle of which two sides and the angle between them are known.
+        # Angle of wall and heading, positive if the wall recedes ahead; from two sides of a triangle and their angle.
         angle = th.atan2(oblique * math.cos(self._beam_angle) - abeam, oblique * math.sin(self._beam_angle))
         distance = abeam * th.cos(angle) + self.look_ahead * th.sin(angle)
         right, front, left = (ranges[:, part].amin(dim=1) for part in (self._right, self._front, self._left))

@@ -49,7 +49,7 @@ for _id, _arguments in GYM_IDS.items():
         kwargs=_arguments,
     )
 
-_MODULES = {  # that define the public names
+_MODULES = {  # the module that defines each public name
     "Agent": "core.agent",
     "InputError": "core.errors",
     "evaluate": "evaluation.evaluate",

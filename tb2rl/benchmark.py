@@ -10,8 +10,8 @@
 | training | training rate of each learning agent with its own preset, without evaluations |
 | trained | training time until an evaluation is at least 95 % failure-free, and the standard evaluation afterwards |
 
-The two times of a ratio are measured alternately, over the same motion from the same state. Therefore ratios are
-reproducible also on a busy machine, where rates are not.
+The two times of a ratio are measured alternately, with the same commands. Therefore ratios are reproducible also
+on a busy machine, where rates are not.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ from tb2rl.core.command import ArgumentParser, between, command
 def main(parser: ArgumentParser) -> None:
     """Measure, print a table, write JSON."""
     add, simulators = parser.add_argument, "simulators for part trained (default: kinematic; bullet takes minutes)"
-    seconds = "time for each figure of physics and kinematic (5)"
+    seconds = "time of each measurement of physics (5); those of kinematic take a fifth of it"
     add("parts", nargs="*", metavar="PART", help="physics, kinematic, training, trained (default: all)")
     add("--json", type=Path, metavar="FILE", help="also write the measured values to this file")
     add("--seconds", type=between(1e-3, 1e6, float), default=5.0, help=seconds)

@@ -18,7 +18,7 @@ def main(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("source", help="run folder, checkpoint in it, zoo:NAME, hf:USER/REPOSITORY; with --trust a zip")
     add("target", type=Path, help="the zip to write; with --trust the run folder to create")
-    add("--trust", action="store_true", help="load a zip, which executes its code; with hf:...: see `play --help`")
+    add("--trust", action="store_true", help="load a zip, which executes its code; for hf:..., see `play --help`")
     add("--agent", help="with --trust: the agent whose algorithm wrote the zip")
     add("--task", help="with --trust: the task of its training (default: maze)")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="with --trust: change the task")

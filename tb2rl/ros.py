@@ -16,7 +16,7 @@ from pathlib import Path
 from tb2rl.commands.arguments import add_ros_arguments, add_topics, add_trust
 from tb2rl.core.command import ArgumentParser, command
 
-ANSWER_TIMEOUT = 5.0  # [s] of wall-clock time, default of --lockstep
+ANSWER_TIMEOUT = 5.0  # [s] of wall-clock time, for --lockstep without S
 
 
 @command("ros")

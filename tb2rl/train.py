@@ -24,7 +24,7 @@ def main(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
     add("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
-    add("--preset", help="a file of configs, such as tutorial, or a path")
+    add("--preset", help="a file in configs/, such as tutorial, or a path")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9")
     add("--name", help="name of the run folder runs/TASK/AGENT/NAME (default: date and time)")
     add("--total-timesteps", type=int, help="control steps, over all environments")

@@ -21,7 +21,7 @@ def main(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("--agent", help=f"{', '.join(agent_names())}, or module:Class (default: qlearn)")
     add("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
-    add("--preset", help="initial settings of the search: a file of configs, or a path")
+    add("--preset", help="initial settings of the search: a file in configs/, or a path")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="fixed settings")
     add("--space", metavar="FILE", help="the search space (default: configs/tuning/AGENT.yaml)")
     add("--trials", type=between(1, 100_000), default=30, help="total number of trials of the study (default: 30)")
@@ -33,7 +33,7 @@ def main(parser: ArgumentParser) -> None:
     add("--pruner", default="median", help="Optuna's pruner: median (default), hyperband or none")
     add("--seed", type=int, default=0, help="seed of the sampler (default: 0)")
     add_executor_arguments(parser)
-    add("--fresh", type=between(0, 1000), default=3, help="new seeds to compare best and default settings; 0: none")
+    add("--fresh", type=between(0, 1000), default=3, help="number of new seeds for best and default settings; 0: none")
     add("--name", help="name of the folder runs/tune/NAME (default: TASK-AGENT)")
     add("--storage", metavar="URL", help="URL of a database (default: SQLite in the folder)")
 

@@ -18,7 +18,7 @@ def card(entry: Entry) -> str:
 
 def table(built_entries: Sequence[Entry]) -> str:
     """README of the zoo: results of all policies in their own worlds, in unseen worlds and in suites."""
-    results = defaultdict(list)  # separate tables for suites of the same name with different worlds
+    results = defaultdict(list)  # by suite and digest: suites of the same name may have different worlds
     for policy in (*navigating_policies(built_entries), *policies_of_suites_yaml()):
         for summary in policy.summaries:
             results[SUITES.index(summary.suite), summary.suite_digest].append((policy, summary))

@@ -29,7 +29,7 @@ _RESULTS = Path("runs", "suites")  # folder of the complete results, with a row 
 # Worlds for evaluations; without world `wall`, whose open sides let a robot drive away without collisions.
 WORLDS = ("loop", "circuit", "round", "maze", "mixed")
 UNSEEN_SUITE = "unseen"  # the suite of worlds that no training uses
-# File in the folder of an entry: evaluations in those `WORLDS` in which it was not trained (not those of the suite).
+# File in the folder of an entry: evaluations in the `WORLDS` in which its policy was not trained, not in the suite.
 UNSEEN_WORLDS_FILE = "unseen_worlds.json"
 # Promised rates of good episodes (see `Entry.criterion`).
 PROMISED, PROMISED_TABULAR, PROMISED_WITHOUT_MAP, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
@@ -94,10 +94,10 @@ class SuitePolicy:
         print(f"{self.name} in suite {suite.name}", flush=True)
         result_file = _RESULTS / self.file(suite.name).name
         result_file.parent.mkdir(parents=True, exist_ok=True)
-        evaluation = self.evaluate_options
-        evaluation.suite = [suite.name, *([] if suite.path is None else [str(suite.path)])]
-        evaluation.json, evaluation.on, evaluation.workers = result_file, options.on, options.workers
-        evaluate(evaluation)
+        evaluate_options = self.evaluate_options
+        evaluate_options.suite = [suite.name, *([] if suite.path is None else [str(suite.path)])]
+        evaluate_options.json, evaluate_options.on, evaluate_options.workers = result_file, options.on, options.workers
+        evaluate(evaluate_options)
         self.folder.mkdir(exist_ok=True)
         text = json.dumps(asdict(SuiteResult.read(result_file).summary), indent=1, allow_nan=False)
         write_text(self.file(suite.name), text + "\n")
@@ -201,8 +201,8 @@ class Entry:
             return PROMISED_TABULAR
         if self.config.scene.spec.dynamic_obstacles:
             return PROMISED_AMONG_PEOPLE
-        uses_map = getattr(self.config.task, "guide", "") != "goal"
-        return PROMISED if uses_map else PROMISED_WITHOUT_MAP
+        seeks_goal_without_map = getattr(self.config.task, "guide", "") == "goal"
+        return PROMISED_WITHOUT_MAP if seeks_goal_without_map else PROMISED
 
     @property
     def relative_speed(self) -> float:
@@ -253,9 +253,9 @@ def policies_of_suites_yaml() -> list[SuitePolicy]:
     return [SuitePolicy(name, arguments, suites_folder()) for name, arguments in listed.items()]
 
 
-def navigating_policies(built_entries: Iterable[Entry]) -> list[SuitePolicy]:
+def navigating_policies(trained_entries: Iterable[Entry]) -> list[SuitePolicy]:
     """The policies of the entries for task `navigate`, for suites."""
-    return [entry.suite_policy for entry in built_entries if entry.navigates]
+    return [entry.suite_policy for entry in trained_entries if entry.navigates]
 
 
 def select(names: Sequence[str]) -> tuple[list[Entry], list[SuitePolicy]]:

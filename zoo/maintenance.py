@@ -94,7 +94,7 @@ def _problems(entry: Entry, num_episodes: int) -> list[str]:
     if read_text(entry.folder / "README.md") != card(entry):
         problems.append("its card differs from its files")
     if rate < low:
-        problems.append(f"{percent(rate)} good episodes, but its evaluation promises at least {percent(low, 1)}")
+        problems.append(f"{percent(rate)} good episodes, but its earlier evaluation implies at least {percent(low, 1)}")
     if speed < (1 - _SPEED_TOLERANCE) * speed_before:
         problems.append(f"{speed:.3f} m/s, but {speed_before:.3f} m/s in the same episodes before")
     return [f"{entry.name}: {problem}" for problem in problems]
@@ -113,7 +113,7 @@ def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
     for name, entry in to_train.items():
         config = entry.recipe_config
         folder = default_folder(config).with_name(f"{name}-{datetime.now():%Y%m%d-%H%M%S}")
-        jobs.append(Job(name, (config, str(folder), 0), folder))
+        jobs.append(Job(name, (config, str(folder), 0), folder))  # 0: `verbose` of `train_and_evaluate`
     for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):  # `worlds`: none from files
         assert job.folder is not None
         run, entry = Run.open(job.folder), to_train[job.name]

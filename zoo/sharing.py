@@ -34,7 +34,7 @@ def push(options: argparse.Namespace) -> None:
     repository = options.repository.removeprefix(HUB)
     reference = f"{HUB}{repository}"
     if parse_reference(reference)[1] is not None:
-        raise InputError(f"the repository is {repository!r}; give it without a revision")
+        raise InputError(f"{repository!r} has a revision; give the repository without a revision")
     run = _shareable_run(options.name)
     hub = hub_library()
     with TemporaryDirectory() as folder:
@@ -71,7 +71,7 @@ def prepare_upload(run: Run, repository: str, folder: Path) -> None:
     """Write the files of an upload to an empty folder.
 
     Args:
-        run: A run with a standard evaluation.
+        run: A run with the summary of a standard evaluation; the episodes may be missing.
         repository: Destination, "user/repository".
         folder: The empty folder.
 
@@ -79,7 +79,7 @@ def prepare_upload(run: Run, repository: str, folder: Path) -> None:
         InputError: If the run's files are damaged.
     """
     content, evaluation = read_checkpoint(run.policy_file), run.folder / EVALUATION
-    picture = PICTURE if run.has_evaluation or (run.folder / PICTURE).is_file() else None
+    picture = PICTURE if run.has_evaluation or (run.folder / PICTURE).is_file() else None  # drawn or copied below
     try:
         summary = {**json.loads(read_text(evaluation)), "policy": f"{HUB}{repository}"}  # no local path
         values = {"config": run.config, "summary": summary, "repository": repository, "picture": picture}

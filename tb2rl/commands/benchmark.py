@@ -60,7 +60,7 @@ def measure_physics(options: argparse.Namespace) -> Iterator[Figure]:
 
 
 def _repeat(measure: Callable[[], Sequence[float]], seconds: float) -> np.ndarray:
-    """Repeat a measurement for a time, at least three times; returns shape (repetitions, values)."""
+    """Repeat a measurement for `seconds`, but at least three times; returns shape (repetitions, values)."""
     rows, end = list[Sequence[float]](), time.perf_counter() + seconds
     while time.perf_counter() < end or len(rows) < 3:
         rows.append(measure())
@@ -153,7 +153,7 @@ def measure_training(options: argparse.Namespace) -> Iterator[Figure]:
 
 
 def measure_trained(options: argparse.Namespace) -> Iterator[Figure]:
-    """Time of a training until one of its evaluations passes (inf: none does), and rate of a standard evaluation."""
+    """Training time until an evaluation passes (inf: none does), and failure-free rate in the standard evaluation."""
     for simulation, agent in product(options.simulations, learners()):
         seconds = list[float]()
         for seed in range(options.seeds):
@@ -208,7 +208,7 @@ def run(options: argparse.Namespace) -> None:
     for part in parts:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
-        if part != "kinematic":
+        if part != "kinematic":  # also for trained, whose standard evaluation is in physics
             default_physics().check(f"part {part}")
     for simulation in options.simulations:
         find_simulator(simulation).check()

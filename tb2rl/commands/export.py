@@ -43,8 +43,8 @@ def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
 
     def act(observations: Mapping[str, np.ndarray]) -> np.ndarray:
         num_envs = len(next(iter(observations.values())))
-        initial = {name: np.zeros((1, num_envs, units), np.float32) for name, units in lstm_units.items()}
-        return graph.run(["action"], {**observations, **initial})[0]
+        initial_states = {name: np.zeros((1, num_envs, units), np.float32) for name, units in lstm_units.items()}
+        return graph.run(["action"], {**observations, **initial_states})[0]
 
     _check_same_actions(act, policy)
     with atomic_write(file) as temporary:

@@ -71,7 +71,7 @@ def _report_files(paths: list[Path], arguments: argparse.Namespace) -> None:
 
 
 def _watch(policy: Policy, config: Config, options: FilmOptions) -> None:
-    opening = open_episodes(policy, config, None, options, "playing")
+    opening = open_episodes(policy, config, settings=None, options=options, title="playing")
     with opening as (scene, episodes), closing(Window(scene, options.camera)) as window, suppress(KeyboardInterrupt):
         window.watch(episodes, options.speed)
 

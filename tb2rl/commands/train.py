@@ -183,13 +183,13 @@ def _print_training(training: FinishedTraining) -> None:
 def _summarize(summaries: Mapping[int, Mapping[str, Any]], folder: Path) -> None:
     """Print the summary of several seeds, and write it to `seeds.json`."""
     failed = [seed for seed, summary in summaries.items() if summary["success_rate"] < SOLVED_RATE]
-    summary: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "solved_rate": SOLVED_RATE}
+    overall: dict[str, Any] = {"seeds": list(summaries), "failed": failed, "solved_rate": SOLVED_RATE}
     print(f"{len(summaries)} seeds in {folder}")
     for name, key, scale, unit in (("success", "success_rate", 100, "%"), ("distance", "mean_distance", 1, "m")):
         values = [summary[key] for summary in summaries.values()]
         mean, (low, high) = sum(values) / len(values), bootstrap_interval(values)
-        summary[name] = {"each": values, "mean": mean, "interval": [low, high]}
+        overall[name] = {"each": values, "mean": mean, "interval": [low, high]}
         print(f"  {name}: mean {scale * mean:.1f} {unit}, 95 % interval {scale * low:.1f} to {scale * high:.1f} {unit}")
     failed_seeds = f": {', '.join(map(str, failed))}" if failed else ""
     print(f"  failed (success below {100 * SOLVED_RATE:.0f} %): {len(failed)} of {len(summaries)}{failed_seeds}")
-    write_json(folder / "seeds.json", summary)
+    write_json(folder / "seeds.json", overall)

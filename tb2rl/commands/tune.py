@@ -99,7 +99,7 @@ def _finish(folder: StudyFolder, study: Study, options: argparse.Namespace) -> N
     say(f"best: trial {best.number}: python -m tb2rl.train --preset {file}")
     page = write_page(folder, study, evaluations, best)
     if options.fresh:
-        write_page(folder, study, evaluations, best, [*_compare(folder, best, options.fresh)])
+        write_page(folder, study, evaluations, best, [*_compare(folder, best, options.fresh)])  # now with comparisons
     print(page)
 
 

@@ -99,7 +99,7 @@ def _exit_on_error() -> Iterator[None]:
             raise
         _fail(f"error: {error.strerror}: {error.filename}")
     except UnicodeEncodeError as error:
-        if error.object.isprintable():  # an ordinary error; undecodable bytes of file names are not printable
+        if error.object.isprintable():  # not a file name with undecodable bytes, which are not printable
             raise
         _fail(f"error: the name {one_line(ascii(error.object), 200)} is not text in {error.encoding}; use another one")
     except KeyboardInterrupt:

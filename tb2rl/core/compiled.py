@@ -35,7 +35,7 @@ _source_times: dict[str, float] = {}  # modification times [s] of the files with
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Like `numba.njit`, but compiles without a cache if no folder is writable.
+    """Like `numba.njit`, but caches in a temporary folder, or not at all, if numba finds no writable folder.
 
     Set `error_model`, `fastmath` and `forceinline` explicitly where speed matters. Otherwise a function inherits them
     from its first caller, and the cache keeps them.
@@ -93,7 +93,7 @@ def _compile_with_cache(function: Callable[..., Any], file: Path, options: dict[
                 for source in (*index_file.parent.glob(f"{index_file.stem}.*.nbc"), index_file):
                     with atomic_write(folder / source.name) as temporary:
                         shutil.copyfile(source, temporary)
-    if _use_temporary_folder.cache_info().currsize and not any(folder.glob(pattern)):  # it was called
+    if _use_temporary_folder.cache_info().currsize and not any(folder.glob(pattern)):  # temporary and without a copy
         _warn("compiled code is kept only until this program ends")
     return compiled
 

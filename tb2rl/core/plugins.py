@@ -160,4 +160,4 @@ def _built_in(kind: Kind) -> dict[str, str]:
         # In a checkout, agents/ is beside the package; `tb2rl/__init__.py` makes it importable as `tb2rl.agents`.
         files = [module.name for module in pkgutil.iter_modules([str(top_folder("agents"))])]
         return {name: f"tb2rl.agents.{name}:AGENT" for name in files if not name.startswith("_")}
-    return {"filter": FILTERS, "robot": ROBOTS, "simulator": SIMULATORS, "task": TASKS}.get(kind, {})
+    return {"filter": FILTERS, "robot": ROBOTS, "simulator": SIMULATORS, "task": TASKS}.get(kind, {})  # world: none

@@ -36,7 +36,7 @@ def check_module_allowed(reference: str) -> None:
     """Raise an `InputError` if the present config is untrusted and may not import the module of a reference."""
     module = reference.partition(":")[0]
     if _source.get() is not None and not _is_allowed(module):
-        _reject(f"the module {one_line(repr(module), 100)}, which is not of {', '.join(PACKAGES)}")
+        _reject(f"the module {one_line(repr(module), 100)}, which is not in {', '.join(PACKAGES)}")
 
 
 def check_file_allowed(path: str) -> None:
@@ -54,7 +54,7 @@ def _is_allowed(module: str) -> bool:
     if package == "tb2rl":  # only its own modules, because in a checkout it also imports files beside the package
         own_modules = {info.name for info in pkgutil.iter_modules([str(Path(__file__).parent.parent)])}
         return submodule.partition(".")[0] in {*own_modules, "agents"}
-    # Installed packages with entry points are trusted.
+    # Installed packages with entry points in these groups are trusted.
     groups = [f"tb2rl.{kind}" for kind in ("agents", "robots", "tasks", "worlds")]
     plugins = {point.module.partition(".")[0] for group in groups for point in entry_points(group=group)}
     return package in {*PACKAGES, *plugins}

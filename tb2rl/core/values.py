@@ -118,8 +118,8 @@ def type_with_checks(cls: type[T]) -> Any:
 
 def checked(annotation: Any, value: Any, where: str) -> Any:
     """Check a value against a type annotation, and convert it; raises an `InputError` if it is invalid."""
-    has_config = isinstance(annotation, type) and dataclasses.is_dataclass(annotation)
-    adapter = TypeAdapter(annotation) if has_config else TypeAdapter(annotation, config=_STRICT_CONFIG)
+    has_own_config = isinstance(annotation, type) and dataclasses.is_dataclass(annotation)
+    adapter = TypeAdapter(annotation) if has_own_config else TypeAdapter(annotation, config=_STRICT_CONFIG)
     try:
         return adapter.validate_python(value)
     except ValidationError as error:

@@ -84,7 +84,7 @@ def find_needs(scene: Scene) -> Needs:
         if len(sensor.shape) == 3:
             raise InputError(one_line(f"sensor {sensor.name} reads images, and a driver has no camera"))
         probe = _Probe(sensor, scene.spec)
-        if "pose" in probe.fields and not probe.lookaheads:  # only a path follower may read it, from odometry
+        if "pose" in probe.fields and not probe.lookaheads:  # odometry's pose will do only with a lookahead point
             raise _unavailable_error(sensor, "pose")
         fields, lookaheads = fields | probe.fields, lookaheads | probe.lookaheads
     if len(lookaheads) > 1:

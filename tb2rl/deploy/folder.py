@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import signal
 
-if __name__ == "__main__":  # SIGINT ends the program at once, because an import can lose a KeyboardInterrupt
+if __name__ == "__main__":  # SIGINT kills the program until `main` handles it: imports can lose a KeyboardInterrupt
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 '''
 

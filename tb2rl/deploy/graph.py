@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from tb2rl.deploy.network import Layer, Network
 from tb2rl.tasks.actions import Actions, Commands, Velocities
 
-OPSET, IR_VERSION = 17, 8  # for onnxruntime 1.12 (2022) and later; the last one for Python 3.8 is 1.19
+OPSET, IR_VERSION = 17, 8  # for onnxruntime 1.12 (2022) and later; the last release for Python 3.8 is 1.19
 BATCH_AXIS = "robots"  # name of the axis of length num_envs
 _FLOAT, _DOUBLE, _INTEGER = TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.INT64
 

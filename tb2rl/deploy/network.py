@@ -55,7 +55,7 @@ def extract_network(algorithm: BaseAlgorithm) -> Network:
     """
     policy: Any = algorithm.policy
     space: Any = algorithm.observation_space
-    if hasattr(policy, "best_actions"):  # a table with a row for each state: row observation @ strides
+    if hasattr(policy, "best_actions"):  # a table with a row for each state, whose index is observation @ strides
         best, strides = policy.best_actions(), np.cumprod([1, *space.nvec[:0:-1]])[::-1]
         table = _layer("table", strides=strides, best=best.astype(np.min_scalar_type(best.max())))
         return Network({OBSERVATION: ()}, (table,))

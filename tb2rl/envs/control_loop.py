@@ -124,8 +124,8 @@ class ControlLoop:
         reward, terminated = outcome.reward, outcome.terminated
         if inactive is not None:
             reward, terminated = np.where(inactive, 0.0, reward), terminated & ~inactive
-        step = reward, self.simulator.travelled, terminated, self.task.episode_steps
-        truncated = _count_step(self.lengths, self._returns, self.distances, *step)
+        arguments = reward, self.simulator.travelled, terminated, self.task.episode_steps
+        truncated = _count_step(self.lengths, self._returns, self.distances, *arguments)
         if inactive is not None:
             truncated &= ~inactive
         observations, finished = self._observation_pipeline.step(after, observed_commands), None

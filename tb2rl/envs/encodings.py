@@ -17,7 +17,7 @@ from tb2rl.sensors import Sensor
 from tb2rl.simulation import RobotState
 
 DEFAULT_BEAMS = {"discrete": 7, "raw": 36}  # number of laser beams by observation mode
-NUMBERS = "numbers"  # key of the numbers in a `Dict` observation, and of the statistics of any other
+NUMBERS = "numbers"  # key of the numbers in a `Dict` observation, and of the statistics of an observation without keys
 
 Observations = Any  # an array (num_envs, ...), or a dictionary of such arrays
 

@@ -18,7 +18,7 @@ class InverseRange(BaseFeaturesExtractor):
 
     Args:
         observation_space: Space of the raw observations.
-        middle: Inverse distance that becomes 0 [1/m].
+        middle: Value of 1 / (offset + d) that becomes 0 [1/m].
         spread: Scale factor [m].
         offset: Added to distances [m]; a small offset emphasises the last decimetres before a wall.
 

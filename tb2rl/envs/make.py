@@ -66,7 +66,7 @@ def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> S
 
 
 def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
-    """Make a task from its name, "module:Class", its class, or a task whose fields `settings` changes.
+    """Make a task from a name, "module:Class", a class or another task; `settings` overrides its fields.
 
     Raises:
         InputError: If a name or a setting is unknown, or a value is invalid.
@@ -83,7 +83,7 @@ def _make_env_spec(scene: Scene, render_mode: str | None, simulation: Any) -> En
     """
     task, task_class = scene.task, type(scene.task)
     defaults = {field.name: field.default for field in fields(task_class)}
-    # `make_env` adds the task settings of the robot itself, so these count as defaults.
+    # `make_env` itself adds the robot's task settings, so these count as defaults.
     defaults |= {**with_robot_settings({"robot": task.robot}, task_class), "robot": defaults["robot"]}
     settings = {name: value for name, value in asdict(task).items() if getattr(task, name) != defaults[name]}
     if "world" in settings:
@@ -114,8 +114,9 @@ def _task_reference(task_class: type[Task]) -> str | type[Task]:
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> gymnasium.Env:
-    """The entry point for `gymnasium.make`, see `make_env`. Gymnasium shows images if a simulator has no window."""
-    # No variable stores the current frame, because that reference cycle would keep the environment alive.
+    """Entry point for `gymnasium.make`, see `make_env`. In mode "human", Gymnasium's window replaces a missing one."""
+    # Frame 1 is that of `gymnasium.make`. No variable stores the current frame, because that reference cycle would
+    # keep the environment alive.
     arguments = _with_time_limit(arguments, _requested_time_limit(sys._getframe(1).f_locals))
     simulator_type = find_simulator(arguments.get("simulation") or default_physics())
     if arguments.get("render_mode") != "human" or simulator_type.has_window:
@@ -137,8 +138,8 @@ def make_vector_for_gymnasium(
 ) -> VectorEnv:
     """The entry point for `gymnasium.make_vec`.
 
-    The environments share one control loop if the simulator runs in this process. Otherwise they step one after the
-    other. `autoreset_mode` is described in `TurtleBot2VectorEnv`, and `arguments` in `make_env`.
+    The environments share one control loop if the simulator steps many of them in one process. Otherwise a
+    `SyncVectorEnv` steps one after the other. `autoreset_mode`: see `TurtleBot2VectorEnv`; `arguments`: see `make_env`.
     """
     mode, simulator_type = find_autoreset_mode(autoreset_mode), find_simulator(simulation or default_physics())
     arguments = _with_time_limit(arguments, max_episode_steps)

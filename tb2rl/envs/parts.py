@@ -37,8 +37,8 @@ SENSORS: dict[str, tuple[type[Sensor], ...]] = {  # by name in `task.observe`
 def observed_sensors(task: Task, task_sensors: tuple[Sensor, ...], spec: SimulationSpec) -> tuple[Sensor, ...]:
     """The sensors in `task.observe`, or `task_sensors` if `task.observe` is None.
 
-    An entry without arguments selects the sensor of its class, with its settings, in `task_sensors` or else in
-    `task.available_sensors`; if there is none, a new sensor with default settings is made.
+    An entry with arguments makes a new sensor. An entry without arguments selects the task's own sensor of its class,
+    from `task_sensors` or else from `task.available_sensors`; if there is none, it makes one with default settings.
 
     Args:
         task: The task.
@@ -177,7 +177,7 @@ def _state_at_rest(initial_state: InitialState, spec: SimulationSpec) -> RobotSt
     table, nearest, outlines = initial_state.table.copy(), ranges.min(axis=1), np.zeros((_NUM_ENVS, 1, 6))
     for array in (pose, ranges, twist, acceleration, no_contact, table, nearest, outlines):
         array.flags.writeable = False
-    values = pose, twist, pose, twist, ranges, no_contact, twist, acceleration
+    values = pose, twist, pose, twist, ranges, no_contact, twist, acceleration  # first fields of `RobotState`, in order
     obstacles = (outlines, no_contact) if spec.has_dynamic_obstacles else ()
     return RobotState(*values, InitialState(table), _BlankCamera(spec), *obstacles, nearest_range=nearest)
 

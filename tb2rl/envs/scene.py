@@ -149,7 +149,7 @@ def with_robot_settings(
     """Add the task settings of the robot `settings["robot"]`; other keys of `settings` take precedence.
 
     Args:
-        settings: Settings to change; without "robot" nothing is added.
+        settings: Settings for a new or changed task; without "robot" nothing is added.
         task_class: Class of the task.
         task: The task before the change. Settings that it got from its old robot return to the defaults of the class.
 

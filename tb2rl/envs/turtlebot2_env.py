@@ -48,7 +48,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
     Args:
         scene: The task, the robot, the worlds and the observation; `make_env` makes it from names.
         render_mode: None, "rgb_array" (top-down image, no window) or "human" (the simulator's own window).
-        simulation: The simulator: a registered name, "module:Class", a `SimulatorType`, or an object with the attribute
+        simulation: The simulator: a registered name, "module:Class", a `SimulatorType`, or an object with a method
             `simulator_type`. None: `default_physics`.
 
     A copy (`copy.deepcopy`, `pickle`) starts in the state of the original, and is independent afterwards. An

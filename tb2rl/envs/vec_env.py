@@ -27,7 +27,7 @@ class TurtleBot2VecEnv(VecEnv):
     """
 
     def __init__(self, scene: Scene, num_envs: int, reward_scale: float = 1.0, simulation: Any = "kinematic") -> None:
-        # With `processes`, a single environment gets a noise generator of its own, as each of several does.
+        # With `processes=1`, a single environment gets its own noise generator, as each of several environments does.
         self.loop = SeededLoop.open(scene, simulation, num_envs, processes=1 if num_envs == 1 else None)
         self.reward_scale, self.render_mode = reward_scale, None
         super().__init__(num_envs, scene.observation_space, scene.action_space)
@@ -67,7 +67,7 @@ class TurtleBot2VecEnv(VecEnv):
         raise NotImplementedError(f"the environments share one control loop, so none has a method {method_name}")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
-        return [wrapper_class.__name__ == "Monitor" for _ in self._get_indices(indices)]  # for `evaluate_policy`
+        return [wrapper_class.__name__ == "Monitor" for _ in self._get_indices(indices)]  # infos have its `episode`
 
 
 def _infos(finished: FinishedEpisodes, truncated: np.ndarray) -> list[dict[str, Any]]:

@@ -134,7 +134,7 @@ def run_steps(loop: ControlLoop, policy: Policy, episodes: Iterable[EpisodeStart
                 restarted_slots = finished_slots[: len(starts)]
                 episode_numbers[restarted_slots] = [start.number for start in starts]
                 rngs = [start.rng for start in starts]
-                # This also overwrites their rows of the observations.
+                # This also overwrites the rows of these slots in `observations`.
                 loop.reset_at(restarted_slots, _stack_initial_states(starts), observations, rngs)
                 predictor.restart(restarted_slots, starts[0].seed)
 

@@ -36,8 +36,8 @@ EPISODES, STEPS = 100, 1500  # number and time limit [control steps] of the stan
 SEED = 20_180_000  # seed of the standard evaluation, far from the seeds that trainings use
 VALIDATION_SEED = 20_190_000  # seed of the evaluations during training
 SOLVED_RATE = 0.95  # minimum success rate of a solved task
-# Maximum slots (environments, see `run_episodes`) in a process, for simulators that need processes and for others.
-_MAX_WORLD_SLOTS, _MAX_ARRAY_SLOTS = 25, 1024
+# Maximum slots (environments, see `run_steps`) in a process, for simulators that need processes and for others.
+_FEW_SLOTS, _MANY_SLOTS = 25, 1024
 _BLOCK_SIZE = 100  # number of initial states that are drawn with one seed, see `random_initial_states`
 
 
@@ -65,9 +65,9 @@ def evaluate(
         observation: Observation mode of `task`, "discrete" or "raw"; None: the mode of the policy's observation space.
         simulation: An argument of `find_simulator`, such as a name or a `RosRobot`; None: `default_simulator`.
         progress: Whether to show a progress bar if there is a terminal.
-        options: `steps` is the time limit of an episode [control steps]; its default is the setting `episode_steps`, or
-            1500 without this setting. `episodes` is the number of episodes: 100 in simulation, or 1 with a
-            `simulation` outside, such as a robot. See `Evaluator` for `seed` and `workers`.
+        options: `steps` is the time limit of an episode [control steps]; its default is `episode_steps` in `settings`,
+            or else 1500. `episodes` is the number of episodes; its default is 100, or 1 with an external simulator or
+            a real robot. See `Evaluator` for `seed` and `workers`.
 
     Raises:
         InputError: If the policy does not exist, a setting is invalid, or the policy has other spaces than the task.
@@ -124,7 +124,7 @@ def time_limit(steps: int | None, settings: Mapping[str, Any], default: int) -> 
 
 
 class Evaluator(AbstractContextManager["Evaluator"]):
-    """Evaluates policies in the same episodes; its control loops stay open between evaluations.
+    """Evaluates any number of policies, all in the same episodes; its control loops stay open between evaluations.
 
     Args:
         scene: The task and the worlds.
@@ -177,14 +177,14 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         if executor is None:
             yield from self._run_here(policy, numbers)
             return
-        size = min(_MAX_WORLD_SLOTS, max(1, len(numbers) // (2 * executor.num_workers)))
+        size = min(_FEW_SLOTS, max(1, len(numbers) // (2 * executor.num_workers)))
         parts = [numbers[i : i + size] for i in range(0, len(numbers), size)]
         for episodes in executor.map(lambda *args: list(Evaluator._run_here(*args)), parts, shared=(self, policy)):
             yield from episodes
 
     def _run_here(self, policy: Policy, numbers: Sequence[int]) -> Iterator[Episode]:
         """Run episodes in this process, and yield them in the order of `numbers`."""
-        max_slots = _MAX_WORLD_SLOTS if self.simulator.in_processes else _MAX_ARRAY_SLOTS
+        max_slots = _FEW_SLOTS if self.simulator.in_processes else _MANY_SLOTS
         can_batch = not self.simulator.is_external and _can_predict_batches(policy, self.scene.observation_space)
         num_slots = min(max_slots, len(numbers)) if can_batch else 1
         if num_slots not in self._loops:
@@ -225,7 +225,7 @@ class Evaluator(AbstractContextManager["Evaluator"]):
 
 
 def _unwrap(policy: Any) -> Policy:
-    """The policy of a Stable-Baselines3 algorithm, which pickles small and predicts batches; else `policy` itself."""
+    """The policy of a Stable-Baselines3 algorithm, whose pickle is small and which predicts batches; else `policy`."""
     return getattr(policy, "policy", policy)
 
 

@@ -22,7 +22,7 @@ class Metric:
         statistic: Statistic of the values: a "rate" with its 95 % interval, a "mean" with the standard deviation, the
             "median", or the sum "per second" of simulated time.
         goals_only: Whether tables show the metric only for tasks with a goal.
-        in_tables: Whether tables show the metric at all.
+        in_tables: Whether tables, charts and TensorBoard show the metric; JSON files always contain it.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Metric:
 def _count_squares(path: np.ndarray) -> int:
     """Number of squares of 1 m that contain points of a path x, y [m], shape (n, 2)."""
     x, y = np.floor(path).astype(np.int64).T
-    return len(np.unique(x * 2**31 + y))  # faster than unique rows
+    return len(np.unique(x * 2**31 + y))  # faster than np.unique(axis=0)
 
 
 METRICS = (
@@ -85,7 +85,7 @@ METRICS = (
     Metric("return", "return", "", lambda episode: episode.episode_return),
     Metric("length", "length", "steps", lambda episode: episode.length),
     Metric("mean_speed", "speed", "m/s", lambda episode: episode.distance, "per second"),
-    # Reveals robots that only drive in circles, because they visit few squares.
+    # Few visited squares reveal a robot that only drives in circles.
     Metric("median_squares", "visited", "squares of 1 m (median)", lambda e: _count_squares(e.path), "median"),
 )
 

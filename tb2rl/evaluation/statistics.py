@@ -28,9 +28,9 @@ def wilson_interval(count: int, total: int) -> tuple[float, float]:
         count: Number of successes.
         total: Number of trials, at least 1.
     """
-    rate, spread = count / total, _Z * _Z / total
-    centre = (rate + spread / 2) / (1 + spread)
-    half_width = _Z / (1 + spread) * math.sqrt(rate * (1 - rate) / total + spread / (4 * total))
+    rate, z2_n = count / total, _Z * _Z / total
+    centre = (rate + z2_n / 2) / (1 + z2_n)
+    half_width = _Z / (1 + z2_n) * math.sqrt(rate * (1 - rate) / total + z2_n / (4 * total))
     return max(0.0, centre - half_width), min(1.0, centre + half_width)
 
 

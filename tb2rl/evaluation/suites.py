@@ -29,7 +29,7 @@ from tb2rl.worlds.dynamic_obstacles import describe_groups, parse_dynamic_obstac
 from tb2rl.worlds.suites import Suite, find_suite
 
 ALL = "all"  # key of the metrics of all worlds
-# BARN scores a traversal time relative to the optimal time (OT), that of the reference path at the optimal speed.
+# BARN scores a traversal time relative to the optimal time (OT): length of the reference path / optimal speed.
 BARN_FORMULA = "BARN 2024: 2 OT to 8 OT"  # version of the formula, by the range to which it clips the traversal time
 _MIN_OPTIMAL_TIMES, _MAX_OPTIMAL_TIMES = 2.0, 8.0  # [OT] ends of this range
 _OPTIMAL_SPEED = 2.0  # [m/s] of the optimal time
@@ -71,13 +71,13 @@ class SuiteEpisode:
 class SuiteMetrics:
     """Metrics of a policy in some worlds of a suite; means over successes are None without successes."""
 
-    worlds: Count
+    worlds: Count  # number of these worlds
     success_rate: Fraction
     success_interval: tuple[Fraction, Fraction]  # 95 %
     failed_rate: Fraction
     time_limit_rate: Fraction
     # Success weighted by path length (Anderson et al. 2018, "On evaluation of embodied navigation agents"). Shortest
-    # paths end a goal radius before the goal; in BARN this radius is a tenth of their length.
+    # paths end a goal radius before the goal; in BARN this radius is 1 m, and the paths have about 10 m.
     spl: Fraction
     time_ratio: NonNegative | None  # time to the goal / time of the shortest path at top speed; mean over successes
     mean_speed: NonNegative  # [m/s] total distance / total time
@@ -108,7 +108,7 @@ class SuiteResult:
     def __post_init__(self) -> None:
         if ALL not in self.figures or [episode.world for episode in self.episodes] != [*range(len(self.episodes))]:
             raise ValueError("it lacks the figures of all worlds, or its worlds are not in order")
-        find_simulator(self.simulation)
+        find_simulator(self.simulation)  # raises an InputError for an unknown name
 
     @classmethod
     def read(cls, file: Path) -> SuiteResult:
@@ -276,7 +276,7 @@ def restore_evaluation(result: SuiteResult, folder: Path) -> tuple[Evaluator, Po
         raise InputError(f"the worlds of suite {suite.name} have changed since the evaluation")
     scene = suite_scene(config.scene, suite)
     check_spaces(policy, scene)
-    return suite_evaluator(scene, 1, result.simulation), policy
+    return suite_evaluator(scene, workers=1, simulation=result.simulation), policy
 
 
 def _find_policy(result: SuiteResult, folder: Path) -> Policy:

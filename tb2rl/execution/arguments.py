@@ -9,7 +9,7 @@ from tb2rl.execution.executor import Executor
 
 def add_executor_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that `make_executor` reads."""
-    parser.add_argument("--on", metavar="ray[:ADDRESS]", help="run on Ray: on this machine, or on a cluster's address")
+    parser.add_argument("--on", metavar="ray[:ADDRESS]", help="run on Ray, here or on the cluster at ADDRESS")
     workers_help = "parallel processes (default: one for each processor)"
     parser.add_argument("--workers", type=between(1, 10_000), help=workers_help)
 

@@ -27,7 +27,7 @@ from tb2rl.execution.executor import RETRIES, Executor, Job, Result, deserialize
 _OBJECT_STORE_SIZE = 2**28  # [bytes] size of the shared memory of a local Ray; larger objects are moved to the disk
 _CONNECT_TIMEOUT = 10  # [s]
 _NO_TELEMETRY = {"RAY_USAGE_STATS_ENABLED": "0"}
-# These variables let a local Ray listen only on 127.0.0.1, and give its workers the normal priority.
+# These variables make a local Ray listen only on 127.0.0.1, and give its workers the normal priority.
 _LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
 
 # Environment variables that are copied to workers. Variables with secrets must be set on each machine.

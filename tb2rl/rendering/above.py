@@ -16,7 +16,7 @@ from tb2rl.worlds import DynamicObstacles, World
 from tb2rl.worlds.world import box_polygons
 
 SIDE = 640  # [px] longer side of a drawing
-_SUPERSAMPLING = 2  # drawn pixels for each side of a pixel, for smooth lines
+_SUPERSAMPLING = 2  # drawn pixels along each side of a final pixel, for smooth lines
 _MARGIN = 0.3  # [m] margin around the world
 GOAL_RADIUS = 0.2  # [m] radius of the ring that marks a goal
 _NOSE = ((150 / 178, 0.0), (50 / 178, 60 / 178), (50 / 178, -60 / 178))  # triangle in the robot's frame [robot radii]

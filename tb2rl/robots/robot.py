@@ -38,7 +38,7 @@ class Laser:
 
     @cached_property
     def angles(self) -> np.ndarray:
-        """Directions of the selected beams in the robot's frame [rad], shape (beams,), ascending."""
+        """Directions of the selected beams in the robot's frame [rad], shape (selected beams,), ascending."""
         if self.field_of_view == math.tau or self.beams == 1:  # one of the beams looks ahead
             angles = (np.arange(self.beams) - self.beams // 2) * self.field_of_view / self.beams
         else:

@@ -8,7 +8,7 @@ class Vehicle:
     """Limits of a robot, for the constructor argument `vehicle` of a policy; the defaults are a TurtleBot2."""
 
     radius: float = 0.178  # [m] radius of the base
-    max_speed: float = 0.65  # [m/s] speed of the action 1, or of the fastest discrete action
-    turn_rate: float = 2.0  # [rad/s] turn rate of the action 1, or with discrete actions the robot's limit
+    max_speed: float = 0.65  # [m/s] speed at the continuous action 1, or of the fastest discrete action
+    turn_rate: float = 2.0  # [rad/s] turn rate at the continuous action 1; with discrete actions, the robot's limit
     period: float = 0.1  # [s] control period
     directions: tuple[float, ...] | None = None  # [rad] of the beams, right to left; None: evenly over 180 degrees

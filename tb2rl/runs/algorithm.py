@@ -157,7 +157,7 @@ def statistics_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
 
 
 def load_statistics(algorithm: BaseAlgorithm, tree: Any) -> None:
-    """Restore the statistics of a checkpoint; raises a ValueError if their names, shapes or types differ."""
+    """Restore the statistics of a checkpoint; raises a ValueError if names, shapes or types are not the algorithm's."""
     env = algorithm.get_vec_normalize_env()
     if env is None:
         return

@@ -25,13 +25,13 @@ LIBRARY_ERRORS = (  # errors of torch, numpy and Stable-Baselines3 for invalid v
     ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, RuntimeError, TypeError,
     ValueError,
 )  # fmt: skip
-_SET_BY_TRAIN = {  # arguments of algorithms and baselines that tb2rl sets, and users cannot set
+_AGENT_RESERVED = {  # arguments of algorithms and baselines that users cannot set: tb2rl sets them or keeps defaults
     "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
     "observation_space", "action_space", "vehicle", "replay_buffer_class", "replay_buffer_kwargs",
     "rollout_buffer_class", "rollout_buffer_kwargs",
 }  # fmt: skip
 _MIN_IMAGE_SIDE = 36  # [pixels] least width and height for the convolutions of Stable-Baselines3
-_SET_BY_ALGORITHM = {  # arguments of policies, features extractors and optimisers that users cannot set
+_POLICY_RESERVED = {  # arguments of policies, features extractors and optimisers that users cannot set
     "observation_space", "action_space", "lr_schedule", "params", "capturable", "differentiable",
 }  # fmt: skip
 
@@ -51,21 +51,24 @@ def with_policy(agent: Agent, observation_space: spaces.Space) -> Agent:
 
 
 def checked_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Check and convert the arguments of an agent's algorithm, or of its policy if the agent does not learn."""
+    """Check the arguments of an agent's algorithm, or of its policy if the agent does not learn.
+
+    Plain values are converted to the annotated types. Schedules, noise and classes keep their YAML form.
+    """
     algorithm = agent.load()
-    result = _checked_kwargs(algorithm, arguments, "agent", _SET_BY_TRAIN)
+    result = _checked_kwargs(algorithm, arguments, "agent", _AGENT_RESERVED)
     if agent.algorithm and result.get("policy_kwargs") is not None:
         policy = algorithm.policy_aliases.get(agent.policy) or import_object(agent.policy)
         setting = "agent.policy_kwargs"
-        # In a preset, null resets a key of an earlier preset to the library's default.
+        # In a layer of the config, null resets a key of an earlier layer to the library's default.
         policy_kwargs = {key: value for key, value in result["policy_kwargs"].items() if value is not None}
-        policy_kwargs = _checked_kwargs(policy, policy_kwargs, setting, _SET_BY_ALGORITHM)
+        policy_kwargs = _checked_kwargs(policy, policy_kwargs, setting, _POLICY_RESERVED)
         for component in ("features_extractor", "optimizer"):
             class_key, key = f"{component}_class", f"{component}_kwargs"
             if key in policy_kwargs:
                 cls = policy_kwargs.get(class_key) or _constructor_parameters(policy)[class_key].default
                 cls = _import_torch_class(cls, f"{setting}.{class_key}") if isinstance(cls, str) else cls
-                policy_kwargs[key] = _checked_kwargs(cls, policy_kwargs[key], f"{setting}.{key}", _SET_BY_ALGORITHM)
+                policy_kwargs[key] = _checked_kwargs(cls, policy_kwargs[key], f"{setting}.{key}", _POLICY_RESERVED)
         result["policy_kwargs"] = policy_kwargs
     return result
 
@@ -111,7 +114,7 @@ class _GaussianNoise:
 
 
 def _checked_kwargs(cls: Any, arguments: Mapping[str, Any], where: str, reserved: set[str]) -> dict[str, Any]:
-    """Check and convert arguments of the constructor of a class; users cannot set the `reserved` names."""
+    """Check arguments of a class's constructor, and convert plain values; users cannot set the `reserved` names."""
     known, annotations = _constructor_parameters(cls).keys() - reserved, _annotations(cls.__init__)
     result = dict(arguments)
     for key, value in arguments.items():
@@ -119,7 +122,7 @@ def _checked_kwargs(cls: Any, arguments: Mapping[str, Any], where: str, reserved
             raise unknown(f"key of {where}", key, known)
         annotation, setting = annotations.get(key, Any), f"{where}.{key}"
         if isinstance(value, Mapping) and any(get_origin(option) is Callable for option in get_args(annotation)):
-            build(_LinearSchedule, value, setting)
+            build(_LinearSchedule, value, setting)  # only checks, as do the next two; `algorithm_arguments` converts
         elif value is not None and ActionNoise in get_args(annotation):
             build(_GaussianNoise, value, setting)
         elif isinstance(value, str) and get_origin(annotation) is type:

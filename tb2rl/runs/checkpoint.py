@@ -75,7 +75,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def is_saveable(value: Any) -> bool:
-    """Whether a value belongs in a checkpoint: a number, array, tensor or deque, or a tuple or mapping of these."""
+    """Whether a value belongs in a checkpoint: number, array, tensor, deque, or non-empty tuple or mapping of these."""
     if isinstance(value, Mapping | tuple):
         return bool(value) and all(map(is_saveable, value.values() if isinstance(value, Mapping) else value))
     return isinstance(value, bool | int | float | np.ndarray | np.generic | th.Tensor | deque)

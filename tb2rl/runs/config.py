@@ -54,7 +54,7 @@ class TrainSettings:
     episode_steps: Count | None = None  # [control steps] time limit of training episodes; None: the task's time limit
     seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
     simulation: SimulatorName = field(default_factory=lambda: default_physics().name)  # simulator to train in
-    n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # number of environments, divided among parallel processes
+    n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # number of environments; PyBullet divides them among processes
     device: Annotated[str, Field(pattern=r"^(auto|cpu|mps|cuda(:\d{1,2})?)$")] = "cpu"
     torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # ppo in the kinematic simulator is 15 % faster with 2 threads
     reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # factor for rewards in training; logs are unscaled
@@ -82,7 +82,7 @@ class Config:
     task: Task
     observation: str  # observation mode, "discrete" or "raw"
     train: TrainSettings
-    agent: Agent = field(compare=False, repr=False)  # `agent_name`, with Stable-Baselines3's policy class for the space
+    agent: Agent = field(compare=False, repr=False)  # with the policy for the observation space, see `with_policy`
     scene: Scene = field(compare=False, repr=False)  # the environment that the task's settings describe
 
     def to_dict(self) -> dict[str, Any]:

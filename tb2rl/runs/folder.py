@@ -7,8 +7,8 @@
         final/policy        last policy
         evaluations.jsonl   one line for each evaluation during training
         evaluation.json     standard evaluation, by `tb2rl.evaluate`: metrics and episodes
-        episodes.safetensors  its paths and actions
-        suite-unseen.json   result of a suite of worlds
+        episodes.safetensors  paths and actions of these episodes
+        suite-<name>.json   result of a suite of worlds
         tensorboard/        event files
         tracker-*.json      state of an experiment tracker; wandb/: offline files of Weights & Biases
 
@@ -68,7 +68,7 @@ class Run:
 
     @classmethod
     def open(cls, folder: Path, trust: bool = False) -> Run:
-        """Open a run folder; with `trust`, the config of a shared run may import any module outside it."""
+        """Open a run folder; with `trust`, the config of a shared run may import any module outside the folder."""
         tree = read_config(folder)
         tree.pop("versions", None)
         try:
@@ -232,8 +232,8 @@ class Journal:
 
     Attributes:
         entries: Results of an earlier process, as plain values.
-        mismatch: First key of `work` whose value differs from that in the file, or "kind" if only the file has further
-            keys; None: no difference, or no file.
+        mismatch: First key of `work` with another value in the file, or the word "kind" if only the file has further
+            keys, for messages such as "from another config"; None: no difference, or no file.
     """
 
     def __init__(self, path: Path | None, work: Mapping[str, Any]) -> None:

@@ -17,7 +17,7 @@ DISTANCE_BINS: Bins = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
 BEARING_BINS: Bins = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
 WAYPOINT_BINS: Bins = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)  # [rad]
 LOOKAHEAD = 1.5  # [m] default distance of the lookahead point
-Lookahead = Annotated[Positive, Le(100)]  # [m] limited because the time of a reading grows with it
+Lookahead = Annotated[Positive, Le(100)]  # [m] limited because the computing time of `read` grows with it
 
 
 class GoalDistance(Sensor):

@@ -64,7 +64,7 @@ class ForwardAcceleration(_Motion):
     name, unit = "forward acceleration", "m/s^2"
 
     def __init__(self, robot: Robot, bins: Bins = (-0.1, 0.1)) -> None:
-        # Upper bound: the other wheel's motor adds or subtracts the coupling, a constant of either sign.
+        # Upper bound: the other wheel's motor adds or subtracts `wheel_coupling`, which may itself be negative.
         super().__init__(robot.wheel_acceleration + abs(robot.wheel_coupling), bins)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
@@ -89,9 +89,9 @@ def bumper_at(angle: float) -> int:
 class LastAction(Sensor):
     """The latest commands v and w as shares of the robot's limits, the newest first.
 
-    Earlier entries are the command in effect at the reset. The sensor has no latency. If `count` covers the
-    latency of commands and observations, a robot with latency is a Markov decision process again (Katsikopoulos &
-    Engelbrecht 2003, "Markov decision processes with delays and asynchronous cost collection").
+    Entries from before the first command are the command in effect at the reset. The sensor has no latency. If `count`
+    covers the latency of commands and observations, a robot with latency is a Markov decision process again
+    (Katsikopoulos & Engelbrecht 2003, "Markov decision processes with delays and asynchronous cost collection").
 
     Args:
         robot: The robot, for its speed limits.

@@ -28,17 +28,17 @@ class OccupancyMap(Protocol):
 
 
 class PoseHistory(Protocol):
-    """Recent poses of the robots."""
+    """Recent positions of the robots, by odometry."""
 
     def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
-        """Time that the robots spent within `radius` [m] of points (num_envs, n, 2) [s], shape (num_envs, n)."""
+        """Time [s] that each robot spent within `radius` [m] of its points (num_envs, n, 2), shape (num_envs, n)."""
 
 
 class CommandHistory(Protocol):
     """The latest commands as given, without the latency after which they take effect."""
 
     def last(self, count: int) -> np.ndarray:
-        """V [m/s] and w [rad/s], newest first, shape (num_envs, count, 2); at first, the command at the start."""
+        """V [m/s] and w [rad/s], newest first, shape (num_envs, count, 2), filled up with the command at the start."""
 
 
 class StateSource(Protocol):
@@ -91,7 +91,7 @@ class RobotState:
 
         This is privileged information for rewards. The goals must be those of `SimulationSpec.goal_paths`.
         """
-        return self._source.spec.goal_paths.path_length(*self._goals, self.pose)
+        return self._source.spec.goal_paths.path_length(*self._worlds_and_goal_numbers, self.pose)
 
     def copy_goal_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
         """Copy the path lengths of `earlier` to this state, if `earlier` has computed them.
@@ -112,7 +112,7 @@ class RobotState:
         """
         if self.occupancy_map is not None:
             return self.occupancy_map.lookahead_point(self, lookahead)
-        return self._source.spec.goal_paths.lookahead_point(*self._goals, self.pose, lookahead)
+        return self._source.spec.goal_paths.lookahead_point(*self._worlds_and_goal_numbers, self.pose, lookahead)
 
     @property
     def _source(self) -> StateSource:
@@ -121,7 +121,7 @@ class RobotState:
         return self.simulator
 
     @property
-    def _goals(self) -> tuple[np.ndarray, np.ndarray]:
+    def _worlds_and_goal_numbers(self) -> tuple[np.ndarray, np.ndarray]:
         return self.initial_state.world.astype(int), self.initial_state.records["goal_path"].astype(int)
 
     @property
@@ -147,7 +147,7 @@ class RobotState:
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], simulator: StateSource | None = None) -> RobotState:
-        """Make a robot state from the result of `state`; `simulator` continues from it."""
+        """Make a robot state from the result of `state`; `simulator`, if any, has been restored to the same step."""
         return cls(**{**state, "initial_state": InitialState(np.array(state["initial_state"]))}, simulator=simulator)
 
     def state(self) -> dict[str, Any]:

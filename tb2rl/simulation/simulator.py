@@ -35,7 +35,7 @@ class Simulator(Protocol):
         """Start an episode with a robot at rest in every environment; `rng` generates the sensor noise from now on."""
 
     def reset_at(self, indices: np.ndarray, initial_state: InitialState, rng: ResetGenerators = None) -> ResetStates:
-        """Start new episodes in some environments; arrays of the latest robot state may be changed in place.
+        """Start new episodes in some environments; may change arrays of the latest robot state in place.
 
         Args:
             indices: Ascending indices of these environments, shape (n,).

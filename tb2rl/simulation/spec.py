@@ -33,7 +33,7 @@ FIELDS = (
     # Parameters drawn by `tb2rl.simulation.variation`:
     "wheel_radius",  # true / nominal
     "assumed_separation",  # wheel separation assumed by the odometry / true wheel separation
-    "left_encoder", "right_encoder",  # distance measured by a wheel's encoder / true distance
+    "left_encoder", "right_encoder",  # distance measured by an encoder / true distance, if the wheel radius is nominal
     "laser_noise",  # [m] standard deviation; negative: `Laser.noise`
     "bias",  # [m] added to all ranges
     "dropped",  # share of beams that return inf
@@ -119,7 +119,7 @@ class SimulationSpec:
 
     def check_table(self, table: np.ndarray) -> None:
         """Raise a `ValueError` if a table of initial states from a file has values that could make a step endless."""
-        rows, parameters = InitialState(table).records, table[:, PARAMETERS.start :]
+        rows, parameters = InitialState(table).records, table[:, PARAMETERS.start :]  # these and all later columns
         known = np.isin(rows["world"], range(len(self.worlds))) & np.isin(rows["goal_path"], range(RANDOM_GOALS + 1))
         if not (known.all() and (np.abs(parameters) < _MAX_PARAMETER).all()):
             raise ValueError("an initial state has an unknown world or goal, or impossible parameters")

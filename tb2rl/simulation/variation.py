@@ -36,7 +36,7 @@ class Variation:
 
     wheel_radius: Range[Ratio] = (1.0, 1.0)  # true / nominal
     wheel_separation: Range[Ratio] = (1.0, 1.0)  # true / nominal
-    odometry: Range[Ratio] = (1.0, 1.0)  # distance measured by an encoder / true distance, drawn for each wheel
+    odometry: Range[Ratio] = (1.0, 1.0)  # measured / true distance of each wheel, if the wheel radius is nominal
     acceleration: Range[Ratio] = (1.0, 1.0)  # acceleration by the motors, true / nominal
     mass: Range[WideRatio] = (1.0, 1.0)  # true / nominal, in PyBullet only
     friction: Range[WideRatio] = (1.0, 1.0)  # friction of the wheels on the floor, true / nominal, in PyBullet only

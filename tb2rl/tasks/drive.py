@@ -19,8 +19,8 @@ class Drive(CollisionTask):
 
     The reward of a step is v cos(w) dt, so turns earn less than straight lines (Xie et al. 2017, "Towards Monocular
     Vision based Obstacle Avoidance through Deep Reinforcement Learning"). At full speed a circle of 0.5 m radius earns
-    a quarter of a straight line. The collision reward is a fifth of that in the paper, because with -10 td3 learns to
-    stand still.
+    a quarter of a straight line. The collision reward is a fifth of the paper's -10, with which td3 learns to stand
+    still.
 
     A wide circle earns nearly as much as a straight line. With `turn_cost`, few sharp turns earn more than constant
     slight turns, so that the robot explores more of the world.
@@ -29,7 +29,7 @@ class Drive(CollisionTask):
     max_speed: Positive = 0.65  # [m/s]; the lowest speed is 0
     turn_rate: Positive = 2.0  # [rad/s] largest turn rate to both sides
     collision_reward: float = -2.0  # minus the reward of 2 m straight ahead
-    turn_cost: NonNegative = 0.0  # share of the reward lost in the sharpest turns; at 0.3 rad/s half of this share
+    turn_cost: NonNegative = 0.0  # share of v dt lost in the sharpest turns; at 0.3 rad/s half of this share
 
     @cached_property
     def actions(self) -> Velocities:

@@ -62,7 +62,7 @@ class Navigate(Task):
     step_reward: float = -0.05
     turn_reward: float = -0.02  # at `turn_rate`; in proportion at lower turn rates
     margin: NonNegative = 0.1  # [m] gaps between robot and obstacle below this are penalised
-    margin_reward: float = -0.1  # penalty at contact; at a gap below the margin it is scaled by 1 - gap / margin
+    margin_reward: float = -0.1  # added at a gap of 0; at gaps below `margin`, scaled by 1 - gap / margin
 
     @cached_property
     def actions(self) -> Actions:
@@ -90,7 +90,7 @@ class Navigate(Task):
         if self.goal is None:
             return worlds
         x, y = self.goal
-        worlds = tuple(world.with_start_and_goal(None, (x, y, 0.0)) for world in worlds)
+        worlds = tuple(world.with_start_and_goal(start=None, goal=(x, y, 0.0)) for world in worlds)
         for world in worlds:
             if math.isinf(shortest_path_length(world, robot.radius)):
                 raise InputError(f"world {world.name}: no path for {robot.name} from start to goal ({x:g}, {y:g})")
@@ -113,7 +113,7 @@ class Navigate(Task):
         # Path lengths come from a grid and can jump near a wall, where no cell has enough clearance.
         max_progress = 1.5 * self.max_speed * self.control_period
         progress = np.clip(before.path_length - after.path_length, -max_progress, max_progress)
-        penalty = self.turn_reward * np.abs(after.twist[:, 1]) / self.turn_rate
+        penalty = self.turn_reward * np.abs(after.twist[:, 1]) / self.turn_rate  # a negative reward
         if self.margin:
             gap = after.nearest_range - after.initial_state.records["radius"]
             penalty = penalty + self.margin_reward * np.clip(self.margin - gap, 0.0, self.margin) / self.margin

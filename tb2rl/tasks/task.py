@@ -175,7 +175,7 @@ class CollisionTask(Task):
     collision_reward: float = -200.0  # replaces the step's reward
     collision_range: NonNegative = 0.5  # [m]
     margin: NonNegative = 0.0  # [m] gaps between robot and obstacle below this are penalised
-    margin_reward: float = 0.0  # added at contact (negative); at a smaller gap, scaled by (1 - gap / margin)^2
+    margin_reward: float = 0.0  # added at a gap of 0 (negative); at gaps below `margin`, scaled by (1 - gap / margin)^2
 
     def collision_outcome(self, reward: np.ndarray, after: RobotState) -> Outcome:
         """The outcome of a step; `reward` (num_envs,) gets the margin penalty, or is replaced by `collision_reward`."""

@@ -43,7 +43,7 @@ class EvaluationCallback(StatefulCallback):
         self._elapsed = 0.0
 
     def clear_early_stop(self) -> None:
-        """Clear the early stop, and the number of good evaluations."""
+        """Reset `stopped_training`, and the number of evaluations that reached `train.stop_score`."""
         self.stopped_training, self._reached = False, 0  # consecutive evaluations that reached `train.stop_score`
 
     @property
@@ -56,7 +56,7 @@ class EvaluationCallback(StatefulCallback):
         self._start_time = time.monotonic() - seconds
 
     def _on_step(self) -> bool:
-        # After the last step, `train_config` evaluates the final policy.
+        # After the last step, `_Learner.learn` evaluates the final policy.
         if self._next <= self.num_timesteps < self.locals["total_timesteps"]:
             freq, stop_score = self.settings.eval_freq, self.settings.stop_score
             self._next = (self.num_timesteps // freq + 1) * freq

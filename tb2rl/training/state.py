@@ -79,7 +79,7 @@ def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: Callb
     """
     assert algorithm.env is not None
     try:
-        _reset(algorithm)
+        _set_up(algorithm)
         for name, value in restore_like(_attributes(algorithm), state["algorithm"], "algorithm").items():
             setattr(algorithm, name, value)
         if state["replay_buffer"] is not None:
@@ -107,12 +107,12 @@ def _stateful_callbacks(callbacks: CallbackList) -> list[StatefulCallback]:
 # ---- the algorithm
 
 
-def _reset(algorithm: BaseAlgorithm) -> None:
-    """Initialize an algorithm as `learn` would, so that it has all attributes to restore."""
+def _set_up(algorithm: BaseAlgorithm) -> None:
+    """Set up an algorithm as `learn` would, so that it has all attributes to restore."""
     algorithm.set_logger(Logger(None, []))  # else Stable-Baselines3 creates a temporary folder for a logger
     vec_normalize = algorithm.get_vec_normalize_env()
     if vec_normalize is not None:
-        vec_normalize.training = False  # else the reset would update the statistics that `load_parameters` has restored
+        vec_normalize.training = False  # else the env reset would update the statistics that `load_parameters` restored
     algorithm._setup_learn(0, reset_num_timesteps=False)
     if vec_normalize is not None:
         vec_normalize.training = True
@@ -144,7 +144,7 @@ def _slice_slots(value: Any, buffer: BaseBuffer, num_slots: int) -> Any:
 def _refill(buffer: BaseBuffer, saved: Mapping[str, Any]) -> None:
     present = _slice_slots(_attributes(buffer), buffer, buffer.buffer_size if saved["full"] else saved["pos"])
     for name, value in restore_like(present, saved, "replay_buffer").items():
-        if not isinstance(value, np.ndarray | Mapping):  # arrays were restored in place
+        if not isinstance(value, np.ndarray | Mapping):  # arrays were restored in place, because slices are views
             setattr(buffer, name, value)
 
 
@@ -210,12 +210,12 @@ class _RestoreRandomState(BaseCallback):
     None instead of a list of matrices; then this callback does nothing.
     """
 
-    def __init__(self, algorithm: BaseAlgorithm, generators: Mapping[str, Any], matrices: Any) -> None:
+    def __init__(self, algorithm: BaseAlgorithm, generators: Mapping[str, Any], saved_matrices: Any) -> None:
         super().__init__()
-        self._generators, self._pending = generators, matrices is not None
+        self._generators, self._pending = generators, saved_matrices is not None
         self._matrices = [
             (noise, {name: th.from_numpy(saved[name]).to(algorithm.device) for name in _EXPLORATION_MATRICES})
-            for noise, saved in zip(_distributions(algorithm), matrices or [], strict=self._pending)
+            for noise, saved in zip(_distributions(algorithm), saved_matrices or [], strict=self._pending)
         ]
 
     def _on_rollout_start(self) -> None:

@@ -1,4 +1,4 @@
-"""Statistics of a training's episodes, for TensorBoard and as lines in the ROS tutorial's format, and advice."""
+"""Statistics of a training's episodes, for TensorBoard and in the ROS tutorial's format (FROM_ROS.md), and advice."""
 
 import sys
 import time
@@ -32,7 +32,7 @@ ADVICE = {
     "values": "the values are not finite or larger than the rewards allow; try a smaller agent.learning_rate or gamma",
     "failing": "most episodes fail at once; try more exploration, task.start_clearance=0.8, or a longer training",
     "spinning": "the robot spins; try a larger task.forward_reward, a smaller task.turn_reward, or gamma nearer 1",
-    "flat": "the return has not moved for a third of the budget; try another agent.learning_rate, or more exploration",
+    "flat": "the return has not risen for a third of the budget; try another agent.learning_rate, or more exploration",
 }
 
 
@@ -153,7 +153,7 @@ class TrainingDiagnostics(StatefulCallback):
                 print(f"warning: after {self.num_timesteps} steps {ADVICE[problem]}", file=sys.stderr, flush=True)
 
     def _return_is_flat(self, std: float) -> bool:
-        """Whether the mean return rises by less than a tenth of `std` in the last third of the budget."""
+        """Whether the mean return rises by less than a tenth of `std` in the latest steps, a third of the budget."""
         window_start = self.num_timesteps - self._total_timesteps / 3
         means = [mean for timesteps, mean in self._history if timesteps >= window_start]
         half = len(means) // 2

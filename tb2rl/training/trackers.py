@@ -40,8 +40,8 @@ class Tracker(KVWriter, ABC):
     """Base class of trackers: output formats of Stable-Baselines3's logger for one training.
 
     Attributes:
-        training: The training.
-        id: Id of the tracked run, from the last call of `remember`; None for a new training.
+        training: Description of the training.
+        id: Id of the tracker's own run, from the last call of `remember`; None for a new training.
         ended: How the training ended: "finished", "interrupted" or "failed". It is set before `close` is called.
     """
 
@@ -57,7 +57,7 @@ class Tracker(KVWriter, ABC):
                 state = json.loads(read_text(self._state_file))
                 self.id, self._tracked_until = str(state["id"]), int(state["step"])
             except LIBRARY_ERRORS:
-                raise InputError(f"{self._state_file} is damaged; remove it to start a new tracked run") from None
+                raise InputError(f"{self._state_file} is damaged; remove it to start a new tracker run") from None
 
     @abstractmethod
     def track(self, step: int, figures: Mapping[str, float], pictures: Mapping[str, np.ndarray]) -> None:
@@ -80,7 +80,7 @@ class Tracker(KVWriter, ABC):
                 self.track(step, figures, pictures)
 
     def close(self) -> None:
-        """Finish the tracked run at the end of the training."""
+        """Finish the tracker's own run at the end of the training."""
 
     @contextmanager
     def disable_on_write_error(self) -> Iterator[None]:
@@ -93,7 +93,7 @@ class Tracker(KVWriter, ABC):
             self._can_write = False
 
     def remember(self, run_id: str, step: int) -> None:
-        """Save the id of the tracked run and its last step in the run folder, for a resumed training."""
+        """Save the id and the last step of the tracker's own run in the run folder, for a resumed training."""
         self.id = run_id
         write_text(self._state_file, json.dumps({"id": run_id, "step": step}) + "\n")
 

@@ -78,9 +78,9 @@ class FinishedTraining:
     run: Run
     timesteps: int  # control steps since the start or the last resume
     seconds: float  # wall-clock time of these steps, including evaluations
-    episode_lengths: Sequence[int]  # control steps of each episode
+    episode_lengths: Sequence[int]  # control steps of each episode of the run, also before a resume
     signal_number: int  # signal that interrupted the training; 0: none
-    early_stop_timesteps: int | None  # control steps of the run, including earlier resumes, if evaluations stopped it
+    early_stop_timesteps: int | None  # control steps of the run, also before a resume, if evaluations stopped it
 
 
 def train_config(
@@ -146,15 +146,15 @@ class _Learner:
 
     def restore(self, content: Mapping[str, Any]) -> None:
         """Restore a checkpoint into the new algorithm and callbacks."""
-        run, evaluation = self.run, self.callbacks.evaluation
+        run, evaluation_callback = self.run, self.callbacks.evaluation
         file, settings = run.checkpoints[0], run.config.train
         load_parameters(self.algorithm, content, file)
         state.restore(content["training"], self.algorithm, self.callbacks, file)
         timesteps = self.algorithm.num_timesteps
-        if evaluation and evaluation.stopped_training:
+        if evaluation_callback and evaluation_callback.stopped_training:
             if settings.total_timesteps == content["config"]["train"]["total_timesteps"]:
                 raise InputError(f"{run.folder} has {describe_early_stop(settings, timesteps)}; {_EXTEND_HINT}")
-            evaluation.clear_early_stop()
+            evaluation_callback.clear_early_stop()
         run.drop_training_evaluations(after=timesteps)
         run.write_config()
 
@@ -176,23 +176,25 @@ class _Learner:
         """Learn, then save and evaluate the final policy."""
         run, algorithm = self.run, self.algorithm
         start_time, start_timesteps = time.monotonic(), algorithm.num_timesteps
-        evaluation, checkpoint = self.callbacks.evaluation, self.callbacks.checkpoint
-        with handle_termination_signals(checkpoint.handle_signal):
+        evaluation_callback, checkpoint_callback = self.callbacks.evaluation, self.callbacks.checkpoint
+        with handle_termination_signals(checkpoint_callback.handle_signal):
             with translate_learning_errors(algorithm, run):
                 remaining = run.config.train.total_timesteps - start_timesteps
                 algorithm.learn(remaining, self.callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
-            if not checkpoint.stopped_training:  # if a signal stopped it, its checkpoint is already saved
-                if evaluation and not evaluation.stopped_training:
-                    evaluation.evaluate(progress_bar)
-                checkpoint.save()  # after the evaluation, because its score is part of the checkpoint
+            if not checkpoint_callback.stopped_training:  # else a signal stopped learning, and a checkpoint is saved
+                if evaluation_callback and not evaluation_callback.stopped_training:
+                    evaluation_callback.evaluate(progress_bar)
+                checkpoint_callback.save()  # after the evaluation, because its score is part of the checkpoint
         return FinishedTraining(
             run,
             timesteps=algorithm.num_timesteps - start_timesteps,
             seconds=time.monotonic() - start_time,
             episode_lengths=list(self.callbacks.statistics.lengths),
-            signal_number=checkpoint.signal_number,
-            early_stop_timesteps=algorithm.num_timesteps if evaluation and evaluation.stopped_training else None,
+            signal_number=checkpoint_callback.signal_number,
+            early_stop_timesteps=(
+                algorithm.num_timesteps if evaluation_callback and evaluation_callback.stopped_training else None
+            ),
         )
 
 

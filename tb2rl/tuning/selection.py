@@ -81,7 +81,7 @@ def select_best(evaluations: Sequence[TrialEvaluation], best_by: str) -> TrialEv
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results of trainings with the same settings and fresh seeds.
+    """One side of the comparison: results of trainings with the same settings and fresh seeds.
 
     Attributes:
         name: Name of the settings.
@@ -105,7 +105,7 @@ class Comparison:
 
 
 def compare(folder: StudyFolder, name: str, settings: Mapping[str, Any], num_seeds: int) -> Comparison:
-    """Train and evaluate with fresh seeds, or read the runs that exist.
+    """Train and evaluate one side of the comparison with fresh seeds, or read the runs that exist.
 
     Args:
         folder: Folder of the study, which will contain the run folders.
@@ -115,12 +115,12 @@ def compare(folder: StudyFolder, name: str, settings: Mapping[str, Any], num_see
     """
     parent, evaluations = folder.path / "fresh" / name.replace(" ", "-"), {}
     for seed in range(FRESH_SEED, FRESH_SEED + num_seeds):
-        evaluations[seed] = load_evaluation(_train(folder.config(settings, seed), parent / f"seed-{seed}"))
+        evaluations[seed] = load_evaluation(_evaluated_run(folder.config(settings, seed), parent / f"seed-{seed}"))
     rates = [evaluation.good_rate for evaluation in evaluations.values()]
     return Comparison(name, rates, {seed: evaluation.summary() for seed, evaluation in evaluations.items()})
 
 
-def _train(config: Config, folder: Path) -> Run:
+def _evaluated_run(config: Config, folder: Path) -> Run:
     if (folder / "config.yaml").is_file() and (run := Run.open(folder)).has_evaluation:
         return run
     shutil.rmtree(folder, ignore_errors=True)

@@ -1,7 +1,7 @@
 """Search spaces, options and the folder of a study.
 
     runs/tune/<name>/
-        default.yaml      preset with the settings that are not searched, and the default values of the others
+        default.yaml      preset that all trials override: agent, task, the user's preset and the fixed settings
         study.yaml        search space and options of the study
         study.db          Optuna's database
         trials/<number>/  run folder of each seed of a trial; evaluation.json: evaluation of its policies in PyBullet
@@ -33,7 +33,7 @@ from tb2rl.core.values import build
 from tb2rl.runs import Config, as_preset, flatten, resolve
 
 TRIAL_SEED = 2_000_000  # first training seed of every trial
-FRESH_SEED = 2_100_000  # first training seed of the comparison
+FRESH_SEED = 2_100_000  # first training seed of the comparison of best and default settings
 DEFAULT, OPTIONS, DATABASE, BEST, PAGE = "default.yaml", "study.yaml", "study.db", "best.yaml", "report.html"
 
 
@@ -76,7 +76,7 @@ class Choices:
 
     @property
     def _by_param(self) -> dict[bool | int | float | str | None, Any]:
-        """The choices by Optuna's parameter, which is JSON for lists and mappings."""
+        """The choices by the value of Optuna's parameter, which is JSON for lists and mappings."""
         plain_types = bool | int | float | str | None
         return {choice if isinstance(choice, plain_types) else json.dumps(choice): choice for choice in self.choices}
 
@@ -115,13 +115,13 @@ def parse_space(tree: Any, source: str) -> Space:
     return space
 
 
-def read_space(name: str, fixed: Mapping[str, Any], resolve: Callable[[Mapping[str, Any]], object]) -> dict[str, Any]:
+def read_space(name: str, fixed: Mapping[str, Any], check: Callable[[Mapping[str, Any]], object]) -> dict[str, Any]:
     """Read the file of a search space, and check every choice and the limits of every range.
 
     Args:
         name: Name of a file in `configs/tuning`, such as "ppo", or a path.
         fixed: Fixed settings by dotted key; these settings, their parts and their parents are not searched.
-        resolve: Function that checks settings by dotted key, and raises an `InputError` if they are invalid.
+        check: Function that checks settings by dotted key, and raises an `InputError` if they are invalid.
 
     Returns:
         The content of the file, without the fixed settings.
@@ -136,7 +136,7 @@ def read_space(name: str, fixed: Mapping[str, Any], resolve: Callable[[Mapping[s
     for key, entry in parse_space(tree, file.name).items():
         for value in entry.choices if isinstance(entry, Choices) else (entry.low, entry.high):
             try:
-                resolve({key: value})
+                check({key: value})
             except InputError as error:
                 raise InputError(one_line(f"{file.name}: {key}: {error}", 600)) from None
     return tree

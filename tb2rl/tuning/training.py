@@ -83,10 +83,10 @@ def run_trial(
     return study.trials[trial.number]
 
 
-def _temporary_study(folder: StudyFolder, name: str, earlier: Sequence[FrozenTrial], trial: FrozenTrial) -> Study:
-    """Make a study in memory whose next trial has the number and the parameters of `trial`."""
+def _temporary_study(folder: StudyFolder, name: str, finished: Sequence[FrozenTrial], trial: FrozenTrial) -> Study:
+    """Make a study in memory whose next trial has the number and the parameters of `trial`; failed trials fill gaps."""
     study = optuna.create_study(study_name=name, direction="maximize", pruner=make_pruner(folder))
-    by_number = {other.number: other for other in earlier}
+    by_number = {other.number: other for other in finished}
     study.add_trials(by_number.get(i) or create_trial(state=TrialState.FAIL) for i in range(trial.number))
     study.enqueue_trial(trial.params)
     return study
@@ -156,7 +156,7 @@ class PruningReporter:
 def score(results: Sequence[TrainingResult], best_by: str) -> float:
     """The objective of the study: the mean rate of good episodes; among equal rates, fewer control steps are better.
 
-    Rates are rounded to half a percent for this. With `train.best_by=return`, the objective is the mean return.
+    The mean rate is rounded to half a percent for this. With `train.best_by=return`, the objective is the mean return.
 
     Args:
         results: Results of the trainings of a trial, at least one.

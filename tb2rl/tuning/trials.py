@@ -69,7 +69,7 @@ def _ask_jobs(
     record_heartbeat: Callable[[Trial], None],
     running: dict[str, Trial],
 ) -> Iterator[Job]:
-    """Ask for new trials; yield a job for each, and add the trial to `running`."""
+    """Ask for new trials; prune repetitions of earlier ones, add the others to `running`, and yield a job for each."""
     while (trial := ask(folder, study, n_trials, record_heartbeat)) is not None:
         name = f"trial {trial.number}"
         running[name] = trial

@@ -45,7 +45,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
         return None
     q_table: Any = policy.policy  # a Q-table only if it has `visits`
     scene = scene.in_worlds(scene.spec.worlds, laser_noise=0.0)
-    positions, side = _make_grid(scene.world, scene.robot.radius)
+    positions, side = _square_centres(scene.world, scene.robot.radius)
     simulator = simulator_type.open(scene.spec.without_dynamic_obstacles(), len(positions))
     actions_by_heading, states_by_heading = [], []
     for heading in range(HEADINGS):
@@ -69,7 +69,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     return ActionMap(scene.world, side, positions, actions, visited_share)
 
 
-def _make_grid(world: World, clearance: float) -> tuple[np.ndarray, float]:
+def _square_centres(world: World, clearance: float) -> tuple[np.ndarray, float]:
     """The centres of squares in the free space, shape (positions, 2), and the side of a square [m]."""
     free_space = world.free_space(clearance)
     side = math.sqrt(free_space.area / _NUM_POSITIONS)

@@ -149,7 +149,7 @@ def draw_episodes(evaluation: Evaluation) -> Markup:
 
 @matplotlib.rc_context(STYLE)
 def draw_heat_map(evaluation: Evaluation) -> Markup:
-    """Heat map of the positions: percentage of all control steps in each cell of the first world."""
+    """Heat map of the positions in a single world: percentage of all control steps in each cell."""
     x0, y0, x1, y1 = evaluation.scene.world.bounds
     x, y = np.concatenate([episode.path for episode in evaluation.episodes]).T
     side = max(_MIN_CELL_SIDE, (x1 - x0) / _MAX_CELLS, (y1 - y0) / _MAX_CELLS)

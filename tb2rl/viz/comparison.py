@@ -35,7 +35,7 @@ class Comparison:
 
     title: str
     means: Sequence[Estimate]  # interquartile means of both sets
-    difference: Estimate  # between the means
+    difference: Estimate  # mean of the first set minus that of the second
     improvement: Estimate  # probability that a run of the first set is better
     verdict: str
     picture: Markup

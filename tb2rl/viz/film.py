@@ -145,7 +145,7 @@ def record(
                 for step in steps:
                     if step.number == 1:
                         recorder.reset(step.before)
-                    policy_command = scene.actions.commands(scene.actions.checked(step.action))[0]  # not yet filtered
+                    policy_command = scene.actions.commands(scene.actions.checked(step.action))[0]  # before the filters
                     recorder.step(policy_command, step.reward, step.after)
     return bags
 
@@ -172,10 +172,10 @@ def open_episodes(
     check_spaces(policy, scene)
     loop, max_steps = ControlLoop.open(scene, options.simulator), options.episodes * scene.task.episode_steps
     with closing(loop), progress_bar(None, title, "step", total=max_steps, shown=options.progress) as bar:
-        yield loop.scene, (_roll_out(loop, policy, options, index, bar) for index in range(options.episodes))
+        yield loop.scene, (_steps_of(loop, policy, options, index, bar) for index in range(options.episodes))
 
 
-def _roll_out(loop: ControlLoop, policy: Policy, options: FilmOptions, index: int, bar: Any) -> Iterator[EpisodeStep]:
+def _steps_of(loop: ControlLoop, policy: Policy, options: FilmOptions, index: int, bar: Any) -> Iterator[EpisodeStep]:
     for step in roll_out(loop, policy, options.seed + index):
         if (ended := step.info["ended"]) and options.on_episode_end:
             distance, time = step.info["distance"], step.number * loop.task.control_period

@@ -52,9 +52,9 @@ def page(
 
 def _row(group: RunGroup, view: RunView) -> dict[str, Any]:
     """The data of a run for the templates; there is a heat map for a single world only."""
-    paths, actions = charts.draw_episodes(view.evaluation), action_map(view.policy, view.config.scene)
+    paths, map_of_actions = charts.draw_episodes(view.evaluation), action_map(view.policy, view.config.scene)
     heat_map = charts.draw_heat_map(view.evaluation) if len(view.evaluation.scene.spec.worlds) == 1 else None
-    return {"group": group, "view": view, "paths": paths, "heat_map": heat_map, "map": actions}
+    return {"group": group, "view": view, "paths": paths, "heat_map": heat_map, "map": map_of_actions}
 
 
 def learning_curves(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:

@@ -65,7 +65,7 @@ class RunView:
 
     @property
     def coverage(self) -> dict[str, float] | None:
-        """Statistics on the updates of a Q-table; None for other policies."""
+        """States (number), visited states and updated pairs (shares), median updates of these; None: no Q-table."""
         policy: Any = self.policy.policy
         if not hasattr(policy, "visits"):
             return None

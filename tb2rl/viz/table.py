@@ -10,7 +10,7 @@ from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.suites import ALL, SuiteResult
 from tb2rl.simulation.simulator import default_physics, find_simulator
 
-_CAPTION = "means over successes: time / time of the shortest path at top speed; gap between hull and obstacles [m]"
+_CAPTION = "means over successes: time relative to the shortest path at top speed; gap between hull and obstacles [m]"
 
 
 def print_evaluation(evaluation: Evaluation, title: str) -> dict[str, Any]:

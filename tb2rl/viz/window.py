@@ -1,4 +1,4 @@
-"""Drives in real time: PyBullet's window, and teleoperation in a terminal."""
+"""Real-time drives: PyBullet's window, and teleoperation in a terminal."""
 
 import math
 import multiprocessing
@@ -160,7 +160,7 @@ class Teleop:
     def _reset(self, seed: int | None = None) -> None:
         self.command = np.zeros(2)
         self.env.reset(seed=seed)
-        self.robot_state = self._simulate()
+        self.robot_state = self._simulate()  # one control period at rest
 
     def _simulate(self) -> RobotState:
         return self.env.simulator.step(self.command[None], self.scene.task.control_period)

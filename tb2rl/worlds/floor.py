@@ -170,7 +170,7 @@ def _sample_in_cells(worlds, random_numbers, first_cells, cell_counts, cells, po
 def limit_to_obstacles(
     boxes: np.ndarray, posts: np.ndarray, x: np.ndarray, y: np.ndarray, max_clearance: float, clearance: np.ndarray
 ) -> None:
-    """Limit clearances [m], shape (rows, columns), to the distance from each obstacle within `max_clearance` [m].
+    """Limit `clearance` (rows, columns), in place, to the distance from each obstacle within `max_clearance` [m].
 
     `x` (columns,) and `y` (rows,) are the cell centres [m], in ascending order.
     """

@@ -13,7 +13,7 @@ import numpy as np
 from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.worlds.spatial_index import BOX, POST, WORLD, cell_of
 
-_MIN_DIVISOR = 1e-12  # smallest divisor, for rays that are parallel to a side; avoids 0 / 0
+_MIN_DIVISOR = 1e-12  # replaces divisors nearer to 0, of rays parallel to a side, because 0 * (1 / 0) is NaN
 _FASTMATH = {"nsz", "nnan", "arcp", "contract", "reassoc"}  # LLVM flags with which loops over beams are vectorized
 
 
@@ -127,7 +127,7 @@ def sample_in_triangles(random_numbers, corners, cumulative_areas, poses):
         poses[i, 2] = math.tau * random_numbers[i, 3] - math.pi
 
 
-@njit(cache=True, fastmath={"nnan", "nsz"})  # ranges are never NaN, so the loop is vectorized
+@njit(cache=True, fastmath={"nnan", "nsz"})  # allowed because ranges are never NaN; they vectorize the loop
 def shortest_range(ranges, row):
     """Shortest range in a row of `ranges` (num_envs, beams)."""
     nearest = np.inf
@@ -205,7 +205,7 @@ def range_in_grid(x, y, ray_x, ray_y, spatial_index, world_id):
     first_cell = int(worlds[world_id, WORLD.first_cell])
     inverse_x = 1.0 / (ray_x if abs(ray_x) > _MIN_DIVISOR else _MIN_DIVISOR)
     inverse_y = 1.0 / (ray_y if abs(ray_y) > _MIN_DIVISOR else _MIN_DIVISOR)
-    # Distances along the ray to the four sides of the grid.
+    # Distances along the ray to the four sides of the grid, and to the point where the ray enters the grid.
     left, right = (x0 - x) * inverse_x, (x0 + columns * side - x) * inverse_x
     bottom, top = (y0 - y) * inverse_y, (y0 + rows * side - y) * inverse_y
     entry = max(min(left, right), min(bottom, top), 0.0)
@@ -228,11 +228,11 @@ def range_in_grid(x, y, ray_x, ray_y, spatial_index, world_id):
                 enter, leave = chord_interval(dx, dy, ray_x, ray_y, posts[-1 - k, POST.radius])
             hit = max(enter, 0.0)
             nearest = min(nearest, hit if leave >= hit else np.inf)
-        exit_x = (x0 + (column + rightward) * side - x) * inverse_x
-        exit_y = (y0 + (row + upward) * side - y) * inverse_y
-        if nearest <= min(exit_x, exit_y):
+        to_next_column = (x0 + (column + rightward) * side - x) * inverse_x
+        to_next_row = (y0 + (row + upward) * side - y) * inverse_y
+        if nearest <= min(to_next_column, to_next_row):
             return nearest
-        if exit_x < exit_y:
+        if to_next_column < to_next_row:
             column += 1 if rightward else -1
         else:
             row += 1 if upward else -1

@@ -19,9 +19,9 @@ RANDOM_GOALS = 4  # number of random goals in each world, besides the world's ow
 OWN_GOAL = 0  # number of a world's own goal; the random goals have the numbers 1 to `RANDOM_GOALS`
 PREFERRED_GAP = 0.35  # [m] between robot and walls; cells with a smaller gap cost more
 _DOUBLE_COST_GAP = 0.15  # [m] cells with this gap cost about double; the additional cost grows with 1 / gap^2
-_MAX_COST = 20.0  # of a cell at a wall; paths prefer detours. With higher costs, their directions would be distorted
+_MAX_COST = 20.0  # of a cell at a wall, so that paths prefer detours; higher costs would distort path directions
 _UNREACHABLE_COST = 3.0  # cost of cells without a path to the goal, which robots enter by rounding errors only
-_FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, a passage too narrow for the robot can look 0.5 m wide
+_FINE_CELL = 0.05  # [m] side of a cell; with 0.1 m, passages of 0.4 m and of 0.5 m can get the same costs
 _PATH_STEP = 0.5 * _FINE_CELL  # [m] longer steps along a path would cut corners
 _STRAIGHT_RADIUS = 0.25  # [m] distance from the goal below which paths are straight
 _GOAL_CLEARANCE = 0.3  # [m] clearance of random goals, if any reachable cell has it
@@ -36,10 +36,10 @@ class GoalPaths:
 
     def __init__(self, worlds: Sequence[World], radius: float) -> None:
         self._worlds, self._radius = worlds, radius
-        self._goals = np.full((len(worlds) * (RANDOM_GOALS + 1), 2), np.nan)
+        self._goals = np.full((len(worlds) * (RANDOM_GOALS + 1), 2), np.nan)  # NaN: not used yet, or no own goal
         self._lengths = RaggedTable(len(self._goals))  # path lengths to each goal, from all cells of its world
         self._grids = np.zeros((len(worlds), 5))  # a row for each world, the `grid` of `path_lengths_to`
-        self._floors: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # results of `_make_floor`
+        self._prepared: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # results of `_prepare_world`, by world
 
     def goals(self, worlds: np.ndarray, goal_numbers: np.ndarray) -> np.ndarray:
         """X and y of goals [m], shape (num_envs, 2), by worlds and goal numbers of shape (num_envs,)."""
@@ -77,17 +77,17 @@ class GoalPaths:
         return indices
 
     def _compute_paths(self, index: int, world: int, number: int) -> None:
-        if world not in self._floors:
-            self._floors[world] = self._make_floor(world)
-        (costs, goal_cells), own_goal = self._floors[world], self._worlds[world].goal
+        if world not in self._prepared:
+            self._prepared[world] = self._prepare_world(world)
+        (costs, goal_cells), own_goal = self._prepared[world], self._worlds[world].goal
         if number != OWN_GOAL:
             self._goals[index] = goal_cells[np.random.default_rng((world, number)).integers(len(goal_cells))]
         elif own_goal is not None:
             self._goals[index] = own_goal[:2]
         self._lengths.add(index, path_lengths_to(self._goals[index], costs, self._grids[world]).ravel())
 
-    def _make_floor(self, world: int) -> tuple[np.ndarray, np.ndarray]:
-        """Path costs of all cells of a world, and x, y of the cells for random goals [m]."""
+    def _prepare_world(self, world: int) -> tuple[np.ndarray, np.ndarray]:
+        """Set the row of a world in `_grids`; return its path costs, and x, y of the cells for random goals [m]."""
         x0, y0, x1, y1 = self._worlds[world].bounds
         cell_side = _FINE_CELL if (x1 - x0) * (y1 - y0) <= MAX_CELLS * _FINE_CELL**2 else CELL_SIZE
         floor = Floor.of(self._worlds[world], self._radius + PREFERRED_GAP, cell_side)
@@ -138,8 +138,8 @@ def shortest_path_length(world: World, radius: float) -> float:
 def march(costs, row, column, cell_side):
     """Path length from all cells to the cell `row`, `column` [m], shape (rows, columns), float32.
 
-    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. This is not the
-    neighbour with the shortest path, which may be behind a thin wall.
+    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. A farther cell
+    with a shorter path is not used, because it may be behind a thin wall.
 
     Args:
         costs: See `path_costs`, shape (rows, columns).
@@ -209,6 +209,7 @@ def _grid_position(grid, x, y):
     """Row and column of the lower left of the four cells around a point, and the position of the point between them.
 
     The position has two parts, up and right, each from 0 at the centre of the lower left cell to 1 at the next centre.
+    `grid` is that of `path_lengths_to`.
     """
     column_position = min(max((x - grid[2]) / grid[4], 0.0), grid[1] - 1.0)
     row_position = min(max((y - grid[3]) / grid[4], 0.0), grid[0] - 1.0)
@@ -254,10 +255,10 @@ def _path_direction(offset, grid, lengths_of_cells, row, column, up, right):
             above = lengths_of_cells[cell + columns] if r + 1 < rows else np.inf
             x = max(here - min(at_left, at_right), 0.0)
             y = max(here - min(below, above), 0.0)
-            length = math.sqrt(x * x + y * y)
-            if length > 0.0:
-                path_x += weight * (x if at_right < at_left else -x) / length
-                path_y += weight * (y if above < below else -y) / length
+            norm = math.sqrt(x * x + y * y)
+            if norm > 0.0:
+                path_x += weight * (x if at_right < at_left else -x) / norm
+                path_y += weight * (y if above < below else -y) / norm
     return path_x, path_y
 
 

@@ -37,7 +37,7 @@ class Reachability:
     floor_area: float  # area without obstacles [m^2]
     reachable_area: float  # area that the robot can cover from the start [m^2]
     unreachable: tuple[Region, ...]  # largest first
-    doors: tuple[Door, ...]  # doors between two regions that are too narrow for the robot
+    doors: tuple[Door, ...]  # each between two areas with room for the robot
     goal_is_reachable: bool | None  # whether the robot's centre can be at the goal; None for a world without a goal
 
 
@@ -49,7 +49,7 @@ def find_reachability(world: World, radius: float) -> Reachability:
     """
     inside, obstacles = shapely.box(*world.bounds), shapely.union_all(shapely.simplify(world.outlines(), _TOLERANCE))
     floor, start = inside.difference(obstacles), shapely.Point(world.start[:2])
-    free = inside.buffer(-radius).difference(obstacles.buffer(radius))
+    free = inside.buffer(-radius).difference(obstacles.buffer(radius))  # positions of the robot's centre
     rooms = [part for part in shapely.get_parts(free) if part.area > 0]
     start_rooms = [room for room in rooms if room.distance(start) <= 2 * _TOLERANCE]
     reachable = start_rooms[0] if start_rooms else world.free_space(radius)  # raises the `InputError`
@@ -60,9 +60,9 @@ def find_reachability(world: World, radius: float) -> Reachability:
         Region(room.representative_point().coords[0], room.buffer(radius).area, not connected.intersects(room))
         for room in other_rooms
     )
-    doors = _find_doors(inside, obstacles, [reachable, *other_rooms], radius)
-    goal = None if world.goal is None else reachable.distance(shapely.Point(world.goal[:2])) <= 2 * _TOLERANCE
-    return Reachability(floor.area, reachable.buffer(radius).intersection(floor).area, unreachable, tuple(doors), goal)
+    doors = tuple(_find_doors(inside, obstacles, [reachable, *other_rooms], radius))
+    reaches_goal = None if world.goal is None else reachable.distance(shapely.Point(world.goal[:2])) <= 2 * _TOLERANCE
+    return Reachability(floor.area, reachable.buffer(radius).intersection(floor).area, unreachable, doors, reaches_goal)
 
 
 def _find_doors(inside: BaseGeometry, obstacles: BaseGeometry, rooms: list[BaseGeometry], radius: float) -> list[Door]:

@@ -70,13 +70,13 @@ def find_world(reference: str, options: ImportOptions | None = None) -> World:
             raise unknown(f"extension of the world file {one_line(reference, 100)}:", path.suffix, readers)
         reader = readers[path.suffix]
         found: Any = read_world(path, find_maker(reader, "path") if isinstance(reader, str) else reader, options)
-    elif code[2] is None:
+    elif code["path"] is None:
         found = find_plugin("world", code[1])
         found = found if isinstance(found, World) else find_maker(code[1])()
     else:
-        if not os.path.isfile(code[2]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
-            raise InputError(one_line(f"there is no world file {code[2]}"))
-        found = read_world(Path(code[2]), find_maker(code[1], "path"), options)
+        if not os.path.isfile(code["path"]):  # noqa: PTH113 (Path.is_file raises for a name that is too long)
+            raise InputError(one_line(f"there is no world file {code['path']}"))
+        found = read_world(Path(code["path"]), find_maker(code[1], "path"), options)
     if not isinstance(found, World):
         raise InputError(one_line(f"world {reference!r} is not a tb2rl.worlds.World but {type(found).__name__}"))
     return found

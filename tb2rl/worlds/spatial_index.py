@@ -111,7 +111,7 @@ def _list_obstacles(boxes, posts, centres, half_sizes, grid, cells, entries):
     """
     x0, y0, side = grid[WORLD.x0], grid[WORLD.y0], grid[WORLD.cell_side]
     columns, rows = int(grid[WORLD.columns]), int(grid[WORLD.rows])
-    half, pair_count = (0.5 + _SLACK) * side, 0
+    half, pair_count = (0.5 + _SLACK) * side, 0  # half the side of a cell, with slack
     for k in range(half_sizes.shape[0]):
         post = k - boxes.shape[0]
         (x, y), (half_x, half_y) = centres[k], half_sizes[k]

@@ -41,7 +41,7 @@ def test_a_recipe_becomes_an_entry_that_holds_until_its_figures_are_touched(main
     figures.write_text(json.dumps(tree))
     (own_zoo / "README.md").write_text("all is well")
     said = problems()
-    assert "mine: 0 % good episodes, but its evaluation promises at least 72.2 %" in said
+    assert "mine: 0 % good episodes, but its earlier evaluation implies at least 72.2 %" in said
     assert "in the same episodes before" in said
     assert "README.md does not match the results" in said
 

@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, Mapping
 
 import numpy as np
 
-from .policy_contract import Needs, Point, SensorData
+from .policy_contract import Needs, Point, SensorData, Speeds
 
 _HISTORY_DURATION = 64.0  # [s] covered by the pose history
 
@@ -41,7 +41,7 @@ class Encoding:
         self._frames: list[np.ndarray] = []
         self._step_count, self._speed = 0, 0.0
         self.pose_history: deque[Point] = deque(maxlen=max(1, round(_HISTORY_DURATION / self.history_period)))
-        self.commands: deque[Point] = deque(maxlen=self._command_count)
+        self.commands: deque[Speeds] = deque(maxlen=self._command_count)
 
     def __call__(self, sensor_data: SensorData) -> np.ndarray:
         """The observation of this control step, shape (1, n): float32 numbers, or integer classes."""
@@ -120,5 +120,5 @@ SENSORS: Dict[str, Callable[[Encoding, Mapping[str, Any]], Any]] = {
     "visited": _visited,
     "waypoint": lambda encoding, settings: encoding.waypoint,
     "waypoint bearing": lambda encoding, settings: [np.arctan2(*encoding.waypoint[::-1])],
-    "yaw rate": lambda encoding, settings: encoding.sensor_data.twist[1:],  # from odometry, because wheels hardly slip
+    "yaw rate": lambda encoding, settings: encoding.sensor_data.twist[1:],  # odometry in place of a gyro (little slip)
 }

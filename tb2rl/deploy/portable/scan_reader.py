@@ -162,10 +162,10 @@ class ScanReader:
         if full_circle:
             valid, angles = np.append(valid, valid[0]), np.append(angles, angles[0] + math.tau)
         distances, mounting = distances[valid], self._mounting
-        cos, sin = np.cos(all_angles[valid]), np.sin(all_angles[valid])
+        cos, sin = np.cos(all_angles[valid]), np.sin(all_angles[valid])  # axes along and across each reading:
         along, across = mounting.x * cos + mounting.y * sin, mounting.y * cos - mounting.x * sin  # of the scanner [m]
         no_hit, horizon = np.isinf(distances), range_max if 0.0 < range_max < math.inf else self._needs.max_range
-        along += np.where(no_hit, horizon, distances)  # of each reading; axes along and across its direction
+        along += np.where(no_hit, horizon, distances)  # now of each reading's point
         radius, theta = np.where(no_hit, np.inf, np.hypot(along, across)), angles + np.arctan2(across, along)
         right_end, left_end = theta[0], theta[-1]
         if not full_circle:
@@ -250,9 +250,9 @@ def _is_one_surface(distances: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 
 def _extrapolate(inverse_distances: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Extend the line through each two successive readings to the angle of the third; distances, shape (readings - 2,).
+    """The distance [m] that puts each reading in line with the two before it, shape (readings - 2,).
 
-    Along a straight line, the inverse distance is proportional to the sine of an angle.
+    Along a straight line, the inverse distance is proportional to the sine of the angle between beam and line.
     """
     sines = np.sin(np.diff(angles))
     outer_sines = np.sin(angles[2:] - angles[:-2])

@@ -96,7 +96,7 @@ class RemoteRobot:
         """
         if self._closed:
             raise InputError("the environment of the robot is closed: make another one")
-        self._stop_and_wait_until(lambda: True)
+        self._stop_and_wait_until(lambda: True)  # until there is sensor data
         was_moved = any(self._node.call(service, EMPTY) for service in _RESET_SERVICES)
         if not was_moved and sys.stdin is not None and sys.stdin.isatty():
             input(PROMPT)
@@ -110,7 +110,7 @@ class RemoteRobot:
         with self._condition:
             self._initial_state, self._origin, self._speed = initial_state, self._odometry.value.pose, 0.0
             self._had_contact, self._step_end, self._position = False, -math.inf, initial_state.pose[0, :2]
-            return self._robot_state(math.inf)
+            return self._robot_state(math.inf)  # inf, so that the acceleration is 0
 
     def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         """Drive until the scan that ends the step; see `tb2rl.simulation.Simulator`.
@@ -119,16 +119,16 @@ class RemoteRobot:
             InputError: If scans or odometry are missing for half a second.
         """
         with self._condition:
-            scan_count, now = self._ranges.message_count, self._node.now()
-            if abs(now - self._step_end) > duration:  # at the first step, after a break, or if the clock was set back
-                self._step_end = now
+            scan_count, start = self._ranges.message_count, self._node.now()
+            if abs(start - self._step_end) > duration:  # at the first step, after a break, or if the clock was set back
+                self._step_end = start
             self._step_end += duration
             latest_end, self._watchdog_deadline = self._step_end + _MAX_LATENESS * duration, math.inf
-            self._repeat_until = self._step_end - _MAX_EARLINESS * duration
+            self._repeat_until = earliest_end = self._step_end - _MAX_EARLINESS * duration
             self._send(self._limits(commands)[0].tolist())
 
             def is_over() -> bool:
-                too_early = now - duration < self._ranges.ros_time < self._repeat_until
+                too_early = start - duration < self._ranges.ros_time < earliest_end  # older: the clock was set back
                 has_last_scan = self._ranges.message_count > scan_count and not too_early
                 return has_last_scan or self._node.now() > latest_end
 

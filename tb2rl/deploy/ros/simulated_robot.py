@@ -103,7 +103,7 @@ class SimulatedRobot:
         return msg.LaserScan.of(self._spec.laser, self._time_ns, LASER, period, self._robot_state.ranges[0])
 
     def odometry(self) -> msg.Odometry:
-        """Wheel odometry in the frame of the world, because it begins at the start pose."""
+        """Wheel odometry; it counts from the start pose in the world, so that its frame is the world's frame."""
         pose, twist = self._robot_state.odometry[0].tolist(), self._robot_state.odometry_twist[0].tolist()
         return msg.Odometry(self._time_ns, ODOM, BASE, pose, twist)
 

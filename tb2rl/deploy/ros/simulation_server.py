@@ -22,7 +22,7 @@ from tb2rl.simulation.simulator import default_simulator, find_simulator
 ScanRate = Annotated[float, Ge(2.0), Le(40.0)]  # [Hz] at a lower rate the base would time out between commands
 # All in seconds of wall-clock time:
 _MAX_DELAY = 0.1  # of a tick; later ticks do not make up for a longer delay
-_MIN_PAUSE = 1e-4  # between ticks at full speed, so that the threads of ROS can run
+_MIN_SLEEP = 1e-4  # between ticks at full speed, so that the threads of ROS can run
 _SCAN_REPEAT_PERIOD = 5.0  # of an unanswered scan, before the first command
 _POLL_PERIOD = 0.2  # of the checks whether programs are connected
 _STANDSTILL_SCAN_PERIOD = 1.0  # while the simulation waits for programs to connect
@@ -76,8 +76,8 @@ class SimulationServer:
         self._bumper = node.create_publisher(topics.bumper, BumperEvent)
         inputs = topics.velocity, topics.navigation
         self._commands = [node.create_subscription(topic, Twist, self._on_command) for topic in inputs]
-        node.create_service("/gazebo/pause_physics", EMPTY, lambda: self._pause(True))
-        node.create_service("/gazebo/unpause_physics", EMPTY, lambda: self._pause(False))
+        node.create_service("/gazebo/pause_physics", EMPTY, lambda: self._set_paused(True))
+        node.create_service("/gazebo/unpause_physics", EMPTY, lambda: self._set_paused(False))
         node.create_service("/gazebo/reset_world", EMPTY, lambda: self._reset(reset_clock=False))
         node.create_service("/gazebo/reset_simulation", EMPTY, lambda: self._reset(reset_clock=True))
         node.create_service("/gazebo/set_physics_properties", SET_PHYSICS, lambda: None)  # programs need no effect
@@ -89,13 +89,13 @@ class SimulationServer:
             with self._condition:
                 if not self._is_paused and self._programs_connected():
                     self._step()
-                    pause = self._seconds_until_next_tick()
+                    sleep_time = self._seconds_until_next_tick()
                 else:
                     if not self._is_paused:
                         self._publish_standstill()
                     self._clock.wait(self._condition, _POLL_PERIOD)
-                    pause, self._next_tick_time = 0.0, self._clock.now()
-            self._clock.sleep(pause)
+                    sleep_time, self._next_tick_time = 0.0, self._clock.now()
+            self._clock.sleep(sleep_time)
 
     def close(self) -> None:
         """Print the record since the last reset and, in lockstep, the number of scans without an answer."""
@@ -107,7 +107,7 @@ class SimulationServer:
         return self._lockstep is None or (self._scan.connected() and any(each.connected() for each in self._commands))
 
     def _step(self) -> None:
-        self._has_answer &= self._has_resumed  # after a pause, a command that precedes the scan counts as its answer
+        self._has_answer &= self._has_resumed  # a command before the scan is its answer only after a pause
         self._has_resumed = self._is_interrupted = False
         self._publish(with_scan=self._ticks_until_scan == 0)
         if self._ticks_until_scan == 0:
@@ -162,10 +162,10 @@ class SimulationServer:
     def _seconds_until_next_tick(self) -> float:
         """Return the wall-clock time until the next tick at the requested rate [s]."""
         if self._rate == 0.0:
-            return 0.0 if self._lockstep is not None else _MIN_PAUSE
+            return 0.0 if self._lockstep is not None else _MIN_SLEEP
         now = self._clock.now()
         self._next_tick_time = max(self._next_tick_time, now - _MAX_DELAY) + self._robot.tick_duration / self._rate
-        return max(self._next_tick_time - now, _MIN_PAUSE)
+        return max(self._next_tick_time - now, _MIN_SLEEP)
 
     # ---- called by the threads of ROS
 
@@ -175,7 +175,7 @@ class SimulationServer:
             self._has_answer = self._had_command = True
             self._condition.notify_all()
 
-    def _pause(self, paused: bool) -> None:
+    def _set_paused(self, paused: bool) -> None:
         with self._condition:
             if self._is_paused and not paused:
                 self._has_resumed, self._has_answer = True, False

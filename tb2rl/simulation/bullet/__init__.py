@@ -21,7 +21,7 @@ def unavailable() -> str | None:
 
 
 def make(spec: SimulationSpec, num_envs: int, window: bool = False, processes: int | None = None) -> Any:
-    """Make a simulator of one world in this process, or of many worlds in several processes."""
+    """Make a simulator of one environment in this process, or of many in several processes."""
     if num_envs == 1 and processes is None:
         from tb2rl.simulation.bullet.simulator import BulletSimulator
 

@@ -1,7 +1,7 @@
-"""Many robots in PyBullet, each in a world of its own, distributed among processes.
+"""Many robots in PyBullet, each in a client of its own, distributed among processes.
 
-PyBullet steps one world at a time and holds the interpreter lock meanwhile. A step is so short that a message for each
-world would be expensive. Therefore each process has several worlds, and robot states are in shared memory.
+PyBullet steps one client at a time and holds the interpreter lock meanwhile. A step is so short that a message for each
+client would be expensive. Therefore each process has several clients, and robot states are in shared memory.
 """
 
 import os
@@ -22,20 +22,20 @@ from tb2rl.simulation.robot_state import ARRAYS, RobotState
 from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import InitialState, SimulationSpec
 
-_SPIN_TIME = 5e-3  # [s] of polling before `_receive` sleeps; longer than a step of the worlds of a process
+_SPIN_TIME = 5e-3  # [s] of polling before `_receive` sleeps; longer than a step of the simulators of a process
 _yield_processor = getattr(os, "sched_yield", lambda: None)  # macOS and Windows have no such function
 
 
-class WorldGroup:
-    """The worlds of one process.
+class SimulatorGroup:
+    """The simulators of one process, each with one environment.
 
     Attributes:
         record_type: Type of a record with the arrays of a `RobotState` of one environment.
     """
 
     def __init__(self, spec: SimulationSpec, num_envs: int) -> None:
-        self._worlds = [BulletSimulator(spec) for _ in range(num_envs)]
-        self._default_states = [world.reset_values(InitialState.default(spec, 1), None) for world in self._worlds]
+        self._simulators = [BulletSimulator(spec) for _ in range(num_envs)]
+        self._default_states = [each.reset_values(InitialState.default(spec, 1), None) for each in self._simulators]
         columns = [(name, np.array(values)) for name, values in zip(ARRAYS, self._default_states[0], strict=False)]
         self.record_type = np.dtype([(name, column.dtype, column.shape) for name, column in columns], align=True)
 
@@ -44,8 +44,8 @@ class WorldGroup:
         self._records, records[:] = records, self._default_states
 
     def call(self, method: str, indices: Sequence[int], arguments: Sequence[tuple]) -> list[Any]:
-        """Call a method of the worlds `indices`, each with its own arguments; robot states go to the records."""
-        results = [getattr(self._worlds[i], method)(*args) for i, args in zip(indices, arguments, strict=True)]
+        """Call a method of the simulators `indices`, each with its own arguments; robot states go to the records."""
+        results = [getattr(self._simulators[i], method)(*args) for i, args in zip(indices, arguments, strict=True)]
         if method not in ("reset_values", "step_values", "restore_values"):
             return results
         for i, robot_state in zip(indices, results, strict=True):
@@ -53,13 +53,13 @@ class WorldGroup:
         return []
 
     def close(self) -> None:
-        """Close the worlds."""
-        for world in self._worlds:
-            world.close()
+        """Close the simulators."""
+        for simulator in self._simulators:
+            simulator.close()
 
 
 class BulletBatch:
-    """Many robots, each in a world of its own; implements `tb2rl.simulation.simulator.Simulator`.
+    """Many robots, each in a PyBullet client of its own; implements `tb2rl.simulation.simulator.Simulator`.
 
     Args:
         spec: The robot, its laser and the worlds.
@@ -75,7 +75,7 @@ class BulletBatch:
         parts = np.array_split(self._all_indices, min(processes or processors(), num_envs))
         self._parts = [slice(int(part[0]), int(part[-1]) + 1) for part in parts]  # environments of each process
         # The first part belongs to this process, which would otherwise be idle while the other processes step.
-        self._group = WorldGroup(spec, len(parts[0]))
+        self._group = SimulatorGroup(spec, len(parts[0]))
         context, record_type = process_context(), self._group.record_type
         self._columns = record_type.names or ()
         memory = context.RawArray("b", num_envs * record_type.itemsize)
@@ -93,7 +93,7 @@ class BulletBatch:
             self._pipes.append(pipe)
             self._processes.append(process)
         try:
-            _raise_errors([_receive(pipe) for pipe in self._pipes])  # each process has opened its worlds, or failed
+            _raise_errors([_receive(pipe) for pipe in self._pipes])  # each process has made its simulators, or failed
         except Exception:
             self.close()
             raise
@@ -128,17 +128,17 @@ class BulletBatch:
         )
 
     def state(self) -> dict[str, Any]:
-        """The state of each world, and the poses of the latest robot state."""
+        """The state of each environment's simulator, and the poses of the latest robot state."""
         return {"worlds": self._call("state", self._all_indices, [()] * self.num_envs), "poses": self._poses.copy()}
 
     def restore(self, state: Mapping[str, Any]) -> RobotState:
         """Continue from a state.
 
         Raises:
-            ValueError: If a world in the state does not exist.
+            ValueError: If an initial state is impossible, or the dynamic obstacles differ.
         """
-        self._call("restore_values", self._all_indices, [(world,) for world in state["worlds"]])
-        self._initial_states = np.concatenate([world["initial_state"] for world in state["worlds"]])
+        self._call("restore_values", self._all_indices, [(simulator_state,) for simulator_state in state["worlds"]])
+        self._initial_states = np.concatenate([simulator_state["initial_state"] for simulator_state in state["worlds"]])
         robot_state = self._robot_state()
         self._poses = state["poses"].copy()
         return robot_state
@@ -150,7 +150,7 @@ class BulletBatch:
         return np.stack(colours), np.stack(depth)
 
     def close(self) -> None:
-        """End the processes and the worlds."""
+        """End the processes, and close the simulators of this process."""
         for pipe in self._pipes:
             pipe.close()  # ends the loop of `_serve`
         for process in self._processes:
@@ -160,7 +160,7 @@ class BulletBatch:
         self._group.close()
 
     def _call(self, method: str, indices: np.ndarray, arguments: list[tuple]) -> list[Any]:
-        """Call a method of the worlds with these ascending indices in all processes, see `WorldGroup.call`."""
+        """Call a method of the simulators with these ascending indices in all processes, see `SimulatorGroup.call`."""
         calls = []
         for part in self._parts:
             first, end = np.searchsorted(indices, (part.start, part.stop)).tolist()
@@ -176,7 +176,7 @@ class BulletBatch:
         return [value for result in _raise_errors(results + results_of_others) for value in result]
 
     def _robot_state(self) -> RobotState:
-        """Robot state of all environments, with copies of the records."""
+        """Robot state of all environments, with copies of the records; its poses become `_poses`."""
         columns: dict[str, Any] = {name: self._records[name].copy() for name in self._columns}
         self._poses = columns["pose"]
         return RobotState(**columns, initial_state=InitialState(self._initial_states), simulator=self)
@@ -196,8 +196,8 @@ def _receive(pipe: Connection) -> Any:
         return InputError("a process with worlds of PyBullet has ended: it was killed, or ran out of memory")
 
 
-def _call_group(group: WorldGroup, *call: Any) -> Any:
-    """Return the result of `WorldGroup.call`, or its exception."""
+def _call_group(group: SimulatorGroup, *call: Any) -> Any:
+    """Return the result of `SimulatorGroup.call`, or its exception."""
     try:
         return group.call(*call)
     except Exception as error:
@@ -213,10 +213,10 @@ def _raise_errors(results: list[Any]) -> list[Any]:
 
 
 def _serve(pipe: Connection, pickled_spec: bytes, memory: Any, part: slice) -> None:
-    """Main function of another process: open worlds, and answer calls until the pipe closes."""
+    """Main function of another process: make simulators, and answer calls until the pipe closes."""
     ignore_termination_signals()
     try:
-        group = WorldGroup(pickle.loads(pickled_spec), part.stop - part.start)
+        group = SimulatorGroup(pickle.loads(pickled_spec), part.stop - part.start)
         group.set_records(np.frombuffer(memory, group.record_type)[part])
     except Exception as error:
         pipe.send(error)

@@ -37,7 +37,7 @@ class ObstacleBodies:
             pybullet.resetBasePositionAndOrientation(body, (x, y, WALL_HEIGHT / 2), orientation, self._client)
 
     def _add(self, length: float, width: float) -> int:
-        shape = pybullet.GEOM_CYLINDER if width == 0.0 else pybullet.GEOM_BOX  # each ignores sizes of the other
+        shape = pybullet.GEOM_CYLINDER if width == 0.0 else pybullet.GEOM_BOX  # ignores the other shape's sizes
         size = {"radius": length, "halfExtents": (length, width, WALL_HEIGHT / 2), "physicsClientId": self._client}
         collision = pybullet.createCollisionShape(shape, height=WALL_HEIGHT, **size)
         visual = pybullet.createVisualShape(shape, length=WALL_HEIGHT, rgbaColor=_COLOUR, **size)

@@ -38,7 +38,7 @@ class BulletSimulator:
         self._world_id, self.world = 0, spec.worlds[0]
         self._rng = np.random.default_rng()  # for the noise of the laser
         self._obstacles = BulletObstacles(spec)
-        self._last_placement: tuple[dict[str, Any], dict[str, Any]] | None = None  # motion and obstacles
+        self._last_placement: tuple[dict[str, Any], dict[str, Any]] | None = None  # of robot and obstacles
         self._command_log: list[tuple[np.ndarray, float]] = []  # commands and durations since the last placement
         self._speed, self._command, self._acceleration = 0.0, np.zeros(2), 0.0  # those of the last robot state
         self._open()
@@ -181,7 +181,7 @@ class BulletSimulator:
 
         Args:
             contact_free_steps: Number of physics steps in which the robot cannot reach a wall, even at top speed. All
-                later ones are checked for contacts, because a contact may be shorter than a control step.
+                later ones (inf: none) are checked for contacts, which may be shorter than a control step.
 
         Returns:
             Whether the robot touched a wall, and whether it touched a dynamic obstacle.
@@ -245,7 +245,7 @@ class BulletSimulator:
             self._client = -1
 
     def _measure(self, wall_hit: bool = False, obstacle_hit: bool = False) -> tuple[Any, ...]:
-        """Values for `RobotState.for_one_robot`."""
+        """Update odometry, speed and acceleration; return values for `RobotState.for_one_robot`."""
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._body.body, self._client)
         x, y, yaw = pose = self._body.pose()
         self._position = x, y

@@ -58,8 +58,8 @@ def pose_after_arc(x, y, yaw, length, turn):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def wheel_speed(start, change, signed_duration, time, acceleration, coupling):
-    """Rim speed [m/s] of a wheel that accelerates from `start` to `start` + `change`, at `time` [s] after its start.
+def wheel_speed(initial_speed, change, signed_duration, time, acceleration, coupling):
+    """Rim speed [m/s] of a wheel that changes its `initial_speed` by `change`, `time` [s] after the change began.
 
     At first both motors push, for abs(`signed_duration`) [s]. If `signed_duration` is positive, they push in the same
     direction. Then one motor pushes alone. The motors have the `acceleration` and the `coupling` of `Robot` [m/s^2].
@@ -67,7 +67,7 @@ def wheel_speed(start, change, signed_duration, time, acceleration, coupling):
     coupled_acceleration = acceleration + math.copysign(1.0, signed_duration) * coupling
     coupled_time = min(time, abs(signed_duration))
     gain = min(coupled_acceleration * coupled_time + acceleration * (time - coupled_time), abs(change))
-    return start + math.copysign(gain, change)
+    return initial_speed + math.copysign(gain, change)
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
@@ -100,7 +100,7 @@ def move(i, constants, robots, duration):
     max_distance = max(abs(left), abs(right), abs(v) + abs(turn_speed)) * duration
     is_free = clearance_at(x, y, spatial_index, world_id) > radius + max_distance  # no obstacle matters in this step
     bumped, distance, total_turn = False, 0.0, 0.0
-    time, end = 0.5 * physics_step, duration + 0.5 * physics_step  # half a step later: speeds at the steps' ends
+    time, end = 0.5 * physics_step, duration + 0.5 * physics_step  # shifted: a step has the speed at its end
     last_left = wheel_speed(left, change_left, signed_duration, time, acceleration, coupling)
     last_right = wheel_speed(right, change_right, signed_duration, time, acceleration, coupling)
     for phase in range(3):
@@ -112,7 +112,7 @@ def move(i, constants, robots, duration):
         mean_left, mean_right = 0.5 * (last_left + next_left), 0.5 * (last_right + next_right)
         length = 0.5 * (mean_left + mean_right) * (phase_end - time)
         rate = (mean_right - mean_left) / separation
-        turn, lag = rate * (phase_end - time), 0.5 * rate * physics_step  # lag: headings at the steps' starts
+        turn, lag = rate * (phase_end - time), 0.5 * rate * physics_step  # lag: a step has the heading at its start
         if is_free:
             x, y, yaw = pose_after_arc(x, y, yaw - lag, length, turn)
         else:

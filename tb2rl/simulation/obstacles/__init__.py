@@ -1,1 +1,1 @@
-"""Dynamic obstacles: people, posts and boxes that move beside the robots, the same in every simulator."""
+"""Dynamic obstacles: people, posts and boxes that move in the robots' worlds, the same in every simulator."""

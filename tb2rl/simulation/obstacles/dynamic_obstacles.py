@@ -15,7 +15,7 @@ from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
 from tb2rl.worlds.geometry import clearance_at
 
 _CANDIDATES = 8  # random start poses for each obstacle, which starts at the first pose with room
-# [m] Least gap between robot and obstacle at the start; without such a candidate the farthest is taken.
+# [m] Least gap between the robot's centre and an obstacle at the start; else the farthest candidate is taken.
 _START_MARGIN = 1.5
 _CONSTANT_COLUMNS = [FIELDS.index("length"), FIELDS.index("width"), *range(FIELDS.index("kind"), len(FIELDS))]
 _EMPTY_ROW = np.eye(len(FIELDS))[outlines.COS]  # row without an obstacle: heading 0, all other values 0
@@ -87,7 +87,7 @@ class SimulatedObstacles:
             poses = self._spec.sample_poses(candidate_worlds, candidates.reshape(-1, 4), self._spec.robot.radius)
             candidates = np.concatenate([poses.reshape(*candidates.shape[:3], 3), candidates[..., :1]], axis=3)
         else:
-            candidates = candidates[..., [1, 2, 3, 0]]
+            candidates = candidates[..., [1, 2, 3, 0]]  # uses only the last, see `_place_on_path`
         if (self._presence < 1.0).any():
             group_draws = np.take_along_axis(source.uniform(count), self._first_of_group[worlds], axis=1)
             table[group_draws >= self._presence[worlds]] = _EMPTY_ROW

@@ -56,7 +56,9 @@ def decide(i, duration, arrays, initial_states, spatial_index, world_id, robot_m
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
-    """Move the obstacles of an environment for a physics step of a `duration` [s]; they stop at the robot at x, y [m].
+    """Move the obstacles of an environment for a physics step of a `duration` [s]; they stop at the robot.
+
+    x, y and `radius` [m] are the centre and the radius of the robot.
 
     Returns:
         Whether an obstacle touched the robot.

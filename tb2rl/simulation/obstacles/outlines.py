@@ -48,7 +48,7 @@ class ObstacleArrays(NamedTuple):
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
 def distance_to_outline(dx, dy, obstacle):
-    """Distance from a point, relative to an obstacle's centre [m], to the outline [m]; negative inside a circle."""
+    """Distance from a point, relative to an obstacle's centre [m], to the outline [m]; inside, negative or 0 (box)."""
     if obstacle.width == 0.0:
         return math.sqrt(dx * dx + dy * dy) - obstacle.length
     outside_x = max(abs(obstacle.cos * dx + obstacle.sin * dy) - obstacle.length, 0.0)
@@ -80,7 +80,7 @@ def cast_at_obstacles(x, y, yaw, beams, obstacles, i, ranges):
     Args:
         x, y, yaw: Pose of the laser [m, m, rad].
         beams: Cosines and sines of the beam directions in the laser's frame, each of shape (beams,).
-        obstacles: Records of type `OBSTACLE_TYPE`, shape (num_envs, obstacles).
+        obstacles: Records that begin with the outline, shape (num_envs, obstacles).
         i: Environment.
         ranges: Ranges to the walls [m], shape (num_envs, beams); row `i` is changed in place.
 

@@ -1,7 +1,7 @@
 """The social force model of walking people, compiled: forces to the target, from other people, walls and the robot.
 
 Model and parameters follow Moussaid et al. 2009, "Experimental study of the behavioural mechanisms underlying
-self-organization in human crowds".
+self-organization in human crowds". A person is a record of `outlines.OBSTACLE_TYPE`; `length` is the radius.
 """
 
 import math
@@ -74,7 +74,7 @@ def repel_each_other(one, other):
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
 def repel_from_walls_and_robot(person, spatial_index, world_id, robot_motion, robot_radius):
-    """Add the force of the walls, and the force of the robot if the person avoids it.
+    """Add the force of the walls, and the force of the robot if the person avoids the robot; set `person.room`.
 
     `robot_motion` is x, y [m], vx, vy [m/s].
     """

@@ -35,9 +35,11 @@ class ImportOptions:
     """Settings that take precedence over a world file.
 
     Attributes:
-        start: x [m], y [m], yaw [rad]; None: the start that the file sets, otherwise the point farthest from all walls.
+        start: x [m], y [m], yaw [rad]; None: the start in the file. Without one, maps and SDF worlds take the point
+            farthest from all walls; other files need a start.
         goal: x [m], y [m] and optionally yaw [rad]; None: the goal of the file, if there is one.
-        bounds: Rectangle of the world; None: the bounds of a map, else the bounding box of obstacles, start and goal.
+        bounds: Rectangle of the world; None: that of the file or map, else the bounding box of the obstacles (in SDF
+            worlds, of start and goal, too).
         unknown: Meaning of a map's unknown cells.
         laser_height: Height at which the shapes of an SDF world are cut [m].
         model_path: Folders of SDF models, searched before those of environment variables.

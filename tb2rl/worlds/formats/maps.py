@@ -60,13 +60,13 @@ def read_map(path: Path, content: Mapping[str, Any], options: ImportOptions) -> 
         InputError: If a key has an invalid value, the image cannot be read, or the world is invalid.
     """
     name, keys = path.stem, {field.name for field in fields(MapSettings)}
-    if unknown := [str(key) for key in content if key not in keys]:
-        warn(f"map {name}: unknown keys: {', '.join(unknown)}")
+    if unknown_keys := [str(key) for key in content if key not in keys]:
+        warn(f"map {name}: unknown keys: {', '.join(unknown_keys)}")
     settings = build(MapSettings, {key: content[key] for key in content if key in keys}, f"map {name}")
     if settings.free_thresh > settings.occupied_thresh:
         raise InputError(f"map {name}: free_thresh must be at most occupied_thresh, got {settings.free_thresh}")
     occupancy = _occupancy(_read_image(path.parent / settings.image), settings)[::-1]
-    # Not `>= free_thresh`, so that NaN is an obstacle, too.
+    # `~(... < free_thresh)` instead of `>= free_thresh`, so that NaN (unknown) is an obstacle, too.
     cells = occupancy > settings.occupied_thresh if options.unknown == "free" else ~(occupancy < settings.free_thresh)
     boxes = merge_cells(cells, settings.resolution, settings.origin)
     options = replace(options, start=options.start or settings.start, goal=options.goal or settings.goal)

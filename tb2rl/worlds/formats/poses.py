@@ -61,7 +61,7 @@ def _from_quaternion(x: float, y: float, z: float, w: float) -> np.ndarray:
 class Scope:
     """Scope of frame names: a <model> or <world> with its pose in the world, shape (4, 4).
 
-    For an unknown frame, `warn` is called with the reason and the names of the frame and its user.
+    For an unknown frame, `warn` is called with the reason, and the names of the frame and of the element that uses it.
     """
 
     element: Element

@@ -219,7 +219,7 @@ def _version(sdf: Element) -> tuple[int, ...]:
 def _add_shape(shapes: list[Element], pose: np.ndarray, scale: np.ndarray, cut: Slice) -> None:
     """Add a shape to a slice: all <polyline> elements together, or a single element other than a mesh."""
     shape = shapes[0]
-    if shape.tag == "plane":
+    if shape.tag == "plane":  # a horizontal plane, such as the ground, is no obstacle
         normal = shape.find("normal")
         if not is_upright(pose) or (normal is not None and parse_numbers(normal, 3)[:2] != [0.0, 0.0]):
             raise OmittedShape("only horizontal planes are supported")

@@ -110,7 +110,7 @@ class Slice:
                 self.boxes += [(x + box[0], y + box[1], *box[2:]) for box in _divide_into_boxes(relative.wkb)]
 
     def add_mesh(self, mesh: Any, pose: np.ndarray, scale: np.ndarray) -> None:
-        """Add a mesh from `load_mesh`, with a scale (3,); open surfaces become thin walls left of their lines."""
+        """Add a mesh from `load_mesh`, with a scale (3,); open surfaces that the plane cuts become thin walls."""
         import trimesh
 
         placed = mesh.copy()
@@ -120,11 +120,11 @@ class Slice:
         lines = shapely.linestrings(segments[:, :, :2])
         if len(lines) > _MAX_LINES or mean_overlaps(lines) > _MAX_OVERLAPS:  # their union would take hours
             raise OmittedShape("meshes that are too fine, or whose faces cut each other everywhere")
-        outline = shapely.union_all(lines, grid_size=_MESH_GRID)
-        regions = shapely.get_parts(shapely.polygonize([outline]))
-        body = shapely.union_all([part for part in regions if _is_solid(part, outline, bool(placed.is_watertight))])
+        cut_lines = shapely.union_all(lines, grid_size=_MESH_GRID)
+        regions = shapely.get_parts(shapely.polygonize([cut_lines]))
+        body = shapely.union_all([part for part in regions if _is_solid(part, cut_lines, bool(placed.is_watertight))])
         self.add_outline(body)
-        open_lines = shapely.line_merge(outline.difference(body.buffer(2 * _MESH_GRID)))
+        open_lines = shapely.line_merge(cut_lines.difference(body.buffer(2 * _MESH_GRID)))
         for line in shapely.get_parts(shapely.simplify(open_lines, _OUTLINE_TOLERANCE)):
             points = np.array(line.coords)
             has_length = np.diff(points, axis=0).any(axis=1)
@@ -136,8 +136,8 @@ def load_mesh(path: Path) -> Any:
     """Load a mesh with trimesh, in metres.
 
     Raises:
-        OmittedShape: If the file is not a mesh, or trimesh is missing.
-        InputError: If the file is too large, or declares entities.
+        OmittedShape: If the file cannot be read as a mesh, or trimesh is missing.
+        InputError: If a .dae file is too large, is not XML, or declares a document type.
     """
     extension = path.suffix.lower()
     if extension not in _MESH_EXTENSIONS:
@@ -235,13 +235,13 @@ def _fill(part: shapely.Polygon) -> list[BoxShape]:
     return merge_cells(shapely.contains(part, cells), side, (x0, y0, 0.0))
 
 
-def _is_solid(region: shapely.Polygon, outline: shapely.Geometry, closed: bool) -> bool:
-    """Whether a region of a cut is inside the body, so that a ray from it crosses the outline an odd number of times.
+def _is_solid(region: shapely.Polygon, cut_lines: shapely.Geometry, closed: bool) -> bool:
+    """Whether a region of a cut is inside the body, so that a ray from it crosses the lines an odd number of times.
 
     In an open body, such as a house of thin walls, regions with room for a robot are not solid.
     """
     if not closed and shapely.maximum_inscribed_circle(region, tolerance=0.01).length > _ROBOT_RADIUS:
         return False
     inside = region.representative_point()
-    end = (outline.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew, so that the ray meets no corner
-    return len(shapely.get_parts(shapely.LineString([inside, end]).intersection(outline))) % 2 == 1
+    end = (cut_lines.bounds[2] + 1.0, inside.y + 0.0123)  # slightly askew, so that the ray meets no corner
+    return len(shapely.get_parts(shapely.LineString([inside, end]).intersection(cut_lines))) % 2 == 1

@@ -13,7 +13,7 @@ from tb2rl.worlds.world import World
 
 CORRIDOR = (1.6, 1.0)  # [m] minimum width at difficulty 0 and 1
 WALL = 0.16  # [m] thickness
-_PASSAGE_SHARE = 2 * MIN_PASSAGE / CORRIDOR[0]  # required passage on a small floor, as a share of the corridor's width
+_PASSAGE_SHARE = 2 * MIN_PASSAGE / CORRIDOR[0]  # required passage / corridor width on small floors: as at difficulty 0
 _MIN_TREE = 0.75  # minimum share of the blocks in the tree; the other blocks are solid
 
 
@@ -26,7 +26,7 @@ def circuit(rng: np.random.Generator, difficulty: float, size: Size) -> World:
 def _draw(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
     (columns, min_width), (rows, min_height) = (_blocks(difficulty, length) for length in size)
     block_count = int(rng.integers(int(np.ceil(_MIN_TREE * columns * rows)), columns * rows + 1))
-    connections = _outline(spanning_tree(rng, columns, rows, block_count))
+    connections = _corridor_around(spanning_tree(rng, columns, rows, block_count))
     widths = random_sizes(rng, size[0] - (2 * columns - 1) * WALL, min_width, 2 * columns)
     heights = random_sizes(rng, size[1] - (2 * rows - 1) * WALL, min_height, 2 * rows)
     return walls(connections, widths, heights, WALL), []
@@ -39,7 +39,7 @@ def _blocks(difficulty: float, length: float) -> tuple[int, float]:
     return count, min(width, (length - (2 * count - 1) * WALL) / (2 * count))
 
 
-def _outline(tree: Pairs) -> Pairs:
+def _corridor_around(tree: Pairs) -> Pairs:
     """Pairs of adjacent cells of the closed corridor around a tree of blocks."""
     connections = Pairs()
     for column, row in {block for pair in tree for block in pair}:

@@ -39,12 +39,12 @@ def _borders(rng: np.random.Generator, count: int, length: float) -> list[float]
     return [0.0, *(step * (np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1))).tolist(), length]
 
 
-def _wall_parts(rng: np.random.Generator, first: float, last: float, door: float) -> list[tuple[float, float]]:
-    """Centre and length of each part of a wall [m], with a door at a random position, or without a door for width 0."""
+def _wall_parts(rng: np.random.Generator, first: float, last: float, door_width: float) -> list[tuple[float, float]]:
+    """Centre and length of each part of a wall [m], with a door at a random position unless its width is 0."""
     first, last = first - WALL / 2, last + WALL / 2  # walls overlap at corners
     ends = [first, last]
-    if door > 0.0:
+    if door_width > 0.0:
         margin = WALL + _CORNER_DISTANCE
-        begin = rng.uniform(first + margin, last - margin - door)
-        ends = [first, begin, begin + door, last]
+        begin = rng.uniform(first + margin, last - margin - door_width)
+        ends = [first, begin, begin + door_width, last]
     return [((a + b) / 2, b - a) for a, b in list(pairwise(ends))[::2]]
