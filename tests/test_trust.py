@@ -79,7 +79,8 @@ def test_no_reference_runs_the_program_of_a_package():
         import_object("torch.utils.__main__:main")
 
 
-def test_an_installed_plugin_is_trusted(write_package):
-    write_package("[tb2rl.tasks]\nmine = mine:Mine\n", mine=TASK)
+@pytest.mark.parametrize("group", ["tb2rl.tasks", "tb2rl.filters", "tb2rl.simulators"])
+def test_an_installed_plugin_is_trusted(write_package, group):
+    write_package(f"[{group}]\nmine = mine:Mine\n", mine=TASK)
     with distrust("ada"):
-        assert find_task("mine") is find_task("mine:Mine")
+        assert find_task("mine:Mine").__name__ == "Mine"

@@ -79,7 +79,7 @@ def prepare_upload(run: Run, repository: str, folder: Path) -> None:
         InputError: If the run's files are damaged.
     """
     content, evaluation = read_checkpoint(run.policy_file), run.folder / EVALUATION
-    picture = PICTURE if run.has_evaluation or (run.folder / PICTURE).is_file() else None  # drawn or copied below
+    picture = PICTURE if run.has_evaluation_episodes or (run.folder / PICTURE).is_file() else None
     try:
         summary = {**json.loads(read_text(evaluation)), "policy": f"{HUB}{repository}"}  # no local path
         values = {"config": run.config, "summary": summary, "repository": repository, "picture": picture}
@@ -96,7 +96,7 @@ def prepare_upload(run: Run, repository: str, folder: Path) -> None:
     for name in (TRAINING_EVALUATIONS, PICTURE):
         if (run.folder / name).is_file():
             shutil.copy(run.folder / name, folder / name)
-    if run.has_evaluation:  # with its episodes, which the zoo's folders lack
+    if run.has_evaluation_episodes:  # with its episodes, which the zoo's folders lack
         draw(load_evaluation(run), folder / PICTURE)
 
 

@@ -137,7 +137,7 @@ def _time_kinematic(env: TurtleBot2VecEnv, rng: np.random.Generator) -> list[flo
     start = time.perf_counter()
     env.step(action)
     between = time.perf_counter()
-    simulator.stepped_robots(commands, period)
+    simulator.step_robots(commands, period)
     return [between - start, time.perf_counter() - between]
 
 

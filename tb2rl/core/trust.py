@@ -55,7 +55,7 @@ def _is_allowed(module: str) -> bool:
         own_modules = {info.name for info in pkgutil.iter_modules([str(Path(__file__).parent.parent)])}
         return submodule.partition(".")[0] in {*own_modules, "agents"}
     # Installed packages with entry points in these groups are trusted.
-    groups = [f"tb2rl.{kind}" for kind in ("agents", "robots", "tasks", "worlds")]
+    groups = [f"tb2rl.{kind}" for kind in ("agents", "filters", "robots", "simulators", "tasks", "worlds")]
     plugins = {point.module.partition(".")[0] for group in groups for point in entry_points(group=group)}
     return package in {*PACKAGES, *plugins}
 

@@ -151,7 +151,7 @@ class ControlLoop:
         for command_filter in self._filters:
             command_filter.reset_at(indices)
         self._robot_state, reset_states = self.simulator.reset_at(indices, initial_state, rng)
-        self._robot_state.copy_goal_path_lengths(before, indices, reset_states)
+        self._robot_state.copy_path_lengths(before, indices, reset_states)
         self._recent_commands.reset_at(indices, reset_states.command)
         self._observation_pipeline.reset_at(indices, reset_states, observations)
 

@@ -117,8 +117,8 @@ def make_encoding(mode: str, sensors: Sequence[Sensor]) -> Encoding:
     if len(images) + len(numbers) < len(sensors) or not sensors:
         shapes = "the shape of each must be (n,), or (channels, height, width) for an image"
         raise InputError(f"a task needs sensors; {shapes}")
-    if any(image.shape[0] != min(image.shape) for image in images):
-        raise InputError(f"sensor {images[0].name}: the shape of an image is (channels, height, width)")
+    if odd_shapes := [image for image in images if image.shape[0] != min(image.shape)]:
+        raise InputError(f"sensor {odd_shapes[0].name}: the shape of an image is (channels, height, width)")
     if mode == "discrete":
         if images:
             raise InputError(f"sensor {images[0].name} is an image, which has no bins; use observation=raw")

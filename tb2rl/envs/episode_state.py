@@ -14,7 +14,7 @@ from tb2rl.simulation.spec import BOUNDS
 from tb2rl.worlds.floor import CELL_SIZE
 from tb2rl.worlds.goal_paths import PREFERRED_GAP, lookahead_points, path_costs, path_lengths_to
 
-_HISTORY_DURATION = 64.0  # [s] time that `PoseHistory` covers
+_HISTORY_DURATION = 64.0  # [s] time that `PositionHistory` covers
 _PLANNING_PERIOD = 6  # [control steps] time between two plans of `OccupancyMapper`
 _HIT_INCREMENT = 4  # added to the score of the cell where a beam ends; a passing beam subtracts 1
 _MAX_HITS = 20  # limit of the absolute score
@@ -88,14 +88,14 @@ class CommandHistory(EpisodeState):
         return self._arrays["commands"][:, :count]
 
 
-class PoseHistory(EpisodeState):
+class PositionHistory(EpisodeState):
     """Positions by odometry in the last minute, about one per second; they help a robot to leave a dead end.
 
     Args:
         period: Control period [s].
     """
 
-    field = "pose_history"
+    field = "position_history"
 
     def __init__(self, period: float) -> None:
         self._interval_steps = max(1, round(1.0 / period))  # [control steps] between two positions

@@ -143,7 +143,7 @@ def make_vector_for_gymnasium(
     """
     mode, simulator_type = find_autoreset_mode(autoreset_mode), find_simulator(simulation or default_physics())
     arguments = _with_time_limit(arguments, max_episode_steps)
-    if not (simulator_type.in_processes or simulator_type.is_external):
+    if not (simulator_type.needs_processes or simulator_type.is_external):
         if arguments.pop("render_mode", None) is not None:
             raise InputError("vector environments have no render_mode; make one environment with gymnasium.make")
         scene = _scene(task, arguments.pop("observation", None), arguments)

@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from tb2rl.core.errors import InputError, unknown
 from tb2rl.envs.encodings import DEFAULT_BEAMS, Encoding, has_images, make_encoding
-from tb2rl.envs.episode_state import CommandHistory, EpisodeState, OccupancyMapper, PoseHistory
+from tb2rl.envs.episode_state import CommandHistory, EpisodeState, OccupancyMapper, PositionHistory
 from tb2rl.envs.filters import Filter
 from tb2rl.envs.observation_pipeline import ObservationPipeline, stacked_space
 from tb2rl.envs.parts import checked_task_parts, task_filters
@@ -102,14 +102,14 @@ class Scene:
         """
         task, sensors = self.task, self.sensors
         episode_states: list[EpisodeState] = [OccupancyMapper(real_spec or self.spec)] if task.maps_online else []
-        if any(sensor.reads_pose_history for sensor in sensors):
-            episode_states.append(PoseHistory(task.control_period))
+        if any(sensor.reads_position_history for sensor in sensors):
+            episode_states.append(PositionHistory(task.control_period))
         if history_length := max(sensor.command_history_length for sensor in sensors):
             episode_states.append(CommandHistory(history_length))
         latency = 0 if real_spec else task.resolved_variation.observation_latency[1]
         return ObservationPipeline(self.encoding, sensors, episode_states, task.frame_stack, latency)
 
-    def with_variation(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
+    def vary_initial_state(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
         """Draw the task's variation of the robot, and keep world, pose and goal of `initial_state` (one environment).
 
         The draws come from a copy of `rng`, so that later sensor noise from `rng` does not depend on them.

@@ -182,7 +182,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         if (initial_state := options.get("initial_state")) is not None:
             if not isinstance(initial_state, InitialState) or len(initial_state.table) != 1 or len(options) > 1:
                 raise InputError("options.initial_state must be one row of InitialState, alone; or use options.pose")
-            return self.scene.with_variation(initial_state, self.np_random)
+            return self.scene.vary_initial_state(initial_state, self.np_random)
         if options.get("world") is not None:
             index = checked(Annotated[int, Ge(0), Lt(len(spec.worlds))], options["world"], "options.world")
             spec = spec.for_world(index)

@@ -151,7 +151,7 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         self.scene, self.seed = self.simulator.prepare(scene.with_time_limit(steps)), seed
         self.initial_states = initial_states
         self._loops: dict[int, ControlLoop] = {}  # by number of slots, opened when first needed
-        workers = min(workers or (processors() if self.simulator.in_processes else 1), len(initial_states.table))
+        workers = min(workers or (processors() if self.simulator.needs_processes else 1), len(initial_states.table))
         self._executor: Executor | None = None
         if workers > 1 and not self.simulator.is_external:
             ControlLoop.open(self.scene, self.simulator, processes=1).close()  # raises errors before a worker does
@@ -184,7 +184,7 @@ class Evaluator(AbstractContextManager["Evaluator"]):
 
     def _run_here(self, policy: Policy, numbers: Sequence[int]) -> Iterator[Episode]:
         """Run episodes in this process, and yield them in the order of `numbers`."""
-        max_slots = _FEW_SLOTS if self.simulator.in_processes else _MANY_SLOTS
+        max_slots = _FEW_SLOTS if self.simulator.needs_processes else _MANY_SLOTS
         can_batch = not self.simulator.is_external and _can_predict_batches(policy, self.scene.observation_space)
         num_slots = min(max_slots, len(numbers)) if can_batch else 1
         if num_slots not in self._loops:
@@ -211,7 +211,7 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         seed = self.seed + number
         rng = np.random.default_rng(seed)
         initial_state = InitialState(self.initial_states.table[[number]])
-        return EpisodeStart(number, seed, self.scene.with_variation(initial_state, rng), rng)
+        return EpisodeStart(number, seed, self.scene.vary_initial_state(initial_state, rng), rng)
 
     def close(self) -> None:
         """End the worker processes, and close the control loops."""

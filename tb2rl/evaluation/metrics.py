@@ -21,8 +21,8 @@ class Metric:
         value: Function from an episode to its value.
         statistic: Statistic of the values: a "rate" with its 95 % interval, a "mean" with the standard deviation, the
             "median", or the sum "per second" of simulated time.
-        goals_only: Whether tables show the metric only for tasks with a goal.
-        in_tables: Whether tables, charts and TensorBoard show the metric; JSON files always contain it.
+        goal_tasks_only: Whether tables show the metric only for tasks with a goal.
+        is_shown: Whether tables, charts and TensorBoard show the metric; JSON files always contain it.
     """
 
     name: str
@@ -30,8 +30,8 @@ class Metric:
     unit: str
     value: Callable[[Episode], float]
     statistic: Literal["rate", "mean", "median", "per second"] = "mean"
-    goals_only: bool = False
-    in_tables: bool = True
+    goal_tasks_only: bool = False
+    is_shown: bool = True
 
     @property
     def key(self) -> str:
@@ -78,9 +78,9 @@ def _count_squares(path: np.ndarray) -> int:
 
 METRICS = (
     Metric("failure_free", "failure-free", "", lambda episode: not episode.failed, "rate"),
-    Metric("success", "goal reached", "", lambda episode: episode.success, "rate", goals_only=True),
+    Metric("success", "goal reached", "", lambda episode: episode.success, "rate", goal_tasks_only=True),
     # `touched`: the bumper was pressed; not every task regards this as a failure.
-    Metric("touch_free", "touch-free", "", lambda episode: not episode.touched, "rate", in_tables=False),
+    Metric("touch_free", "touch-free", "", lambda episode: not episode.touched, "rate", is_shown=False),
     Metric("distance", "distance", "m", lambda episode: episode.distance),
     Metric("return", "return", "", lambda episode: episode.episode_return),
     Metric("length", "length", "steps", lambda episode: episode.length),
@@ -97,4 +97,4 @@ def figures(episodes: Sequence[Episode], control_period: float) -> dict[str, Any
 
 def shown_metrics(goal_task: bool) -> list[Metric]:
     """The metrics that tables, charts and TensorBoard show, for tasks with or without a goal."""
-    return [metric for metric in METRICS if metric.in_tables and (goal_task or not metric.goals_only)]
+    return [metric for metric in METRICS if metric.is_shown and (goal_task or not metric.goal_tasks_only)]

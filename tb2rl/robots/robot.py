@@ -80,7 +80,7 @@ class Robot:
     # Defaults of this robot for fields of `tb2rl.tasks.Task`; explicit settings override them:
     task_settings: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def within_limits(self, commands: np.ndarray) -> np.ndarray:
+    def clip_commands(self, commands: np.ndarray) -> np.ndarray:
         """Commands v [m/s] and w [rad/s], shape (..., 2), clipped to the robot's limits."""
         limits = np.array([self.max_speed, self.max_turn_rate])
         return np.clip(commands, -limits, limits)

@@ -155,13 +155,13 @@ class Run:
         return self.folder / _SUITE_FILE.format(name)
 
     @property
-    def has_evaluation(self) -> bool:
+    def has_evaluation_episodes(self) -> bool:
         """Whether the folder has the standard evaluation."""
         return all((self.folder / file).is_file() for file in (EVALUATION, EPISODES))
 
     def read_evaluation(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Read the tree and the arrays of the standard evaluation."""
-        if not self.has_evaluation:
+        if not self.has_evaluation_episodes:
             _ = self.policy_file  # raises another error if there is no policy to evaluate
             raise InputError(f"{self.folder} has no standard evaluation: run `python -m tb2rl.evaluate {self.folder}`")
         return _read_json(self.folder / EVALUATION), read_checkpoint(self.folder / EPISODES)

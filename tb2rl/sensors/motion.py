@@ -130,7 +130,7 @@ class Visited(Sensor):
 
     name, unit, low, high = "visited", "s", 0.0, 10.0
     bins = (1.0, 3.0)
-    reads_pose_history = True
+    reads_position_history = True
 
     def __init__(self, count: Annotated[int, Ge(1), Le(100)] = 12, distance: Positive = 1.0) -> None:
         angles = np.arange(count) * math.tau / count
@@ -139,9 +139,9 @@ class Visited(Sensor):
         self.near, self.shape = 0.5 * distance, (len(self.around),)
 
     def read(self, robot_state: RobotState) -> np.ndarray:
-        if robot_state.pose_history is None:
+        if robot_state.position_history is None:
             return np.zeros((len(robot_state.odometry), *self.shape))
         (x, y, yaw), (ahead, left) = robot_state.odometry.T[:, :, None], self.around.T
         cos, sin = np.cos(yaw), np.sin(yaw)
         points = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
-        return robot_state.pose_history.seconds_near(points, self.near)
+        return robot_state.position_history.seconds_near(points, self.near)

@@ -28,7 +28,7 @@ class Sensor(ABC):
     high: float
     bins: tuple[float, ...] = ()  # increasing borders between bins, for tabular agents; empty: only raw observations
     shape: tuple[int, ...] = (1,)  # (n,) for n numbers, (channels, height, width) for an image of uint8
-    reads_pose_history: bool = False  # whether `read` needs the positions of the last minute
+    reads_position_history: bool = False  # whether `read` needs the positions of the last minute
     command_history_length: int = 0  # commands that `read` needs; above 0 the sensor is not delayed
 
     def check(self, simulator: SimulatorType) -> None:  # noqa: B027 (most sensors work in all simulators)

@@ -27,7 +27,7 @@ class OccupancyMap(Protocol):
         """See `RobotState.lookahead_point`."""
 
 
-class PoseHistory(Protocol):
+class PositionHistory(Protocol):
     """Recent positions of the robots, by odometry."""
 
     def seconds_near(self, points: np.ndarray, radius: float) -> np.ndarray:
@@ -78,7 +78,7 @@ class RobotState:
     nearest_is_dynamic: np.ndarray | None = None
     nearest_range: np.ndarray = field(default=None, kw_only=True)  # type: ignore[arg-type]  # [m] shortest range, (num_envs,)
     occupancy_map: OccupancyMap | None = field(default=None, kw_only=True)  # if the task maps online
-    pose_history: PoseHistory | None = field(default=None, kw_only=True)  # if a sensor needs it
+    position_history: PositionHistory | None = field(default=None, kw_only=True)  # if a sensor needs it
     command_history: CommandHistory | None = field(default=None, kw_only=True)  # if a sensor needs it
 
     def __post_init__(self) -> None:
@@ -93,7 +93,7 @@ class RobotState:
         """
         return self._source.spec.goal_paths.path_length(*self._worlds_and_goal_numbers, self.pose)
 
-    def copy_goal_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
+    def copy_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
         """Copy the path lengths of `earlier` to this state, if `earlier` has computed them.
 
         Args:

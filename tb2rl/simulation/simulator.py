@@ -73,12 +73,12 @@ class SimulatorType:
     name: str  # name in the registry, or "module:Class"
     title: str  # for tables, captions and messages
     # `make(spec, num_envs)` makes a simulator. It must also accept `make(spec, 1, window=True)` if `has_window`, and
-    # `make(spec, num_envs, processes=1)` if `in_processes`.
+    # `make(spec, num_envs, processes=1)` if `needs_processes`.
     make: Callable[..., Simulator]
     is_physics: bool = False  # simulates forces and contacts, so that it is suitable for evaluations
     has_window: bool = False  # has a window for render mode "human"
     has_colours: bool = False  # its cameras return colours; all cameras return depth
-    in_processes: bool = False  # needs several processes for many environments; others step thousands in one process
+    needs_processes: bool = False  # needs several processes for many environments; others step thousands in one process
     max_camera_height: float = math.inf  # [m] it cannot render cameras that are mounted higher
     # Whether the robot is real, or is simulated by another program. Then there is one environment, its time passes
     # between steps, too, and no state can be restored.
@@ -111,7 +111,7 @@ class SimulatorType:
         if self.is_external and num_envs > 1:
             raise InputError(f"simulation {self.name!r} drives one robot, not {num_envs}")
         options: dict[str, Any] = {"window": True} if window else {}
-        if processes is not None and self.in_processes:
+        if processes is not None and self.needs_processes:
             options["processes"] = processes
         return self.make(spec, num_envs, **options)
 
@@ -151,7 +151,7 @@ def default_physics() -> SimulatorType:
 def batch_simulator() -> SimulatorType:
     """The first registered simulator that steps thousands of environments in one process."""
     types = map(find_simulator, simulator_names())
-    return next(simulator for simulator in types if not (simulator.in_processes or simulator.is_external))
+    return next(simulator for simulator in types if not (simulator.needs_processes or simulator.is_external))
 
 
 @cache

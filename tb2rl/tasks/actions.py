@@ -38,7 +38,7 @@ class Actions(ABC):
     def clipped_to(self, robot: Robot) -> Self:
         """The same actions, with commands clipped to the robot's limits."""
         clipped = copy(self)
-        clipped.table = robot.within_limits(self.table)
+        clipped.table = robot.clip_commands(self.table)
         return clipped
 
     @abstractmethod

@@ -90,7 +90,7 @@ class Navigate(Task):
         if self.goal is None:
             return worlds
         x, y = self.goal
-        worlds = tuple(world.with_start_and_goal(start=None, goal=(x, y, 0.0)) for world in worlds)
+        worlds = tuple(world.with_changes(start=None, goal=(x, y, 0.0)) for world in worlds)
         for world in worlds:
             if math.isinf(shortest_path_length(world, robot.radius)):
                 raise InputError(f"world {world.name}: no path for {robot.name} from start to goal ({x:g}, {y:g})")
@@ -130,7 +130,7 @@ class Navigate(Task):
         is_dynamic, outlines = after.nearest_is_dynamic, after.dynamic_obstacles
         if is_dynamic is None or outlines is None or not (after.bumped & is_dynamic).any():
             return after.bumped
-        speed = np.maximum(before.twist[:, 0], after.command[:, 0])
+        speed = np.maximum(before.twist[:, 0], after.command[:, 0])  # before the contact stopped the robot
         x, y = directions_to_nearest(after.pose, outlines).T
         approach_speed = speed * (np.cos(after.pose[:, 2]) * x + np.sin(after.pose[:, 2]) * y)
         return after.bumped & (~is_dynamic | (approach_speed >= _MIN_APPROACH_SPEED))

@@ -121,7 +121,7 @@ def compare(folder: StudyFolder, name: str, settings: Mapping[str, Any], num_see
 
 
 def _evaluated_run(config: Config, folder: Path) -> Run:
-    if (folder / "config.yaml").is_file() and (run := Run.open(folder)).has_evaluation:
+    if (folder / "config.yaml").is_file() and (run := Run.open(folder)).has_evaluation_episodes:
         return run
     shutil.rmtree(folder, ignore_errors=True)
     training = train_config(config, folder)

@@ -61,4 +61,4 @@ def extend_bounds(world: World, path: np.ndarray) -> World:
     """Extend the bounds of a world to contain a path x, y [m], shape (n, 2)."""
     low = np.minimum(world.bounds[:2], path.min(axis=0) - _PATH_MARGIN)
     high = np.maximum(world.bounds[2:], path.max(axis=0) + _PATH_MARGIN)
-    return world.with_start_and_goal(None, None, (*low.tolist(), *high.tolist()))  # None: keep start and goal
+    return world.with_changes(None, None, (*low.tolist(), *high.tolist()))  # None: keep start and goal

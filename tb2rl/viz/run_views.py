@@ -162,7 +162,7 @@ def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool =
     policy_config, run_config = ({**config.to_dict(), "train": None} for config in (config_of(policy), run.config))
     if policy_config != run_config:
         raise InputError(f"{folder}: {config_file(folder).name} differs from the config in the policy's checkpoint")
-    is_stored = run.has_evaluation
+    is_stored = run.has_evaluation_episodes
     evaluation = load_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress=progress)
     versions = {str(key): str(value) for key, value in (read_config(folder).get("versions") or {}).items()}
     return RunView(name, run.config, versions, policy, curves, evaluation, is_stored)

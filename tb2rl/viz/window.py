@@ -152,7 +152,7 @@ class Teleop:
     def press(self, key: str) -> None:
         """Change the command, within the robot's limits."""
         new_command = self.command + KEYS.get(key, 0.0)
-        self.command = np.zeros(2) if key == " " else np.round(self.scene.robot.within_limits(new_command), 3)
+        self.command = np.zeros(2) if key == " " else np.round(self.scene.robot.clip_commands(new_command), 3)
 
     def close(self) -> None:
         self.env.close()

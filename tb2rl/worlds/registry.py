@@ -140,4 +140,4 @@ def _read(path: Path, _modified: tuple[int, ...], reader: Callable[..., World], 
     if reader in READERS.values():
         return reader(path, options)
     world = reader(path)  # a user's reader; `find_world` checks the type of the result
-    return world.with_start_and_goal(options.start, options.goal, options.bounds) if isinstance(world, World) else world
+    return world.with_changes(options.start, options.goal, options.bounds) if isinstance(world, World) else world

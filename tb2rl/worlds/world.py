@@ -105,7 +105,7 @@ class World:
             if self.clearance(x, y) == 0.0:
                 raise InputError(f"{owner}: the goal ({x:g}, {y:g}) is inside an obstacle")
 
-    def with_start_and_goal(self, start: Pose | None, goal: Pose | None, bounds: Bounds | None = None) -> World:
+    def with_changes(self, start: Pose | None, goal: Pose | None, bounds: Bounds | None = None) -> World:
         """Copy the world with another start, goal or bounds; None keeps the present value.
 
         Raises:

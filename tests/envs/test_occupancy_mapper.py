@@ -35,7 +35,7 @@ def robot_states(scene, poses):
         initial_state = InitialState.default(scene.spec, 1)
         initial_state.pose[:] = pose
         rng = np.random.default_rng(number)
-        robot_state = simulator.reset(scene.with_variation(initial_state, rng), rng)
+        robot_state = simulator.reset(scene.vary_initial_state(initial_state, rng), rng)
         if mapper is not None:
             mapper.update(robot_state, robot_state.command) if number else mapper.reset(robot_state)
         yield replace(robot_state, occupancy_map=mapper)

@@ -116,9 +116,9 @@ def test_a_new_policy_removes_the_evaluation_of_the_previous_one(place, run, alg
     run.save(algorithm, "final/policy")
     run.write_evaluation({}, {})
     run.save_training(algorithm, {})
-    assert run.has_evaluation, "that checkpoint is not the policy of the run"
+    assert run.has_evaluation_episodes, "that checkpoint is not the policy of the run"
     run.save(algorithm, place)
-    assert not run.has_evaluation
+    assert not run.has_evaluation_episodes
 
 
 def test_a_damaged_evaluation_is_refused(run, refused):

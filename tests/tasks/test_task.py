@@ -35,7 +35,7 @@ def test_every_task_commands_what_its_robot_can_do_and_observes_the_laser_first(
     ends = np.arange(task.actions.space.n) if isinstance(task.actions, Commands) else np.array([[-1.0] * 2, [1.0] * 2])
     commands = task.actions.commands(ends)
     assert commands.shape == (len(ends), 2)
-    assert (find_robot(task.robot).within_limits(commands) == commands).all()
+    assert (find_robot(task.robot).clip_commands(commands) == commands).all()
     first, *_ = task.sensors(make_spec(world_of(name), beams=5))
     assert (first.name, first.unit, first.shape, first.bins) == ("laser", "m", (5,), task.range_bins)
 

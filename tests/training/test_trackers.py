@@ -121,7 +121,7 @@ def test_a_training_outlives_a_tracker_that_cannot_write(small, tmp_path, capsys
     warnings = capsys.readouterr().err.splitlines()
     assert warnings == ["warning: train.track: the disk is full; the training continues without it"]
     assert lines(tmp_path / "run")[-2:] == [{"ended": "finished"}] * 2  # the other one is closed, too
-    assert not training.run.has_evaluation
+    assert not training.run.has_evaluation_episodes
 
 
 def test_a_training_whose_tracker_cannot_begin_leaves_nothing(small, tmp_path):

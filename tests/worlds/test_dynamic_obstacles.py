@@ -43,4 +43,4 @@ def test_a_file_may_have_dynamic_obstacles_which_are_written_and_read_again(tmp_
     assert [group.count for group in world.dynamic_obstacles] == [1, 2]
     write_description(world, tmp_path / "hall.yaml")
     assert find_world(str(tmp_path / "hall.yaml")).dynamic_obstacles == world.dynamic_obstacles
-    assert world.with_start_and_goal((1.0, 1.0, 0.0), None).dynamic_obstacles == world.dynamic_obstacles
+    assert world.with_changes((1.0, 1.0, 0.0), None).dynamic_obstacles == world.dynamic_obstacles

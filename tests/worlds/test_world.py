@@ -69,7 +69,7 @@ def test_shapes_become_obstacles_within_bounds():
     expected = shapely.union_all([turned, shapely.box(-3.5, -0.5, -2.5, 0.5), shapely.Point(0, 3).buffer(0.5, 32)])
     assert world.obstacles.symmetric_difference(expected).area == pytest.approx(0, abs=1e-6)
     assert world.bounds == pytest.approx(expected.bounds)
-    bounded = world.with_start_and_goal(None, None, BOUNDS)
+    bounded = world.with_changes(None, None, BOUNDS)
     assert (bounded.bounds, bounded.contains((5, 5)), bounded.contains((0, -5.01))) == (BOUNDS, True, False)
 
 

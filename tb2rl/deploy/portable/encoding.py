@@ -23,7 +23,7 @@ class Encoding:
     Attributes:
         sensor_data: The latest sensor data.
         acceleration: Mean forward acceleration since the last control step, from odometry [m/s^2].
-        pose_history: Positions x, y [m] of the last minute.
+        position_history: Positions x, y [m] of the last minute.
         history_period: Time between two positions of the history, about 1 [s].
         commands: The last commands, v [m/s] and w [rad/s], the newest first.
     """
@@ -40,7 +40,7 @@ class Encoding:
         """Start a new episode."""
         self._frames: list[np.ndarray] = []
         self._step_count, self._speed = 0, 0.0
-        self.pose_history: deque[Point] = deque(maxlen=max(1, round(_HISTORY_DURATION / self.history_period)))
+        self.position_history: deque[Point] = deque(maxlen=max(1, round(_HISTORY_DURATION / self.history_period)))
         self.commands: deque[Speeds] = deque(maxlen=self._command_count)
 
     def __call__(self, sensor_data: SensorData) -> np.ndarray:
@@ -49,7 +49,7 @@ class Encoding:
         self.acceleration, self._speed = (sensor_data.twist[0] - self._speed) / self.needs.period, sensor_data.twist[0]
         self.commands.extendleft([sensor_data.command] * (1 if self._step_count else self._command_count))
         if self._step_count % self._steps_per_position == 0:
-            self.pose_history.append(sensor_data.pose[:2])
+            self.position_history.append(sensor_data.pose[:2])
         self._step_count += 1
         frame = np.concatenate([self._read(settings) for settings in self._sensors])
         self._frames = self._frames[1:] + [frame] if self._frames else [frame] * self._frame_stack
@@ -97,7 +97,7 @@ def _visited(encoding: Encoding, settings: Mapping[str, Any]) -> np.ndarray:
     (x, y, yaw), (ahead, left) = encoding.sensor_data.pose, np.array(settings["around"]).T
     cos, sin = np.cos(yaw), np.sin(yaw)
     points = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left])
-    offsets = np.array(encoding.pose_history) - points[:, None]
+    offsets = np.array(encoding.position_history) - points[:, None]
     return encoding.history_period * (np.hypot(offsets[..., 0], offsets[..., 1]) < settings["near"]).sum(axis=1)
 
 

@@ -38,7 +38,7 @@ SIMULATOR = SimulatorType(
     is_physics=True,
     has_window=True,
     has_colours=True,
-    in_processes=True,
+    needs_processes=True,
     unavailable=unavailable,
     install="pip install pybullet (compiles it if there is no wheel for this platform)",
 )

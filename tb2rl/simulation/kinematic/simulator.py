@@ -107,14 +107,14 @@ class KinematicSimulator:
     def step(self, commands: np.ndarray, duration: float, inactive: np.ndarray | None = None) -> RobotState:
         if self.spec.has_dynamic_obstacles:
             self._obstacles.table = self._obstacles.table.copy()  # earlier robot states refer to the old table
-        _, self._records, self._ranges = robots = self.stepped_robots(commands, duration)
+        _, self._records, self._ranges = robots = self.step_robots(commands, duration)
         self.travelled = robots.records["travelled"]
         if self._odometry is not None:
             arcs = measure_arcs(robots.records["arc"], self._initial_state)
             self._odometry = integrate_odometry(self._odometry, arcs)
         return self._robot_state()
 
-    def stepped_robots(self, commands: np.ndarray, duration: float) -> RobotArrays:
+    def step_robots(self, commands: np.ndarray, duration: float) -> RobotArrays:
         """The robots after a control period, in new arrays; the dynamic obstacles move in place."""
         robots = RobotArrays(self._initial_state.records, np.empty(self.num_envs, ROBOT), np.empty(self._ranges.shape))
         commands = np.ascontiguousarray(commands, dtype=float)

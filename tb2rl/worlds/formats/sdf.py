@@ -253,7 +253,7 @@ def _add_polyline(lines: list[Element], pose: np.ndarray, scale: np.ndarray, cut
     if is_upright(pose):
         # Raises `OmittedShape` if the laser passes above or below.
         cut.check_height(*sorted((pose[2, 3], pose[2, 3] + pose[2, 2] * height)))
-        cut.add_outline(shapely.transform(area, lambda points: points @ pose[:2, :2].T + pose[:2, 3]))
+        cut.add_polygons(shapely.transform(area, lambda points: points @ pose[:2, :2].T + pose[:2, 3]))
     else:
         triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(area))
         cut.add_prisms(pose, [np.array(part.exterior.coords[:3]) for part in triangles], 0.0, height)

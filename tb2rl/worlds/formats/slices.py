@@ -98,9 +98,9 @@ class Slice:
             heights += starts[:, 2].tolist()
             sections.append(shapely.MultiPoint(_intersect(starts, ends, self.height)).convex_hull)
         self.check_height(min(heights), max(heights))
-        self.add_outline(sections[0] if len(sections) == 1 else shapely.union_all(sections, grid_size=_EPSILON))
+        self.add_polygons(sections[0] if len(sections) == 1 else shapely.union_all(sections, grid_size=_EPSILON))
 
-    def add_outline(self, shape: BaseGeometry) -> None:
+    def add_polygons(self, shape: BaseGeometry) -> None:
         """Add polygons: a rectangle as one box, others as walls along the edges, with boxes in the core."""
         for part in shapely.get_parts(shapely.simplify(shape, _OUTLINE_TOLERANCE)):
             if part.area > 0:
@@ -123,7 +123,7 @@ class Slice:
         cut_lines = shapely.union_all(lines, grid_size=_MESH_GRID)
         regions = shapely.get_parts(shapely.polygonize([cut_lines]))
         body = shapely.union_all([part for part in regions if _is_solid(part, cut_lines, bool(placed.is_watertight))])
-        self.add_outline(body)
+        self.add_polygons(body)
         open_lines = shapely.line_merge(cut_lines.difference(body.buffer(2 * _MESH_GRID)))
         for line in shapely.get_parts(shapely.simplify(open_lines, _OUTLINE_TOLERANCE)):
             points = np.array(line.coords)

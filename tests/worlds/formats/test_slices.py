@@ -51,7 +51,7 @@ def test_an_outline_is_filled_and_nothing_sticks_out(corners):
     angles = np.arange(corners) * math.tau / corners
     outline = shapely.Polygon(np.column_stack([np.cos(angles), np.sin(angles)]))
     cut = Slice(0.25)
-    cut.add_outline(outline)
+    cut.add_polygons(outline)
     assert obstacles(cut).difference(outline.buffer(0.009)).area < 1e-9
     hole = outline.difference(obstacles(cut))
     assert hole.is_empty or max(shapely.maximum_inscribed_circle(part).length for part in shapely.get_parts(hole)) < 0.1

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tb2rl.envs.episode_state import PoseHistory
+from tb2rl.envs.episode_state import PositionHistory
 from tb2rl.sensors.motion import Visited
 
 PERIOD = 0.2  # [s]
@@ -16,15 +16,15 @@ FAR = 13  # from here on, twice as far
 
 def visited(make_robot_state, poses):
     """What the sensor reads at the last of some poses (seconds, num_envs, 3); shape (num_envs, 25)."""
-    pose_history = PoseHistory(PERIOD)
+    position_history = PositionHistory(PERIOD)
     for number, pose in enumerate(np.asarray(poses, dtype=float)):
         robot_state = make_robot_state(pose=pose)
         for step in range(STEPS):
             if not number and not step:
-                pose_history.reset(robot_state)
+                position_history.reset(robot_state)
             else:
-                pose_history.update(robot_state, robot_state.command)
-    return Visited().read(replace(robot_state, pose_history=pose_history))
+                position_history.update(robot_state, robot_state.command)
+    return Visited().read(replace(robot_state, position_history=position_history))
 
 
 def test_places_on_the_way_back_were_visited_and_places_ahead_were_not(make_robot_state):
@@ -49,9 +49,9 @@ def test_a_minute_is_remembered_and_no_more(make_robot_state):
 
 @pytest.mark.parametrize("period", [0.1, 0.4, 2.0])
 def test_it_is_in_seconds_however_long_a_control_step_is(period, make_robot_state):
-    pose_history, robot_state = PoseHistory(period), make_robot_state(pose=[(0.0, 0.0, 0.0)])
-    pose_history.reset(robot_state)
+    position_history, robot_state = PositionHistory(period), make_robot_state(pose=[(0.0, 0.0, 0.0)])
+    position_history.reset(robot_state)
     for _ in range(round(20.0 / period)):
-        pose_history.update(robot_state, robot_state.command)
-    seconds = Visited().read(replace(robot_state, pose_history=pose_history))[0, HERE]
+        position_history.update(robot_state, robot_state.command)
+    seconds = Visited().read(replace(robot_state, position_history=position_history))[0, HERE]
     assert seconds == pytest.approx(20.0, abs=2.0)
