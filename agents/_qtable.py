@@ -101,8 +101,8 @@ class QTable(BasePolicy):
         pairs, q, visits = (state_dict[f"{prefix}{name}"] for name in ("pairs", "q", "visits"))
         if not pairs.shape == q.shape == visits.shape or (pairs < 0).any() or (visits < 1).any():
             raise ValueError("pairs, q and visits of the Q-table are inconsistent")
-        for values, initial_value, visited in ((self.q, self.initial_value, q), (self.visits, 0, visits)):
-            values.fill_(initial_value).view(-1)[pairs] = visited
+        for values, initial_value, stored in ((self.q, self.initial_value, q), (self.visits, 0, visits)):
+            values.fill_(initial_value).view(-1)[pairs] = stored
 
     def states(self, observations: np.ndarray) -> np.ndarray:
         """The state number (row of the table) of each observation, shape (num_envs,)."""

@@ -56,7 +56,7 @@ def test_any_other_evaluation_is_not_written_into_the_run_folder(change, run, sh
     command.main([str(run), *short, *simulation, *change])
     assert not (run / "evaluation.json").exists()
     shown = capsys.readouterr().out
-    assert "because a run folder keeps only its standard evaluation" in shown
+    assert "not written: only a run folder's standard evaluation" in shown
     assert ("not PyBullet's" in shown) == bool(simulation)
 
 

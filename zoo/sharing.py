@@ -96,7 +96,7 @@ def prepare_upload(run: Run, repository: str, folder: Path) -> None:
     for name in (TRAINING_EVALUATIONS, PICTURE):
         if (run.folder / name).is_file():
             shutil.copy(run.folder / name, folder / name)
-    if run.has_evaluation_episodes:  # with its episodes, which the zoo's folders lack
+    if run.has_evaluation_episodes:  # else the copy remains: the zoo's entries lack episodes
         draw(load_evaluation(run), folder / PICTURE)
 
 

@@ -58,14 +58,14 @@ def _evaluate(options: argparse.Namespace) -> None:
     tree, arrays = evaluation.serialize(config, name)
     if options.json:
         write_json(options.json, tree)
-    elif is_standard and (run_folder := _unchanged_run(options)):
+    elif is_standard and (run_folder := _run_for_result(options)):
         run_folder.write_evaluation(tree, arrays)
     else:
-        print("not written, because a run folder keeps only its standard evaluation; --json FILE writes any evaluation")
+        print("not written: only a run folder's standard evaluation without --set is kept; --json FILE writes any")
 
 
-def _unchanged_run(options: argparse.Namespace) -> Run | None:
-    """The run to evaluate, if the policy is a run folder and `--set` does not change its task."""
+def _run_for_result(options: argparse.Namespace) -> Run | None:
+    """The run folder that may keep the result: the policy, if it is a run folder, and `--set` changes nothing."""
     if options.set or not options.policy or not Path(options.policy).is_dir():
         return None
     return Run.open(Path(options.policy), options.trust)
@@ -86,7 +86,7 @@ def _evaluate_suite(options: argparse.Namespace) -> None:
     check_spaces(policy, scene)
     digest = policy_digest(options.policy, options.trust) if options.agent is None else None
     origin: dict[str, Any] = {"policy": options.policy or f"agent {options.agent}", "policy_digest": digest}
-    run_folder = None if options.json else _unchanged_run(options)
+    run_folder = None if options.json else _run_for_result(options)
     file = run_folder.suite_file(suite.name) if run_folder else options.json
     executor = make_executor(options) if options.on else None
     with executor or nullcontext(), suite_evaluator(scene, 1 if executor else options.workers) as evaluator:
@@ -115,7 +115,7 @@ def _finished_episodes(journal: Journal, num_worlds: int) -> list[SuiteEpisode]:
     """The episodes in a journal; also prints whether the suite continues."""
     episodes = [build(SuiteEpisode, entry, str(journal.path)) for entry in journal.entries]
     if journal.path is None:
-        print("not kept: a run folder keeps only results at the task of its training; --json FILE writes any result")
+        print("not written: only a run folder's result without --set is kept; --json FILE writes any")
     elif journal.mismatch is not None:
         print(f"starting again, because {journal.path} is from another {journal.mismatch}")
     elif episodes:
@@ -130,16 +130,16 @@ def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
         InputError: If the policy does not exist, or a setting is invalid.
     """
     if (options.policy is None) == (options.agent is None):
-        raise InputError("name a policy (run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY), or name an --agent")
+        raise InputError("name a run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY, or a non-learning --agent")
     settings = parse_settings(options.set)
     if options.agent is not None:
         config = resolve(options.agent, options.task, settings=settings)
         return make_baseline(config), config
-    refuse(options, "needs --agent; a policy keeps the task of its training", "task")
+    refuse(options, "needs --agent; for a policy, --set task.KEY=VALUE changes the task of its training", "task")
     policy = load(options.policy, options.trust)
     for key in settings:
         if not key.startswith("task."):
-            raise InputError(f"only the task of a trained policy can be changed (task.KEY=VALUE), got {key!r}")
+            raise InputError(f"of a trained policy, only the task can be set (task.KEY=VALUE), got {key!r}")
     return policy, config_of(policy).with_task({key.removeprefix("task."): value for key, value in settings.items()})
 
 

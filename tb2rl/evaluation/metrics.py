@@ -35,7 +35,7 @@ class Metric:
 
     @property
     def key(self) -> str:
-        """The key of the statistic in `figures`."""
+        """The key of the statistic in the result of `figures`, and in files."""
         return {"rate": f"{self.name}_rate", "mean": f"mean_{self.name}"}.get(self.statistic, self.name)
 
     def figures(self, episodes: Sequence[Episode], control_period: float) -> dict[str, Any]:

@@ -25,8 +25,8 @@ Positive = Annotated[StrictFloat, Gt(0)]  # strict, because compiled code needs 
 class Laser:
     """A planar laser scanner above the middle of the axle.
 
-    The beams go from right to left, with one at each end of the field of view. On a full circle the two ends are the
-    same direction and have one beam; with an even number of beams the first one looks back.
+    The beams go from right to left, with one at each end of the field of view. On a full circle the beams have
+    equal gaps and one looks ahead; only with an even number does one, the first, look back.
     """
 
     beams: Annotated[StrictInt, Ge(1)] = 720
@@ -73,7 +73,7 @@ class Robot:
     max_turn_rate: Positive  # [rad/s]
     # Measured in PyBullet by `tb2rl.simulation.bullet.motors.measure_motors`:
     wheel_acceleration: Positive  # [m/s^2] acceleration of a wheel's rim by its own motor
-    wheel_coupling: StrictFloat  # [m/s^2] added if the other motor pushes in the same direction, else subtracted
+    wheel_coupling: StrictFloat  # [m/s^2] added if the other motor pushes the same way, subtracted if the opposite way
     laser: Laser
     camera: Camera
     gyro: bool = True  # whether odometry has a gyro's heading; an encoder heading drifts ten times as fast

@@ -2,7 +2,7 @@
 
 A checkpoint is a safetensors file, which cannot contain code. Its header contains the plain values as JSON, with
 references to the arrays. safetensors compares all shapes with the size of the file, so that a damaged file cannot cause
-large allocations. `restore_like` compares names, shapes and types with those of the training, because compiled code
+large allocations. `restore_like` compares names, shapes and types with those of the training, because numba's code
 does not check them.
 """
 
@@ -74,10 +74,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         raise InputError(one_line(f"{path} is not a checkpoint, or is damaged: {error!r}")) from None
 
 
-def is_saveable(value: Any) -> bool:
-    """Whether a value belongs in a checkpoint: number, array, tensor, deque, or non-empty tuple or mapping of these."""
+def is_training_state(value: Any) -> bool:
+    """Whether an attribute is training state: number, array, tensor, deque, or non-empty tuple or mapping of these."""
     if isinstance(value, Mapping | tuple):
-        return bool(value) and all(map(is_saveable, value.values() if isinstance(value, Mapping) else value))
+        return bool(value) and all(map(is_training_state, value.values() if isinstance(value, Mapping) else value))
     return isinstance(value, bool | int | float | np.ndarray | np.generic | th.Tensor | deque)
 
 
@@ -107,7 +107,7 @@ def restore_like(present: Any, saved: Any, where: str) -> Any:
     elif isinstance(present, deque) and isinstance(saved, list):
         entries = [tuple(entry) if isinstance(entry, list) else entry for entry in saved]
         values = [[*entry.values()] if isinstance(entry, Mapping) else entry for entry in entries]  # for `np.shape`
-        if all(map(is_saveable, entries)) and len(set(map(np.shape, values))) <= 1:
+        if all(map(is_training_state, entries)) and len(set(map(np.shape, values))) <= 1:
             return deque(entries, maxlen=present.maxlen)
     elif isinstance(present, list | tuple):
         if isinstance(saved, list) and len(saved) == len(present):

@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import unwrap_vec_normalize
 
 from tb2rl.core.errors import InputError, one_line
 from tb2rl.envs.encodings import take_rows
-from tb2rl.runs import LIBRARY_ERRORS, is_saveable, parameters_of, restore_like
+from tb2rl.runs import LIBRARY_ERRORS, is_training_state, parameters_of, restore_like
 
 _NOT_SAVED = {  # attributes of this process, or set by `tb2rl.runs.loading.load_parameters` or by `restore`
     "verbose", "start_time", "_total_timesteps", "_num_timesteps_at_start", "tensorboard_log", "n_envs",
@@ -126,7 +126,7 @@ def _attributes(owner: Any) -> dict[str, Any]:
     return {
         name: value
         for name, value in vars(owner).items()
-        if is_saveable(value) and name not in _NOT_SAVED and not getattr(value, "requires_grad", False)
+        if is_training_state(value) and name not in _NOT_SAVED and not getattr(value, "requires_grad", False)
     }
 
 

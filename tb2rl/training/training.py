@@ -147,7 +147,7 @@ class _Learner:
     def restore(self, content: Mapping[str, Any]) -> None:
         """Restore a checkpoint into the new algorithm and callbacks."""
         run, evaluation_callback = self.run, self.callbacks.evaluation
-        file, settings = run.checkpoints[0], run.config.train
+        file, settings = run.checkpoints[0], run.config.train  # the latest checkpoint
         load_parameters(self.algorithm, content, file)
         state.restore(content["training"], self.algorithm, self.callbacks, file)
         timesteps = self.algorithm.num_timesteps
@@ -231,7 +231,7 @@ def resume(
     run = Run.open(Path(folder))
     if not run.checkpoints:
         raise InputError(f"{folder} has no checkpoint to resume from")
-    file, old_total = run.checkpoints[0], run.config.train.total_timesteps
+    file, old_total = run.checkpoints[0], run.config.train.total_timesteps  # the latest checkpoint
     content = read_checkpoint(file)
     # An earlier resume may have raised the total of the config, but ended before it saved a checkpoint.
     if _with_total(checkpoint_config(content, file), old_total) != run.config or "training" not in content:
