@@ -29,11 +29,11 @@ _RESULTS = Path("runs", "suites")  # folder of the complete results, with a row 
 # Worlds for evaluations; without world `wall`, whose open sides let a robot drive away without collisions.
 WORLDS = ("loop", "circuit", "round", "maze", "mixed")
 UNSEEN_SUITE = "unseen"  # the suite of worlds that no training uses
-# File in the folder of an entry: evaluations in the `WORLDS` in which its policy was not trained, not in the suite.
+# File in the folder of an entry: evaluations in those `WORLDS` in which its policy was not trained (no suites).
 UNSEEN_WORLDS_FILE = "unseen_worlds.json"
 # Promised rates of good episodes (see `Entry.criterion`).
-PROMISED, PROMISED_TABULAR, PROMISED_GUIDE_GOAL, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
-# Promised mean speeds relative to the fastest command; lower in generated worlds, where posts require more turns.
+PROMISED, PROMISED_TABULAR, PROMISED_MAPLESS, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
+# Promised mean speeds relative to the fastest command; lower in generated worlds, where round posts require more turns.
 PROMISED_SPEED, PROMISED_SPEED_GENERATED = 0.75, 0.6
 
 
@@ -202,7 +202,7 @@ class Entry:
         if self.config.scene.spec.dynamic_obstacles:
             return PROMISED_AMONG_PEOPLE
         seeks_goal_without_map = getattr(self.config.task, "guide", "") == "goal"
-        return PROMISED_GUIDE_GOAL if seeks_goal_without_map else PROMISED
+        return PROMISED_MAPLESS if seeks_goal_without_map else PROMISED
 
     @property
     def relative_speed(self) -> float:

@@ -96,7 +96,7 @@ class _Worker:
         context = process_context()
         self.connection, worker_end = context.Pipe()
         self.process = context.Process(target=_run_jobs, args=(worker_end, {**os.environ, **ONE_THREAD}))
-        self.payloads: Mapping[str, bytes] = {}  # payloads of the present job, which the process has cached
+        self.payloads: Mapping[str, bytes] = {}  # the functions and shared arguments that the process has cached
         with hide_main_script():
             self.process.start()
         worker_end.close()  # so that the pipe closes when the process dies
@@ -131,7 +131,7 @@ def _run_jobs(pipe: Connection, environment: Mapping[str, str]) -> None:
     os.environ.clear()  # because the process has inherited the environment of the fork server
     os.environ.update(environment)
     tqdm.set_lock(threading.RLock())  # because a killed process would leak tqdm's default lock, a semaphore
-    with suppress(EOFError, KeyboardInterrupt):  # the pipe was closed, or a training was terminated
+    with suppress(EOFError, KeyboardInterrupt):  # the pipe was closed, or SIGTERM ended a training
         while True:
             job, digests, contents = pickle.loads(pipe.recv_bytes())
             pipe.send(run_job(partial(deserialize, digests, contents.__getitem__), job))

@@ -20,7 +20,7 @@ _NUM_DRAWN_PATHS = 5  # number of episodes in the picture eval/paths
 
 
 class EvaluationCallback(StatefulCallback):
-    """Evaluates the greedy policy periodically, saves the best policy, and stops the training at `train.stop_score`.
+    """Evaluates the greedy policy periodically, saves the best policy, and stops at a good rate of `train.stop_score`.
 
     Args:
         run: Run folder for the best policy and the results.
@@ -31,7 +31,7 @@ class EvaluationCallback(StatefulCallback):
         stopped_training: Whether this callback stopped the training.
     """
 
-    saved_attributes = ("_next", "_reached", "stopped_training", "_best", "_elapsed")
+    saved_attributes = ("_next", "_reached", "stopped_training", "_best", "_clock")
 
     def __init__(self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None = None) -> None:
         super().__init__()
@@ -40,19 +40,19 @@ class EvaluationCallback(StatefulCallback):
         self.clear_early_stop()
         self._next = self.settings.eval_freq  # timesteps of the next evaluation
         self._best = (-sys.float_info.max, -sys.float_info.max)  # score of the best evaluation
-        self._elapsed = 0.0
+        self._clock = 0.0  # the setter starts the clock
 
     def clear_early_stop(self) -> None:
         """Reset `stopped_training`, and the number of evaluations that reached `train.stop_score`."""
         self.stopped_training, self._reached = False, 0  # consecutive evaluations that reached `train.stop_score`
 
     @property
-    def _elapsed(self) -> float:
+    def _clock(self) -> float:
         """Wall-clock time of the training [s], including the time before it was resumed."""
         return round(time.monotonic() - self._start_time, 3)
 
-    @_elapsed.setter
-    def _elapsed(self, seconds: float) -> None:
+    @_clock.setter
+    def _clock(self, seconds: float) -> None:
         self._start_time = time.monotonic() - seconds
 
     def _on_step(self) -> bool:
@@ -75,16 +75,16 @@ class EvaluationCallback(StatefulCallback):
             "timesteps": self.num_timesteps,
             **evaluation.summary(),
             "seconds": round(time.monotonic() - start_time, 3),
-            "elapsed": self._elapsed,
+            "elapsed": self._clock,
             "best": score > self._best,
         }
         if summary["best"]:
             self._best = score
             self.run.save(self.model, "best/policy")
         self.run.append_training_evaluation(summary)
-        for metric in shown_metrics(goal_task=True):
+        for metric in shown_metrics(goal_task=True):  # all of them, also for a task without a goal
             self.logger.record(f"eval/{metric.key}", summary[metric.key])
-        self.logger.record("eval/score", evaluation.score[0])
+        self.logger.record("eval/score", success_rate)
         picture = draw_paths(evaluation.scene, evaluation.episodes[:_NUM_DRAWN_PATHS])
         self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)

@@ -90,7 +90,7 @@ class _Storage(RDBStorage):
                 engine_kwargs={"connect_args": connect_args},
                 heartbeat_interval=HEARTBEAT_PERIOD,
                 grace_period=GRACE_PERIOD,
-                heartbeat_stale_trial_callback=lambda _, trial: folder.remove_trial(trial.number),
+                heartbeat_stale_trial_callback=lambda _, trial: folder.remove_files(trial.number),
             )
         except ImportError as error:  # the database driver in the URL is missing
             raise InputError(one_line(f"cannot use the database of {folder.path}: {error}")) from None

@@ -226,7 +226,7 @@ class StudyFolder:
         """The folder of a trial."""
         return self.path / "trials" / f"{number:04d}"
 
-    def remove_trial(self, number: int) -> None:
+    def remove_files(self, number: int) -> None:
         """Remove the files of a trial that was pruned or failed."""
         shutil.rmtree(self.trial_folder(number), ignore_errors=True)
 

@@ -59,7 +59,7 @@ def run_trials(
         finally:
             for trial in running.values():
                 study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
-                folder.remove_trial(trial.number)
+                folder.remove_files(trial.number)
 
 
 def _ask_jobs(
@@ -114,10 +114,10 @@ def _tell(folder: StudyFolder, study: Study, trial: Trial, result: FrozenTrial) 
             trial.set_user_attr(key, attribute)
         is_pruned = result.state is TrialState.PRUNED
         if is_pruned:
-            folder.remove_trial(trial.number)
+            folder.remove_files(trial.number)
         study.tell(trial, None if is_pruned else result.value, result.state)
     except UpdateFinishedTrialError:
-        folder.remove_trial(trial.number)
+        folder.remove_files(trial.number)
         return f"{name}: failed, because its heartbeats were late; another trial replaces it"
     assert result.duration is not None
     seconds = f"({result.duration.total_seconds():.0f} s)"

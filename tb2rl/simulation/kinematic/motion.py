@@ -61,8 +61,8 @@ def pose_after_arc(x, y, yaw, length, turn):
 def wheel_speed(initial_speed, change, signed_duration, time, acceleration, coupling):
     """Rim speed [m/s] of a wheel that changes its `initial_speed` by `change`, `time` [s] after the change began.
 
-    At first both motors push, for abs(`signed_duration`) [s]. If `signed_duration` is positive, they push in the same
-    direction. Then one motor pushes alone. The motors have the `acceleration` and the `coupling` of `Robot` [m/s^2].
+    Both motors push for abs(`signed_duration`) [s], in the same direction if it is positive; afterwards one motor
+    pushes alone. The motors have the `acceleration` and the `coupling` of `Robot` [m/s^2].
     """
     coupled_acceleration = acceleration + math.copysign(1.0, signed_duration) * coupling
     coupled_time = min(time, abs(signed_duration))
@@ -74,20 +74,21 @@ def wheel_speed(initial_speed, change, signed_duration, time, acceleration, coup
 def move(i, constants, robots, duration):
     """Drive robot `i` for a `duration` [s] in three phases: both wheels accelerate, then one wheel, then none.
 
-    As in PyBullet, a physics step uses the speed at its end and the heading at its start.
+    The phases are solved without physics steps, but with PyBullet's error: a step has the speed at its end and the
+    heading at its start.
 
     Returns:
         Distance covered [m], positive forwards; turn [rad]; and whether the robot touched an obstacle.
     """
-    start, robot = robots.initial_states[i], robots.records[i]
-    spatial_index, world_id, physics_step = constants.spatial_index, int(start.world), constants.physics_step
-    radius, separation = start.radius, start.wheel_separation
-    acceleration, coupling = start.wheel_acceleration, start.wheel_coupling
+    episode, robot = robots.initial_states[i], robots.records[i]
+    spatial_index, world_id, physics_step = constants.spatial_index, int(episode.world), constants.physics_step
+    radius, separation = episode.radius, episode.wheel_separation
+    acceleration, coupling = episode.wheel_acceleration, episode.wheel_coupling
     v, w = robot.command[0], robot.command[1]
-    scale = start.wheel_radius  # true / nominal
-    turn_speed = 0.5 * separation * min(max(w, -start.max_turn_rate), start.max_turn_rate)  # of the rims
-    turn_speed *= start.assumed_separation * scale  # assumed / true separation
-    v = min(max(v, -start.max_speed), start.max_speed) * scale
+    scale = episode.wheel_radius  # a ratio, true / nominal
+    turn_speed = 0.5 * separation * min(max(w, -episode.max_turn_rate), episode.max_turn_rate)  # of the rims
+    turn_speed *= episode.assumed_separation * scale  # assumed / true separation
+    v = min(max(v, -episode.max_speed), episode.max_speed) * scale
     left, right = robot.wheel_speeds[0], robot.wheel_speeds[1]
     change_left, change_right = v - turn_speed - left, v + turn_speed - right
     sign = math.copysign(1.0, change_left * change_right)
@@ -100,7 +101,7 @@ def move(i, constants, robots, duration):
     max_distance = max(abs(left), abs(right), abs(v) + abs(turn_speed)) * duration
     is_free = clearance_at(x, y, spatial_index, world_id) > radius + max_distance  # no obstacle matters in this step
     bumped, distance, total_turn = False, 0.0, 0.0
-    time, end = 0.5 * physics_step, duration + 0.5 * physics_step  # shifted: a step has the speed at its end
+    time, end = 0.5 * physics_step, duration + 0.5 * physics_step  # shifted, for the speed at a step's end
     last_left = wheel_speed(left, change_left, signed_duration, time, acceleration, coupling)
     last_right = wheel_speed(right, change_right, signed_duration, time, acceleration, coupling)
     for phase in range(3):
@@ -112,7 +113,7 @@ def move(i, constants, robots, duration):
         mean_left, mean_right = 0.5 * (last_left + next_left), 0.5 * (last_right + next_right)
         length = 0.5 * (mean_left + mean_right) * (phase_end - time)
         rate = (mean_right - mean_left) / separation
-        turn, lag = rate * (phase_end - time), 0.5 * rate * physics_step  # lag: a step has the heading at its start
+        turn, lag = rate * (phase_end - time), 0.5 * rate * physics_step  # lag: for the heading at a step's start
         if is_free:
             x, y, yaw = pose_after_arc(x, y, yaw - lag, length, turn)
         else:
@@ -135,27 +136,27 @@ def scan(i, constants, robots, scratch, obstacles):
 
     `scratch` consists of two arrays of shape (beams,).
     """
-    start, robot, ranges = robots.initial_states[i], robots.records[i], robots.ranges
+    episode, robot, ranges = robots.initial_states[i], robots.records[i], robots.ranges
     x, y, yaw, beam_count = robot.pose[0], robot.pose[1], robot.pose[2], ranges.shape[1]
-    if start.mount_x != 0.0 or start.mount_y != 0.0:
+    if episode.mount_x != 0.0 or episode.mount_y != 0.0:
         cos, sin = math.cos(yaw), math.sin(yaw)
-        x, y = x + start.mount_x * cos - start.mount_y * sin, y + start.mount_x * sin + start.mount_y * cos
-    yaw += start.mount_yaw
-    cast_beams((x, y, yaw), constants.beams, constants.spatial_index, int(start.world), scratch, ranges, i)
+        x, y = x + episode.mount_x * cos - episode.mount_y * sin, y + episode.mount_x * sin + episode.mount_y * cos
+    yaw += episode.mount_yaw
+    cast_beams((x, y, yaw), constants.beams, constants.spatial_index, int(episode.world), scratch, ranges, i)
     if obstacles is not None:
         robot.nearest_is_dynamic = cast_at_obstacles(x, y, yaw, constants.beams, obstacles.obstacles, i, ranges)
-    noise = constants.laser_noise if start.laser_noise < 0.0 else start.laser_noise
+    noise = constants.laser_noise if episode.laser_noise < 0.0 else episode.laser_noise
     key, first_number = robot.stream[0], robot.stream[1] * np.uint64(beam_count)
     if noise > 0.0:
         for beam in range(beam_count):
             ranges[i, beam] += noise * normal(key, first_number + np.uint64(beam))
-    if start.bias != 0.0:
+    if episode.bias != 0.0:
         for beam in range(beam_count):
-            ranges[i, beam] += start.bias
+            ranges[i, beam] += episode.bias
     limit_ranges(ranges, i, constants.min_range, constants.max_range)
-    if start.dropped > 0.0:
+    if episode.dropped > 0.0:
         for beam in range(beam_count):
-            if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < start.dropped:
+            if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < episode.dropped:
                 ranges[i, beam] = np.inf
     robot.nearest_range = shortest_range(ranges, i)
 
@@ -168,26 +169,26 @@ def move_among_obstacles(i, constants, robots, duration, obstacles):
         Distance covered [m], turn [rad], and whether the robot touched a wall, or a dynamic obstacle (two flags).
     """
     initial_states, robot = robots.initial_states, robots.records[i]
-    start, spatial_index = initial_states[i], constants.spatial_index
-    world_id, radius, pose, wheel_speeds = int(start.world), start.radius, robot.pose, robot.wheel_speeds
+    episode, spatial_index = initial_states[i], constants.spatial_index
+    world_id, radius, pose, wheel_speeds = int(episode.world), episode.radius, robot.pose, robot.wheel_speeds
     steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as in PyBullet
-    physics_step = duration / steps
-    max_speed = max(abs(wheel_speeds[0]), abs(wheel_speeds[1]), start.max_speed * start.wheel_radius)
+    step_time = duration / steps
+    max_speed = max(abs(wheel_speeds[0]), abs(wheel_speeds[1]), episode.max_speed * episode.wheel_radius)  # a ratio
     x, y = pose[0], pose[1]
     if motion.is_out_of_reach(x, y, max_speed, duration, radius, obstacles.obstacles, i):
-        motion.step_obstacles_alone(i, steps, physics_step, obstacles, initial_states, spatial_index, world_id, (x, y))
+        motion.step_obstacles_alone(i, steps, step_time, obstacles, initial_states, spatial_index, world_id, (x, y))
         distance, total_turn, wall_hit = move(i, constants, robots, duration)
         return distance, total_turn, wall_hit, False
     wall_hit, obstacle_hit, distance, total_turn = False, False, 0.0, 0.0
     for step in range(steps):
         x, y, yaw, v = pose[0], pose[1], pose[2], 0.5 * (wheel_speeds[0] + wheel_speeds[1])
         if step % motion.DECISION_STEPS == 0:
-            period = min(motion.DECISION_STEPS, steps - step) * physics_step
+            period = min(motion.DECISION_STEPS, steps - step) * step_time
             robot_motion = x, y, v * math.cos(yaw), v * math.sin(yaw)
             motion.decide(i, period, obstacles, initial_states, spatial_index, world_id, robot_motion)
-        hit = motion.move_obstacles(i, physics_step, obstacles, spatial_index, world_id, x, y, radius)
+        hit = motion.move_obstacles(i, step_time, obstacles, spatial_index, world_id, x, y, radius)
         obstacle_hit = hit or obstacle_hit
-        length, turn, hit = move(i, constants, robots, physics_step)
+        length, turn, hit = move(i, constants, robots, step_time)
         wall_hit = hit or wall_hit
         share = 1.0
         for k in range(obstacles.obstacles.shape[1]):
@@ -222,7 +223,7 @@ def _step_robots(first, end, constants, before, robots, commands, duration, scra
         robot.acceleration = (robot.twist[0] - speed) / duration
         robot.stream[1] += np.uint64(1)
         scan(i, constants, robots, scratch, obstacles)
-        if obstacles is not None:  # a contact counts before the laser's ranges, and a wall before an obstacle
+        if obstacles is not None:  # a contact overrides the ranges, and a wall an obstacle
             robot.nearest_is_dynamic = not wall_hit and (obstacle_hit or robot.nearest_is_dynamic)
 
 
