@@ -43,7 +43,8 @@ class LocalPlanner(BasePolicy):
         vehicle: The robot.
 
     Raises:
-        InputError: If the laser, the target or the speeds are not observed, or the actions are not v and w.
+        InputError: If the laser, the target or the speeds are not observed, the actions are not v and w, or the number
+            of beams is below 2 or differs from that of the vehicle's directions.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class LocalPlanner(BasePolicy):
         beams, directions = len(self._columns["laser"]), vehicle.directions
         angles = np.linspace(-math.pi / 2, math.pi / 2, beams) if directions is None else np.asarray(directions)
         if beams < 2 or len(angles) != beams:
-            raise InputError(f"{planner} needs 2 beams or more and as many directions, got {beams} and {len(angles)}")
+            raise InputError(f"{planner} needs 2 beams or more, each with a direction, got {beams} and {len(angles)}")
         self._beam_directions = np.column_stack([np.cos(angles), np.sin(angles)])
         self.vehicle = vehicle
 
@@ -119,7 +120,7 @@ def free_distance(points, curvature, radius, gap, max_distance):
         curvature: Curvature of the arc, positive to the left [1/m].
         radius: Radius of the robot [m].
         gap: Distance to keep from obstacles [m]; for points that are already closer, the gap is 0.
-        max_distance: Points farther than this outside the circle of radius + gap are ignored [m].
+        max_distance: Points farther than max_distance + radius + gap from the robot's centre are ignored [m].
     """
     free = math.inf
     for beam in range(points.shape[0]):
@@ -133,7 +134,7 @@ def free_distance(points, curvature, radius, gap, max_distance):
 
 @njit(cache=True, **NO_REFCOUNT)
 def _free_distance_straight(points, direction, radius):
-    """The distance to the first contact along a straight line in a direction [rad]."""
+    """The distance [m] to the first contact of a disc that moves straight in a direction [rad]."""
     cos, sin, free = math.cos(direction), math.sin(direction), math.inf
     for beam in range(points.shape[0]):
         x, y = points[beam, 0], points[beam, 1]

@@ -79,8 +79,8 @@ class QTable(BasePolicy):
         if not isinstance(observation_space, spaces.MultiDiscrete | spaces.Discrete):
             raise InputError("a Q-table needs discrete observations: set observation=discrete")
         is_single = isinstance(observation_space, spaces.Discrete)
-        self.shape = (int(observation_space.n),) if is_single else tuple(observation_space.nvec.tolist())
-        table_shape = num_states, num_actions = math.prod(self.shape), int(action_space.n)
+        self._nvec = (int(observation_space.n),) if is_single else tuple(observation_space.nvec.tolist())
+        table_shape = num_states, num_actions = math.prod(self._nvec), int(action_space.n)
         if num_states * num_actions > MAX_PAIRS:
             fix = "reduce task.beams, task.range_bins or task.frame_stack"
             raise InputError(f"a Q-table of {num_states} states is too large; {fix}")
@@ -106,8 +106,8 @@ class QTable(BasePolicy):
 
     def states(self, observations: np.ndarray) -> np.ndarray:
         """The state number (row of the table) of each observation, shape (num_envs,)."""
-        columns = np.asarray(observations).reshape(-1, len(self.shape)).T
-        return np.ravel_multi_index(tuple(columns), self.shape)
+        columns = np.asarray(observations).reshape(-1, len(self._nvec)).T
+        return np.ravel_multi_index(tuple(columns), self._nvec)
 
     def best_actions(self) -> np.ndarray:
         """The greedy action of every state, shape (states,)."""

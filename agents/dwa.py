@@ -86,7 +86,7 @@ class DWA(LocalPlanner):
 
 @njit(cache=True, **NO_REFCOUNT)
 def _choose_commands(view, limits, weights, commands):
-    """Replace zeros in `commands`, shape (num_envs, 2), by the best v, w; without a safe pair both remain 0."""
+    """Replace zeros in `commands`, shape (num_envs, 2), by the best safe v, w, if any; a blocked robot rotates away."""
     for robot in range(commands.shape[0]):
         side = rotation_side(view, robot, limits.radius, limits.gap)
         if side:

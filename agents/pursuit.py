@@ -26,8 +26,8 @@ class Pursuit(LocalPlanner):
     """Drives along the arc to the target, slowly on sharp arcs and towards obstacles.
 
     Coulter's algorithm ignores obstacles, but the arc to a waypoint behind a corner may hit that corner. This planner
-    selects, among arcs of similar curvature that are free for the distance `look`, the arc nearest to Coulter's. With
-    `bends=0`, this planner is Coulter's algorithm.
+    selects, among arcs of similar curvature that are free for the distance `look`, the arc nearest to Coulter's; if
+    there is none, the freest arc. `bends=0` always selects Coulter's arc.
 
     Args:
         observation_space, action_space, vehicle: See `LocalPlanner`.

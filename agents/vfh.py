@@ -77,8 +77,8 @@ class VFH(LocalPlanner):
         is_open = free >= np.clip(target_distance, _MIN_WINDOW, max(self.window, _MIN_WINDOW))[:, None]
         on_the_spot = (np.abs(view.speed) < STANDING_SPEED) & (np.abs(view.turn_rate) > TURNING_RATE)
         side = np.where(on_the_spot, np.sign(view.turn_rate), 0.0)
-        target = np.arctan2(view.target[:, 1], view.target[:, 0])
-        _choose_directions(is_open, self.valley, target, view.turn_rate / self.gain, side, self._costs, direction)
+        bearing = np.arctan2(view.target[:, 1], view.target[:, 0])
+        _choose_directions(is_open, self.valley, bearing, view.turn_rate / self.gain, side, self._costs, direction)
         v = np.minimum(np.sqrt(2.0 * self.braking * free[:, NUM_SECTORS // 2]), self.vehicle.max_speed)
         v *= np.clip(1.0 - np.abs(direction) / self.spin, 0.0, 1.0)
         return np.column_stack([v, self.gain * direction])
@@ -108,13 +108,13 @@ def _shorten_free_distances(free, points, radius):
 
 
 @njit(cache=True, **NO_REFCOUNT)
-def _choose_directions(is_open, valley, targets, previous, sides, costs, directions):
+def _choose_directions(is_open, valley, bearings, previous, sides, costs, directions):
     """Write the cheapest candidate of each robot into `directions` [rad]; without candidates 90 degrees to one side.
 
     Args:
         is_open: Shape (num_envs, NUM_SECTORS).
         valley: Least width of a wide valley [sectors].
-        targets: Directions of the targets [rad], shape (num_envs,).
+        bearings: Directions of the targets [rad], shape (num_envs,).
         previous: Previous directions [rad], shape (num_envs,).
         sides: Allowed candidates, shape (num_envs,): 1 on the left, -1 on the right, 0 on both sides.
         costs: Costs per radian to_target, to_heading, to_previous, see `VFH`.
@@ -122,15 +122,15 @@ def _choose_directions(is_open, valley, targets, previous, sides, costs, directi
     """
     to_target, to_heading, to_previous = costs
     for robot in range(is_open.shape[0]):
-        target, best = targets[robot], math.inf
-        directions[robot] = math.copysign(math.pi / 2.0, sides[robot] if sides[robot] else target)
+        bearing, best = bearings[robot], math.inf
+        directions[robot] = math.copysign(math.pi / 2.0, sides[robot] if sides[robot] else bearing)
         for sector in range(NUM_SECTORS):
             direction = (sector - NUM_SECTORS // 2) * _SECTOR_WIDTH
-            if _angle_between(direction, target) <= _SECTOR_WIDTH / 2.0:
-                direction = target
+            if _angle_between(direction, bearing) <= _SECTOR_WIDTH / 2.0:
+                direction = bearing
             if not _is_candidate(is_open[robot], sector, valley) or sides[robot] * direction < -_SIDE_TOLERANCE:
                 continue
-            cost = to_target * _angle_between(direction, target) + to_heading * abs(direction)
+            cost = to_target * _angle_between(direction, bearing) + to_heading * abs(direction)
             cost += to_previous * _angle_between(direction, previous[robot])
             if cost < best:
                 best, directions[robot] = cost, direction

@@ -24,9 +24,9 @@ class WallFollower(BasePolicy):
         action_space: Named actions that begin with forward, left, right; or v, w from -1 to 1; v = -1 is standstill.
         side: Distance to keep from the wall [m].
         ahead: Free distance to keep ahead [m].
-        guard: Least range; the robot turns away from an obstacle that is nearer [m].
+        guard: Distance to keep from obstacles to the left and right [m]; the robot turns away from nearer ones.
         tolerance: Tolerance of `side` [m].
-        lost: Deviation from `side` above which the wall is ignored [m].
+        lost: A wall farther than `side` + `lost` is ignored [m].
         look_ahead: Distance ahead of the robot at which the distance of the wall is predicted [m].
     """
 
@@ -51,7 +51,7 @@ class WallFollower(BasePolicy):
         self.tolerance, self.lost, self.look_ahead = tolerance, lost, look_ahead
         angles = th.linspace(-90.0, 90.0, beams)
         self._oblique = int((angles + 45.0).abs().argmin())
-        self._beam_angle = math.radians(float(angles[self._oblique] - angles[0]))  # between the two beams
+        self._beam_angle = math.radians(float(angles[self._oblique] - angles[0]))  # [rad] from the beam at -90 degrees
         self._right, self._front, self._left = angles < -25.0, angles.abs() <= 25.0, angles > 25.0
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:

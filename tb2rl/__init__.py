@@ -39,7 +39,7 @@ _TASKS = {
     "TurtleBot2Navigate": "navigate",
 }
 GYM_IDS = {f"{name}-v0": {"task": task} for name, task in _TASKS.items()}
-# For programs that cannot pass arguments to an environment, such as observation="raw".
+# Ids for programs that want raw observations, but cannot pass observation="raw" to `gymnasium.make`.
 GYM_IDS |= {f"{name}Raw-v0": {"task": task, "observation": "raw"} for name, task in _TASKS.items()}
 for _id, _arguments in GYM_IDS.items():
     gymnasium.register(

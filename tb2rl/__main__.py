@@ -9,7 +9,8 @@ from tb2rl.core.command import ArgumentParser, report_errors
 from tb2rl.core.errors import unknown
 
 _PLAIN_MODULES = ["benchmark", "convert", "evaluate", "export", "play", "report", "ros", "train", "tune", "warm"]
-COMMANDS = {name: f"tb2rl.{name}" for name in _PLAIN_MODULES}  # modules with a `@command` named `main`
+# Modules with a `@command` named `main`; worlds and zoo are packages, not plain modules.
+COMMANDS = {name: f"tb2rl.{name}" for name in _PLAIN_MODULES}
 COMMANDS |= {name: f"tb2rl.{name}.__main__" for name in ("worlds", "zoo")}
 
 

@@ -22,13 +22,13 @@ from tb2rl.core.command import ArgumentParser, between, command
 @command("benchmark")
 def main(parser: ArgumentParser) -> None:
     """Measure, print a table, write JSON."""
-    add, simulators = parser.add_argument, "simulators for part trained (default: kinematic; bullet takes minutes)"
-    seconds = "time of each measurement of physics (5); those of kinematic take a fifth of it"
+    add, simulators_help = parser.add_argument, "simulators for part trained (default: kinematic; bullet takes minutes)"
+    seconds_help = "time of each measurement [s] in part physics (5); in part kinematic a fifth of it"
     add("parts", nargs="*", metavar="PART", help="physics, kinematic, training, trained (default: all)")
     add("--json", type=Path, metavar="FILE", help="also write the measured values to this file")
-    add("--seconds", type=between(1e-3, 1e6, float), default=5.0, help=seconds)
+    add("--seconds", type=between(1e-3, 1e6, float), default=5.0, help=seconds_help)
     add("--seeds", type=between(1, 1000), default=1, metavar="N", help="trainings of each agent in part trained (1)")
-    add("--in", nargs="+", dest="simulations", default=["kinematic"], metavar="SIMULATION", help=simulators)
+    add("--in", nargs="+", dest="simulations", default=["kinematic"], metavar="SIMULATION", help=simulators_help)
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ def main(parser: ArgumentParser) -> None:
     drive.set_defaults(run="tb2rl.deploy.ros.driver_node:run", ros=1, mounting="0,0,0")
     simulate = commands.add_parser("simulate", help="simulate a robot with the topics and services of Gazebo")
     add = simulate.add_argument
-    lockstep = f"after each scan, pause the simulation until a command arrives, at most S s ({ANSWER_TIMEOUT:g})"
+    lockstep_help = f"after each scan, pause the simulation until a command arrives, at most S s ({ANSWER_TIMEOUT:g})"
     add("--ros", type=int, choices=(1, 2), required=True, help="version of ROS")
     add("--task", default="maze", help="task that defines the world and the initial state (maze)")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="change the task")
@@ -41,7 +41,7 @@ def main(parser: ArgumentParser) -> None:
     add("--seed", type=int, default=0, help="random seed of noise and of start poses with task.start=random (0)")
     add("--rate", type=float, default=1.0, help="speed relative to real time (1); 0: as fast as possible")
     add("--scan-rate", type=float, default=10.0, metavar="HZ", help="scan rate of the laser (10)")
-    add("--lockstep", type=float, nargs="?", const=ANSWER_TIMEOUT, metavar="S", help=lockstep)
+    add("--lockstep", type=float, nargs="?", const=ANSWER_TIMEOUT, metavar="S", help=lockstep_help)
     add_topics(simulate)
     simulate.set_defaults(run="tb2rl.deploy.ros.simulation_server:run")
     messages = commands.add_parser("messages", help="write the message packages that Debian's ROS 1 lacks")

@@ -33,7 +33,7 @@ def main(parser: ArgumentParser) -> None:
     add("--pruner", default="median", help="Optuna's pruner: median (default), hyperband or none")
     add("--seed", type=int, default=0, help="seed of the sampler (default: 0)")
     add_executor_arguments(parser)
-    add("--fresh", type=between(0, 1000), default=3, help="number of new seeds for best and default settings; 0: none")
+    add("--fresh", type=between(0, 1000), default=3, help="number of new seeds to compare best with default; 0: none")
     add("--name", help="name of the folder runs/tune/NAME (default: TASK-AGENT)")
     add("--storage", metavar="URL", help="URL of a database (default: SQLite in the folder)")
 

@@ -12,9 +12,9 @@ the policies and evaluations from there, and adds a card (README.md), a picture 
 worlds (unseen_worlds.json).
 
 Policies for task `navigate` are evaluated in suites instead of unseen worlds. `suites.yaml` lists further policies for
-this comparison, mostly agents that do not learn. The folder `suites` has the results.
+suites, mostly agents that do not learn. The folder `suites` has the results.
 
-`check` repeats the standard evaluations and compares the results with the cards.
+`check` repeats the standard evaluations, compares the results with the earlier ones, and finds outdated files.
 
 `push` uploads safetensors, JSON, a picture and a card. Every command then accepts the policy as `hf:user/repository`.
 The upload uses the token of `hf auth login` or of HF_TOKEN.
@@ -30,11 +30,11 @@ from tb2rl.execution.arguments import add_executor_arguments
 def main(parser: ArgumentParser) -> None:
     """Build, check or push policies; exit with status 1 if a check finds problems."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="build | check | push")
-    build = commands.add_parser("build", help="train and evaluate what is missing, and write all pages")
+    build = commands.add_parser("build", help="train and evaluate what is missing or outdated, and write all pages")
     build.add_argument("--again", action="store_true", help="train and evaluate existing policies again")
     build.add_argument("--barn", type=Path, metavar="PATH", help="also evaluate in the BARN worlds of this path")
     add_executor_arguments(build)
-    check = commands.add_parser("check", help="repeat the standard evaluations, and compare them with the cards")
+    check = commands.add_parser("check", help="repeat and compare the standard evaluations, and find outdated files")
     check.add_argument("--episodes", type=int, help="number of episodes to repeat (default: all)")
     for sub in (build, check):
         sub.add_argument("names", nargs="*", metavar="NAME", help="names in recipes.yaml or suites.yaml (default: all)")

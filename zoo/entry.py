@@ -82,7 +82,7 @@ class SuitePolicy:
         return [summary for suite in SUITES if (summary := self.summary(suite)) is not None]
 
     def evaluate_in(self, suite: Suite, options: Namespace) -> None:
-        """Evaluate the policy in a suite, or continue an interrupted evaluation, and write the summary.
+        """Evaluate in a suite and write the summary if it is missing or stale; continues an interrupted evaluation.
 
         Args:
             suite: The suite.
@@ -160,7 +160,7 @@ class Entry:
 
     @property
     def is_built(self) -> bool:
-        """Whether the training and all evaluations are complete: in `WORLDS` or, for `navigate`, in the suite."""
+        """Whether the training and all evaluations are complete: in `WORLDS` or, for `navigate`, in suite `unseen`."""
         if not (self.folder / EVALUATION).is_file() or self.missing_worlds:
             return False
         return not self.navigates or self.suite_policy.summary(UNSEEN_SUITE) is not None

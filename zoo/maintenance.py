@@ -34,7 +34,7 @@ PICTURE = "paths.png"
 
 
 def build(options: argparse.Namespace) -> None:
-    """Build entries, evaluate in suites, then write the cards and the README of all entries."""
+    """Train and evaluate the selected policies, and write the cards of all built entries and the README of the zoo."""
     default_physics().check(_PYBULLET_USER)
     selected, _ = select(options.names)
     if not os.access(zoo_folder(), os.W_OK):
@@ -86,8 +86,8 @@ def _problems(entry: Entry, num_episodes: int) -> list[str]:
     earlier_episodes = entry.summary["each"][:num_episodes]
     good = sum(item["success"] if entry.criterion == "success" else not item["failed"] for item in earlier_episodes)
     low, _ = wilson_interval(good, len(earlier_episodes))
-    distance, length = (sum(episode[name] for episode in earlier_episodes) for name in ("distance", "length"))
-    speed_before = distance / (length * entry.config.task.control_period)
+    distance, num_steps = (sum(episode[name] for episode in earlier_episodes) for name in ("distance", "length"))
+    speed_before = distance / (num_steps * entry.config.task.control_period)
     problems = []
     if not entry.matches_recipe:
         problems.append("it was not trained by its present recipe")

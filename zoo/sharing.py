@@ -26,7 +26,7 @@ _SHARED_CONTENT = ("timesteps", "versions", "config", "policy", "normalisation")
 
 
 def push(options: argparse.Namespace) -> None:
-    """Upload a policy to a repository on the hub, which may exist, and print the address.
+    """Upload a policy to a new or existing repository on the hub, and print the address.
 
     Raises:
         InputError: If the policy does not exist or cannot be shared, or the hub rejects the upload.
@@ -41,7 +41,7 @@ def push(options: argparse.Namespace) -> None:
         prepare_upload(run, repository, Path(folder))
         with translate_errors(reference):
             api = hub.HfApi()
-            api.create_repo(repository, private=options.private or None, exist_ok=True)
+            api.create_repo(repository, private=options.private or None, exist_ok=True)  # None: the hub's default
             api.upload_folder(repo_id=repository, folder_path=folder, commit_message=f"tb2rl {tb2rl.__version__}")
     print(f"{reference} is on the hub; see it drive: python -m tb2rl.play {reference}")
     try:

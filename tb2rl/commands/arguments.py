@@ -20,7 +20,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
     names = f"{', '.join(simulator_names())} (a robot, see tb2rl/deploy/ros/README.md) or module:Class"
     parser.add_argument("--simulation", metavar="NAME", help=f"{names}; default: the first physics simulator installed")
     parser.add_argument("--top-speed", type=float, metavar="M/S", help="with ROS: speed limit")
-    parser.add_argument("--goal", metavar="X,Y", help="goal [m] in the world; with ROS and no map: from the start pose")
+    parser.add_argument("--goal", metavar="X,Y", help="goal [m] in the world; with ROS and no map: relative to start")
     add_ros_arguments(parser)
 
 
@@ -31,7 +31,7 @@ def add_ros_arguments(parser: argparse.ArgumentParser) -> None:
     add("--ros", type=int, choices=(1, 2), help="ROS version (1)")
     add("--mounting", metavar="X,Y,YAW[,upside-down]", help=pose)
     add_topics(parser)
-    add("--ros-args", nargs=argparse.REMAINDER, default=[], help="must be last; for ROS 2: -p use_sim_time:=true")
+    add("--ros-args", nargs=argparse.REMAINDER, default=[], help="must be last, only for ROS 2: -p use_sim_time:=true")
 
 
 def add_topics(parser: argparse.ArgumentParser) -> None:

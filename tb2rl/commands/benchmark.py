@@ -208,7 +208,7 @@ def run(options: argparse.Namespace) -> None:
     for part in parts:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
-        if part != "kinematic":  # also for trained, whose standard evaluation is in physics
+        if part != "kinematic":  # the others use physics; trained at least in its standard evaluation
             default_physics().check(f"part {part}")
     for simulation in options.simulations:
         find_simulator(simulation).check()

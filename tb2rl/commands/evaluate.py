@@ -65,7 +65,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 
 
 def _run_for_result(options: argparse.Namespace) -> Run | None:
-    """The run folder that may keep the result: the policy, if it is a run folder, and `--set` changes nothing."""
+    """The run folder to write the result to; None if the policy is not a folder, or with `--set`."""
     if options.set or not options.policy or not Path(options.policy).is_dir():
         return None
     return Run.open(Path(options.policy), options.trust)
@@ -89,7 +89,7 @@ def _evaluate_suite(options: argparse.Namespace) -> None:
     run_folder = None if options.json else _run_for_result(options)
     file = run_folder.suite_file(suite.name) if run_folder else options.json
     executor = make_executor(options) if options.on else None
-    with executor or nullcontext(), suite_evaluator(scene, 1 if executor else options.workers) as evaluator:
+    with executor or nullcontext(), suite_evaluator(scene, workers=1 if executor else options.workers) as evaluator:
         origin["simulation"] = evaluator.simulator.name
         journal = _journal(file, suite, config, origin)
         episodes = _finished_episodes(journal, len(suite.worlds))
@@ -130,7 +130,7 @@ def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
         InputError: If the policy does not exist, or a setting is invalid.
     """
     if (options.policy is None) == (options.agent is None):
-        raise InputError("name a run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY, or a non-learning --agent")
+        raise InputError("name one: run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY, or a non-learning --agent")
     settings = parse_settings(options.set)
     if options.agent is not None:
         config = resolve(options.agent, options.task, settings=settings)

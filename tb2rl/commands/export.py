@@ -39,6 +39,7 @@ def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
     metadata |= {"control_period": config.task.control_period, "beams": config.scene.laser.angles.tolist()}
     model = build_graph(extract_network(policy), input_spaces, config.scene.actions, metadata)
     graph: Any = ReferenceEvaluator(model)
+    # After the observation, the inputs of the graph are LSTM states, shape (1, num_envs, units).
     lstm_units = {t.name: t.type.tensor_type.shape.dim[2].dim_value for t in model.graph.input[len(input_spaces) :]}
 
     def act(observations: Mapping[str, np.ndarray]) -> np.ndarray:

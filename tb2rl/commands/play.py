@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> None:
     policy, config = chosen_policy(arguments)
     if arguments.goal is not None and robot is None:
         config = config.with_task(_goal_settings(config, arguments))
-    with handle_termination_signals(exit_by_signal):  # removes a half-written film
+    with handle_termination_signals(exit_by_signal):  # exit by an exception, which removes a half-written file
         if arguments.bag:
             _report_files(record(policy, arguments.bag, config, options=options), arguments)
         elif arguments.video or not has_display():
@@ -77,7 +77,7 @@ def _watch(policy: Policy, config: Config, options: FilmOptions) -> None:
 
 
 def _teleoperate(arguments: argparse.Namespace, options: FilmOptions) -> None:
-    """Let the user drive in the terminal, and show the robot in the window if there is a display."""
+    """Let the user drive in the terminal, with a window if there is a display; closing it makes `show` return False."""
     refuse(arguments, "cannot be combined with --teleop", "agent", "video", "bag")
     if arguments.policy or not (options.simulation is None or isinstance(options.simulation, str)):
         raise InputError("--teleop drives a simulated robot without a policy; omit the policy and --simulation ros")

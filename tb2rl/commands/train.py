@@ -71,7 +71,7 @@ def parse_seeds(text: str) -> list[int]:
     """Parse seeds such as "0..4" or "0,3,7".
 
     Raises:
-        InputError: If the text has another form, or a seed is negative or repeated.
+        InputError: If the text has another form, a seed is negative or repeated, or there are too many seeds.
     """
     first, dots, last = text.partition("..")
     try:
@@ -79,7 +79,7 @@ def parse_seeds(text: str) -> list[int]:
     except ValueError:
         seeds = []
     if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds) or len(seeds) > _MAX_SEEDS:
-        raise InputError(f"--seeds takes up to {_MAX_SEEDS} different seeds, such as 0..4 or 0,3,7, got {text!r}")
+        raise InputError(f"--seeds takes up to {_MAX_SEEDS} different seeds >= 0, such as 0..4 or 0,3,7, got {text!r}")
     return seeds
 
 
@@ -150,7 +150,7 @@ def train_and_evaluate(worlds: Mapping[str, Any], config: Config, final_path: st
         config: Config with the seed.
         final_path: Path of the run folder on the machine of the command.
         verbose: See `train_config`.
-        folder: Folder to write to, which the executor moves to `final_path`.
+        folder: Folder to write to: that of `final_path`, or with Ray a temporary one that is copied to it.
     """
     register_worlds(worlds)
     output = StringIO()

@@ -59,7 +59,7 @@ def create_study(options: argparse.Namespace) -> StudyFolder:
 
     config = resolve_with({})
     check_trainable(config)
-    check_trackers(config.train.track, options.on is not None)
+    check_trackers(config.train.track, on_cluster=options.on is not None)
     if options.space is None and ":" in config.agent_name:
         raise InputError(f"there is no default search space for {config.agent_name}; give a file with --space")
     space = read_space(options.space or config.agent_name, base, resolve_with)

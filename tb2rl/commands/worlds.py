@@ -45,7 +45,7 @@ def _draw(options: argparse.Namespace) -> None:
     if suffix not in _PICTURE_SUFFIXES:
         raise InputError(one_line(f"cannot write {options.out}; pictures end in {', '.join(_PICTURE_SUFFIXES)}"))
     settings, columns = _settings(options), None
-    if len(settings) == 1 and settings[0] in list(GENERATORS.keys() - world_names()):  # list: a setting can be a dict
+    if len(settings) == 1 and settings[0] in list(GENERATORS.keys() - world_names()):  # list: a dict has no hash
         worlds, columns = _worlds_by_difficulty(settings[0]), len(_DIFFICULTIES)
     else:
         worlds = [world for setting in settings for world in find_worlds(setting)]

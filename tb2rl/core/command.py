@@ -49,7 +49,7 @@ class Command:
 
 
 def command(name: str) -> Callable[[Callable[[ArgumentParser], None]], Command]:
-    """Make a decorator that converts a function `add_arguments` to a `Command`.
+    """Make a decorator that replaces a function `main(parser)`, which only fills the parser, by a `Command`.
 
     The first line of its module's docstring is the description in `--help`.
     """

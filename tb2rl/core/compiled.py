@@ -5,7 +5,7 @@ This module solves three problems:
 
 - If no folder is writable, numba raises an error. Here, a temporary folder is used.
 - Numba does not read caches in read-only folders, such as those of a container image. Here, they are copied.
-- Numba does not notice changes in called functions. Here, caches older than a file with compiled functions are removed.
+- Numba does not notice changes in called functions. Here, caches older than the newest file with an `njit` are removed.
 """
 
 import atexit
@@ -46,10 +46,10 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         with suppress(OSError):  # a cell of a notebook has no file
             _source_times[str(file)] = file.stat().st_mtime
         with suppress(RuntimeError):  # numba finds no writable folder
-            return _compile_with_cache(function, file, options)
+            return _decorate_with_cache(function, file, options)
         with suppress(RuntimeError, OSError):
             _use_temporary_folder()
-            return _compile_with_cache(function, file, options)
+            return _decorate_with_cache(function, file, options)
         _warn("compiled code is lost when this program ends, and the next program compiles again")
         return numba.njit(**{**options, "cache": False})(function)
 
@@ -76,26 +76,27 @@ class _Announcement(event.Listener):
         pass
 
 
-def _compile_with_cache(function: Callable[..., Any], file: Path, options: dict[str, Any]) -> Any:
-    compiled = numba.njit(**options)(function)
-    folder, pattern = Path(compiled.stats.cache_path), f"{file.stem}.*.nbi"
+def _decorate_with_cache(function: Callable[..., Any], file: Path, options: dict[str, Any]) -> Any:
+    dispatcher = numba.njit(**options)(function)
+    folder, pattern = Path(dispatcher.stats.cache_path), f"{file.stem}.*.nbi"
     newest_source_time = max(_source_times.values(), default=0.0)
     for index_file in folder.glob(pattern):
         with suppress(FileNotFoundError):  # another process has removed the file
             if index_file.stat().st_mtime < newest_source_time:
                 index_file.unlink()
+    # Numba names its subfolders of NUMBA_CACHE_DIR after the folder of the source and a hash.
     configured_folders = Path(_configured_cache_dir).glob(f"{file.parent.name}_*") if _configured_cache_dir else ()
     other_folders = [other for other in (file.parent / "__pycache__", *configured_folders) if other != folder]
-    for index_file in [file for other in other_folders for file in other.glob(pattern)]:
+    for index_file in [path for other in other_folders for path in other.glob(pattern)]:
         with suppress(OSError):
             if index_file.stat().st_mtime >= newest_source_time and not (folder / index_file.name).exists():
                 # The index file is copied last, because numba reads the other files only if the index file exists.
-                for source in (*index_file.parent.glob(f"{index_file.stem}.*.nbc"), index_file):
-                    with atomic_write(folder / source.name) as temporary:
-                        shutil.copyfile(source, temporary)
+                for cache_file in (*index_file.parent.glob(f"{index_file.stem}.*.nbc"), index_file):
+                    with atomic_write(folder / cache_file.name) as temporary:
+                        shutil.copyfile(cache_file, temporary)
     if _use_temporary_folder.cache_info().currsize and not any(folder.glob(pattern)):  # temporary and without a copy
         _warn("compiled code is kept only until this program ends")
-    return compiled
+    return dispatcher
 
 
 @cache

@@ -116,7 +116,7 @@ def import_object(reference: str) -> Any:
     parts = module_name.split(".")
     # A package's `__main__` is rejected, because its import would run a program.
     if parts[-1] == "py" or not all(part.isidentifier() and part != "__main__" for part in parts):
-        raise InputError(f"cannot import {reference!r}: it should read module:Class, without .py")
+        raise InputError(f"cannot import {reference!r}: it should read module:Class, without .py or .__main__")
     try:
         module = import_module(module_name)
     except ModuleNotFoundError as error:

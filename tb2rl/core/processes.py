@@ -43,7 +43,7 @@ def process_context() -> Any:
 def hide_main_script() -> Iterator[None]:
     """During the block, processes that this thread starts do not import the user's script.
 
-    A script without `if __name__ == "__main__"` would run again in each process. Processes of other threads import it.
+    A script without `if __name__ == "__main__"` would run again in each. Processes that other threads start import it.
     """
     token = _is_main_hidden.set(True)
     try:

@@ -42,7 +42,7 @@ def describe(config: Config, name: str) -> dict[str, Any]:
     actions = config.scene.actions
     if isinstance(actions, Commands):  # v [m/s] and w [rad/s] of each action
         action_values = {"names": actions.names, "commands": actions.table.tolist()}
-    elif isinstance(actions, Velocities):  # v [m/s] and w [rad/s] for -1 and for 1
+    elif isinstance(actions, Velocities):  # v [m/s] and w [rad/s] of the actions (-1, -1) and (1, 1)
         action_values = {"low": actions.low.tolist(), "high": actions.high.tolist()}
     else:
         raise InputError(f"actions {type(actions).__name__} cannot be exported, only Commands and Velocities")
@@ -65,7 +65,7 @@ def find_portable_needs(config: Config) -> dict[str, Any]:
     for sensor in config.scene.sensors:
         if sensor.name not in SENSORS or not type(sensor).__module__.startswith("tb2rl.sensors."):
             hint = "export a file policy.onnx, and compute the observation yourself"
-            raise InputError(f"the folder has no sensor {sensor.name!r}, only {', '.join(SENSORS)}; {hint}")
+            raise InputError(f"the folder has no sensor {sensor.name!r}, only tb2rl's own {', '.join(SENSORS)}; {hint}")
     needs = find_needs(config.scene)
     if config.task.maps_online:  # another program must map and plan
         needs = replace(needs, goal="plan")
@@ -76,7 +76,7 @@ def find_needs(scene: Scene) -> Needs:
     """Find the requirements of a policy that was trained in a scene.
 
     Raises:
-        InputError: If the policy observes what a driver cannot sense, such as the true pose or images.
+        InputError: If the policy observes what a driver lacks, such as the true pose, images or a second plan point.
     """
     task, laser = scene.task, scene.laser
     fields, lookaheads = set[str](), set[float]()

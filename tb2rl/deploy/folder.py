@@ -28,7 +28,7 @@ _MODULES = (  # each after the modules that it imports
     "policy_contract", "path", "scan_reader", "driver", "encoding", "policy",
     "termination", "main",
 )  # fmt: skip
-_PACKED_IMPORT = re.compile(  # imports from modules that are in the program
+_PACKED_IMPORT = re.compile(  # imports of the program's own modules, and of __future__, which `_HEADER` has
     rf"^from (?:\.\w*|__future__|{re.escape(filters_module.__name__)}) import (?:\([^)]*\))?.*\n+", re.MULTILINE
 )
 _HEADER = '''"""Drives a robot with the policy in this folder, for Python 3.8 and numpy; see README.md.
@@ -75,7 +75,7 @@ def write_folder(
         np.savez_compressed(file, **arrays)
     content = {"format": POLICY_FORMAT, **description, "needs": needs, "layers": [layer.type_name for layer in layers]}
     text = json.dumps(content, indent=1)
-    json_text = re.sub(r"\[[^][{}]*\]", lambda match: " ".join(match[0].split()), text)  # a list of numbers on one line
+    json_text = re.sub(r"\[[^][{}]*\]", lambda match: " ".join(match[0].split()), text)  # innermost lists on one line
     write_text(folder / "policy.json", json_text + "\n")
     write_text(folder / "drive.py", program)
     beams = needs["beams"]
@@ -94,7 +94,7 @@ def build_program(filters: Sequence[Path] = ()) -> str:
             numpy, the standard library and `tb2rl.envs.filters`.
 
     Raises:
-        InputError: If a file cannot be read, or defines a global name that another part of the program defines.
+        InputError: If a file cannot be read, is not Python 3.8, or defines a global name that another part defines.
     """
     modules = [_HERE / "portable" / f"{name}.py" for name in _MODULES]
     names, sections = Counter[str](), []
@@ -109,5 +109,5 @@ def build_program(filters: Sequence[Path] = ()) -> str:
             raise InputError(f"cannot export the filters of {file}: {error}") from None
     conflicts = ", ".join(sorted(name for name, count in names.items() if count > 1))
     if conflicts:
-        raise InputError(f"{', '.join(map(str, filters))}: rename {conflicts}, which drive.py defines already")
+        raise InputError(f"{', '.join(map(str, filters))}: rename {conflicts}, which another part of drive.py defines")
     return "\n".join([_HEADER, *sections])

@@ -76,14 +76,14 @@ class _Graph:
         return output_names[0] if outputs == 1 else output_names
 
     def output(self, value: str, name: str, dtype: int, shape: tuple[int | str, ...]) -> onnx.ValueInfoProto:
-        """Make a value an output of the graph, under another name."""
+        """Add a node that gives a value another name; returns the description of this output of the graph."""
         self.nodes.append(helper.make_node("Identity", [value], [name]))
         return helper.make_tensor_value_info(name, dtype, shape)
 
     def apply(self, value: str, layers: tuple[Layer, ...]) -> str:
         """Add layers in a row; returns the name of the output of the last layer."""
-        for name, arrays in layers:
-            value = _LAYERS[name](self, value, **arrays) if name in _LAYERS else self.add(name, value)
+        for type_name, arrays in layers:
+            value = _LAYERS[type_name](self, value, **arrays) if type_name in _LAYERS else self.add(type_name, value)
         return value
 
     def _constant(self, array: np.ndarray) -> str:

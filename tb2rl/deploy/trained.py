@@ -1,4 +1,4 @@
-"""Adapts a trained policy to `Driver`: converts its sensor data to the observations of the training."""
+"""Adapts a trained policy to `Driver`: converts the driver's sensor data to observations as in the training."""
 
 from copy import deepcopy
 from pathlib import Path
@@ -21,7 +21,7 @@ _MARGIN = 5.0  # [m] of an empty world around the robot and its goal
 class TrainedPolicy:
     """A policy with the observations and actions of its training; a `tb2rl.deploy.Policy`.
 
-    With `map: online` the policy plans a path itself; with `map: known` it needs one from `Driver.set_plan`.
+    With `guide: plan` the policy plans its path itself (`map: online`), or needs `Driver.set_plan` (`map: known`).
     Goals are in the odometry frame, and odometry replaces the true pose.
 
     Args:

@@ -17,7 +17,7 @@ from tb2rl.sensors import Sensor
 from tb2rl.simulation import RobotState
 
 DEFAULT_BEAMS = {"discrete": 7, "raw": 36}  # number of laser beams by observation mode
-NUMBERS = "numbers"  # key of the numbers in a `Dict` observation, and of the statistics of an observation without keys
+NUMBERS = "numbers"  # key of the numbers in a `Dict` observation; running statistics use it for a plain `Box`, too
 
 Observations = Any  # an array (num_envs, ...), or a dictionary of such arrays
 
@@ -130,7 +130,7 @@ def make_encoding(mode: str, sensors: Sequence[Sensor]) -> Encoding:
 
 
 def numbers_of(observations: Observations) -> np.ndarray:
-    """The numbers or bins in observations, shape (num_envs, n), without images."""
+    """The numbers or bins in observations that have some, shape (num_envs, n), without images."""
     return observations[NUMBERS] if isinstance(observations, dict) else observations
 
 

@@ -17,7 +17,7 @@ from tb2rl.worlds.goal_paths import PREFERRED_GAP, lookahead_points, path_costs,
 _HISTORY_DURATION = 64.0  # [s] time that `PositionHistory` covers
 _PLANNING_PERIOD = 6  # [control steps] time between two plans of `OccupancyMapper`
 _HIT_INCREMENT = 4  # added to the score of the cell where a beam ends; a passing beam subtracts 1
-_MAX_HITS = 20  # limit of the absolute score
+_MAX_HITS = 20  # largest score; the smallest is minus this
 
 
 class EpisodeState(ABC):

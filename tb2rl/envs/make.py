@@ -49,7 +49,7 @@ def make_env(
     """
     scene = _scene(what, observation, settings)
     env = TurtleBot2Env(scene, render_mode, simulation)
-    env.spec = _make_env_spec(scene, render_mode, simulation)
+    env.spec = _make_env_spec(scene, render_mode, simulation)  # the setter adds the time limit
     return env
 
 
@@ -114,9 +114,9 @@ def _task_reference(task_class: type[Task]) -> str | type[Task]:
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> gymnasium.Env:
-    """Entry point for `gymnasium.make`, see `make_env`. In mode "human", Gymnasium's window replaces a missing one."""
-    # Frame 1 is that of `gymnasium.make`. No variable stores the current frame, because that reference cycle would
-    # keep the environment alive.
+    """Entry point for `gymnasium.make`, see `make_env`. Mode "human": Gymnasium's window if the simulator has none."""
+    # Frame 1 is that of `gymnasium.make`. No variable stores the current frame: a frame in its own variables is a
+    # reference cycle, which would keep the environment alive.
     arguments = _with_time_limit(arguments, _requested_time_limit(sys._getframe(1).f_locals))
     simulator_type = find_simulator(arguments.get("simulation") or default_physics())
     if arguments.get("render_mode") != "human" or simulator_type.has_window:

@@ -202,7 +202,7 @@ def _check_sensor(sensor: Sensor, robot_state: RobotState) -> None:
 def _check_outcome(outcome: Any, goal_task: bool, where: str) -> None:
     _require(isinstance(outcome, Outcome), f"{where}: outcome must return an Outcome", outcome)
     reward, succeeded = outcome.reward, outcome.succeeded
-    _require(_is_array(reward, (), float), f"{where}: outcome's reward must have shape (num_envs,)", reward)
+    _require(_is_array(reward, (), float), f"{where}: outcome's reward must be float, shape (num_envs,)", reward)
     for key, endings in (("failed", outcome.failed), ("succeeded", {} if succeeded is None else succeeded)):
         _require(isinstance(endings, Mapping), f'{where}: outcome must return {key}={{"name": mask}}', endings)
         for name, mask in endings.items():

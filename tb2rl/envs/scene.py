@@ -110,7 +110,7 @@ class Scene:
         return ObservationPipeline(self.encoding, sensors, episode_states, task.frame_stack, latency)
 
     def vary_initial_state(self, initial_state: InitialState, rng: np.random.Generator) -> InitialState:
-        """Draw the task's variation of the robot, and keep world, pose and goal of `initial_state` (one environment).
+        """Draw the robot's variation and the obstacles' seed; keep world, pose and goal of `initial_state` (one row).
 
         The draws come from a copy of `rng`, so that later sensor noise from `rng` does not depend on them.
         """
@@ -209,7 +209,7 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
         if len(worlds) > 1:
             world.check_start(task.start_clearance if task.start == "random" else robot.radius)
     if len(worlds) == 1:
-        worlds[0].free_space(robot.radius)  # checks the start, too; slower, but cached for the simulators
+        worlds[0].free_space(robot.radius)  # checks the start, too; slower than `check_start`, but cached
     actions, sensors = checked_task_parts(task, spec)
     encoding = make_encoding(observation, sensors)
     space = stacked_space(encoding.space, task.frame_stack)

@@ -27,7 +27,7 @@ class TurtleBot2VecEnv(VecEnv):
     """
 
     def __init__(self, scene: Scene, num_envs: int, reward_scale: float = 1.0, simulation: Any = "kinematic") -> None:
-        # `processes=1`: PyBullet spawns the noise generator of a single environment, too, as it does for several.
+        # With `processes=1` PyBullet spawns a noise generator for a single environment, too, as for several.
         self.loop = SeededLoop.open(scene, simulation, num_envs, processes=1 if num_envs == 1 else None)
         self.reward_scale, self.render_mode = reward_scale, None
         super().__init__(num_envs, scene.observation_space, scene.action_space)

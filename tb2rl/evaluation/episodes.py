@@ -85,7 +85,7 @@ class Episode:
     path: np.ndarray  # x, y [m] at the start and after each step, shape (length + 1, 2), float32
     actions: np.ndarray  # action of each step, shape (length,), integers, or (length, 2), float32
     world: Annotated[int, Ge(0)] = 0  # index in the worlds of the scene
-    min_clearance: float | None = None  # [m] smallest gap between hull and obstacles; None: no obstacle
+    min_clearance: float | None = None  # [m] smallest gap from hull to obstacles, see `run_episodes`; None: no obstacle
     goal: tuple[float, float] | None = None  # x, y [m]; None: a task without a goal
 
 
@@ -123,7 +123,7 @@ def run_steps(loop: ControlLoop, policy: Policy, episodes: Iterable[EpisodeStart
         while (episode_numbers >= 0).any():
             before, actions = loop.robot_state, predictor.predict(observations)
             is_free = episode_numbers < 0
-            transition = loop.step(actions, is_free if is_free.any() else None)
+            transition = loop.step(actions, inactive=is_free if is_free.any() else None)
             observations = transition.observations
             yield LoopStep(episode_numbers.copy(), before, actions, transition)
             if transition.finished is None:
@@ -173,7 +173,7 @@ def run_episodes(
     Args:
         loop, policy, episodes: As for `run_steps`.
         clearance_from_laser: Whether `min_clearance` comes from the laser ranges, as for a real robot, whose
-            obstacles are unknown.
+            obstacles are unknown, or from the static obstacles of the world alone.
     """
     recorder = _Recorder(loop, clearance_from_laser)
     for step in run_steps(loop, policy, episodes):

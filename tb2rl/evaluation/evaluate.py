@@ -62,7 +62,7 @@ def evaluate(
         config: A config with the task; None: `task` if given, else the config that the policy was trained with.
         settings: Task settings to change, for example {"world": "circuit"}.
         task: A task in place of `config`: a name, "module:Class", a `Task` or its class.
-        observation: Observation mode of `task`, "discrete" or "raw"; None: the mode of the policy's observation space.
+        observation: Mode of `task`; None: "raw" if the policy's observation space is a Box or a Dict, else "discrete".
         simulation: An argument of `find_simulator`, such as a name or a `RosRobot`; None: `default_simulator`.
         progress: Whether to show a progress bar if there is a terminal.
         options: `steps` is the time limit of an episode [control steps]; its default is `episode_steps` in `settings`,
@@ -190,14 +190,14 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         if num_slots not in self._loops:
             self._loops[num_slots] = ControlLoop.open(self.scene, self.simulator, num_slots, processes=1)
         starts = [self._episode_start(number) for number in numbers]
-        ended = run_episodes(self._loops[num_slots], policy, starts, self.simulator.is_external)
+        records = run_episodes(self._loops[num_slots], policy, starts, clearance_from_laser=self.simulator.is_external)
         finished: dict[int, Episode] = {}  # by number; episodes may end in another order
         threads = th.get_num_threads()
         th.set_num_threads(1)  # because the networks are small, and more threads only wait for each other
         try:
             for number in numbers:
                 while number not in finished:
-                    finished.update([next(ended)])
+                    finished.update([next(records)])
                 yield finished.pop(number)
         finally:
             th.set_num_threads(threads)

@@ -120,7 +120,7 @@ def load_evaluation(run: Run) -> Evaluation:
             raise ValueError("its task or its episodes do not match the task in config.yaml")
         seed, simulation = checked(int, tree["seed"], "seed"), find_simulator(tree["simulation"]).name
     except (LookupError, TypeError, ValueError) as error:  # an InputError is a ValueError
-        raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation: {error!s}")) from None
+        raise InputError(one_line(f"{run.folder / EVALUATION} is not an evaluation of this run: {error!s}")) from None
     return Evaluation(episodes, scene, seed, simulation)
 
 

@@ -30,8 +30,8 @@ from tb2rl.worlds.suites import Suite, find_suite
 
 ALL = "all"  # key of the metrics of all worlds
 # BARN scores a traversal time relative to the optimal time (OT): length of the reference path / optimal speed.
-BARN_FORMULA = "BARN 2024: 2 OT to 8 OT"  # version of the formula, by the range to which it clips the traversal time
-_MIN_OPTIMAL_TIMES, _MAX_OPTIMAL_TIMES = 2.0, 8.0  # [OT] ends of this range
+BARN_FORMULA = "BARN 2024: 2 OT to 8 OT"  # version of the formula, named by its limits of the traversal time
+_MIN_OPTIMAL_TIMES, _MAX_OPTIMAL_TIMES = 2.0, 8.0  # [OT] these limits
 _OPTIMAL_SPEED = 2.0  # [m/s] of the optimal time
 _DEPARTURE_DISTANCE = 0.1  # [m] distance from the start at which BARN's clock starts
 _MIN_PATH_LENGTH = 1e-3  # [m] avoids a division by zero if the start is at the goal
@@ -124,7 +124,7 @@ class SuiteResult:
 
     @property
     def summary(self) -> SuiteResult:
-        """The result without its episodes and without local paths."""
+        """The result without `episodes` and `suite_path`."""
         return replace(self, suite_path=None, episodes=())
 
     @property
@@ -189,11 +189,11 @@ def suite_metrics(suite: Suite, scene: Scene, episodes: Sequence[SuiteEpisode]) 
     """The metrics of episodes in some worlds of a suite."""
     worlds, success = [e.world for e in episodes], np.array([e.success for e in episodes])
     distances, times = (np.array([getattr(episode, name) for episode in episodes]) for name in ("distance", "time"))
-    path_lengths, reference_lengths = np.array(suite.path_lengths)[worlds], suite.references
+    path_lengths, references_by_world = np.array(suite.path_lengths)[worlds], suite.references
     longest_tenth = np.argsort(-path_lengths, kind="stable")[: math.ceil(len(worlds) / 10)]
     shortest_distances = np.maximum(path_lengths - getattr(scene.task, "goal_radius", 0.0), _MIN_PATH_LENGTH)
     clearances = [e.min_clearance for e in episodes if e.success and e.min_clearance is not None]
-    scores = [barn_score(e, reference_lengths[e.world]) for e in episodes] if reference_lengths else []
+    scores = [barn_score(e, references_by_world[e.world]) for e in episodes] if references_by_world else []
     return SuiteMetrics(
         worlds=len(worlds),
         success_rate=float(success.mean()),
@@ -226,7 +226,7 @@ def suite_scene(scene: Scene, suite: Suite) -> Scene:
         suite: The suite.
 
     Raises:
-        InputError: If the task has no goals, has goals other than those of the worlds, or is invalid in the worlds.
+        InputError: If the task lacks goals or the suite's goal radius, has other goals, or is invalid in the worlds.
     """
     setting_names = {field.name for field in fields(scene.task)}
     settings: dict[str, Any] = {"goal": None} if "goal" in setting_names else {}  # None selects the goals of the worlds
@@ -264,7 +264,7 @@ def restore_evaluation(result: SuiteResult, folder: Path) -> tuple[Evaluator, Po
         folder: The folder of the result file, which may be the run folder of the policy.
 
     Raises:
-        InputError: If the policy or the worlds are missing or have changed.
+        InputError: If the config is invalid, the policy or the worlds are missing or changed, or episodes are missing.
     """
     try:
         config = config_from(result.config)
@@ -273,7 +273,7 @@ def restore_evaluation(result: SuiteResult, folder: Path) -> tuple[Evaluator, Po
     policy = make_baseline(config) if result.policy_digest is None else _find_policy(result, folder)
     suite = find_suite(result.suite, None if result.suite_path is None else Path(result.suite_path))
     if (suite.digest, len(suite.worlds)) != (result.suite_digest, len(result.episodes)):
-        raise InputError(f"the worlds of suite {suite.name} have changed since the evaluation")
+        raise InputError(f"the worlds of suite {suite.name} have changed since the evaluation, or episodes are missing")
     scene = suite_scene(config.scene, suite)
     check_spaces(policy, scene)
     return suite_evaluator(scene, workers=1, simulation=result.simulation), policy

@@ -96,7 +96,7 @@ class _Worker:
         context = process_context()
         self.connection, worker_end = context.Pipe()
         self.process = context.Process(target=_run_jobs, args=(worker_end, {**os.environ, **ONE_THREAD}))
-        self.payloads: Mapping[str, bytes] = {}  # the functions and shared arguments that the process has cached
+        self.payloads: Mapping[str, bytes] = {}  # the last function and shared arguments, which the process has cached
         with hide_main_script():
             self.process.start()
         worker_end.close()  # so that the pipe closes when the process dies

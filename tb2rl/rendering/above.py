@@ -135,7 +135,7 @@ def _draw_dynamic_obstacle(canvas: Canvas, row: Sequence[float]) -> None:
     if half_width > 0.0:
         (box,) = box_polygons(np.array([[x, y, half_length, half_width, cos, sin]]))
         canvas.polygon(box.exterior.coords, colours.DYNAMIC_OBSTACLE)
-    elif half_length > 0.0:  # the radius of a disc
+    elif half_length > 0.0:  # the radius of a disc; 0 in an empty row
         canvas.disc(x, y, half_length, colours.DYNAMIC_OBSTACLE)
 
 

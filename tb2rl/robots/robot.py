@@ -25,8 +25,8 @@ Positive = Annotated[StrictFloat, Gt(0)]  # strict, because compiled code needs 
 class Laser:
     """A planar laser scanner above the middle of the axle.
 
-    The beams go from right to left, with one at each end of the field of view. On a full circle the beams have
-    equal gaps and one looks ahead; only with an even number does one, the first, look back.
+    The beams go from right to left, with one at each end of the field of view; a single beam looks ahead. On a full
+    circle the beams have equal gaps and one looks ahead; if their number is even, the first looks back.
     """
 
     beams: Annotated[StrictInt, Ge(1)] = 720
@@ -101,8 +101,8 @@ def find_robot(name: str) -> Robot:
 
 @cache  # because a check takes a fifth of the time in which an environment opens
 def _check(robot: Robot) -> None:
-    build(type(robot), asdict(robot), f"robot {robot.name}")
+    build(type(robot), asdict(robot), f"robot {robot.name}")  # only checks the values; the copy is not used
     laser = robot.laser
     for name, (low, high) in {"laser": (laser.min_range, laser.max_range), "camera": robot.camera.range}.items():
         if low >= high:
-            raise InputError(f"robot {robot.name}.{name}: the range must increase, got {low}, {high}")
+            raise InputError(f"robot {robot.name}.{name}: the minimum must be below the maximum, got {low}, {high}")

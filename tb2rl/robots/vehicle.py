@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Limits of a robot, for the constructor argument `vehicle` of a policy; the defaults are a TurtleBot2."""
+    """Limits of a robot, for the constructor argument `vehicle` of a policy; default: TurtleBot2 in task `navigate`."""
 
     radius: float = 0.178  # [m] radius of the base
     max_speed: float = 0.65  # [m/s] speed at the continuous action 1, or of the fastest discrete action

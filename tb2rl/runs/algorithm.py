@@ -180,7 +180,7 @@ def _statistics_tree(statistics: RunningMeanStd) -> dict[str, Any]:
 
 
 def policy_with_normalization(algorithm: BaseAlgorithm) -> BasePolicy:
-    """A policy for observations that are not normalized; it shares the networks of the algorithm's policy."""
+    """A policy that normalizes its observations if the training does; shares the networks of the algorithm's policy."""
     env = algorithm.get_vec_normalize_env()
     if env is None or not env.norm_obs:
         return algorithm.policy
@@ -196,7 +196,7 @@ def _normalized_to_tensor(
 ) -> tuple[Any, bool]:
     """Normalize an observation like `VecNormalize.normalize_obs`, then call the policy's `obs_to_tensor`.
 
-    `normalize_obs` is not used, because a copied or unpickled `VecNormalize` cannot be copied or pickled again.
+    `normalize_obs` is not used, because policies are copied and pickled, and a `VecNormalize` permits this only once.
     """
     parts = dict(observation) if isinstance(observation, dict) else {NUMBERS: observation}
     for key, moments in statistics.items():

@@ -40,9 +40,9 @@ def with_policy(agent: Agent, observation_space: spaces.Space) -> Agent:
     """Replace `ANY_POLICY` by the policy of the agent's algorithm for the observation space."""
     if agent.algorithm is None or agent.policy != ANY_POLICY:
         return agent
-    prefixes: tuple[str, ...] = ("MultiInput",)
+    prefixes: tuple[str, ...] = ("MultiInput",)  # in order of preference
     if not isinstance(observation_space, spaces.Dict):
-        _, *sides = observation_space.shape or (0,)
+        _channels, *sides = observation_space.shape or (0,)
         has_image = is_image_space(observation_space) and min(sides) >= _MIN_IMAGE_SIDE
         prefixes = ("Cnn", "Mlp") if has_image else ("Mlp",)
     policies = getattr(agent.load(), "policy_aliases", {})  # such as "MlpPolicy" or "MlpLstmPolicy"
@@ -151,6 +151,6 @@ def _import_torch_class(reference: str, where: str) -> type:
 
 def _annotations(function: Any) -> dict[str, Any]:
     try:
-        return get_type_hints(function, localns={"VecEnv": VecEnv}, include_extras=True)
+        return get_type_hints(function, localns={"VecEnv": VecEnv}, include_extras=True)  # for SB3's GymEnv
     except NameError:  # an annotation uses a name that is imported only for type checkers
         return {}

@@ -106,8 +106,8 @@ def restore_like(present: Any, saved: Any, where: str) -> Any:
             return present
     elif isinstance(present, deque) and isinstance(saved, list):
         entries = [tuple(entry) if isinstance(entry, list) else entry for entry in saved]
-        values = [[*entry.values()] if isinstance(entry, Mapping) else entry for entry in entries]  # for `np.shape`
-        if all(map(is_training_state, entries)) and len(set(map(np.shape, values))) <= 1:
+        rows = [[*entry.values()] if isinstance(entry, Mapping) else entry for entry in entries]  # np.shape({}) is ()
+        if all(map(is_training_state, entries)) and len(set(map(np.shape, rows))) <= 1:
             return deque(entries, maxlen=present.maxlen)
     elif isinstance(present, list | tuple):
         if isinstance(saved, list) and len(saved) == len(present):

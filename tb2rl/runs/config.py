@@ -65,7 +65,7 @@ class TrainSettings:
     eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in PyBullet or with images
     eval_steps: Count = 1000  # [control steps] time limit of evaluation episodes
     best_by: Literal["success", "return"] = "success"  # metric of the best policy: success rate or mean return
-    stop_score: Fraction | None = None  # success rate of evaluations at which to stop; None: never stop
+    stop_score: Fraction | None = None  # rate of good episodes in evaluations at which to stop; None: never
     stop_evaluations: Count = 2  # number of consecutive evaluations that must reach stop_score
     save_freq: CountOrZero = 50_000  # control steps between checkpoints; 0: only the last
     keep: Count = 2  # number of latest checkpoints to keep

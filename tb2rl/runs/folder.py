@@ -12,7 +12,7 @@
         tensorboard/        event files
         tracker-*.json      state of an experiment tracker; wandb/: offline files of Weights & Biases
 
-Files are replaced atomically, so that a folder is valid at any time.
+Files are replaced atomically, so that a folder is valid at any time. Policies and step-* end in ".safetensors".
 """
 
 from __future__ import annotations
@@ -232,8 +232,8 @@ class Journal:
 
     Attributes:
         entries: Results of an earlier process, as plain values.
-        mismatch: First key of `work` with another value in the file, or the word "kind" if only the file has further
-            keys, for messages such as "from another config"; None: no difference, or no file.
+        mismatch: First key of `work` whose value differs in the file, or the word "kind" if all are equal, but the file
+            has more keys; for messages such as "from another config". None: no difference, or no file.
     """
 
     def __init__(self, path: Path | None, work: Mapping[str, Any]) -> None:

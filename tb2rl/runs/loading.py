@@ -4,8 +4,8 @@ A checkpoint contains only arrays and plain values. The algorithm is created fro
 refers to modules to import; `tb2rl.core.trust` restricts these modules for shared configs.
 
 A policy on the hub is "hf:user/repository" or "hf:user/repository@revision". A repository contains the files of a
-shared run folder, see `tb2rl.runs.folder`. huggingface_hub downloads only these files, which contain no code, into its
-own cache. The cache also works offline.
+shared run folder, see `tb2rl.runs.folder`. huggingface_hub downloads only `_DOWNLOADED_FILES`, which contain no code,
+into its own cache. The cache also works offline.
 """
 
 import hashlib
@@ -49,7 +49,7 @@ def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
             sb3-contrib, torch and installed plugins.
 
     Raises:
-        InputError: If the policy does not exist or is damaged.
+        InputError: If the policy does not exist, is damaged, or needs `trust`.
     """
     file, source = checkpoint_file(reference, trust), str(reference)
     with distrust(source) if source.startswith(HUB) and not trust else nullcontext():
@@ -108,7 +108,7 @@ def checkpoint_config(content: Mapping[str, Any], file: Path, trust: bool = Fals
         with restrict_imports(folder, trust):
             return config_from(content["config"])
     except (*LIBRARY_ERRORS, ImportError) as error:
-        raise InputError(one_line(f"{source} has an invalid config: {error}")) from None
+        raise InputError(one_line(f"{source} has an invalid config or number of timesteps: {error}")) from None
 
 
 def config_of(policy: Any) -> Config:
@@ -133,11 +133,11 @@ def parameters_of(algorithm: BaseAlgorithm) -> dict[str, Any]:
 
 
 def load_parameters(algorithm: BaseAlgorithm, content: Mapping[str, Any], file: Path) -> None:
-    """Load the parameters and the number of timesteps of a checkpoint into the algorithm of its config.
+    """Load the parameters, statistics and number of timesteps of a checkpoint into the algorithm of its config.
 
     Args:
         algorithm: Algorithm to change.
-        content: Content of the checkpoint; "training" and "normalisation" are optional.
+        content: Content of the checkpoint; "training" is optional, and so is "normalisation" without `VecNormalize`.
         file: The checkpoint, for messages.
     """
     try:

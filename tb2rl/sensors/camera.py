@@ -42,10 +42,10 @@ class Camera(Sensor):
     def check(self, simulator: SimulatorType) -> None:
         if self.colour and not simulator.has_colours:
             raise InputError(f"the cameras of simulation {simulator.name!r} see depth but no colours")
-        height, wall_height = self.camera.position[2], simulator.max_camera_height
-        if height >= wall_height:
+        mount_height, wall_height = self.camera.position[2], simulator.max_camera_height
+        if mount_height >= wall_height:
             walls = f"the walls of simulation {simulator.name!r}, which are {wall_height:g} m high"
-            raise InputError(f"the camera is {height:g} m high; it must be below {walls}")
+            raise InputError(f"the camera is {mount_height:g} m high; it must be below {walls}")
 
     def read(self, robot_state: RobotState) -> np.ndarray:
         colours, depth = robot_state.render_camera(*self.shape[:0:-1])  # width, height

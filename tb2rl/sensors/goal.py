@@ -15,7 +15,7 @@ from tb2rl.simulation import RobotState
 
 DISTANCE_BINS: Bins = (0.3, 0.6, 1.0, 2.0, 3.5)  # [m]
 BEARING_BINS: Bins = (-2.0, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 2.0)  # [rad]
-BEARING_BINS: Bins = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)  # [rad]
+WAYPOINT_BEARING_BINS: Bins = (-1.2, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.2)  # [rad]
 LOOKAHEAD = 1.5  # [m] default distance of the lookahead point
 Lookahead = Annotated[Positive, Le(100)]  # [m] limited because the computing time of `read` grows with it
 
@@ -81,11 +81,11 @@ class Waypoint(Sensor):
 
 
 class WaypointBearing(Waypoint):
-    """Bearing of the lookahead point: the angle from straight ahead, positive to the left [rad]."""
+    """Bearing of the lookahead point: the angle from straight ahead, positive to the left [rad]; `bins` in radians."""
 
     name, unit, shape = "waypoint bearing", "rad", (1,)
 
-    def __init__(self, lookahead: Lookahead = LOOKAHEAD, bins: Bins = BEARING_BINS) -> None:
+    def __init__(self, lookahead: Lookahead = LOOKAHEAD, bins: Bins = WAYPOINT_BEARING_BINS) -> None:
         super().__init__(lookahead, bins)
         self.low, self.high = -math.pi, math.pi
 

@@ -35,10 +35,10 @@ class FreePaths(Sensor):
 
     Args:
         robot: The robot, for its radius.
-        laser: The laser with `task.beams` beams; obstacles between two beams are not detected.
+        laser: The laser with the beams of the task; obstacles between two beams are not detected.
         count: Number of directions.
         spread: Angle from the first direction to the last [rad].
-        gap: Difference between the radii of disc and robot [m].
+        gap: Radius of the disc minus that of the robot [m].
         bins: Borders between bins [m]; distances are clipped to twice the last border.
 
     Attributes:

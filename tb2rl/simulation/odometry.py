@@ -17,7 +17,7 @@ Pair = tuple[float, float]
 
 
 @njit(cache=True)
-def is_exact(initial_states):
+def is_odometry_exact(initial_states):
     """Whether odometry has no errors, because wheels and gyros are nominal in all `initial_states` (num_envs,)."""
     for start in initial_states:
         has_errors = start.wheel_radius != 1.0 or start.assumed_separation != 1.0
@@ -64,7 +64,7 @@ def encoder_odometry(
     Args:
         odometry: x, y, yaw before the arc.
         left, right: Distance [m] that the rim of the left (right) wheel has moved, and its speed [m/s].
-        separation: Distance between the wheels [m].
+        separation: Wheel separation of PyBullet's body [m]; `initial_state` has the varied one.
         initial_state: Errors of wheels, encoders and gyro; None: no errors.
     """
     x, y, yaw = odometry

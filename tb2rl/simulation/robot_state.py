@@ -56,7 +56,7 @@ class StateSource(Protocol):
 class RobotState:
     """Sensor readings and true state of all robots, and the initial state of their episodes.
 
-    Only `Simulator.reset_at` changes its arrays later. It is not frozen, because freezing would cost 1 us per state.
+    Only `Simulator.reset_at` changes the arrays later. The class is not frozen, because freezing costs 1 us per state.
     """
 
     pose: np.ndarray  # true x [m], y [m], yaw [rad] in the world's frame, shape (num_envs, 3)
@@ -94,12 +94,12 @@ class RobotState:
         return self._source.spec.goal_paths.path_length(*self._worlds_and_goal_numbers, self.pose)
 
     def copy_path_lengths(self, earlier: RobotState, indices: np.ndarray, reset_states: RobotState) -> None:
-        """Copy the path lengths of `earlier` to this state, if `earlier` has computed them.
+        """If `earlier` has computed its path lengths, copy them to this state, except in the reset environments.
 
         Args:
             earlier: The same state, before some environments were reset.
             indices: The environments that were reset, shape (n,).
-            reset_states: The states of these environments after the reset, n rows.
+            reset_states: The states of these environments after the reset, n rows; source of their path lengths.
         """
         if "path_length" in earlier.__dict__:  # `cached_property` stores its value there
             lengths = self.__dict__["path_length"] = earlier.path_length.copy()

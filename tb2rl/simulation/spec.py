@@ -28,9 +28,9 @@ FIELDS = (
     "world",  # index in `SimulationSpec.worlds`
     "goal_x", "goal_y",  # [m]
     "min_x", "min_y", "max_x", "max_y",  # [m] bounds of the world
-    # Fields of `Robot`:
+    # Fields of `Robot`; the separation and the motors are those of the varied robot, not nominal:
     "radius", "wheel_separation", "max_speed", "max_turn_rate", "wheel_acceleration", "wheel_coupling",
-    # Parameters drawn by `tb2rl.simulation.variation`:
+    # Other parameters drawn by `tb2rl.simulation.variation`:
     "wheel_radius",  # true / nominal
     "assumed_separation",  # wheel separation assumed by the odometry / true wheel separation
     "left_encoder", "right_encoder",  # distance measured by an encoder / true distance, if the wheel radius is nominal
@@ -69,8 +69,8 @@ class SimulationSpec:
         table[:, PARAMETERS] = [getattr(self.robot, name) for name in FIELDS[PARAMETERS]]
         records = InitialState(table).records
         records["world"], records["goal_path"] = np.arange(len(self.worlds)), OWN_GOAL
-        for nominal in ("wheel_radius", "assumed_separation", "left_encoder", "right_encoder", "mass", "friction"):
-            records[nominal] = 1.0
+        for ratio in ("wheel_radius", "assumed_separation", "left_encoder", "right_encoder", "mass", "friction"):
+            records[ratio] = 1.0
         records["laser_noise"], records["gyro"] = -1.0, float(self.robot.gyro)
         return table
 
@@ -139,10 +139,10 @@ class SimulationSpec:
         Args:
             worlds: Index of the world of all environments, or of each environment, shape (num_envs,).
             random_numbers: Uniform in [0, 1), shape (num_envs, 4).
-            clearance: Minimum distance to obstacles and bounds [m]; with several worlds, each `World.start` needs it.
+            clearance: Minimum distance to obstacles and bounds [m]; with several worlds, each start must have it.
 
         Raises:
-            InputError: If the only world has no such free space.
+            InputError: If the spec has one world, and no such free space in it.
         """
         if len(self.worlds) == 1:
             return self.worlds[0].sample_poses(random_numbers, clearance)
@@ -164,7 +164,7 @@ class InitialState:
 
     @classmethod
     def default(cls, spec: SimulationSpec, num_envs: int, world: int | np.ndarray = 0) -> InitialState:
-        """Start pose, goal and bounds of a world with the nominal robot.
+        """Start pose, goal and bounds of a world, and parameters of the nominal robot.
 
         `world` is the index of the world of all environments, or of each environment, shape (num_envs,).
         """

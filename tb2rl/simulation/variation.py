@@ -116,7 +116,7 @@ def find_variation(setting: Any) -> Variation:
 
 
 def describe_variation(setting: Any) -> str:
-    """Describe the setting `task.variation` for titles, as "strong variation", or an empty string without one."""
+    """Describe the setting `task.variation` for titles, as "strong variation", or an empty string without variation."""
     variation = find_variation(setting)
     for name, preset in PRESETS.items():
         if variation == preset:

@@ -54,7 +54,7 @@ class Actions(ABC):
         """Validate an action of one environment, and return it with a leading axis of length one.
 
         Raises:
-            InputError: If the action is not in the action space.
+            InputError: If the action is not in the action space; `Velocities` also accepts numbers beyond -1 and 1.
         """
 
     @abstractmethod

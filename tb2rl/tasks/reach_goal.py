@@ -28,7 +28,7 @@ class ReachGoal(Wander):
     goal_tolerance: Positive = 0.2  # [m] the goal is reached if its offsets in x and y are at most this
     progress_reward: float = 5.0  # added to the reward of a step towards the goal
     goal_reward: float = 200.0  # replaces the reward of the step
-    bounds: Bounds | None = None  # min x, min y, max x, max y [m]; None: the world's bounds
+    bounds: Bounds | None = None  # min x, min y, max x, max y [m]; outside is a failure; None: the world's bounds
     distance_bins: Bins = DISTANCE_BINS  # [m]
     bearing_bins: Bins = BEARING_BINS  # [rad]
 

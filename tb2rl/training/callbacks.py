@@ -20,7 +20,7 @@ _NUM_DRAWN_PATHS = 5  # number of episodes in the picture eval/paths
 
 
 class EvaluationCallback(StatefulCallback):
-    """Evaluates the greedy policy periodically, saves the best policy, and stops at a good rate of `train.stop_score`.
+    """Evaluates the greedy policy periodically, saves the best policy, and stops the training at `train.stop_score`.
 
     Args:
         run: Run folder for the best policy and the results.
@@ -66,10 +66,10 @@ class EvaluationCallback(StatefulCallback):
         return not self.stopped_training
 
     def evaluate(self, progress_bar: bool = False) -> Evaluation:
-        """Evaluate the present policy."""
+        """Evaluate the present policy; save it if it is the best so far, and store and log the result."""
         start_time = time.monotonic()
         evaluation = self.evaluator.run(policy_with_normalization(self.model), progress_bar)
-        success_rate, mean_return = evaluation.score
+        success_rate, mean_return = evaluation.score  # the rate is rounded to half percents
         score = (success_rate, mean_return) if self.settings.best_by == "success" else (mean_return, 0.0)
         summary = {
             "timesteps": self.num_timesteps,

@@ -51,7 +51,7 @@ def translate_learning_errors(algorithm: BaseAlgorithm, run: Run) -> Iterator[No
     """
     try:
         yield
-    except MemoryError:
+    except MemoryError:  # for `translate_resource_errors`
         raise
     except LIBRARY_ERRORS as error:
         if not has_finite_weights(algorithm):

@@ -70,7 +70,7 @@ def capture(algorithm: BaseAlgorithm, callbacks: CallbackList, at_rollout_start:
 
 
 def restore(state: Mapping[str, Any], algorithm: BaseAlgorithm, callbacks: CallbackList, file: Path) -> None:
-    """Restore a captured state into a new training; `load_parameters` restores the policy's parameters.
+    """Restore a captured state into a new training, except learned parameters, which `load_parameters` restores.
 
     A new callback is inserted before the others; it restores random states again at the start of the first rollout.
 

@@ -57,7 +57,7 @@ class EpisodeStatistics(StatefulCallback):
         self._max_episodes, self._start_time = max_episodes, time.monotonic()
 
     def _on_step(self) -> bool:
-        if "dones" not in self.locals:  # such as ARS, which evaluates whole policies
+        if "dones" not in self.locals:  # as with the algorithm ARS, which evaluates whole policies
             name = type(self.model).__name__
             raise InputError(f"{name} does not pass rewards, dones and infos to callbacks; choose another algorithm")
         done_envs = np.flatnonzero(self.locals["dones"])
@@ -153,7 +153,7 @@ class TrainingDiagnostics(StatefulCallback):
                 print(f"warning: after {self.num_timesteps} steps {ADVICE[problem]}", file=sys.stderr, flush=True)
 
     def _return_is_flat(self, std: float) -> bool:
-        """Whether the mean return rises by less than a tenth of `std` in the latest steps, a third of the budget."""
+        """Whether the mean return rose by less than 0.1 `std` in the latest window, a third of the training long."""
         window_start = self.num_timesteps - self._total_timesteps / 3
         means = [mean for timesteps, mean in self._history if timesteps >= window_start]
         half = len(means) // 2
@@ -170,7 +170,7 @@ class TrainingDiagnostics(StatefulCallback):
         return self._largest_value() > _DIVERGENCE_FACTOR * self._largest_reward / (1.0 - gamma)
 
     def _largest_value(self) -> float:
-        """The largest absolute value that the policy predicts; 0 if it has no value function."""
+        """The largest absolute value that the policy predicts; 0 if it cannot be read, as in SAC, or does not exist."""
         model: Any = self.model
         if hasattr(model, "rollout_buffer"):  # on-policy algorithms: the values of the latest rollout
             return float(np.abs(model.rollout_buffer.values).max())

@@ -59,7 +59,7 @@ def train(
         train_settings: Fields of `tb2rl.runs.config.TrainSettings`, such as total_timesteps, seed or n_envs.
 
     Returns:
-        The best policy of the run, loaded by `load`.
+        The best policy of the run (without evaluations: the last one), loaded by `load`.
 
     Raises:
         InputError: If an argument is invalid.
@@ -122,7 +122,7 @@ def train_config(
         evaluator = make_evaluator(config.scene.for_purpose("validation"), settings) if settings.eval_freq else None
         resources.enter_context(evaluator or nullcontext())
         run = Run(folder, config) if checkpoint else Run.create(folder, config)
-        cleanup_on_failure = resources.enter_context(ExitStack())  # removes a new folder if a tracker fails to start
+        cleanup_on_failure = resources.enter_context(ExitStack())  # removes a new folder if learning cannot start
         if not checkpoint:
             cleanup_on_failure.callback(shutil.rmtree, folder, ignore_errors=True)
         resources.enter_context(run.lock())
@@ -152,7 +152,7 @@ class _Learner:
         state.restore(content["training"], self.algorithm, self.callbacks, file)
         timesteps = self.algorithm.num_timesteps
         if evaluation_callback and evaluation_callback.stopped_training:
-            if settings.total_timesteps == content["config"]["train"]["total_timesteps"]:
+            if settings.total_timesteps == content["config"]["train"]["total_timesteps"]:  # the total was not raised
                 raise InputError(f"{run.folder} has {describe_early_stop(settings, timesteps)}; {_EXTEND_HINT}")
             evaluation_callback.clear_early_stop()
         run.drop_training_evaluations(after=timesteps)
@@ -182,7 +182,7 @@ class _Learner:
                 remaining = run.config.train.total_timesteps - start_timesteps
                 algorithm.learn(remaining, self.callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
-            if not checkpoint_callback.stopped_training:  # else a signal stopped learning, and a checkpoint is saved
+            if not checkpoint_callback.stopped_training:  # else a signal stopped learning, after a checkpoint was saved
                 if evaluation_callback and not evaluation_callback.stopped_training:
                     evaluation_callback.evaluate(progress_bar)
                 checkpoint_callback.save()  # after the evaluation, because its score is part of the checkpoint

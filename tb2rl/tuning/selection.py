@@ -105,7 +105,7 @@ class Comparison:
 
 
 def compare(folder: StudyFolder, name: str, settings: Mapping[str, Any], num_seeds: int) -> Comparison:
-    """Train and evaluate one side of the comparison with fresh seeds, or read the runs that exist.
+    """Train and evaluate one side of the comparison with fresh seeds; runs that are evaluated already are only read.
 
     Args:
         folder: Folder of the study, which will contain the run folders.

@@ -52,7 +52,7 @@ def heartbeats(folder: StudyFolder, running: Mapping[str, optuna.Trial]) -> Iter
 
     Args:
         folder: Folder of the study.
-        running: Trials that run in this process; the mapping may change during the block.
+        running: Running trials that this process asked for; the mapping may change during the block.
 
     Yields:
         A function that records one heartbeat of a trial.

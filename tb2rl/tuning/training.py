@@ -96,7 +96,7 @@ def _train(folder: StudyFolder, trial: Trial, trial_folder: Path) -> list[Traini
     """Train with each seed, in a run folder in `trial_folder`.
 
     Raises:
-        TrialPruned: If the pruner stops the first training, or the settings are invalid.
+        TrialPruned: If the pruner stops the first training, or a training fails because of its settings.
     """
     settings = {**folder.settings(trial.params), "train.save_freq": 0}
     results: list[TrainingResult] = []
@@ -107,7 +107,7 @@ def _train(folder: StudyFolder, trial: Trial, trial_folder: Path) -> list[Traini
             results.append(_train_once(config, trial_folder / f"seed-{seed}", reporter))
     except UnwritableError:
         raise
-    except InputError as error:  # the study continues, because other settings may be valid
+    except InputError as error:  # the study continues, because other settings may work
         raise TrialPruned(str(error)) from None
     return results
 
@@ -156,7 +156,7 @@ class PruningReporter:
 def score(results: Sequence[TrainingResult], best_by: str) -> float:
     """The objective of the study: the mean rate of good episodes; among equal rates, fewer control steps are better.
 
-    The mean rate is rounded to half a percent for this. With `train.best_by=return`, the objective is the mean return.
+    Rates are equal if they round to the same half percent. With `train.best_by=return`, the mean return is the score.
 
     Args:
         results: Results of the trainings of a trial, at least one.

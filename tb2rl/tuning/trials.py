@@ -75,14 +75,14 @@ def _ask_jobs(
         running[name] = trial
         trials = study.get_trials(deepcopy=False)
         earlier_trials = [other for other in trials[: trial.number] if other.state in (*_COUNTED, TrialState.RUNNING)]
-        duplicate = next((other.number for other in earlier_trials if other.params == trial.params), None)
-        if duplicate is None:
+        earlier_number = next((other.number for other in earlier_trials if other.params == trial.params), None)
+        if earlier_number is None:
             finished = [other for other in trials if other.state in _COUNTED][-_MAX_HISTORY:]
             yield Job(name, (study.study_name, finished, trials[trial.number]), folder.trial_folder(trial.number))
         else:
             study.tell(trial, state=TrialState.PRUNED)
             del running[name]
-            print(f"{name}: the same settings as trial {duplicate}", flush=True)
+            print(f"{name}: the same settings as trial {earlier_number}", flush=True)
 
 
 def ask(folder: StudyFolder, study: Study, n_trials: int, record_heartbeat: Callable[[Trial], None]) -> Trial | None:
@@ -90,7 +90,7 @@ def ask(folder: StudyFolder, study: Study, n_trials: int, record_heartbeat: Call
     with folder.lock():
         fail_stale_trials(study)
         for running_trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            # The process that asked for it died before `set_user_attr` below. Optuna fails no trial without heartbeat.
+            # Its process died in this function, which holds the lock; Optuna fails only trials that had a heartbeat.
             if _HAS_HEARTBEAT not in running_trial.user_attrs:
                 study.tell(running_trial.number, state=TrialState.FAIL)
         trials = study.get_trials(deepcopy=False)

@@ -29,7 +29,7 @@ class ActionMap:
     # Index into `Actions.names`, shape (headings, positions); `UNVISITED` where training never visited the state,
     # `ENDED` where an episode ends at once.
     actions: np.ndarray
-    visited_share: float = 1.0  # share of the map's states that training visited; 1 without a Q-table
+    visited_share: float = 1.0  # share of the map's states, without ENDED, that training visited; 1: no Q-table
 
 
 def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
@@ -44,7 +44,7 @@ def action_map(policy: BaseAlgorithm, scene: Scene) -> ActionMap | None:
     except InputError:
         return None
     q_table: Any = policy.policy  # a Q-table only if it has `visits`
-    scene = scene.in_worlds(scene.spec.worlds, laser_noise=0.0)
+    scene = scene.in_worlds(scene.spec.worlds, laser_noise=0.0)  # the same worlds, without laser noise
     positions, side = _square_centres(scene.world, scene.robot.radius)
     simulator = simulator_type.open(scene.spec.without_dynamic_obstacles(), len(positions))
     actions_by_heading, states_by_heading = [], []

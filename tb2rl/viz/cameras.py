@@ -105,7 +105,7 @@ class AboveCamera:
         """Exact ranges [m], shape (beams,), or the measured ones if no obstacles are known, as for a real robot."""
         if frame.dynamic_obstacles is None and len(self._world.boxes) + len(self._world.posts) == 0:
             return frame.step.after.ranges[0]
-        ranges = np.empty((1, len(self._beams[0])))
+        ranges = np.empty((1, len(self._beams[0])))  # written by the functions below
         world_ids = np.zeros(1)  # the spatial index of a world has only this world
         cast_many(frame.pose[None], world_ids, self._beams, self._world.spatial_index, ranges)
         if frame.dynamic_obstacles is not None:

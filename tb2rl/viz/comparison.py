@@ -35,7 +35,7 @@ class Comparison:
 
     title: str
     means: Sequence[Estimate]  # interquartile means of both sets
-    difference: Estimate  # mean of the first set minus that of the second
+    difference: Estimate  # interquartile mean of the first set minus that of the second
     improvement: Estimate  # probability that a run of the first set is better
     verdict: str
     picture: Markup
@@ -49,7 +49,7 @@ def read_compared_runs(reference: str, trust: bool = False) -> ComparedRuns:
         trust: See `Run.open`.
 
     Raises:
-        InputError: If there is no such run, a run has no standard evaluation, or two runs have the same task and seed.
+        InputError: If there is no such run, a run has no standard evaluation, or two runs share task, worlds and seed.
     """
     scores_by_seed: dict[str, dict[int, tuple[float, float]]] = {}
     for folder in run_folders([reference]):
@@ -57,7 +57,7 @@ def read_compared_runs(reference: str, trust: bool = False) -> ComparedRuns:
         evaluation, config = load_evaluation(run), run.config
         scores = scores_by_seed.setdefault(f"{config.task_name} in {config.scene.worlds_title}", {})
         if config.train.seed in scores:
-            raise InputError(f"{reference} has two runs of seed {config.train.seed}: compare runs of one config")
+            raise InputError(f"{reference} has two runs of seed {config.train.seed} at one task: give only one of them")
         speed = evaluation.summary()["mean_speed"] / config.scene.actions.max_speed
         scores[config.train.seed] = evaluation.good_rate, speed
     tasks = sorted(scores_by_seed.items())
@@ -68,7 +68,7 @@ def compare(first: ComparedRuns, second: ComparedRuns) -> list[Comparison]:
     """Compare two sets of runs by each score.
 
     Raises:
-        InputError: If their tasks differ.
+        InputError: If their tasks or worlds differ.
     """
     if first.scores.keys() != second.scores.keys():
         tasks = ("; ".join(runs.scores) for runs in (first, second))

@@ -33,7 +33,7 @@ def drive_section(drive: Drive, world: World | None = None) -> DriveSection:
 
     A path by odometry is drawn from the start of the world, because odometry has no fixed frame in the world.
     """
-    measured, commands = drive.trajectory, drive.commands
+    measured, commands = drive.trajectory, drive.commands  # columns: time, x, y, yaw, v, w; and time, v, w
     return DriveSection(
         drive,
         world.name if world else "",

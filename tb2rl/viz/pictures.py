@@ -15,7 +15,7 @@ _MAX_LARGE_PICTURES = 6  # in a grid; with more pictures, all are half as large
 
 
 def draw_paths(scene: Scene, episodes: Sequence[Episode]) -> np.ndarray:
-    """Draw paths, a dot at each start, a red dot at the end of each failed episode, and routes of dynamic obstacles.
+    """Draw paths with their starts, goals, routes of dynamic obstacles, and a red dot at the end of a failed episode.
 
     Args:
         scene: The scene of the episodes. Each world in which episodes took place has a picture in a grid.
@@ -53,7 +53,7 @@ def group_by_world(episodes: Sequence[Episode]) -> dict[int, list[Episode]]:
 
 def goals_in(scene: Scene, world: int, episodes: Sequence[Episode]) -> list[tuple[float, float]]:
     """The different goals x, y [m] of episodes in a world; empty for a task without a goal."""
-    goals = {episode.goal or scene.goal_in(world) for episode in episodes}
+    goals = {episode.goal or scene.goal_in(world) for episode in episodes}  # a stored episode may lack its goal
     return sorted(goal for goal in goals if goal is not None)
 
 

@@ -43,7 +43,7 @@ class RunView:
 
     @property
     def trained_steps(self) -> int:
-        """Control steps of the training so far."""
+        """Control steps of the training so far, which may be more than those of the best policy."""
         return int(max([self.policy.num_timesteps, *(curve.steps[-1] for curve in self.curves.values())]))
 
     @property
@@ -65,7 +65,7 @@ class RunView:
 
     @property
     def coverage(self) -> dict[str, float] | None:
-        """States (number), visited states and updated pairs (shares), median updates of these; None: no Q-table."""
+        """State count, shares of visited states and updated pairs, median updates of these pairs; None: no Q-table."""
         policy: Any = self.policy.policy
         if not hasattr(policy, "visits"):
             return None
@@ -155,10 +155,11 @@ def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool =
         trust: See `Run.open`.
 
     Raises:
-        InputError: If a file of the folder is missing or damaged.
+        InputError: If a file of the folder is missing or damaged, or the config is not that of the policy.
     """
     run = Run.open(folder, trust)
     curves, policy = read_curves(folder, run.config.task.goal_task), load(folder, trust)
+    # Without `train`, because a resume may have raised the total in the config since the best policy was saved.
     policy_config, run_config = ({**config.to_dict(), "train": None} for config in (config_of(policy), run.config))
     if policy_config != run_config:
         raise InputError(f"{folder}: {config_file(folder).name} differs from the config in the policy's checkpoint")
@@ -216,7 +217,7 @@ def _group_name(index: int, groups: Sequence[Sequence[RunView]]) -> str:
 
 
 def differences(groups: Sequence[RunGroup]) -> dict[str, list[str]]:
-    """Settings in which groups differ, by dotted key, with the value of each group."""
+    """Settings, except the seed, in which groups differ, by dotted key, with the value of each group."""
     settings = [group.settings for group in groups]
     rows = {key: [s.get(key, "") for s in settings] for key in sorted(set().union(*settings) - {"train.seed"})}
     return {key: values for key, values in rows.items() if len(set(values)) > 1}

@@ -118,7 +118,7 @@ def _add_coloured_parts(client: int, robot: RobotBody) -> list[tuple[Any, ...]]:
         if link >= 0:
             link_frame = pybullet.getLinkState(robot.body, link, physicsClientId=client)[4:6]
             position, orientation = pybullet.multiplyTransforms(*link_frame, position, orientation)
-        radius = sizes[1] if shape_type == pybullet.GEOM_CYLINDER else sizes[0]
+        radius = sizes[1] if shape_type == pybullet.GEOM_CYLINDER else sizes[0]  # a cylinder has (length, radius)
         shape = {"halfExtents": [side / 2 for side in sizes], "radius": radius, "length": sizes[0], "rgbaColor": colour}
         copy = pybullet.createVisualShape(shape_type, physicsClientId=client, **shape)
         parts.append((pybullet.createMultiBody(0.0, -1, copy, physicsClientId=client), position, orientation))
@@ -134,7 +134,7 @@ def _chase_camera_pose(pose: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_floor(pose: Sequence[float], width: int, height: int) -> np.ndarray:
-    """Draw the tiled floor and the sky that the chase camera sees behind a robot at a pose, shape (height, width, 3).
+    """Draw the tiled floor and the sky that the chase camera of a robot at a pose sees, shape (height, width, 3).
 
     This is the ray casting of a plane, with one ray for each pixel.
     """

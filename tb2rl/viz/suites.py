@@ -61,7 +61,7 @@ def select_episodes(result: SuiteResult) -> Sequence[SuiteEpisode]:
 
 
 def _film(evaluator: Evaluator, policy: Policy, world: int) -> dict[str, Any]:
-    steps = evaluator.replay(policy, world)
+    steps = evaluator.replay(policy, world)  # the number of an episode is the index of its world
     speed = max(_MIN_SPEED, len(steps) * evaluator.scene.task.control_period / _MAX_SECONDS)
     with TemporaryDirectory() as folder:
         file = Path(folder, "episode.gif")

@@ -58,7 +58,9 @@ class Window:
             if self._pipe.poll(_OPENING_TIMEOUT) and self._pipe.recv():
                 return
         self.close()
-        raise InputError("PyBullet's window needs a display with OpenGL; use --video FILE.mp4, or unset DISPLAY")
+        raise InputError(
+            "PyBullet's window needs a display with OpenGL; use --video FILE.mp4, or unset DISPLAY to do without it"
+        )
 
     def show(self, initial_state: InitialState, pose: np.ndarray, dynamic_obstacles: np.ndarray | None = None) -> bool:
         """Show the robot at a pose (3,), and dynamic obstacles by their outlines (obstacles, 6).
@@ -125,7 +127,7 @@ class Teleop:
             self._message = f"{ending.name.upper()} ({_describe_contact(self.robot_state)}): new episode"
             self._reset()
         elif self.command.any():
-            self._message = f"as action {actions.describe(action)}: reward {outcome.reward[0]:+g}"
+            self._message = f"rewarded as action {actions.describe(action)}: {outcome.reward[0]:+g}"
 
     @property
     def dynamic_obstacles(self) -> np.ndarray | None:

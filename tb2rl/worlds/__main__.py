@@ -5,8 +5,8 @@
     python -m tb2rl.worlds convert my_gazebo.world my_world.yaml
     python -m tb2rl.worlds check my_map.yaml --robot turtlebot2
 
-WORLD is a name or a path, as in `task.world`. The extension of the output selects the format: .yaml for a tb2rl world,
-.pgm for a ROS map, which also has a YAML file.
+WORLD is a name or a path, as in `task.world`. The extension of the output of `convert` selects the format: .yaml for a
+tb2rl world, .pgm for a ROS map, which also has a YAML file.
 """
 
 from pathlib import Path

@@ -21,7 +21,7 @@ from tb2rl.worlds.world import Bounds, BoxShape, World
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall along a polyline, with filled corners."""
+    """A wall along a polyline; each segment is half a thickness longer at both ends, so that corners are filled."""
 
     path: Annotated[tuple[Point, ...], MinLen(2)]
     thickness: Positive = 0.2  # [m]

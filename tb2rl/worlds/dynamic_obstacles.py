@@ -55,7 +55,7 @@ class DynamicObstacles:
 
 
 def parse_dynamic_obstacles(setting: Any, setting_name: str) -> tuple[DynamicObstacles, ...]:
-    """Parse a setting: a mapping such as {people: 4}, a list of mappings or `DynamicObstacles`, or None.
+    """Parse a setting: a mapping such as {people: 4}, a `DynamicObstacles`, a list of either, or None.
 
     Raises:
         InputError: If the setting is invalid. The message contains `setting_name`, such as "task.dynamic_obstacles".

@@ -99,10 +99,10 @@ def clearance_at(x, y, spatial_index, world_id):
     if spatial_index.worlds[world_id, WORLD.columns] > 0.0:
         return clearance_in_grid(x, y, spatial_index, world_id)
     boxes, posts, worlds, _ = spatial_index
-    nearest = np.inf
+    nearest_squared = np.inf
     for k in range(int(worlds[world_id, WORLD.first_box]), int(worlds[world_id, WORLD.end_box])):
-        nearest = min(nearest, squared_distance_to_box(x, y, boxes, k))
-    nearest = math.sqrt(nearest)
+        nearest_squared = min(nearest_squared, squared_distance_to_box(x, y, boxes, k))
+    nearest = math.sqrt(nearest_squared)
     for k in range(int(worlds[world_id, WORLD.first_post]), int(worlds[world_id, WORLD.end_post])):
         nearest = min(nearest, distance_to_post(x, y, posts, k))
     return nearest
@@ -127,7 +127,7 @@ def sample_in_triangles(random_numbers, corners, cumulative_areas, poses):
         poses[i, 2] = math.tau * random_numbers[i, 3] - math.pi
 
 
-@njit(cache=True, fastmath={"nnan", "nsz"})  # allowed because ranges are never NaN; they vectorize the loop
+@njit(cache=True, fastmath={"nnan", "nsz"})  # to vectorize the loop; ranges are never NaN
 def shortest_range(ranges, row):
     """Shortest range in a row of `ranges` (num_envs, beams)."""
     nearest = np.inf
@@ -172,10 +172,10 @@ def distance_to_post(x, y, posts, k):
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
 def slab_interval(x, y, ray_x, ray_y, half_length, half_width):
-    """Distances along a ray [m] where it enters and leaves a box, by the slab method; without a hit, enter > leave.
+    """Distances from the start of a ray [m] at which its line enters and leaves a box, by the slab method.
 
-    `x` and `y` are the position of the box relative to the start of the ray [m], and `ray_x` and `ray_y` are the unit
-    vector along the ray, all in directions along the sides of the box.
+    They are negative behind the start. If the line misses the box, enter > leave. `x` and `y` are the position of the
+    box relative to the start [m], `ray_x` and `ray_y` the unit vector along the ray, all along the sides of the box.
     """
     inverse_x = 1.0 / (ray_x if abs(ray_x) > _MIN_DIVISOR else _MIN_DIVISOR)
     inverse_y = 1.0 / (ray_y if abs(ray_y) > _MIN_DIVISOR else _MIN_DIVISOR)

@@ -57,7 +57,7 @@ def find_world(reference: str, options: ImportOptions | None = None) -> World:
 
     A reader is a function from a path to a `World`. WORLD is a `World`, or a function without arguments that returns a
     `World`. Functions must have the return annotation `World`. Entry points of the group `tb2rl.worlds` map file
-    extensions to readers. `options`, such as the start, take precedence over a file.
+    extensions to readers. `options`, such as the start, take precedence over a file, and do not change a WORLD.
 
     Raises:
         InputError: If there is no such world, or its file is invalid.
@@ -86,10 +86,10 @@ def find_maker(reference: str, *arguments: str) -> Callable[..., World]:
     """Find a function that makes worlds.
 
     The return annotation of the function must be `World`, because an untrusted config can refer to any function, such
-    as `os.remove`.
+    as `os.remove`. `arguments` are names for the positional arguments with which the caller will call it.
 
     Raises:
-        InputError: If there is no such function, or it does not take one positional argument for each of `arguments`.
+        InputError: If there is no such function, it has another annotation, or it does not take these arguments.
     """
     found, name = find_plugin("world", reference), reference.partition(":")[2]
     try:
@@ -115,7 +115,7 @@ def read_world(path: Path, reader: Callable[..., World] | None = None, options: 
 
     Args:
         path: The world file.
-        reader: A function from a path to a `World`; None: the built-in reader for the extension.
+        reader: One of `READERS`, or a function from a path to a `World`; None: that of `READERS` for the extension.
         options: Settings that take precedence over the file.
 
     Raises:
@@ -126,7 +126,7 @@ def read_world(path: Path, reader: Callable[..., World] | None = None, options: 
 
 
 def source_files(path: Path) -> list[Path]:
-    """Files of a world: the file itself, and the image of a map."""
+    """Files of a world: the file itself, and the image of a map; a YAML file without an image is listed twice."""
     files = [path]
     if path.suffix in (".yaml", ".yml") and path.stat().st_size <= _MAX_FILE_SIZE:
         image = _IMAGE.search(path.read_text(encoding="utf-8", errors="replace"))

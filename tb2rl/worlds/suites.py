@@ -148,7 +148,7 @@ def read_barn(path: Path) -> list[tuple[World, float]]:
     except Exception as error:  # any error that a broken file causes
         raise InputError(one_line(f"cannot read worlds of BARN from {path}: {error}")) from None
     if not found:
-        raise InputError(f"there are no worlds of BARN in {path}: no arrays posts_N and path_N for any number N")
+        raise InputError(f"there are no worlds of BARN in {path}: neither arrays posts_N nor files world_N.world")
     return [found[number] for number in sorted(found)]
 
 

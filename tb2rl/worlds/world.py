@@ -22,7 +22,7 @@ from tb2rl.worlds.geometry import clearance_at, sample_in_triangles
 from tb2rl.worlds.spatial_index import SpatialIndex, build_index
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, but low enough for views from above
-_BOX, _POST, _POSE = ("x", "y", "length", "width", "yaw"), ("x", "y", "radius"), ("x", "y", "yaw")
+_BOX_NAMES, _POST_NAMES, _POSE_NAMES = ("x", "y", "length", "width", "yaw"), ("x", "y", "radius"), ("x", "y", "yaw")
 
 BoxShape = tuple[float, float, float, float, float]  # x, y, length, width [m], yaw [rad]
 PostShape = tuple[float, float, float]  # x, y, radius [m]
@@ -94,12 +94,12 @@ class World:
 
     def __post_init__(self) -> None:
         owner = f"world {self.name}"
-        _parse_numbers(self.start, _POSE, f"{owner}: the start")
+        _parse_numbers(self.start, _POSE_NAMES, f"{owner}: the start")
         x0, y0, x1, y1 = _parse_numbers(self.bounds, ("x from", "y from", "x to", "y to"), f"{owner}: bounds")
         if not (x0 < x1 and y0 < y1):
             raise InputError(f"{owner}: bounds must be x from < x to, y from < y to, got {[x0, y0, x1, y1]}")
         if self.goal is not None:
-            x, y, _ = _parse_numbers(self.goal, _POSE, f"{owner}: the goal")
+            x, y, _ = _parse_numbers(self.goal, _POSE_NAMES, f"{owner}: the goal")
             if not self.contains((x, y)):
                 raise InputError(f"{owner}: the goal ({x:g}, {y:g}) is outside the bounds")
             if self.clearance(x, y) == 0.0:
@@ -159,8 +159,8 @@ class World:
         if not self.contains((x, y)):
             return InputError(f"world {self.name}: the start ({x:g}, {y:g}) is outside the bounds")
         return InputError(
-            f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to a wall, "
-            f"so there is no free space; move the start, or, if task.start_clearance is {clearance:g}, lower it"
+            f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to a wall or "
+            f"bound, so there is no free space; move the start, or, if task.start_clearance is {clearance:g}, lower it"
         )
 
     def clearance(self, x: float, y: float) -> float:
@@ -206,14 +206,14 @@ def post_polygons(rows: np.ndarray, segments: int = 32) -> np.ndarray:
 
 def _shape_table(shapes: Iterable[Iterable[float]], shape_name: str, owner: str) -> np.ndarray:
     """Table of boxes or posts, with a row for each shape."""
-    columns = _BOX if shape_name == "box" else _POST
+    columns = _BOX_NAMES if shape_name == "box" else _POST_NAMES
     label = f"{owner}: {shape_name}"
     rows = [_parse_numbers(shape, columns, f"{label} {i} (the first is 0)") for i, shape in enumerate(shapes)]
     return np.array(rows).reshape(-1, len(columns))
 
 
 def _parse_numbers(values: Any, names: Sequence[str], label: str) -> list[float]:
-    """Parse finite numbers with these names; `label` stands for the values in messages."""
+    """Parse finite numbers with these names, above 0 for sizes; `label` stands for the values in messages."""
     try:
         numbers = np.array(values, dtype=float)
     except (TypeError, ValueError):

@@ -102,7 +102,7 @@ def test_it_knows_the_directions_of_its_beams(laser, playground):
     view = make_baseline(config)._view(numbers)
     bearings = np.arctan2(*view.points[0].T[::-1])
     np.testing.assert_allclose(np.cos(bearings - config.scene.laser.angles), 1.0)
-    with pytest.raises(InputError, match="as many directions, got 60 and 2"):
+    with pytest.raises(InputError, match="each with a direction, got 60 and 2"):
         playground((1.0, 0.0)).policy(Pursuit, vehicle=Vehicle(directions=(0.0, 1.0)))
 
 

@@ -59,7 +59,7 @@ def put(array, value):
 
 
 REFUSED = [
-    (with_outcome(lambda after: Outcome(1.0)), "reward must have shape .num_envs,.; got 1"),
+    (with_outcome(lambda after: Outcome(1.0)), "reward must be float, shape .num_envs,.; got 1"),
     (with_outcome(lambda after: None), "task Errand: outcome must return an Outcome; got None"),
     (
         with_outcome(lambda after: Outcome(after.nearest_range, after.bumped)),

@@ -152,7 +152,7 @@ def test_signals_that_reach_every_process_end_none_of_them(make):
 
 @pytest.mark.parametrize(("processes", "copied"), [(1, copy.deepcopy), (2, pickle.dumps)])
 def test_a_batch_is_not_copied(copied, processes, make):
-    with pytest.raises(InputError, match="cannot be copied or sent"):
+    with pytest.raises(InputError, match="cannot be copied or pickled"):
         copied(make(2, processes))
 
 

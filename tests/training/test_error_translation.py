@@ -39,7 +39,7 @@ def test_a_killed_simulator_process_is_named_and_none_is_left(small, tmp_path, m
 
     monkeypatch.setattr("tb2rl.simulation.bullet.batch.processors", lambda: 3)
     monkeypatch.setattr(BulletBatch, "step", killed)
-    with pytest.raises(InputError, match="a process with worlds of PyBullet has ended"):
+    with pytest.raises(InputError, match="a process with PyBullet environments has ended"):
         train_config(small(simulation="bullet", n_envs=3), tmp_path / "run")
     assert set(multiprocessing.active_children()) <= before
 

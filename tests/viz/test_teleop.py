@@ -60,7 +60,7 @@ def test_the_robot_follows_the_command(teleoperate):
         teleop.press(key)
     drive(teleop, *teleop.command, 5)
     assert teleop.robot_state.pose[0, 0] - x == pytest.approx(0.4, abs=0.05)
-    assert {"command  v +0.40 m/s   w +0.00 rad/s", "as action forward: reward +5"} <= set(teleop.lines(24))
+    assert {"command  v +0.40 m/s   w +0.00 rad/s", "rewarded as action forward: +5"} <= set(teleop.lines(24))
     drive(teleop, 0.0, 0.5, 5)
     assert teleop.robot_state.pose[0, 2] - yaw == pytest.approx(0.5, abs=0.1)  # less the acceleration
     assert next(line for line in teleop.lines(24) if line.startswith("robot")).split()[-2:] == ["+0.50", "rad/s"]
@@ -72,7 +72,7 @@ def test_velocities_are_rewarded_as_commanded(teleoperate, cruise):
     teleop = teleoperate(cruise, beams=3, observation="raw")
     drive(teleop, 0.4, 0.2, 5)
     *head, _, _, _ = lines = teleop.lines(24)
-    assert any(line.startswith("as action 0.40, +0.20: reward +0.8") for line in head)
+    assert any(line.startswith("rewarded as action 0.40, +0.20: +0.8") for line in head)
     ranges = lines[-3:]
     assert [line[:8] for line in ranges] == [" -90 deg", "  +0 deg", " +90 deg"]
     assert "bin" not in "".join(ranges), "raw ranges have none"

@@ -23,7 +23,7 @@ class BagMessages:
         self.seq = 0  # sequence number in the headers of ROS 1
 
     def make_message(self, type_name: str) -> Any:
-        name = type_name.replace("/msg/", "/").replace("/", "/msg/")
+        name = type_name.replace("/msg/", "/").replace("/", "/msg/")  # PACKAGE/NAME becomes PACKAGE/msg/NAME
         name = BUMPER_EVENTS[self.ros] if name in BUMPER_EVENTS.values() else name
         _, fields = self.store.fielddefs[name]
         values = {field: self._default_value(kind.name, detail) for field, (kind, detail) in fields}

@@ -54,7 +54,7 @@ class Recorder:
         self._write_sensors(robot_state)
 
     def step(self, command: np.ndarray, reward: float, robot_state: RobotState) -> None:
-        """Write a control step: its command v [m/s] and w [rad/s], shape (2,), its reward, and the next robot state."""
+        """Write a control step: the policy's command v [m/s], w [rad/s], shape (2,), reward, and next robot state."""
         self._write(self._topics.velocity, msg.Twist(*command.tolist()))
         self._step += 1
         self._messages.seq = self._step
@@ -116,7 +116,7 @@ def checked_bag_path(path: str | Path) -> Path:
     """Return the path of a bag, if the bag can be written.
 
     Raises:
-        InputError: If the path is invalid or exists as a folder, or `rosbags` is not installed.
+        InputError: If the path is invalid, or exists (a file NAME.bag is replaced), or `rosbags` is not installed.
     """
     path = Path(path)
     rosbags_library()

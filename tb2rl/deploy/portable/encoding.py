@@ -120,5 +120,5 @@ SENSORS: Dict[str, Callable[[Encoding, Mapping[str, Any]], Any]] = {
     "visited": _visited,
     "waypoint": lambda encoding, settings: encoding.waypoint,
     "waypoint bearing": lambda encoding, settings: [np.arctan2(*encoding.waypoint[::-1])],
-    "yaw rate": lambda encoding, settings: encoding.sensor_data.twist[1:],  # odometry in place of a gyro (little slip)
+    "yaw rate": lambda encoding, settings: encoding.sensor_data.twist[1:],  # in place of a gyro, if wheels slip little
 }

@@ -136,7 +136,7 @@ def answer(driver: Driver, data: dict[str, Any]) -> Command:
 
 def _to_float(value: Any, largest: float = MAX_MAGNITUDE) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= largest:  # or NaN
-        raise ValueError(f"{value!r} is not a finite number up to {largest:g}")
+        raise ValueError(f"{value!r} is not a number from {-largest:g} to {largest:g}")
     return float(value)
 
 

@@ -1,6 +1,6 @@
 """Loads a policy that `tb2rl.export` wrote to a folder, and runs its layers with numpy.
 
-Each layer maps shape (num_envs, n) to shape (num_envs, m).
+Each layer maps shape (num_envs, n) to shape (num_envs, m), but `argmax` and `table` return shape (num_envs,).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class ExportedPolicy:
             self._encoding = Encoding(description["observation"], self.needs)
             self._network = Network(layers)
         except Exception as error:  # json, zipfile, zlib and numpy raise a dozen kinds of errors for damaged files
-            raise ValueError(f"{folder} is not a folder of tb2rl.export, or is damaged: {error}") from None
+            raise ValueError(f"{folder} is damaged, or no folder of tb2rl.export for this program: {error}") from None
 
     def reset(self) -> None:
         """Start a new episode."""

@@ -62,7 +62,7 @@ class SensorData:
         pose: Pose in the odometry frame.
         twist: v and w by the odometry.
         bumped: Whether the robot has contact with an obstacle.
-        command: The last command; (0, 0) before the first one.
+        command: The last command to the base, after all filters; (0, 0) before the first one.
         goal: Goal in the odometry frame; None: no goal.
         waypoint: Point on the planned path, in the odometry frame; None: no plan.
     """

@@ -1,8 +1,8 @@
 """Converts scans of any planar laser scanner, mounted anywhere, to the ranges that a policy was trained with.
 
 Each reading is a point in the robot's frame. Between two readings of one surface, the surface is assumed straight.
-Between readings of two surfaces, it is assumed as near as the nearer reading. Then the beams of the policy are cast
-from the middle of the axle, as in simulation.
+Between readings of two surfaces, an obstacle is assumed as near as the nearer reading. The beams of the policy are cast
+at these surfaces from the middle of the axle, as in simulation.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def measured_distances(ranges: np.ndarray, angles: np.ndarray, scan: Scan) -> np
     Drivers have different conventions for readings:
 
     - inf: no obstacle within `range_max` (REP 117). Older drivers send `range_max` or more instead.
-    - -inf: an obstacle too near to be measured (REP 117); it is assumed at `range_min`. A finite reading below
+    - -inf: an obstacle too near to be measured (REP 117); it is assumed at `range_min`. A positive reading below
       `range_min` is used unchanged.
     - NaN: no measurement (REP 117); the readings beside it are used.
-    - 0: no reflection, in many small lidars. A narrow gap of zeros is treated like NaN, and a wide gap like inf,
+    - 0 or less: no reflection, in many small lidars. A narrow gap of zeros is treated like NaN, a wide gap like inf,
       because open space would otherwise be full of obstacles. Zeros between two readings near `range_min` are treated
       like -inf, because a very near wall often causes zeros.
 
@@ -106,7 +106,7 @@ class Mounting:
 
     def __post_init__(self) -> None:
         if not are_usable((self.x, self.y, self.yaw)):
-            raise ValueError(f"the mounting takes finite x, y [m] and yaw [rad], got {self.x}, {self.y}, {self.yaw}")
+            raise ValueError(f"the mounting takes x, y [m], yaw [rad] up to 1e9, got {self.x}, {self.y}, {self.yaw}")
 
 
 class BeamRanges(NamedTuple):
@@ -162,7 +162,7 @@ class ScanReader:
         if full_circle:
             valid, angles = np.append(valid, valid[0]), np.append(angles, angles[0] + math.tau)
         distances, mounting = distances[valid], self._mounting
-        cos, sin = np.cos(all_angles[valid]), np.sin(all_angles[valid])  # axes along and across each reading:
+        cos, sin = np.cos(all_angles[valid]), np.sin(all_angles[valid])  # components along and across each reading:
         along, across = mounting.x * cos + mounting.y * sin, mounting.y * cos - mounting.x * sin  # of the scanner [m]
         no_hit, horizon = np.isinf(distances), range_max if 0.0 < range_max < math.inf else self._needs.max_range
         along += np.where(no_hit, horizon, distances)  # now of each reading's point
@@ -176,7 +176,7 @@ class ScanReader:
         is_gap = np.concatenate([[False], np.diff(angles) > MAX_GAP, [False]])  # a gap keeps only its right reading
         left, left_range = np.where(is_gap, right, left), np.where(is_gap, right_range, left_range)
         straight = np.concatenate([[False], _is_one_surface(distances, angles), [False]])
-        visible = left >= right  # the others face away from the axle, so that an obstacle hides them
+        visible = left >= right  # the axle is behind the others, so that their own obstacle hides them
         return _Sections(*(part[visible] for part in (right, left, right_range, left_range, straight)))
 
     def _cast_beams(self, sections: _Sections, snap: float) -> BeamRanges:

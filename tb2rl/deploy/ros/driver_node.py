@@ -74,7 +74,7 @@ class DriverNode:
         # [s] of wall-clock time; the last tick is the last change of the ROS time:
         self._last_tick = self._last_command_time = self._last_diagnostics = self._last_preflight = self._clock.now()
         self._command, self._printed_state, self._findings = Command(0.0, 0.0, ""), "", list[Finding]()
-        self._pending_goal: Goal | Plan | None = None  # waits for the first odometry, because its frame is checked
+        self._pending_goal: Goal | Plan | None = None  # waits for the first odometry, whose frame it must have
         self._odometry_frame, self._has_odometry_warning = "", False
         self._latencies: deque[tuple[float, float]] = deque(maxlen=10_000)  # [s] wall-clock time, processor time
         self._velocity = node.create_publisher(topics.velocity, Twist)
@@ -148,7 +148,7 @@ class DriverNode:
                 self._on_goal(self._pending_goal)
         elif not self._has_odometry_warning:
             self._has_odometry_warning = True
-            _print("warning: odometry with an invalid orientation or an infinite number is ignored")
+            _print("warning: odometry is ignored: its orientation is invalid, or a number is not finite or too large")
 
     def _on_bumper(self, event: BumperEvent) -> None:
         if event.pressed:

@@ -98,7 +98,7 @@ class Twist(Message):
 
 
 class LaserScan(_Stamped):
-    """One sweep of the laser, from right to left."""
+    """One sweep of a laser, from right to left if `angle_increment` is positive."""
 
     type_name, latest_only = "sensor_msgs/LaserScan", True
     angle_min: Annotated[float, "angle_min"]  # [rad] of the first beam

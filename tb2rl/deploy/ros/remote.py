@@ -128,9 +128,9 @@ class RemoteRobot:
             self._send(self._limits(commands)[0].tolist())
 
             def is_over() -> bool:
-                too_early = start - duration < self._ranges.ros_time < earliest_end  # older: the clock was set back
-                has_last_scan = self._ranges.message_count > scan_count and not too_early
-                return has_last_scan or self._node.now() > latest_end
+                too_early = start - duration < self._ranges.ros_time < earliest_end  # if older, the clock was set back
+                scan_ends_step = self._ranges.message_count > scan_count and not too_early
+                return scan_ends_step or self._node.now() > latest_end
 
             try:
                 self._wait_until(is_over, MAX_AGE)

@@ -64,7 +64,7 @@ def adapt_scene(scene: Scene, goal: tuple[float, float] | None = None) -> Scene:
     """Adapt the scene of a training to a real robot: no variation, and no walls unless the policy plans on a map.
 
     Raises:
-        InputError: If the map or the goal is ambiguous or missing, or a robot cannot sense what the policy observes.
+        InputError: If there are several maps, a goal is missing or superfluous, or no robot senses an observation.
     """
     task, worlds, plans_on_map = scene.task, scene.spec.worlds, find_needs(scene).goal == "plan"
     if plans_on_map and len(worlds) > 1:

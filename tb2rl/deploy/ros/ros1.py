@@ -102,5 +102,5 @@ class Ros1Node(Node):
             return service_type
         with TemporaryDirectory() as folder:
             write_packages(Path(folder))
-            sys.path.append(folder)  # stays in the path, because Python ignores folders that do not exist
+            sys.path.append(folder)  # may stay in the path, because Python ignores folders that do not exist
             return self.find_type(SET_PHYSICS, "srv")

@@ -17,7 +17,7 @@ ODOM, BASE, LASER, CAMERA = "odom", "base_footprint", "laser_link", "camera_rgb_
 LASER_HEIGHT = 0.25  # [m] of the scan plane
 IMAGE_WIDTH, IMAGE_HEIGHT = 320, 240  # [px]
 _CAMERA_ROTATION = -0.5, 0.5, -0.5, 0.5  # quaternion; x right, y down, z ahead (REP 103)
-_MAX_CONTACT_RANGE = 0.05  # [m] beyond the hull; if all ranges are longer, the contact is behind the robot
+_MAX_CONTACT_DISTANCE = 0.05  # [m] from the hull; if all readings are farther, the contact is behind the robot
 _TICKS_BETWEEN_READS = 20_000  # of the simulator's state
 
 
@@ -123,6 +123,6 @@ class SimulatedRobot:
 
     def _pressed_bumper(self, robot_state: RobotState) -> int | None:
         beam = int(np.argmin(robot_state.ranges[0]))
-        if not robot_state.bumped[0] or robot_state.ranges[0, beam] > self._spec.robot.radius + _MAX_CONTACT_RANGE:
+        if not robot_state.bumped[0] or robot_state.ranges[0, beam] > self._spec.robot.radius + _MAX_CONTACT_DISTANCE:
             return None
         return bumper_at(self._spec.laser.angles[beam])

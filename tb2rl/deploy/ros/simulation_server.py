@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
     checked(CountOrZero, options.seed, "--seed")
     topics = parse_topics(options.topics, Topics())
     simulator = find_simulator(options.simulation or default_simulator())
-    config = resolve("random", options.task, settings={"task.start": "fixed"} | parse_settings(options.set))
+    config = resolve(agent="random", task=options.task, settings={"task.start": "fixed"} | parse_settings(options.set))
     with closing(create_node(options.ros, "tb2rl_simulation")) as node:
         for termination_signal in termination_signals():
             signal.signal(termination_signal, signal.default_int_handler)

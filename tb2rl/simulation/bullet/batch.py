@@ -101,7 +101,7 @@ class BulletBatch:
         self._poses = self._robot_state().pose
 
     def __reduce__(self) -> NoReturn:
-        raise InputError("PyBullet's worlds in processes cannot be copied or sent; make new ones")
+        raise InputError("a batch of PyBullet environments cannot be copied or pickled; make a new one")
 
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
         generators = rng.spawn(self.num_envs) if isinstance(rng, np.random.Generator) else rng
@@ -140,7 +140,7 @@ class BulletBatch:
         self._call("restore_values", self._all_indices, [(simulator_state,) for simulator_state in state["worlds"]])
         self._initial_states = np.concatenate([simulator_state["initial_state"] for simulator_state in state["worlds"]])
         robot_state = self._robot_state()
-        self._poses = state["poses"].copy()
+        self._poses = state["poses"].copy()  # not those of `_robot_state`, which PyBullet has rounded
         return robot_state
 
     def render_camera(self, robot_state: RobotState, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -193,7 +193,7 @@ def _receive(pipe: Connection) -> Any:
             _yield_processor()
         return pipe.recv()
     except (EOFError, OSError):
-        return InputError("a process with worlds of PyBullet has ended: it was killed, or ran out of memory")
+        return InputError("a process with PyBullet environments has ended: it was killed, or ran out of memory")
 
 
 def _call_group(group: SimulatorGroup, *call: Any) -> Any:

@@ -20,8 +20,8 @@ FLOOR_FRICTION = 1.0  # friction coefficient of rubber on a dry floor
 WHEEL_FRICTION = 1.0  # PyBullet multiplies the coefficients of wheel and floor
 WALL_COLOUR = (0.66, 0.36, 0.27, 1.0)  # brick
 CONTACT = 1.0e-3  # [m] bodies with a smaller gap touch, because Bullet keeps touching bodies slightly apart
-WALL_GROUP = 2  # collision group of walls, which collide with moving bodies but not with the floor
-MOVING_GROUP = 1  # PyBullet's default collision group of moving bodies
+WALL_GROUP = 2  # collision group of walls and dynamic obstacles, which collide with robots only
+ROBOT_GROUP = 1  # PyBullet's default collision group of bodies with mass; here, robots
 _MAX_SHAPES = 16  # maximum number of shapes of a body; PyBullet ignores others without a message
 _TOLERANCE = 0.01  # allowed relative difference between a robot's parameters and its URDF file
 _CFM = 1.0e-6  # constraint force mixing; with 0, the matrix of the direct solver is singular
@@ -102,7 +102,7 @@ def add_walls(client: int, world: World) -> tuple[int, ...]:
         # With maximal coordinates, PyBullet makes a static body, which takes no time in a physics step.
         body = pybullet.createMultiBody(0.0, collision, visual, useMaximalCoordinates=True, physicsClientId=client)
         bodies.append(body)
-        pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, MOVING_GROUP, physicsClientId=client)
+        pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, ROBOT_GROUP, physicsClientId=client)
     return tuple(bodies)
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tb2rl.simulation.bullet.bodies import MOVING_GROUP, WALL_GROUP, RobotBody
+from tb2rl.simulation.bullet.bodies import ROBOT_GROUP, WALL_GROUP, RobotBody
 from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.simulation.obstacles import motion
 from tb2rl.simulation.obstacles.dynamic_obstacles import SimulatedObstacles
@@ -24,7 +24,7 @@ class ObstacleBodies:
         self.bodies: list[int] = []  # PyBullet's numbers of the bodies
 
     def place(self, outlines: np.ndarray) -> None:
-        """Show these obstacles and no others; outlines (obstacles, 6) as in `RobotState.dynamic_obstacles`."""
+        """Put bodies at these obstacles only; outlines (obstacles, 6) as in `RobotState.dynamic_obstacles`."""
         present = outlines[outlines[:, LENGTH] > 0.0]
         sizes = [(length, width) for length, width in present[:, [LENGTH, WIDTH]].tolist()]
         if sizes != self._sizes:
@@ -37,12 +37,12 @@ class ObstacleBodies:
             pybullet.resetBasePositionAndOrientation(body, (x, y, WALL_HEIGHT / 2), orientation, self._client)
 
     def _add(self, length: float, width: float) -> int:
-        shape = pybullet.GEOM_CYLINDER if width == 0.0 else pybullet.GEOM_BOX  # ignores the other shape's sizes
+        shape = pybullet.GEOM_CYLINDER if width == 0.0 else pybullet.GEOM_BOX  # PyBullet ignores sizes of the other
         size = {"radius": length, "halfExtents": (length, width, WALL_HEIGHT / 2), "physicsClientId": self._client}
         collision = pybullet.createCollisionShape(shape, height=WALL_HEIGHT, **size)
         visual = pybullet.createVisualShape(shape, length=WALL_HEIGHT, rgbaColor=_COLOUR, **size)
         body = pybullet.createMultiBody(0.0, collision, visual, physicsClientId=self._client)
-        pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, MOVING_GROUP, physicsClientId=self._client)
+        pybullet.setCollisionFilterGroupMask(body, -1, WALL_GROUP, ROBOT_GROUP, physicsClientId=self._client)
         return body
 
 

@@ -11,7 +11,7 @@ from tb2rl.simulation.bullet.bodies import add_floor, add_robot, add_walls, came
 from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.bullet.obstacle_bodies import BulletObstacles
 from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
-from tb2rl.simulation.odometry import encoder_odometry, is_exact
+from tb2rl.simulation.odometry import encoder_odometry, is_odometry_exact
 from tb2rl.simulation.robot_state import ARRAYS, RobotState
 from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
@@ -124,7 +124,7 @@ class BulletSimulator:
             with quiet():
                 clear(self._client)  # takes half as long as opening another client
                 self._build()
-        self._initial_state, self._has_exact_odometry = initial_state, is_exact(initial_state.records)
+        self._initial_state, self._has_exact_odometry = initial_state, is_odometry_exact(initial_state.records)
         self._max_speed, self._max_turn_rate = float(row["max_speed"]), float(row["max_turn_rate"])
         # PyBullet cannot resize the wheels of a loaded body. Scaled commands move the robot as other wheels would.
         self._v_scale = float(row["wheel_radius"])
@@ -245,14 +245,14 @@ class BulletSimulator:
             self._client = -1
 
     def _measure(self, wall_hit: bool = False, obstacle_hit: bool = False) -> tuple[Any, ...]:
-        """Update odometry, speed and acceleration; return values for `RobotState.for_one_robot`."""
+        """Update position, odometry, speed, command, acceleration; return values for `RobotState.for_one_robot`."""
         (vx, vy, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self._body.body, self._client)
         x, y, yaw = pose = self._body.pose()
         self._position = x, y
         ranges, nearest_is_dynamic = self._scan(*pose)
         last_speed, self._speed = self._speed, vx * math.cos(yaw) + vy * math.sin(yaw)
         self._command, duration = self._command_log[-1] if self._command_log else (np.zeros(2), math.inf)
-        self._acceleration = (self._speed - last_speed) / duration
+        self._acceleration = (self._speed - last_speed) / duration  # 0 without a command: the duration is inf
         twist, bumped = (self._speed, turn_rate), wall_hit or obstacle_hit
         measured = pose, twist, *self._read_encoders(), ranges[0], bumped, self._command, self._acceleration
         if not self.spec.has_dynamic_obstacles:

@@ -173,7 +173,8 @@ def move_among_obstacles(i, constants, robots, duration, obstacles):
     world_id, radius, pose, wheel_speeds = int(episode.world), episode.radius, robot.pose, robot.wheel_speeds
     steps = max(1, math.ceil(duration * PHYSICS_RATE - 1e-9))  # as many as in PyBullet
     step_time = duration / steps
-    max_speed = max(abs(wheel_speeds[0]), abs(wheel_speeds[1]), episode.max_speed * episode.wheel_radius)  # a ratio
+    # `wheel_radius` is a ratio, true / nominal.
+    max_speed = max(abs(wheel_speeds[0]), abs(wheel_speeds[1]), episode.max_speed * episode.wheel_radius)
     x, y = pose[0], pose[1]
     if motion.is_out_of_reach(x, y, max_speed, duration, radius, obstacles.obstacles, i):
         motion.step_obstacles_alone(i, steps, step_time, obstacles, initial_states, spatial_index, world_id, (x, y))
@@ -223,7 +224,7 @@ def _step_robots(first, end, constants, before, robots, commands, duration, scra
         robot.acceleration = (robot.twist[0] - speed) / duration
         robot.stream[1] += np.uint64(1)
         scan(i, constants, robots, scratch, obstacles)
-        if obstacles is not None:  # a contact overrides the ranges, and a wall an obstacle
+        if obstacles is not None:  # contacts override ranges, and wall contacts override obstacle contacts
             robot.nearest_is_dynamic = not wall_hit and (obstacle_hit or robot.nearest_is_dynamic)
 
 
@@ -232,9 +233,9 @@ def step_block(first, end, constants, before, robots, commands, duration, obstac
     """Step the robots from `first` to `end` - 1 for a control period.
 
     Args:
-        first, end, constants, obstacles: See above.
+        first, end, constants, obstacles: See the line above, and the top of the module.
         before: Records of the robots before the step, shape (num_envs,).
-        robots: Results.
+        robots: The initial states are inputs; records and ranges are overwritten with the results.
         commands: v [m/s] and w [rad/s], shape (num_envs, 2).
         duration: Of the control period [s].
     """

@@ -17,7 +17,7 @@ from tb2rl.simulation.kinematic.motion import reset_robots, scan_robots, step_bl
 from tb2rl.simulation.kinematic.threads import parallel_for
 from tb2rl.simulation.obstacles.dynamic_obstacles import SimulatedObstacles
 from tb2rl.simulation.obstacles.outlines import cast_at_outlines
-from tb2rl.simulation.odometry import integrate_odometry, is_exact, measure_arcs
+from tb2rl.simulation.odometry import integrate_odometry, is_odometry_exact, measure_arcs
 from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.simulator import Generators, ResetGenerators, ResetStates
 from tb2rl.simulation.spec import PHYSICS_RATE, InitialState, SimulationSpec
@@ -96,7 +96,7 @@ class KinematicSimulator:
         self._records["pose"], self._records["stream"][:, 0] = initial_state.pose, keys
         self._ranges = np.empty((self.num_envs, len(self.spec.laser.angles)))
         # None: odometry has no errors and equals the true poses.
-        self._odometry = None if is_exact(initial_state.records) else initial_state.pose.copy()
+        self._odometry = None if is_odometry_exact(initial_state.records) else initial_state.pose.copy()
 
     def reset(self, initial_state: InitialState, rng: Generators) -> RobotState:
         self._place_robots(initial_state, _draw_keys(rng, self.num_envs))
@@ -132,7 +132,7 @@ class KinematicSimulator:
         reset_robots(indices, initial_state.records, keys, self._constants, self._robots, self._obstacles.arrays)
         if self._odometry is not None:
             self._odometry[indices] = initial_state.pose
-        elif not is_exact(initial_state.records):
+        elif not is_odometry_exact(initial_state.records):
             self._odometry = self._records["pose"].copy()
         # Selecting these rows from the robot state of all environments would take four times as long.
         count = len(indices)
@@ -167,7 +167,7 @@ class KinematicSimulator:
         self._place_robots(initial_state, state["stream"][:, 0])
         for name in _STATE_FIELDS:
             self._records[name] = state[name]
-        exact = is_exact(initial_state.records) and (state["odometry"] == state["pose"]).all()
+        exact = is_odometry_exact(initial_state.records) and (state["odometry"] == state["pose"]).all()
         self._odometry = None if exact else state["odometry"].copy()
         return self._scan_all()
 

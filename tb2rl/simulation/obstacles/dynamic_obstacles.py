@@ -15,7 +15,7 @@ from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
 from tb2rl.worlds.geometry import clearance_at
 
 _CANDIDATES = 8  # random start poses for each obstacle, which starts at the first pose with room
-# [m] Least gap between the robot's centre and an obstacle at the start; else the farthest candidate is taken.
+# [m] Least gap between the robot's centre and an obstacle at the start, if a candidate with room has it.
 _START_MARGIN = 1.5
 _CONSTANT_COLUMNS = [FIELDS.index("length"), FIELDS.index("width"), *range(FIELDS.index("kind"), len(FIELDS))]
 _EMPTY_ROW = np.eye(len(FIELDS))[outlines.COS]  # row without an obstacle: heading 0, all other values 0
@@ -87,7 +87,7 @@ class SimulatedObstacles:
             poses = self._spec.sample_poses(candidate_worlds, candidates.reshape(-1, 4), self._spec.robot.radius)
             candidates = np.concatenate([poses.reshape(*candidates.shape[:3], 3), candidates[..., :1]], axis=3)
         else:
-            candidates = candidates[..., [1, 2, 3, 0]]  # uses only the last, see `_place_on_path`
+            candidates = candidates[..., [1, 2, 3, 0]]  # only the last is used, see `_place_on_path`
         if (self._presence < 1.0).any():
             group_draws = np.take_along_axis(source.uniform(count), self._first_of_group[worlds], axis=1)
             table[group_draws >= self._presence[worlds]] = _EMPTY_ROW
@@ -116,7 +116,7 @@ class SimulatedObstacles:
 
 
 def _make_rows(group: DynamicObstacles, path_points: list[tuple[float, float]]) -> np.ndarray:
-    """Make a row of the table for each obstacle of a group, and append the points of its path to `path_points`."""
+    """Make a row for each person, post and box of a group, in this order; append the path's points to `path_points`."""
     table = np.zeros((group.count, len(FIELDS)))
     rows = outlines.as_records(table, OBSTACLE_TYPE)
     people, boxes = slice(group.people), slice(group.people + group.posts, None)

@@ -18,7 +18,7 @@ from tb2rl.simulation.random_streams import uniform
 from tb2rl.worlds.geometry import clearance_at
 
 DECISION_STEPS = 4  # physics steps from one call of `decide` to the next, so that there are 20 calls a second
-CONTACT = 2e-3  # [m] an obstacle with a smaller gap to the robot stops; below 1 mm, PyBullet would push the robot
+STOP_GAP = 2e-3  # [m] an obstacle with a smaller gap to the robot stops; below 1 mm, PyBullet would push the robot
 _MARGIN = 0.1  # [m] gap to walls on the way to a target; an obstacle that is nearer to a wall keeps its present gap
 _PERSON_ARRIVAL = 0.3  # [m] a person this near to the target chooses another
 _ARRIVAL = 1e-3  # [m] the same for posts and boxes
@@ -82,7 +82,7 @@ def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
         length = math.sqrt(dx * dx + dy * dy)
         if length > 1e-9:
             obstacle.cos, obstacle.sin = dx / length, dy / length
-        share = share_until_contact(x - from_x, y - from_y, x - to_x, y - to_y, radius + CONTACT, obstacle)
+        share = share_until_contact(x - from_x, y - from_y, x - to_x, y - to_y, radius + STOP_GAP, obstacle)
         if share < 1.0:
             touched = True
             obstacle.vx, obstacle.vy = 0.0, 0.0
@@ -102,7 +102,7 @@ def share_until_contact(from_x, from_y, to_x, to_y, radius, obstacle):
     """Share in [0, 1] of a motion, of robot or obstacle, before they touch; 1 without contact, or if they move apart.
 
     The robot's positions before and after the motion are relative to the obstacle's centre [m]. `radius` [m] is the
-    robot's radius, to which the gap that counts as contact may be added.
+    robot's radius, to which `STOP_GAP` may be added.
     """
     gap = distance_to_outline(to_x, to_y, obstacle) - radius
     if gap >= 0.0 or gap > distance_to_outline(from_x, from_y, obstacle) - radius:
@@ -130,14 +130,14 @@ def is_out_of_reach(x, y, max_speed, duration, radius, obstacles, i):
         if obstacle.kind != EMPTY:
             distance = math.hypot(obstacle.x - x, obstacle.y - y)
             approach = duration * (max_speed + people.MAX_SPEED_RATIO * obstacle.speed)
-            if obstacle.avoids_robot != 0.0 or distance < radius + CONTACT + outer_radius(obstacle) + approach:
+            if obstacle.avoids_robot != 0.0 or distance < radius + STOP_GAP + outer_radius(obstacle) + approach:
                 return False
     return True
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def step_obstacles_alone(i, steps, physics_step, arrays, initial_states, spatial_index, world_id, position):
-    """Run `steps` steps of `physics_step` [s] of the obstacles; the robot at `position` x, y [m] is out of reach."""
+    """Run `steps` steps of `physics_step` [s]; the robot, out of reach, is a resting point at `position` x, y [m]."""
     x, y = position
     for step in range(steps):
         if step % DECISION_STEPS == 0:

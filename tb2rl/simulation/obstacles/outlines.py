@@ -43,12 +43,12 @@ class ObstacleArrays(NamedTuple):
 
     obstacles: np.ndarray  # records of type `OBSTACLE_TYPE`, shape (num_envs, obstacles)
     streams: np.ndarray  # random stream of each environment: its key, and numbers drawn; shape (num_envs, 2), uint64
-    path_points: np.ndarray  # x, y of the points of all paths, which are loops [m], shape (points, 2)
+    path_points: np.ndarray  # [m] x, y of the points of all paths, which are loops; shape (points, 2)
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
 def distance_to_outline(dx, dy, obstacle):
-    """Distance from a point, relative to an obstacle's centre [m], to the outline [m]; inside, negative or 0 (box)."""
+    """Distance [m] to an outline from a point at dx, dy [m] from its centre; inside, negative (circle) or 0 (box)."""
     if obstacle.width == 0.0:
         return math.sqrt(dx * dx + dy * dy) - obstacle.length
     outside_x = max(abs(obstacle.cos * dx + obstacle.sin * dy) - obstacle.length, 0.0)

@@ -104,7 +104,7 @@ def accelerate(person, duration):
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def walk_along_walls(person, duration, spatial_index, world_id):
-    """Position x, y [m] of a person after a `duration` [s]; the person walks along a wall instead of into the wall."""
+    """Next x, y [m] of a person after a `duration` [s], along walls, not into them; sets only `room` and velocity."""
     x, y, radius, vx, vy = person.x, person.y, person.length, person.vx, person.vy
     to_x, to_y = x + duration * vx, y + duration * vy
     person.room -= duration * (abs(vx) + abs(vy))  # an upper bound of the distance

@@ -66,7 +66,7 @@ def complete_world(
 
     Args:
         name, boxes, posts, description: See `World.from_shapes`.
-        options: Import options, with start and goal of the file.
+        options: Import options, in which a start and a goal of the file replace those that the user left out.
         bounds: Bounds of the file; None: the bounding box of obstacles, start and goal.
 
     Raises:
@@ -107,7 +107,7 @@ def _farthest_from_walls(world: World) -> Pose | None:
         raise InputError(f"world {world.name}: its obstacles overlap too often to find a start; set one")
     enlarged_bounds = shapely.box(*world.bounds).buffer(_MARGIN, join_style="mitre")
     rooms = shapely.get_parts(enlarged_bounds.difference(shapely.disjoint_subset_union_all(outlines)))
-    is_enclosed = ~shapely.intersects(rooms, enlarged_bounds.exterior)
+    is_enclosed = ~shapely.intersects(rooms, enlarged_bounds.exterior)  # all others extend to the outside
     rooms, indices = shapely.get_parts(shapely.intersection(rooms, shapely.box(*world.bounds)), return_index=True)
     rooms, is_enclosed = rooms[shapely.area(rooms) > 0], is_enclosed[indices][shapely.area(rooms) > 0]
     if len(rooms) == 0:

@@ -28,7 +28,7 @@ def read_xml(path: Path) -> Element:
     try:
         return ElementTree.fromstring(content, ElementTree.XMLParser(target=_NoEntities()))
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two for unsupported encodings, too
-        raise InputError(one_line(f"{path} is not XML: {error}")) from None
+        raise InputError(one_line(f"{path} is not XML that can be read: {error}")) from None
 
 
 def read_limited(path: Path) -> bytes:
@@ -67,7 +67,9 @@ def parse_numbers(element: Element, count: int, *, positive: bool = False) -> li
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(abs(number) <= MAX_NUMBER for number in numbers):
-        raise InputError(one_line(f"<{element.tag}> must be {count} finite numbers, got {text!r}", 200))
+        raise InputError(
+            one_line(f"<{element.tag}> must be {count} finite numbers up to {MAX_NUMBER:g}, got {text!r}", 200)
+        )
     if positive and min(numbers) <= 0:
         raise InputError(f"<{element.tag}> must be above 0, got {text}")
     return numbers

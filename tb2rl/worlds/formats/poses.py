@@ -102,7 +102,7 @@ class Scope:
 
 
 class State:
-    """State of a world or a model.
+    """Saved state of a world, a model or a link.
 
     Args:
         element: The <state>, or a <model> or <link> in a <state>; None: no saved state.

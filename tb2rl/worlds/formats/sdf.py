@@ -54,9 +54,9 @@ class _Reader:
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.omissions: defaultdict[str, Counter[str]] = defaultdict(Counter)  # names by reason
         self.slice = Slice(options.laser_height)
-        self._path, self._models, self._part_count = path, ModelPath(path, options.model_path), 0
+        self._path, self._model_path, self._part_count = path, ModelPath(path, options.model_path), 0
         self._read_xml, self._load_mesh = cache(read_xml), cache(load_mesh)
-        self._find_model = cache(self._models.find_model)
+        self._find_model = cache(self._model_path.find_model)
 
     def read(self, root: Element) -> None:
         """Read the first world of an <sdf>, or its models if it has no world."""
@@ -139,7 +139,7 @@ class _Reader:
             raise InputError(f"{label}: {error}") from None
 
     def _add_mesh(self, shape: Element, pose: np.ndarray, scale: np.ndarray, file: Path) -> None:
-        path = self._models.find(element_text(shape.find("uri")), file.parent)
+        path = self._model_path.find(element_text(shape.find("uri")), file.parent)
         if path is None:
             raise OmittedShape(_NOT_FOUND)
         if shape.find("submesh") is not None:
@@ -176,7 +176,7 @@ class ModelPath:
         self._folders = [*listed_folders, world_folder, world_folder / "models", world_folder.parent / "models"]
 
     def find(self, uri: str, within: Path) -> Path | None:
-        """Find the file or folder of a URI, None if there is none; the folder `within` contains the SDF file.
+        """Find the file or folder of a URI, None if there is none; `within` is the folder of the SDF file with the URI.
 
         Raises:
             InputError: If the URI leaves the search path.

@@ -13,7 +13,7 @@ from tb2rl.worlds.world import World
 
 CORRIDOR = (1.6, 1.0)  # [m] minimum width at difficulty 0 and 1
 WALL = 0.16  # [m] thickness
-_PASSAGE_SHARE = 2 * MIN_PASSAGE / CORRIDOR[0]  # required passage / corridor width on small floors: as at difficulty 0
+_PASSAGE_SHARE = 2 * MIN_PASSAGE / CORRIDOR[0]  # highest ratio of passage to corridor width: the one at difficulty 0
 _MIN_TREE = 0.75  # minimum share of the blocks in the tree; the other blocks are solid
 
 

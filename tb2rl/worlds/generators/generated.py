@@ -69,8 +69,8 @@ def solvable(
 ) -> World:
     """Draw worlds until a robot can reach at least `MIN_REACHABLE` of the floor from the start.
 
-    The start is the point farthest from all walls. The goal is the point with the longest path from the start. The
-    difficulty determines the minimum width of the passages on this path.
+    The start is the point farthest from all walls; distances above `_MAX_CLEARANCE` count as equal. The goal is the
+    point with the longest path from the start. The difficulty determines the minimum width of the passages on it.
 
     Args:
         draw: Function of rng, difficulty (0 to 1) and size [m] that returns boxes and posts, without the outer wall.

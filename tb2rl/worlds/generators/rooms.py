@@ -21,11 +21,11 @@ def rooms(rng: np.random.Generator, difficulty: float, size: Size) -> Shapes:
     side, door_width = (float(np.interp(difficulty, (0.0, 1.0), ends)) for ends in (SIDE, DOOR))
     columns, rows = (max(2, round(length / side)) for length in size)
     x, y = _borders(rng, columns, size[0]), _borders(rng, rows, size[1])
-    doors = spanning_tree(rng, columns, rows)
+    tree = spanning_tree(rng, columns, rows)
     boxes: list[BoxShape] = []
     for pair in adjacent_pairs(columns, rows):
         (c0, r0), (c1, r1) = sorted(pair)
-        width = door_width if rng.random() < EXTRA_DOORS or pair in doors else 0.0
+        width = door_width if rng.random() < EXTRA_DOORS or pair in tree else 0.0
         if c1 > c0:
             boxes += ((x[c1], centre, WALL, w, 0.0) for centre, w in _wall_parts(rng, y[r0], y[r0 + 1], width))
         else:

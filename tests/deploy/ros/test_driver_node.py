@@ -267,7 +267,7 @@ def test_odometry_with_invalid_numbers_is_ignored(wrong, robot, capsys):
         it.scan(odometry=False)
     assert it.commands()[-1] == STILL
     *_, warning, stopped = lines(capsys)
-    assert warning == "warning: odometry with an invalid orientation or an infinite number is ignored"
+    assert warning == "warning: odometry is ignored: its orientation is invalid, or a number is not finite or too large"
     assert stopped.startswith("stopped: the last odometry is 0.")
 
 
