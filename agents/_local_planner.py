@@ -76,7 +76,7 @@ class LocalPlanner(BasePolicy):
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         v, w = self.plan(self._view(observation.cpu().numpy().astype(float))).T
-        actions = np.column_stack([2.0 * v / self.vehicle.max_speed - 1.0, w / self.vehicle.turn_rate])
+        actions = np.column_stack([2.0 * v / self.vehicle.max_speed - 1.0, w / self.vehicle.max_turn_rate])
         return th.from_numpy(np.clip(actions, -1.0, 1.0).astype(np.float32))
 
     def _view(self, observations: np.ndarray) -> LocalView:

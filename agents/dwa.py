@@ -74,7 +74,7 @@ class DWA(LocalPlanner):
         **kwargs: Any,
     ) -> None:
         super().__init__(observation_space, action_space, vehicle, **kwargs)
-        dynamics = vehicle.max_speed, vehicle.turn_rate, acceleration, turn_acceleration
+        dynamics = vehicle.max_speed, vehicle.max_turn_rate, acceleration, turn_acceleration
         self._limits = _Limits(*dynamics, vehicle.period, horizon, vehicle.radius, gap)
         self._weights = _Weights(heading, clearance, speed, progress)
 

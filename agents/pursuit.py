@@ -63,11 +63,11 @@ class Pursuit(LocalPlanner):
         _choose_arcs(view, look, self.bends, self.vehicle.radius, self.gap, curvature, free, sides)
         drop = self.braking * self.vehicle.period  # [m/s] lost by braking for a period
         v = np.sqrt(drop**2 + 2.0 * self.braking * free) - drop  # stops within `free`; braking begins a period late
-        v = np.minimum(v, self.vehicle.turn_rate / np.maximum(np.abs(curvature), 1e-6))
+        v = np.minimum(v, self.vehicle.max_turn_rate / np.maximum(np.abs(curvature), 1e-6))
         v = np.minimum(v, self.vehicle.max_speed)
         bearing = np.arctan2(y, x)
         on_the_spot = [sides != 0.0, np.abs(bearing) > self.behind]
-        w = np.select(on_the_spot, [sides * self.vehicle.turn_rate, self.gain * bearing], v * curvature)
+        w = np.select(on_the_spot, [sides * self.vehicle.max_turn_rate, self.gain * bearing], v * curvature)
         v = np.select(on_the_spot, [0.0, 0.0], v)
         return np.column_stack([v, w])
 

@@ -35,8 +35,8 @@ class Odyssey(Wander):
 class Slow(KinematicSimulator):
     title = "simulator of slow robots"
 
-    def step(self, commands, duration, skip=None):
-        return super().step(0.5 * commands, duration, skip)
+    def step(self, commands, duration, inactive=None):
+        return super().step(0.5 * commands, duration, inactive)
 """
 ENTRY_POINTS = """
 [tb2rl.agents]

@@ -190,14 +190,14 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         if num_slots not in self._loops:
             self._loops[num_slots] = ControlLoop.open(self.scene, self.simulator, num_slots, processes=1)
         starts = [self._episode_start(number) for number in numbers]
-        records = run_episodes(self._loops[num_slots], policy, starts, clearance_from_laser=self.simulator.is_external)
+        ended = run_episodes(self._loops[num_slots], policy, starts, clearance_from_laser=self.simulator.is_external)
         finished: dict[int, Episode] = {}  # by number; episodes may end in another order
         threads = th.get_num_threads()
         th.set_num_threads(1)  # because the networks are small, and more threads only wait for each other
         try:
             for number in numbers:
                 while number not in finished:
-                    finished.update([next(records)])
+                    finished.update([next(ended)])
                 yield finished.pop(number)
         finally:
             th.set_num_threads(threads)

@@ -189,7 +189,7 @@ def suite_metrics(suite: Suite, scene: Scene, episodes: Sequence[SuiteEpisode]) 
     """The metrics of episodes in some worlds of a suite."""
     worlds, success = [e.world for e in episodes], np.array([e.success for e in episodes])
     distances, times = (np.array([getattr(episode, name) for episode in episodes]) for name in ("distance", "time"))
-    path_lengths, references_by_world = np.array(suite.path_lengths)[worlds], suite.references
+    path_lengths, references_by_world = np.array(suite.path_lengths)[worlds], suite.reference_lengths
     longest_tenth = np.argsort(-path_lengths, kind="stable")[: math.ceil(len(worlds) / 10)]
     shortest_distances = np.maximum(path_lengths - getattr(scene.task, "goal_radius", 0.0), _MIN_PATH_LENGTH)
     clearances = [e.min_clearance for e in episodes if e.success and e.min_clearance is not None]

@@ -9,6 +9,6 @@ class Vehicle:
 
     radius: float = 0.178  # [m] radius of the base
     max_speed: float = 0.65  # [m/s] speed at the continuous action 1, or of the fastest discrete action
-    turn_rate: float = 2.0  # [rad/s] turn rate at the continuous action 1; with discrete actions, the robot's limit
+    max_turn_rate: float = 2.0  # [rad/s] turn rate at the continuous action 1; with discrete actions, the robot's
     period: float = 0.1  # [s] control period
     directions: tuple[float, ...] | None = None  # [rad] of the beams, right to left; None: evenly over 180 degrees

@@ -146,15 +146,15 @@ class _Learner:
 
     def restore(self, content: Mapping[str, Any]) -> None:
         """Restore a checkpoint into the new algorithm and callbacks."""
-        run, evaluation_callback = self.run, self.callbacks.evaluation
+        run, evaluations = self.run, self.callbacks.evaluation
         file, settings = run.checkpoints[0], run.config.train  # the latest checkpoint
         load_parameters(self.algorithm, content, file)
         state.restore(content["training"], self.algorithm, self.callbacks, file)
         timesteps = self.algorithm.num_timesteps
-        if evaluation_callback and evaluation_callback.stopped_training:
+        if evaluations and evaluations.stopped_training:
             if settings.total_timesteps == content["config"]["train"]["total_timesteps"]:  # the total was not raised
                 raise InputError(f"{run.folder} has {describe_early_stop(settings, timesteps)}; {_EXTEND_HINT}")
-            evaluation_callback.clear_early_stop()
+            evaluations.clear_early_stop()
         run.drop_training_evaluations(after=timesteps)
         run.write_config()
 
@@ -176,25 +176,23 @@ class _Learner:
         """Learn, then save and evaluate the final policy."""
         run, algorithm = self.run, self.algorithm
         start_time, start_timesteps = time.monotonic(), algorithm.num_timesteps
-        evaluation_callback, checkpoint_callback = self.callbacks.evaluation, self.callbacks.checkpoint
-        with handle_termination_signals(checkpoint_callback.handle_signal):
+        evaluations, checkpoints = self.callbacks.evaluation, self.callbacks.checkpoint
+        with handle_termination_signals(checkpoints.handle_signal):
             with translate_learning_errors(algorithm, run):
                 remaining = run.config.train.total_timesteps - start_timesteps
                 algorithm.learn(remaining, self.callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
-            if not checkpoint_callback.stopped_training:  # else a signal stopped learning, after a checkpoint was saved
-                if evaluation_callback and not evaluation_callback.stopped_training:
-                    evaluation_callback.evaluate(progress_bar)
-                checkpoint_callback.save()  # after the evaluation, because its score is part of the checkpoint
+            if not checkpoints.stopped_training:  # else a signal stopped learning, after a checkpoint was saved
+                if evaluations and not evaluations.stopped_training:
+                    evaluations.evaluate(progress_bar)
+                checkpoints.save()  # after the evaluation, because its score is part of the checkpoint
         return FinishedTraining(
             run,
             timesteps=algorithm.num_timesteps - start_timesteps,
             seconds=time.monotonic() - start_time,
             episode_lengths=list(self.callbacks.statistics.lengths),
-            signal_number=checkpoint_callback.signal_number,
-            early_stop_timesteps=(
-                algorithm.num_timesteps if evaluation_callback and evaluation_callback.stopped_training else None
-            ),
+            signal_number=checkpoints.signal_number,
+            early_stop_timesteps=algorithm.num_timesteps if evaluations and evaluations.stopped_training else None,
         )
 
 

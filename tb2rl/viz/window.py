@@ -58,9 +58,7 @@ class Window:
             if self._pipe.poll(_OPENING_TIMEOUT) and self._pipe.recv():
                 return
         self.close()
-        raise InputError(
-            "PyBullet's window needs a display with OpenGL; use --video FILE.mp4, or unset DISPLAY to do without it"
-        )
+        raise InputError("PyBullet's window needs a display with OpenGL; use --video FILE.mp4, or unset DISPLAY")
 
     def show(self, initial_state: InitialState, pose: np.ndarray, dynamic_obstacles: np.ndarray | None = None) -> bool:
         """Show the robot at a pose (3,), and dynamic obstacles by their outlines (obstacles, 6).

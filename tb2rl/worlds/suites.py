@@ -49,7 +49,7 @@ class Suite:
         path_lengths: Length of the shortest path from start to goal in each world [m], see `shortest_path_length`.
         time_limit: Time limit of an episode [s].
         goal_radius: Distance at which the goal is reached [m]; None: the goal radius of the task.
-        references: Length of the reference path of the BARN score in each world [m]; None: a suite without this score.
+        reference_lengths: Lengths of the reference paths of the BARN score [m], one per world; None: no such score.
         path: File or folder of the worlds; None: the worlds are generated.
     """
 
@@ -59,15 +59,15 @@ class Suite:
     path_lengths: tuple[float, ...]
     time_limit: float
     goal_radius: float | None = None
-    references: tuple[float, ...] | None = None
+    reference_lengths: tuple[float, ...] | None = None
     path: Path | None = None
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all obstacles, starts, goals and references, rounded to 1e-6."""
+        """SHA-256 of all obstacles, starts, goals and reference lengths, rounded to 1e-6."""
         digest = hashlib.sha256()
         tables = [table for world in self.worlds for table in (world.boxes, world.posts, world.start, world.goal)]
-        for table in [*tables, self.references or ()]:
+        for table in [*tables, self.reference_lengths or ()]:
             numbers = np.round(np.asarray(table, dtype=float), 6) + 0.0  # no -0
             digest.update(repr(numbers.shape).encode() + numbers.astype("<f8").tobytes())
         return digest.hexdigest()
@@ -108,13 +108,13 @@ def barn(path: Path) -> Suite:
     Raises:
         InputError: If the path contains no such worlds (see `read_barn`), or a world has no path from start to goal.
     """
-    worlds, references = zip(*read_barn(path), strict=True)
+    worlds, reference_lengths = zip(*read_barn(path), strict=True)
     lengths = tuple(shortest_path_length(world, ROBOT_RADIUS) for world in worlds)
     for world, length in zip(worlds, lengths, strict=True):
         if not math.isfinite(length):
             raise InputError(f"{path}: world {world.name} has no path from its start to its goal")
     families, limits = ("barn",) * len(worlds), (_BARN_TIME_LIMIT, _BARN_GOAL_RADIUS)
-    return Suite("barn", worlds, families, lengths, *limits, references, path)
+    return Suite("barn", worlds, families, lengths, *limits, reference_lengths, path)
 
 
 def _randomise_start_and_goal(world: World, number: int) -> tuple[World, float]:

@@ -111,7 +111,7 @@ def test_it_drives_by_its_name_within_the_limits_of_the_robot(name, robot):
     config = resolve(name, "navigate", settings={"task.robot": robot, "task.world": "wall", "agent.gap": 0.03})
     policy = make_baseline(config)
     fastest = config.scene.actions.commands(np.ones((1, 2)))
-    np.testing.assert_array_equal(fastest, [[policy.vehicle.max_speed, policy.vehicle.turn_rate]])
+    np.testing.assert_array_equal(fastest, [[policy.vehicle.max_speed, policy.vehicle.max_turn_rate]])
     assert (policy.vehicle.radius, policy.vehicle.period) == (config.scene.robot.radius, config.task.control_period)
     assert evaluate(policy, config, episodes=1, steps=20, workers=1).summary()["failure_free_rate"] == 1.0
 

@@ -34,7 +34,7 @@ class Unicycles:
         self.commands[indices] = 0.0
         return self.robot_state(np.arange(self.num_envs)), self.robot_state(indices)
 
-    def step(self, commands, duration, skip=None):
+    def step(self, commands, duration, inactive=None):
         (v, w), yaw = commands.T, self.pose[:, 2]
         self.commands, self.travelled = commands, np.abs(v) * duration
         self.pose += duration * np.column_stack([np.cos(yaw) * v, np.sin(yaw) * v, w])

@@ -130,7 +130,7 @@ def test_the_longest_tenth_are_the_worlds_with_the_longest_paths(figures):
 
 
 def test_a_score_stands_where_there_are_reference_paths(figures):
-    found = figures(references=(10.0, 10.0, 20.0))  # OT 5, 5 and 10 s
+    found = figures(reference_lengths=(10.0, 10.0, 20.0))  # OT 5, 5 and 10 s
     assert found.barn_score == pytest.approx((5.0 / 10.0 + 0.0 + 10.0 / 20.0) / 3)
     assert "2024" in found.barn_formula
 

@@ -71,7 +71,7 @@ def test_a_result_has_its_metrics_and_a_film_of_each_failure(result, pages, tmp_
 
 
 def test_without_failures_the_drive_nearest_to_an_obstacle_is_shown(known, pages, tmp_path):
-    result = evaluated(known(time_limit=6.0, references=(8.0, 8.0, 8.0)), "pursuit")
+    result = evaluated(known(time_limit=6.0, reference_lengths=(8.0, 8.0, 8.0)), "pursuit")
     section = suite_section(tmp_path / "it.json", result)
     assert [(drive.world_name, film["ended"]) for drive, film in section.episodes] == [("at 1", "goal")]
     shown = pages(page([], [section]))

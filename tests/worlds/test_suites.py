@@ -53,7 +53,11 @@ def test_a_digest_depends_on_a_hundredth_of_a_millimetre_and_not_on_rounding():
     changes = {"boxes": world.boxes + 1e-5, "posts": world.posts + 1e-5, "start": (1e-5, 0, 0), "goal": (2, 1e-5, 0)}
     assert len({tiny(**{name: value}).digest for name, value in changes.items()} | {tiny().digest}) == 5
     assert tiny(posts=world.posts + 1e-9, start=(-1e-9, 0.0, 0.0)).digest == tiny().digest
-    assert replace(tiny(), references=(2.0,)).digest != replace(tiny(), references=(2.1,)).digest != tiny().digest
+    assert (
+        replace(tiny(), reference_lengths=(2.0,)).digest
+        != replace(tiny(), reference_lengths=(2.1,)).digest
+        != tiny().digest
+    )
 
 
 def yard(*more: tuple[float, float]) -> np.ndarray:
@@ -80,7 +84,7 @@ def test_worlds_of_barn_have_its_rules_and_its_reference_paths(tmp_path):
         assert (world.start, world.goal[:2]) == ((-2.25, 3.0, 1.57), (-2.25, 13.0))
         assert shapely.box(*world.bounds).covers(shapely.MultiPoint([world.start[:2], world.goal[:2]]).buffer(1.5))
     path = [(-2.25, 3.0), (-2.325, 5.175), (-2.325, 9.525), (-2.25, 13.0)]
-    assert suite.references[0] == pytest.approx(sum(math.dist(*pair) for pair in pairwise(path)))
+    assert suite.reference_lengths[0] == pytest.approx(sum(math.dist(*pair) for pair in pairwise(path)))
     assert suite.path_lengths[1] == pytest.approx(10.0, abs=0.15)
     assert suite.path_lengths[0] > suite.path_lengths[1], "round a post"
 
@@ -102,7 +106,10 @@ def test_a_copy_of_the_repository_has_the_same_worlds(place, worlds, tmp_path):
         text = f"<sdf version='1.6'><world name='default'>{posts}</world></sdf>"
         (folder / worlds / f"world_{number}.world").write_text(text)
     copy, archive = barn(tmp_path / "copy"), barn(saved(tmp_path, **ARRAYS))
-    assert ([world.name for world in copy.worlds], copy.references) == (["barn 4", "barn 12"], archive.references)
+    assert ([world.name for world in copy.worlds], copy.reference_lengths) == (
+        ["barn 4", "barn 12"],
+        archive.reference_lengths,
+    )
     assert copy.path_lengths == pytest.approx(archive.path_lengths, abs=1e-3)
     (folder / "path_files" / "path_4.npy").unlink()
     with pytest.raises(InputError, match=r"cannot read .*path_4.npy"):

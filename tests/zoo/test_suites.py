@@ -47,7 +47,7 @@ def set_suite(monkeypatch, small_suite):
     def find_suite(name: str, path: Path | None = None, last: float = 1.0):
         suite = small_suite(name, last=last)
         if path is not None:
-            vars(suite).update(families=("barn",) * 3, references=(2.0, 2.0, 2.0), path=path)
+            vars(suite).update(families=("barn",) * 3, reference_lengths=(2.0, 2.0, 2.0), path=path)
         return suite
 
     def set_suite(**changes) -> None:

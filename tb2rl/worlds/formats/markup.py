@@ -67,9 +67,7 @@ def parse_numbers(element: Element, count: int, *, positive: bool = False) -> li
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(abs(number) <= MAX_NUMBER for number in numbers):
-        raise InputError(
-            one_line(f"<{element.tag}> must be {count} finite numbers up to {MAX_NUMBER:g}, got {text!r}", 200)
-        )
+        raise InputError(one_line(f"<{element.tag}> must be {count} numbers up to {MAX_NUMBER:g}, got {text!r}", 200))
     if positive and min(numbers) <= 0:
         raise InputError(f"<{element.tag}> must be above 0, got {text}")
     return numbers
