@@ -47,7 +47,7 @@ BAD = {
     "climbs-encoded": (include("model://..%2F..%2F..%2F..%2F..%2F..%2Fetc%2Fpasswd"), "outside of the model path"),
     "climbs-mesh": (solid(shape="<mesh><uri>../../../../../../etc/passwd</uri></mesh>"), "outside of the model path"),
     "climbs-config": (include("model://config-climbs"), "outside of the model path"),
-    "pose": (solid("0 nan 0 0 0 0"), "6 finite numbers"),
+    "pose": (solid("0 nan 0 0 0 0"), "6 numbers up to 1e+06, got"),
     "zero-box": (solid(shape="<box><size>1 0 1</size></box>"), "above 0"),
     "zero-state": (solid().replace("</world>", "<state><model name='m'><scale>0 1 1</scale></model></state></world>"),
                    "above 0"),
