@@ -13,7 +13,7 @@ from tb2rl.core.errors import InputError
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", fixed_obs_mode=True)
 
 FORWARD, LEFT, RIGHT = 0, 1, 2
-ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # v, w of forward, left, right; v = -1: standstill
+ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # scaled v, w of forward, left, right
 
 
 class WallFollower(BasePolicy):
@@ -49,16 +49,16 @@ class WallFollower(BasePolicy):
             raise InputError(f"the wall follower needs at least 5 beams over 180 degrees, got {beams}")
         self.side, self.ahead, self.guard = side, ahead, guard
         self.tolerance, self.lost, self.look_ahead = tolerance, lost, look_ahead
-        angles = th.linspace(-90.0, 90.0, beams)
+        self._beams, angles = beams, th.linspace(-90.0, 90.0, beams)
         self._oblique = int((angles + 45.0).abs().argmin())
         self._beam_angle = math.radians(float(angles[self._oblique] - angles[0]))  # [rad] from the beam at -90 degrees
         self._right, self._front, self._left = angles < -25.0, angles.abs() <= 25.0, angles > 25.0
 
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         latest = observation[:, -observation.shape[1] // self._frame_stack :]
-        ranges = latest[:, : len(self._front)]
+        ranges = latest[:, : self._beams]
         abeam, oblique = ranges[:, 0], ranges[:, self._oblique]
-        # Angle of wall and heading, positive if the wall recedes ahead; from two sides of a triangle and their angle.
+        # Angle between wall and heading, positive if the wall recedes ahead; from both ranges and `_beam_angle`.
         angle = th.atan2(oblique * math.cos(self._beam_angle) - abeam, oblique * math.sin(self._beam_angle))
         distance = abeam * th.cos(angle) + self.look_ahead * th.sin(angle)
         right, front, left = (ranges[:, part].amin(dim=1) for part in (self._right, self._front, self._left))

@@ -80,7 +80,7 @@ def policy_zip(tmp_path_factory):
         ("--trust {zip} new --agent random", ["random", "does not learn"]),
         ("--trust {zip} new --agent ppo", ["policy.zip", "stable_baselines3:PPO"]),
         ("--trust {zip} new --agent dqn --set task.beams=9", ["the policy has the observation space"]),
-        ("zoo:maze-loop-dqn new --agent dqn", ["--agent needs --trust"]),
+        ("zoo:maze-loop-dqn new --agent dqn", ["--agent is for a local zip with --trust"]),
         ("zoo:maze-loop-dqn /proc/none/x.zip", ["cannot write", "/proc/none"]),
     ],
 )

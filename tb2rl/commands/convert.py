@@ -24,7 +24,7 @@ def export_policy(reference: str | Path, file: Path, trust: bool = False) -> lis
     algorithm = load(reference, trust)
     check_output(file)
     if hasattr(algorithm, "replay_buffer_class"):
-        algorithm.replay_buffer_class = None  # Stable-Baselines3 selects the class again; it warns about a stored class
+        algorithm.replay_buffer_class = None  # Stable-Baselines3's `load` selects one; it can warn about a stored one
     algorithm.save(file)
     env = algorithm.get_vec_normalize_env()
     if env is None:
@@ -57,14 +57,14 @@ def _import_policy(file: Path, options: argparse.Namespace) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Convert a policy to a zip, or with `--trust` a zip to a run."""
+    """Convert a policy to a zip, or with `--trust` a local zip to a run."""
     source, is_on_hub = Path(options.source), options.source.startswith(HUB)
     if options.trust and not is_on_hub:
         if not options.agent:
             raise InputError("--trust needs --agent, the agent whose algorithm wrote the zip")
         _import_policy(source, options)
         return
-    refuse(options, "needs --trust", "agent", "task", "set")
+    refuse(options, "is for a local zip with --trust", "agent", "task", "set")
     if source.suffix == ".zip" and not is_on_hub:
         raise InputError(f"loading {options.source} executes code in the zip; pass --trust to allow it")
     for file in export_policy(options.source, options.target, options.trust):

@@ -19,7 +19,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the compiled loader i
 
 
 def top_folder(name: str) -> Path:
-    """The folder `agents`, `configs` or `zoo`, beside the package in a checkout, or inside the installed package."""
+    """The folder `agents`, `configs` or `zoo`; in a checkout, `tb2rl.__path__` contains the package's parent, too."""
     return next(folder for parent in tb2rl.__path__ if (folder := Path(parent, name)).is_dir())
 
 

@@ -93,7 +93,7 @@ class Executor(AbstractContextManager["Executor"]):
             shared: Arguments for all calls.
 
         Raises:
-            InputError: If a call raised one, the workers of a retried call died too often, or there are no workers.
+            InputError: If a call raised one, if its workers died too often, or if there are no workers.
             RuntimeError: If a call raised another exception; the message has its traceback.
         """
         jobs = [Job(f"part {number}", (item,)) for number, item in enumerate(items)]

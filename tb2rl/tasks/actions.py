@@ -22,8 +22,8 @@ class Actions(ABC):
 
     Attributes:
         space: Gymnasium's action space.
-        names: Names of the kinds of actions, for charts, maps and films.
-        table: v [m/s] and w [rad/s] of the named commands, or of the two ends of the ranges, shape (n, 2).
+        names: Labels of actions in charts, maps and films, see `kinds`.
+        table: v [m/s] and w [rad/s] of the named commands, or the lowest and highest velocities, shape (n, 2).
     """
 
     space: spaces.Space
@@ -36,7 +36,7 @@ class Actions(ABC):
         return float(np.abs(self.table[:, 0]).max())
 
     def clipped_to(self, robot: Robot) -> Self:
-        """The same actions, with commands clipped to the robot's limits."""
+        """These actions, with `table` clipped to the robot's limits."""
         clipped = copy(self)
         clipped.table = robot.clip_commands(self.table)
         return clipped
@@ -105,7 +105,7 @@ class Commands(Actions):
         return np.asarray(actions, dtype=np.int64)
 
     def checked(self, action: Any) -> np.ndarray:
-        with suppress(TypeError):  # raised for a float or an array
+        with suppress(TypeError):  # raised for a float, or an array with axes
             index = operator.index(action)
             if 0 <= index < len(self.names):
                 return np.array([index])

@@ -11,8 +11,8 @@ from filelock import FileLock
 
 from tb2rl.training.trackers import MLFLOW_URI, TrackedRun, Tracker, runs_folder, translate_tracker_errors
 
-# MLflow reads these variables on import. They disable telemetry and messages about new tables, and shorten the timeout
-# for an unreachable server from minutes to 15 s.
+# MLflow reads these variables on import. They disable telemetry and messages about a new database, and shorten the
+# timeout for an unreachable server from minutes to 15 s.
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
 os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "3")
@@ -51,7 +51,7 @@ class Mlflow(Tracker):
             experiment_id = self._experiment_id(artifact_uri)
         if not self._continue_run():
             settings = [Param(key, str(value)[:_MAX_PARAMETER_LENGTH]) for key, value in training.settings.items()]
-            self.remember(self._client.create_run(experiment_id, run_name=training.name).info.run_id, step=0)
+            self.save_run(self._client.create_run(experiment_id, run_name=training.name).info.run_id, step=0)
             self._client.log_batch(self.id, params=settings)
 
     def _experiment_id(self, artifact_uri: str | None) -> str:
@@ -94,4 +94,4 @@ class Mlflow(Tracker):
         if self._buffer:
             metrics, self._buffer = self._buffer, []
             self._client.log_batch(self.id, metrics)
-            self.remember(str(self.id), metrics[-1].step)
+            self.save_run(str(self.id), metrics[-1].step)

@@ -41,7 +41,7 @@ class Tracker(KVWriter, ABC):
 
     Attributes:
         training: Description of the training.
-        id: Id of the tracker's own run, from the last call of `remember`; None for a new training.
+        id: Id of the tracker's own run, from the last call of `save_run`; None for a new training.
         ended: How the training ended: "finished", "interrupted" or "failed". It is set before `close` is called.
     """
 
@@ -92,7 +92,7 @@ class Tracker(KVWriter, ABC):
                 print(f"warning: {error}; the training continues without it", file=sys.stderr, flush=True)
             self._can_write = False
 
-    def remember(self, run_id: str, step: int) -> None:
+    def save_run(self, run_id: str, step: int) -> None:
         """Save the id and the last step of the tracker's own run in the run folder, for a resumed training."""
         self.id = run_id
         write_text(self._state_file, json.dumps({"id": run_id, "step": step}) + "\n")

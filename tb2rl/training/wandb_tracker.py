@@ -42,13 +42,13 @@ class Wandb(Tracker):
                 reinit="create_new",  # because other runs of this process may be active
                 settings=wandb.Settings(mode=os.environ.get("WANDB_MODE") or "offline", **_PRIVACY_SETTINGS),
             )
-        self.remember(self._run.id, self._tracked_until)
+        self.save_run(self._run.id, self._tracked_until)
 
     @_translate()
     def track(self, step: int, figures: Mapping[str, float], pictures: Mapping[str, np.ndarray]) -> None:
         images = {key: wandb.Image(picture) for key, picture in pictures.items()}
         self._run.log({**figures, **images}, step=step)
-        self.remember(self._run.id, step)
+        self.save_run(self._run.id, step)
 
     @_translate()
     def close(self) -> None:

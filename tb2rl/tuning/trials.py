@@ -18,7 +18,7 @@ from tb2rl.tuning.training import run_trial
 
 _MAX_HISTORY = 300  # latest finished trials that a job gets for its pruner; limited, because each has half a kilobyte
 _POLL_PERIOD = 0.5  # [s] period of checking the trials of other processes
-_HAS_HEARTBEAT = "has_heartbeat"  # user attribute of a trial; without heartbeats, Optuna never regards it as stale
+_HAS_HEARTBEAT = "has_heartbeat"  # user attribute; to Optuna, a trial that never had a heartbeat is never stale
 _COUNTED = (TrialState.COMPLETE, TrialState.PRUNED)  # states that count towards `n_trials`
 
 
@@ -90,7 +90,7 @@ def ask(folder: StudyFolder, study: Study, n_trials: int, record_heartbeat: Call
     with folder.lock():
         fail_stale_trials(study)
         for running_trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            # Its process died in this function, which holds the lock; Optuna fails only trials that had a heartbeat.
+            # We have the lock, so the process of a trial without a heartbeat died in here; Optuna would never fail it.
             if _HAS_HEARTBEAT not in running_trial.user_attrs:
                 study.tell(running_trial.number, state=TrialState.FAIL)
         trials = study.get_trials(deepcopy=False)

@@ -33,12 +33,12 @@ Bounds = tuple[float, float, float, float]  # min x, min y, max x, max y [m]
 class World:
     """Obstacles, start and goal of a world.
 
-    The constructor checks start, goal and bounds; `from_shapes` also checks the shapes.
+    The constructor checks goal and bounds, `check_start` the room at the start, and `from_shapes` the shapes.
 
     Attributes:
         boxes: Rows of x, y, half length, half width [m], cos(yaw), sin(yaw), shape (boxes, 6).
         posts: Rows of x, y, radius [m] of circles, shape (posts, 3).
-        start: Start pose x [m], y [m], yaw [rad], unless a task draws start poses.
+        start: Start pose x [m], y [m], yaw [rad]; start poses that a task draws are reachable from it.
         goal: Goal pose; None: the world has no goal.
         bounds: Rectangle of the world.
         description: One line for the user.
@@ -160,12 +160,12 @@ class World:
             return InputError(f"world {self.name}: the start ({x:g}, {y:g}) is outside the bounds")
         return InputError(
             f"world {self.name}: the start ({x:g}, {y:g}) is inside a wall or nearer than {clearance:g} m to a wall or "
-            f"bound, so there is no free space; move the start, or, if task.start_clearance is {clearance:g}, lower it"
+            f"bound, so there is no free space; move the start, or lower task.start_clearance if that is {clearance:g}"
         )
 
     def clearance(self, x: float, y: float) -> float:
         """Distance from a point to the nearest obstacle [m]; 0 inside an obstacle."""
-        return clearance_at(x, y, self.spatial_index, 0)  # world 0 of the index
+        return clearance_at(x, y, self.spatial_index, 0)  # 0: the only world of its index
 
     def contains(self, point: Point) -> bool:
         """Whether a point [m] is within the bounds."""
@@ -213,7 +213,7 @@ def _shape_table(shapes: Iterable[Iterable[float]], shape_name: str, owner: str)
 
 
 def _parse_numbers(values: Any, names: Sequence[str], label: str) -> list[float]:
-    """Parse finite numbers with these names, above 0 for sizes; `label` stands for the values in messages."""
+    """Parse finite numbers with these names, above 0 for sizes; `label` names the values in messages."""
     try:
         numbers = np.array(values, dtype=float)
     except (TypeError, ValueError):

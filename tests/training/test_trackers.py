@@ -32,7 +32,7 @@ MINE = """
         def track(self, step, figures, pictures):
             shapes = {key: picture.shape for key, picture in pictures.items()}
             self.write_line(step=step, figures=figures, pictures=shapes)
-            self.remember("mine", step)
+            self.save_run("mine", step)
 
         def close(self):
             self.write_line(ended=self.ended)

@@ -1,4 +1,4 @@
-"""The interface between a driver and a policy.
+"""The interface between `Driver` and a policy.
 
 Frames follow REP 103: x forward, y left, angles counter-clockwise, metres, radians and seconds. The origin of the
 robot's frame is on the floor below the middle of the axle. The odometry frame is fixed to the floor.
@@ -77,7 +77,7 @@ class SensorData:
 
 
 class Policy(Protocol):
-    """Maps sensor data to commands; stores past frames and recurrent states itself."""
+    """Maps sensor data to commands; stores past observations and recurrent states itself."""
 
     needs: Needs
 

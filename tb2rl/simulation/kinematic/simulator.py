@@ -134,7 +134,7 @@ class KinematicSimulator:
             self._odometry[indices] = initial_state.pose
         elif not is_odometry_exact(initial_state.records):
             self._odometry = self._records["pose"].copy()
-        # Selecting these rows from the robot state of all environments would take four times as long.
+        # Made field by field: indexing the robot state of all environments would take four times as long.
         count = len(indices)
         zeros, zero_pairs, bumped = np.zeros(count), np.zeros((count, 2)), np.zeros(count, dtype=bool)
         motion = measured_motion = initial_state.pose, zero_pairs
@@ -241,12 +241,12 @@ def _fill_images(wall_depths, upward, lens_height, max_depth, images):
     """
     for robot in range(wall_depths.shape[0]):
         for row in range(upward.size):
-            rise, wall_end, depth_beyond = upward[row], np.inf, np.inf
+            rise, wall_end, floor_depth = upward[row], np.inf, np.inf
             if rise > 0.0:
                 wall_end = (WALL_HEIGHT - lens_height) / rise  # beyond this depth the ray is above the walls
             elif rise < 0.0:
-                wall_end = depth_beyond = -lens_height / rise  # there the ray meets the floor
+                wall_end = floor_depth = -lens_height / rise  # there the ray meets the floor
             for column in range(wall_depths.shape[1]):
                 wall_depth = wall_depths[robot, column]
-                depth = wall_depth if wall_depth <= wall_end else depth_beyond
+                depth = wall_depth if wall_depth <= wall_end else floor_depth
                 images[robot, row, column] = depth if depth <= max_depth else np.inf
