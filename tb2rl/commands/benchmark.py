@@ -33,6 +33,7 @@ BEAM_COUNTS = (6, 36, 720)
 ENV_COUNTS = (1, 64, 1024, 4096)
 NUM_PARALLEL = 16  # number of environments in parallel processes, as in the presets
 _BLOCK_STEPS = 50  # control steps of a single measurement
+_KINEMATIC_STEPS = 10  # the same in the kinematic simulator
 _MAX_PHYSICS_STEPS = 50_000  # maximum control steps of a training in PyBullet, which is slow
 
 
@@ -122,23 +123,21 @@ def measure_kinematic(options: argparse.Namespace) -> Iterator[Figure]:
     for beams, num_envs in product(BEAM_COUNTS, ENV_COUNTS):
         env, rng = _make_vec_env(num_envs, "raw", "kinematic", beams=beams), np.random.default_rng(0)
         times = _repeat(partial(_time_kinematic, env, rng), options.seconds / 5)
-        step, kernel = np.mean(times[2:], axis=0).tolist()  # without the first two, which started the threads
+        # Without the first two times, because those include the start of the threads.
+        step, kernel = (np.mean(times[2:], axis=0) / _KINEMATIC_STEPS).tolist()
         name = f"kinematic, {num_envs} environments, {beams} beams"
         yield Figure(f"{name}: step", num_envs / step, "steps/s")
         yield Figure(f"{name}: step / bare kernel", step / kernel, "ratio")
 
 
 def _time_kinematic(env: TurtleBot2VecEnv, rng: np.random.Generator) -> list[float]:
-    """Times of a VecEnv step and of the kernel [s]."""
+    """Times [s] of `_KINEMATIC_STEPS` VecEnv steps, and of as many calls of the kernel, which has its own memory."""
     simulator, scene = env.loop.simulator, env.loop.scene
     assert isinstance(simulator, KinematicSimulator)
-    action = rng.integers(len(scene.actions.names), size=env.num_envs)
-    commands, period = scene.actions.commands(action), scene.task.control_period
-    start = time.perf_counter()
-    env.step(action)
-    between = time.perf_counter()
-    simulator.step_robots(commands, period)
-    return [between - start, time.perf_counter() - between]
+    actions = rng.integers(len(scene.actions.names), size=(_KINEMATIC_STEPS, env.num_envs))
+    commands, period, next_actions = scene.actions.commands(actions[0]), scene.task.control_period, iter(actions)
+    step_time = timeit(lambda: env.step(next(next_actions)), number=_KINEMATIC_STEPS)
+    return [step_time, timeit(lambda: simulator.step_robots(commands, period), number=_KINEMATIC_STEPS)]
 
 
 def measure_training(options: argparse.Namespace) -> Iterator[Figure]:

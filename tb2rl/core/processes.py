@@ -12,7 +12,7 @@ from multiprocessing import connection, forkserver, resource_tracker, spawn
 from typing import Any
 
 # Modules that the fork server imports once for all workers.
-PRELOADED = ["tb2rl.envs.turtlebot2_env", "tb2rl.simulation.bullet.batch", "cloudpickle"]
+PRELOADED = ["tb2rl.evaluation.evaluate", "tb2rl.simulation.bullet.batch", "cloudpickle"]
 # Environment variables that limit a worker and its children to one thread each, because workers run in parallel.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "TB2RL_PROCESSORS": "1"}
 

@@ -4,6 +4,7 @@ PyBullet steps one client at a time and holds the interpreter lock meanwhile. A 
 client would be expensive. Therefore each process has several clients, and robot states are in shared memory.
 """
 
+import multiprocessing
 import os
 import pickle
 import time
@@ -76,7 +77,8 @@ class BulletBatch:
         self._parts = [slice(int(part[0]), int(part[-1]) + 1) for part in parts]  # environments of each process
         # The first part belongs to this process, which would otherwise be idle while the other processes step.
         self._group = SimulatorGroup(spec, len(parts[0]))
-        context, record_type = process_context(), self._group.record_type
+        # A worker process has a batch in one process, and should not start another fork server for it.
+        context, record_type = process_context() if parts[1:] else multiprocessing, self._group.record_type
         self._columns = record_type.names or ()
         memory = context.RawArray("b", num_envs * record_type.itemsize)
         self._records = np.frombuffer(memory, record_type)
