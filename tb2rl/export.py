@@ -1,9 +1,9 @@
-"""Export a policy: an ONNX file, or a folder with a numpy program for a robot.
+"""Export a policy: an ONNX file, or a folder for numpy on a robot.
 
     python -m tb2rl.export zoo:drive-loop-ppo policy.onnx
     python -m tb2rl.export zoo:drive-loop-ppo robot
 
-The input of an ONNX file is the observation, as for `predict`; the export needs the extra `export`. The program
+The input of an ONNX file is the observation, as for `predict`; the export needs the extra `export`. The numpy program
 in the folder computes the observation from scans, odometry, bumper and goal. Both select the greedy action.
 """
 

@@ -38,7 +38,7 @@ def measured(monkeypatch, workdir):
 def test_the_kinematic_simulator_is_measured_without_pybullet(measured, monkeypatch, capsys):
     monkeypatch.setattr(bullet, "SIMULATOR", replace(bullet.SIMULATOR, unavailable=lambda: "is not installed"))
     values = measured("kinematic", "--seconds", "0.01")
-    assert values["kinematic, 100 environments, 6 beams: step / bare kernel"] > 0
+    assert values["kinematic, 100 x 6 beams: step / bare kernel"] > 0
     printed = capsys.readouterr().out
     assert all(name in printed for name in values)
 

@@ -52,7 +52,7 @@ def interrupt(driven, monkeypatch):
 def test_only_the_result_at_the_task_of_the_training_is_written_into_the_run_folder(run, capsys):
     command.main([str(run), *UNSEEN, "--workers", "1", "--set", "task.laser_noise=0.1"])
     assert list(run.glob("suite*")) == []
-    assert "not kept: a run folder" in capsys.readouterr().out
+    assert "not written: only a run folder" in capsys.readouterr().out
     command.main([str(run), *UNSEEN, "--workers", "1"])
     written = json.loads((run / "suite-unseen.json").read_text())
     assert written["figures"].keys() == {"all", "a", "b"}

@@ -125,7 +125,7 @@ def measure_kinematic(options: argparse.Namespace) -> Iterator[Figure]:
         times = _repeat(partial(_time_kinematic, env, rng), options.seconds / 5)
         # Without the first two times, because those include the start of the threads.
         step, kernel = (np.mean(times[2:], axis=0) / _KINEMATIC_STEPS).tolist()
-        name = f"kinematic, {num_envs} environments, {beams} beams"
+        name = f"kinematic, {num_envs} x {beams} beams"
         yield Figure(f"{name}: step", num_envs / step, "steps/s")
         yield Figure(f"{name}: step / bare kernel", step / kernel, "ratio")
 

@@ -31,7 +31,7 @@ class EvaluationCallback(StatefulCallback):
         stopped_training: Whether this callback stopped the training.
     """
 
-    saved_attributes = ("_next", "_reached", "stopped_training", "_best", "_clock")
+    saved_attributes = ("_next", "_reached", "stopped_training", "_best", "_elapsed")
 
     def __init__(self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None = None) -> None:
         super().__init__()
@@ -40,19 +40,19 @@ class EvaluationCallback(StatefulCallback):
         self.clear_early_stop()
         self._next = self.settings.eval_freq  # timesteps of the next evaluation
         self._best = (-sys.float_info.max, -sys.float_info.max)  # score of the best evaluation
-        self._clock = 0.0  # the setter starts the clock
+        self._elapsed = 0.0  # the setter starts the clock
 
     def clear_early_stop(self) -> None:
         """Reset `stopped_training`, and the number of evaluations that reached `train.stop_score`."""
         self.stopped_training, self._reached = False, 0  # consecutive evaluations that reached `train.stop_score`
 
     @property
-    def _clock(self) -> float:
+    def _elapsed(self) -> float:
         """Wall-clock time of the training [s], including the time before it was resumed."""
         return round(time.monotonic() - self._start_time, 3)
 
-    @_clock.setter
-    def _clock(self, seconds: float) -> None:
+    @_elapsed.setter
+    def _elapsed(self, seconds: float) -> None:
         self._start_time = time.monotonic() - seconds
 
     def _on_step(self) -> bool:
@@ -75,7 +75,7 @@ class EvaluationCallback(StatefulCallback):
             "timesteps": self.num_timesteps,
             **evaluation.summary(),
             "seconds": round(time.monotonic() - start_time, 3),
-            "elapsed": self._clock,
+            "elapsed": self._elapsed,
             "best": score > self._best,
         }
         if summary["best"]:

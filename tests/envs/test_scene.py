@@ -88,7 +88,7 @@ def test_a_changed_scene_has_other_settings_and_the_same_objects():
 
 def test_a_world_too_narrow_for_the_robot_is_refused_however_it_starts(tmp_path):
     (tmp_path / "narrow.yaml").write_text("cell: 0.3\ndrawing: |\n  ###\n  #S#\n  ###\n")
-    words = r"world narrow: the start .* nearer than 0\.178 m to a wall.* task\.start_clearance is 0\.178, lower it"
+    words = r"world narrow: the start .* nearer than 0\.178 m to a wall.* lower task\.start_clearance if that is 0\.178"
     for start in ("fixed", "random"):
         with pytest.raises(InputError, match=words):
             make_scene(Wander(world=str(tmp_path / "narrow.yaml"), start=start), "raw")

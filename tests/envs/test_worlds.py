@@ -126,7 +126,7 @@ def test_an_empty_folder_holds_no_world(tmp_path):
 
 
 def test_a_start_without_room_is_refused_before_anything_drives():
-    words = r"world maze 0 \(training\): the start .* if task.start_clearance is 0.9, lower it"
+    words = r"world maze 0 \(training\): the start .* lower task.start_clearance if that is 0.9"
     with pytest.raises(InputError, match=words):
         make_scene(Wander(world={"generator": "maze", "worlds": 2, "difficulty": 1.0}, start_clearance=0.9), "raw")
 

@@ -26,7 +26,7 @@ LIES = [  # training, place in its state, change, part of the message
     ("dqn", "replay_buffer/pos", lambda position: position - 1, "observations"),
     ("sac", "replay_buffer/observations", lambda seen: seen.astype(np.float64), "observations"),
     ("dqn", "generators/numpy/state/pos", lambda _: 10**6, "numpy's generator"),
-    ("qlearn", "generators/own/_rng", lambda _: {"bit_generator": "MT19937"}, "ValueError"),
+    ("qlearn", "generators/sb3/_rng", lambda _: {"bit_generator": "MT19937"}, "ValueError"),
     ("qlearn", "environments/loop/simulator/pose", lambda poses: poses[:-1], "environments.loop.simulator.pose"),
     ("qlearn", "environments/loop/simulator/initial_state", lambda start: start + 1e6, "unknown world or goal"),
     ("qlearn", "callbacks", lambda states: [{}, *states[1:]], "EpisodeStatistics"),
