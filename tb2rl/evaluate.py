@@ -27,7 +27,7 @@ from tb2rl.core.command import ArgumentParser, between, command
 from tb2rl.execution.arguments import add_executor_arguments
 
 
-@command("evaluate")
+@command("evaluate", uses_workers=True)
 def main(parser: ArgumentParser) -> None:
     """Evaluate a policy, print a table, write JSON."""
     add = parser.add_argument

@@ -75,3 +75,15 @@ def test_a_baseline_is_evaluated_by_its_name_at_another_task(short, tmp_path, ca
     written = json.loads((tmp_path / "it.json").read_text())
     assert (written["policy"], written["config"]["task"]["name"]) == ("wallfollower", "wall")
     assert "goal reached" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "starts"), [([], 1), (["--workers", "1"], 0), (["--simulation", "kinematic"], 0)]
+)
+def test_the_fork_server_starts_before_the_slow_imports_if_there_will_be_workers(arguments, starts, monkeypatch):
+    calls = []
+    monkeypatch.setattr("tb2rl.core.command.processors", lambda: 2)
+    monkeypatch.setattr("tb2rl.core.command.process_context", lambda: calls.append("start"))
+    monkeypatch.setattr("tb2rl.core.command.import_object", lambda reference: lambda options: calls.append(reference))
+    command.main(["zoo:maze-loop-ppo", *arguments])
+    assert calls == ["start"] * starts + ["tb2rl.commands.evaluate:run"]

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from tb2rl.core.errors import InputError, WorldWarning, one_line
 from tb2rl.core.plugins import import_object
+from tb2rl.core.processes import process_context, processors
 
 
 class ArgumentParser(argparse.ArgumentParser):
@@ -33,6 +34,7 @@ class Command:
 
     name: str
     add_arguments: Callable[[ArgumentParser], None]
+    uses_workers: bool = False  # whether it has `--simulation` and `--workers`, and the default simulator needs workers
 
     def parse(self, arguments: list[str] | None = None) -> argparse.Namespace:
         """Parse a command line, by default that of the program."""
@@ -45,15 +47,17 @@ class Command:
     def __call__(self, arguments: list[str] | None = None) -> None:
         with report_errors():
             options = self.parse(arguments)
+            if self.uses_workers and options.simulation is None and (options.workers or processors()) > 1:
+                process_context()  # the fork server imports torch while this process does
             import_object(vars(options).pop("run"))(options)
 
 
-def command(name: str) -> Callable[[Callable[[ArgumentParser], None]], Command]:
+def command(name: str, uses_workers: bool = False) -> Callable[[Callable[[ArgumentParser], None]], Command]:
     """Make a decorator that replaces a function `main(parser)`, which only fills the parser, by a `Command`.
 
     The first line of its module's docstring is the description in `--help`.
     """
-    return functools.partial(Command, name)
+    return functools.partial(Command, name, uses_workers=uses_workers)
 
 
 def between(low: float, high: float, number_type: type[int] | type[float] = int) -> Callable[[str], float]:
