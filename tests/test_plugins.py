@@ -129,5 +129,6 @@ def test_an_error_inside_a_users_module_shows_as_it_is(write_package):
 
 @pytest.mark.parametrize(("find", "kind"), [(find_agent, "agent"), (find_world, "world")])
 def test_a_module_with_its_ending_is_refused_with_the_right_words(find, kind):
-    with pytest.raises(InputError, match=rf"^{kind}: cannot import 'errand\.py:IT': .* module:Class, without \.py or"):
+    words = rf"^{kind}: cannot import 'errand\.py:IT': .* module:Class, without \.py or \.__main__$"
+    with pytest.raises(InputError, match=words):
         find("errand.py:IT")

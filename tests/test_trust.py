@@ -10,7 +10,7 @@ import pytest
 from tb2rl.core.errors import InputError
 from tb2rl.core.files import top_folder
 from tb2rl.core.plugins import import_object
-from tb2rl.core.trust import block_imports, distrust
+from tb2rl.core.trust import block_imports, untrusted_source
 from tb2rl.runs.loading import load
 from tb2rl.tasks.task import find_task
 from tb2rl.training.training import resume
@@ -57,7 +57,7 @@ def test_a_module_beside_a_run_folder_is_imported(evil):
 
 
 def test_an_untrusted_config_may_name_common_modules():
-    with distrust("ada"):
+    with untrusted_source("ada"):
         for reference in ("tb2rl.agents.qlearn:QLearning", "stable_baselines3:PPO", "torch.nn:ReLU"):
             assert import_object(reference).__name__ == reference.partition(":")[2]
 
@@ -65,7 +65,7 @@ def test_an_untrusted_config_may_name_common_modules():
 def test_an_untrusted_config_may_name_no_other_module(evil):
     own = "__main__:Mine", "evil:Mine", "tb2rl.evil:Mine", "tb2rl.zoo.sharing:push"  # the third is beside a checkout
     for reference in ("os:system", *own, "torches:X", "x" * 10_000 + ":X", ""):
-        with distrust("ada"), distrust("bob"), pytest.raises(InputError) as refused:
+        with untrusted_source("ada"), untrusted_source("bob"), pytest.raises(InputError) as refused:
             import_object(reference)
         assert str(refused.value).startswith("ada names the module '" + reference.partition(":")[0][:50])
         assert str(refused.value).endswith("trust=True, or --trust")
@@ -75,12 +75,18 @@ def test_an_untrusted_config_may_name_no_other_module(evil):
 
 
 def test_no_reference_runs_the_program_of_a_package():
-    with distrust("ada"), pytest.raises(InputError, match="it should read module:Class"):
+    with untrusted_source("ada"), pytest.raises(InputError, match="it should read module:Class"):
         import_object("torch.utils.__main__:main")
 
 
-@pytest.mark.parametrize("group", ["tb2rl.tasks", "tb2rl.filters", "tb2rl.simulators"])
-def test_an_installed_plugin_is_trusted(write_package, group):
-    write_package(f"[{group}]\nmine = mine:Mine\n", mine=TASK)
-    with distrust("ada"):
-        assert find_task("mine:Mine").__name__ == "Mine"
+def test_an_installed_plugin_is_trusted(write_package):
+    write_package("[tb2rl.tasks]\nmine = mine:Mine\n", mine=TASK)
+    with untrusted_source("ada"):
+        assert find_task("mine") is find_task("mine:Mine")
+
+
+@pytest.mark.parametrize("kind", ["filters", "simulators"])
+def test_plugins_of_all_kinds_in_configs_are_trusted(write_package, kind):
+    write_package(f"[tb2rl.{kind}]\nmine = mine:Mine\n", mine=TASK)
+    with untrusted_source("ada"):
+        assert import_object("mine:Mine").__name__ == "Mine"

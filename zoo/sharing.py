@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from jinja2 import UndefinedError
 
 import tb2rl
-from tb2rl.core import InputError, distrust, read_text, write_text
+from tb2rl.core import InputError, read_text, untrusted_source, write_text
 from tb2rl.envs.worlds import paths_in
 from tb2rl.evaluation.evaluation import load_evaluation
 from tb2rl.runs import Config, checkpoint_file, config_from, read_checkpoint, write_checkpoint
@@ -45,7 +45,7 @@ def push(options: argparse.Namespace) -> None:
             api.upload_folder(repo_id=repository, folder_path=folder, commit_message=f"tb2rl {tb2rl.__version__}")
     print(f"{reference} is on the hub; see it drive: python -m tb2rl.play {reference}")
     try:
-        with distrust(reference):
+        with untrusted_source(reference):
             config_from(run.config.to_dict())
     except InputError as error:
         print(f"others need the same modules and --trust: {error}")

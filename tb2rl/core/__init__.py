@@ -8,4 +8,4 @@ from tb2rl.core.errors import InputError, UnknownArgumentError, one_line, unknow
 from tb2rl.core.files import check_output, find_file, read_text, read_yaml, top_folder, write_json, write_text
 from tb2rl.core.plugins import agent_names, find_plugin, import_object, make_part, reference_to, simulator_names
 from tb2rl.core.signals import exit_by_signal, handle_termination_signals, ignore_termination_signals
-from tb2rl.core.trust import block_imports, check_file_allowed, distrust
+from tb2rl.core.trust import block_imports, check_file_allowed, untrusted_source

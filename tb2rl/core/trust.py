@@ -19,7 +19,7 @@ _source: ContextVar[str | None] = ContextVar("_source", default=None)  # origin 
 
 
 @contextmanager
-def distrust(source: str) -> Iterator[None]:
+def untrusted_source(source: str) -> Iterator[None]:
     """During the block, configs may refer to no files, and only to modules of `PACKAGES` and of installed plugins.
 
     `source` is the origin of the config for messages, such as "hf:user/repository". In nested blocks, the outermost

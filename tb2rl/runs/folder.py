@@ -32,7 +32,7 @@ import yaml
 from filelock import FileLock, Timeout
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.core import InputError, block_imports, distrust, one_line
+from tb2rl.core import InputError, block_imports, one_line, untrusted_source
 from tb2rl.core.files import read_text, read_yaml, write_json, write_text
 from tb2rl.core.values import checked
 from tb2rl.runs.algorithm import statistics_of
@@ -200,7 +200,7 @@ def restrict_imports(folder: Path | None, trust: bool) -> Iterator[None]:
     """
     blocking = block_imports(folder) if folder else nullcontext()
     is_untrusted = folder and is_shared(folder) and not trust
-    with blocking, distrust(str(folder)) if is_untrusted else nullcontext():
+    with blocking, untrusted_source(str(folder)) if is_untrusted else nullcontext():
         yield
 
 

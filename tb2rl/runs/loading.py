@@ -22,7 +22,7 @@ import numpy as np
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from tb2rl.core import InputError, distrust, one_line, top_folder, unknown
+from tb2rl.core import InputError, one_line, top_folder, unknown, untrusted_source
 from tb2rl.core.errors import install_extra
 from tb2rl.core.values import CountOrZero, checked
 from tb2rl.runs.algorithm import load_statistics, make_algorithm, policy_with_normalization
@@ -52,7 +52,7 @@ def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
         InputError: If the policy does not exist, is damaged, or needs `trust`.
     """
     file, source = checkpoint_file(reference, trust), str(reference)
-    with distrust(source) if source.startswith(HUB) and not trust else nullcontext():
+    with untrusted_source(source) if source.startswith(HUB) and not trust else nullcontext():
         content, folder = read_checkpoint(file), run_folder(file)
         config = checkpoint_config(content, file, trust)
         # People review only the config file, so it must equal the config in the checkpoint.
