@@ -44,16 +44,22 @@ def test_the_kinematic_simulator_is_measured_without_pybullet(measured, monkeypa
 
 
 @pytest.mark.slow
-def test_pybullet_is_measured_alone_and_in_processes(measured):
+@pytest.mark.flaky(reruns=1)  # it compares processor times
+def test_pybullet_is_measured_alone_and_in_processes(measured, monkeypatch):
+    rates, measure_rate = list[float](), work._measure_rate
+    monkeypatch.setattr(work, "_measure_rate", lambda *args: rates.append(measure_rate(*args)) or rates[-1])
     values = measured("physics", "--seconds", "0.5")
     assert 1 < values["PyBullet, 6 beams: step / bare stepping"] < 3
     assert values["PyBullet, 6 beams: bare stepping in it"] > 0.05  # [ms]
-    together, alone = "PyBullet, 2 environments in parallel processes", values["PyBullet, one environment alone"]
+    parallel, alone = np.array(rates).reshape(-1, 2).T
+    assert values["PyBullet, 2 environments in parallel processes"] == pytest.approx(np.median(parallel))
+    assert values["PyBullet, one environment alone"] == pytest.approx(np.median(alone))
     shares = [value for name, value in values.items() if name.startswith("PyBullet, 2 in parallel / (")]
-    assert shares == [pytest.approx(values[together] / alone / processors(), rel=0.5)]
+    assert shares == [pytest.approx(np.median(parallel / alone) / processors())]
 
 
 @pytest.mark.slow
+@pytest.mark.flaky(reruns=1)  # it compares times
 def test_the_time_to_trained_ends_with_the_first_evaluation_that_passes(measured, monkeypatch):
     monkeypatch.setattr(work, "evaluate", partial(evaluate, simulation="kinematic"))
     values = measured("training", "trained", "--seeds", "2")

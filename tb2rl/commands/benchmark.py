@@ -69,21 +69,21 @@ def _repeat(measure: Callable[[], Sequence[float]], seconds: float) -> np.ndarra
 
 
 def _time_physics(env: TurtleBot2Env, rng: np.random.Generator) -> tuple[float, float]:
-    """Mean times of an environment step and of its bare physics [s], for the same motion from the same state."""
+    """Mean CPU times of an environment step and of its bare physics [s], for the same motion from the same state."""
     simulator: Any = env.simulator
     actions = rng.integers(len(env.scene.actions.names), size=_BLOCK_STEPS)
     before, steps, done, bare_time = simulator.state(), 0, False, 0.0
-    start = time.perf_counter()
+    start = time.process_time()
     while steps < _BLOCK_STEPS and not done:
         done = True in env.step(actions[steps])[2:4]  # terminated, truncated
         steps += 1
-    total_time = time.perf_counter() - start
+    total_time = time.process_time() - start
     after = simulator.state()
     simulator.restore(before)
     simulator.set_duration(env.task.control_period)
     for command in env.scene.actions.commands(actions[:steps]).tolist():
         simulator.set_wheel_speeds(command)
-        bare_time += timeit(simulator.advance, number=1)
+        bare_time += timeit(simulator.advance, timer=time.process_time, number=1)
     simulator.restore(after)
     if done:
         env.reset()

@@ -132,7 +132,8 @@ class Scene:
 
     def for_purpose(self, purpose: Purpose) -> Scene:
         """The same scene in worlds generated for a purpose; without generated worlds, the scene itself."""
-        return self.in_worlds(find_worlds(self.task.world, purpose)) if are_generated(self.task.world) else self
+        worlds = find_worlds(self.task.world, purpose) if are_generated(self.task.world) else None
+        return self.in_worlds(worlds) if worlds else self
 
     def in_worlds(self, worlds: tuple[World, ...], **settings: Any) -> Scene:
         """A copy of the scene with the given worlds, not those of `task.world`, and with changed settings of the task.

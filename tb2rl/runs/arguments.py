@@ -74,7 +74,7 @@ def checked_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, A
 
 
 def algorithm_arguments(settings: Mapping[str, Any], action_space: spaces.Space) -> dict[str, Any]:
-    """Convert agent settings from their YAML form to the arguments of the algorithm.
+    """Convert settings that `checked_arguments` returned from their YAML form to the arguments of the algorithm.
 
     - Schedule: {start: 0.5, end: 0.05, fraction: 0.8} is linear over this fraction of the training.
     - `action_noise`: {sigma: 0.1} is the standard deviation of Gaussian noise on actions.
@@ -83,10 +83,9 @@ def algorithm_arguments(settings: Mapping[str, Any], action_space: spaces.Space)
     arguments: dict[str, Any] = dict(settings)
     for key, value in settings.items():
         if is_schedule(value):
-            arguments[key] = LinearSchedule(*astuple(build(_LinearSchedule, value, f"agent.{key}")))
+            arguments[key] = LinearSchedule(*map(float, astuple(_LinearSchedule(**value))))
     if arguments.get("action_noise") is not None:
-        noise = build(_GaussianNoise, arguments["action_noise"], "agent.action_noise")
-        sigma = np.full(action_space.shape or (), noise.sigma)
+        sigma = np.full(action_space.shape or (), float(arguments["action_noise"]["sigma"]))
         arguments["action_noise"] = NormalActionNoise(np.zeros_like(sigma), sigma)
     if arguments.get("policy_kwargs") is not None:
         arguments["policy_kwargs"] = {

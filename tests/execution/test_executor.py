@@ -181,7 +181,7 @@ def test_workers_end_with_the_program_without_a_traceback(engine, ending, to_gro
     assert process.returncode == (130 if ending == signal.SIGINT else -ending)
     assert error == ""
     workers = [int(note.read_text()) for note in notes]
-    wait_until(lambda: not any(map(is_running, workers)), "the workers end", 30)
+    wait_until(lambda: not any(map(is_running, workers)), "the workers end", 120)
 
 
 def wait_until(condition, what: str, seconds: float) -> None:
