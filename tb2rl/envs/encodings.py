@@ -186,7 +186,7 @@ def _clip(values, low, high, numbers):
     """Clip `values` (num_envs, n) to `low` and `high` (n,), and write them to `numbers` (num_envs, n), float32."""
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
-            numbers[i, j] = min(max(values[i, j], low[j]), high[j])
+            numbers[i, j] = max(min(np.float32(values[i, j]), high[j]), low[j])  # in float32 it takes 20 % less time
 
 
 @njit(cache=True)

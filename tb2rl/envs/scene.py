@@ -132,8 +132,10 @@ class Scene:
 
     def for_purpose(self, purpose: Purpose) -> Scene:
         """The same scene in worlds generated for a purpose; without generated worlds, the scene itself."""
-        worlds = find_worlds(self.task.world, purpose) if are_generated(self.task.world) else None
-        return self.in_worlds(worlds) if worlds else self
+        if not are_generated(self.task.world):
+            return self
+        worlds = find_worlds(self.task.world, purpose)
+        return self.in_worlds(worlds)
 
     def in_worlds(self, worlds: tuple[World, ...], **settings: Any) -> Scene:
         """A copy of the scene with the given worlds, not those of `task.world`, and with changed settings of the task.

@@ -14,7 +14,7 @@ from tb2rl.core.compiled import NO_REFCOUNT, njit
 from tb2rl.worlds.spatial_index import BOX, POST, WORLD, cell_of
 
 _MIN_DIVISOR = 1e-12  # replaces divisors nearer to 0, of rays parallel to a side, because 0 * (1 / 0) is NaN
-_FASTMATH = {"nsz", "nnan", "arcp", "contract", "reassoc"}  # LLVM flags with which loops over beams are vectorized
+_FASTMATH = {"nsz", "nnan", "arcp", "contract", "reassoc"}  # for LLVM to vectorize loops; ranges are never NaN
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
@@ -86,11 +86,18 @@ def _cast_without_grid(pose, beams, spatial_index, world_id, scratch, ranges, ro
             ranges[row, i] = hit if is_nearer else ranges[row, i]
 
 
-@njit(cache=True, **NO_REFCOUNT, forceinline=True)
+@njit(cache=True, **NO_REFCOUNT, fastmath=_FASTMATH, forceinline=True)
 def limit_ranges(ranges, row, min_range, max_range):
-    """Clip a row of `ranges` (num_envs, beams) to at least `min_range`, and set ranges above `max_range` to inf."""
+    """Clip a row of `ranges` (num_envs, beams) to at least `min_range`, and set ranges above `max_range` to inf.
+
+    Returns:
+        The shortest range [m].
+    """
+    shortest = np.inf
     for i in range(ranges.shape[1]):
-        ranges[row, i] = np.inf if ranges[row, i] > max_range else max(ranges[row, i], min_range)
+        limited = np.inf if ranges[row, i] > max_range else max(ranges[row, i], min_range)
+        shortest, ranges[row, i] = min(shortest, limited), limited
+    return shortest
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
@@ -127,21 +134,13 @@ def sample_in_triangles(random_numbers, corners, cumulative_areas, poses):
         poses[i, 2] = math.tau * random_numbers[i, 3] - math.pi
 
 
-@njit(cache=True, fastmath={"nnan", "nsz"})  # to vectorize the loop; ranges are never NaN
-def shortest_range(ranges, row):
-    """Shortest range in a row of `ranges` (num_envs, beams)."""
-    nearest = np.inf
-    for i in range(ranges.shape[1]):
-        nearest = min(nearest, ranges[row, i])
-    return nearest
-
-
-@njit(cache=True)
+@njit(cache=True, fastmath=_FASTMATH)
 def shortest_ranges(ranges):
     """Shortest range in each row of `ranges` (num_envs, beams), shape (num_envs,); inf without beams."""
-    shortest = np.empty(ranges.shape[0])
+    shortest = np.full(ranges.shape[0], np.inf)
     for row in range(ranges.shape[0]):
-        shortest[row] = shortest_range(ranges, row)
+        for i in range(ranges.shape[1]):
+            shortest[row] = min(shortest[row], ranges[row, i])
     return shortest
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tb2rl.worlds.geometry import cast_many, clearance_at, limit_ranges, shortest_range
+from tb2rl.worlds.geometry import cast_many, clearance_at, limit_ranges, shortest_ranges
 from tb2rl.worlds.spatial_index import build_index
 
 AHEAD, LEFT, BEHIND, RIGHT = 0.0, math.pi / 2, math.pi, -math.pi / 2
@@ -55,9 +55,10 @@ def test_each_environment_sees_the_nearest_of_all_obstacles():
 
 def test_ranges_are_limited_and_their_minimum_is_found():
     ranges = np.array([[-0.1, 0.05, 0.1, 1.0, 30.0, 30.1, np.inf]])
-    limit_ranges(ranges, 0, 0.1, 30.0)
+    assert limit_ranges(ranges, 0, 0.1, 30.0) == 0.1
     assert ranges.tolist() == [[0.1, 0.1, 0.1, 1.0, 30.0, np.inf, np.inf]]
-    assert [shortest_range(np.array([[2.0, 1.0, np.inf], [np.inf] * 3]), row) for row in (0, 1)] == [1.0, np.inf]
+    assert limit_ranges(np.array([[30.1, np.inf]]), 0, 0.1, 30.0) == np.inf
+    assert shortest_ranges(np.array([[2.0, 1.0, np.inf], [np.inf] * 3])).tolist() == [1.0, np.inf]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from tb2rl.simulation.obstacles import motion
 from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
 from tb2rl.simulation.random_streams import normal, uniform
 from tb2rl.simulation.spec import PHYSICS_RATE
-from tb2rl.worlds.geometry import cast_beams, clearance_at, limit_ranges, shortest_range
+from tb2rl.worlds.geometry import cast_beams, clearance_at, limit_ranges
 
 CONTACT = 1.0e-4  # [m] a robot whose gap to an obstacle is smaller touches the obstacle
 _DROPPED_STREAM = np.uint64(0x5851F42D4C957F2D)  # its xor with the key of a laser's noise is the key for dropped beams
@@ -153,12 +153,11 @@ def scan(i, constants, robots, scratch, obstacles):
     if episode.bias != 0.0:
         for beam in range(beam_count):
             ranges[i, beam] += episode.bias
-    limit_ranges(ranges, i, constants.min_range, constants.max_range)
     if episode.dropped > 0.0:
         for beam in range(beam_count):
             if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < episode.dropped:
                 ranges[i, beam] = np.inf
-    robot.nearest_range = shortest_range(ranges, i)
+    robot.nearest_range = limit_ranges(ranges, i, constants.min_range, constants.max_range)
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
