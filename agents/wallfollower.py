@@ -13,7 +13,7 @@ from tb2rl.core.errors import InputError
 AGENT = Agent(algorithm=None, policy="tb2rl.agents.wallfollower:WallFollower", fixed_obs_mode=True)
 
 FORWARD, LEFT, RIGHT = 0, 1, 2
-ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # scaled v, w of forward, left, right
+ACTION_SPEEDS = th.tensor([[0.5, 0.0], [-0.85, 0.5], [-0.85, -0.5]])  # of forward, left, right; v = -1: standstill
 
 
 class WallFollower(BasePolicy):
@@ -57,10 +57,10 @@ class WallFollower(BasePolicy):
     def _predict(self, observation: th.Tensor, deterministic: bool = False) -> th.Tensor:
         latest = observation[:, -observation.shape[1] // self._frame_stack :]
         ranges = latest[:, : self._beams]
-        abeam, oblique = ranges[:, 0], ranges[:, self._oblique]
+        side_range, oblique = ranges[:, 0], ranges[:, self._oblique]
         # Angle between wall and heading, positive if the wall recedes ahead; from both ranges and `_beam_angle`.
-        angle = th.atan2(oblique * math.cos(self._beam_angle) - abeam, oblique * math.sin(self._beam_angle))
-        distance = abeam * th.cos(angle) + self.look_ahead * th.sin(angle)
+        angle = th.atan2(oblique * math.cos(self._beam_angle) - side_range, oblique * math.sin(self._beam_angle))
+        distance = side_range * th.cos(angle) + self.look_ahead * th.sin(angle)
         right, front, left = (ranges[:, part].amin(dim=1) for part in (self._right, self._front, self._left))
 
         action = th.full((len(observation),), FORWARD)

@@ -65,11 +65,11 @@ def test_suite_results_are_on_the_page_of_their_run_and_have_pages_of_their_own(
 def test_a_bag_has_a_page_of_its_own_or_is_on_the_page_of_a_run(trained_run, bag, workdir, capsys):
     (workdir / "hall.txt").write_text("#######\n#.S...#\n#######\n")
     report.main([str(bag), "--world", "{file: hall.txt}", "--topics", "odom=/ground_truth"])
-    assert "report.html: 1 drive, " in capsys.readouterr().out
+    assert "report.html: 1 bag, " in capsys.readouterr().out
     page = (workdir / "report.html").read_text(encoding="utf-8")
     assert [part for part in ("<title>drive.bag</title>", "in hall", "odom: /ground_truth") if part not in page] == []
     report.main([str(trained_run), str(bag), "--out", "it.html"])
-    assert "it.html: 1 run, 1 drive, " in capsys.readouterr().out
+    assert "it.html: 1 run, 1 bag, " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_a_bag_has_a_page_of_its_own_or_is_on_the_page_of_a_run(trained_run, bag
         ("zoo:maze-loop-ppo --out missing/it.html", ["cannot write missing/it.html"]),
         ("zoo:maze-loop-ppo --out .", ["cannot write ."]),
         ("BAG --world '[loop, circuit]'", ["--world takes one world, got 2"]),
-        ("BAG --world [1", ["--world is not YAML"]),
+        ("BAG --world [1", ["cannot parse --world as YAML"]),
         ("BAG --topics scan=/odom", ["no topic /odom of type sensor_msgs", "/kobuki/laser/scan"]),
     ],
 )

@@ -27,7 +27,7 @@ from tb2rl.worlds.suites import SUITES, find_suite
 from tb2rl.zoo.cards import card, percent, table
 from tb2rl.zoo.entry import UNSEEN_SUITE, Entry, entries, navigating_policies, select, suites_folder, zoo_folder
 
-_PYBULLET_USER = "the zoo, whose evaluations use PyBullet,"  # start of the message "... needs PyBullet"
+_PURPOSE = "the zoo, whose evaluations use PyBullet,"  # start of the message "... needs PyBullet"
 _SPEED_TOLERANCE = 0.02  # relative difference of mean speeds between machines
 _NUM_DRAWN = 30  # number of first episodes in a picture; later episodes are drawn only if they failed
 PICTURE = "paths.png"
@@ -35,7 +35,7 @@ PICTURE = "paths.png"
 
 def build(options: argparse.Namespace) -> None:
     """Train and evaluate the selected policies, and write the cards of all built entries and the README of the zoo."""
-    default_physics().check(_PYBULLET_USER)
+    default_physics().check(_PURPOSE)
     selected, _ = select(options.names)
     if not os.access(zoo_folder(), os.W_OK):
         raise InputError(f"the zoo's folder {zoo_folder()} is not writable")
@@ -43,9 +43,9 @@ def build(options: argparse.Namespace) -> None:
     barn = [] if options.barn is None else [find_suite("barn", options.barn)]
     with make_executor(options) as executor:
         train(selected, options.again, executor)
-        selected, yaml_policies = select(options.names)  # new objects, because entries cache their files
-        evaluate_in_other_worlds(selected, executor)
-    policies = [*navigating_policies(selected), *yaml_policies]
+        selected, suite_policies = select(options.names)  # new objects, because entries cache their files
+        evaluate_in_unseen_worlds(selected, executor)
+    policies = [*navigating_policies(selected), *suite_policies]
     for suite in [find_suite(UNSEEN_SUITE), *barn] if policies else []:
         for policy in policies:
             policy.evaluate_in(suite, options)
@@ -57,13 +57,13 @@ def build(options: argparse.Namespace) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Check cards and suite results, and the README if no names are given; exit with status 1 if there are problems."""
-    default_physics().check(_PYBULLET_USER)
+    default_physics().check(_PURPOSE)
     names, num_episodes = options.names, EPISODES if options.episodes is None else options.episodes
-    selected, yaml_policies = select(names)
+    selected, suite_policies = select(names)
     if not 1 <= num_episodes <= EPISODES:
         raise InputError(f"--episodes must be from 1 to {EPISODES}, got {num_episodes}")
     problems = [line for entry in progress(selected, "checking", "policy") for line in _problems(entry, num_episodes)]
-    policies = [*navigating_policies(selected), *yaml_policies]
+    policies = [*navigating_policies(selected), *suite_policies]
     files = [policy.file(suite) for policy in policies for suite in SUITES] if names else suites_folder().glob("*")
     files = [file for file in files if file.is_file()]
     valid = {policy.file(summary.suite) for policy in policies for summary in policy.summaries}
@@ -114,7 +114,7 @@ def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
         config = entry.recipe_config
         folder = default_folder(config).with_name(f"{name}-{datetime.now():%Y%m%d-%H%M%S}")
         jobs.append(Job(name, (config, str(folder), 0), folder))  # 0: `verbose` of `train_and_evaluate`
-    for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):  # `worlds`: none from files
+    for job, _ in executor.as_completed(train_and_evaluate, jobs, shared=[{}]):  # {}: no `worlds` from files
         assert job.folder is not None
         run, entry = Run.open(job.folder), to_train[job.name]
         draw(load_evaluation(run), job.folder / PICTURE)
@@ -125,8 +125,8 @@ def train(entries: Sequence[Entry], again: bool, executor: Executor) -> None:
         print(f"{job.name}: trained in {job.folder}", flush=True)
 
 
-def evaluate_in_other_worlds(entries: Sequence[Entry], executor: Executor) -> None:
-    """Evaluate policies in their `missing_worlds`, and write the summaries to their folders."""
+def evaluate_in_unseen_worlds(entries: Sequence[Entry], executor: Executor) -> None:
+    """Make the missing evaluations of policies in unseen worlds, and write the summaries to their folders."""
     missing = {f"{entry.name} in {world}": (entry, world) for entry in entries for world in entry.missing_worlds}
     jobs = [Job(name, (read_files(entry.folder), world)) for name, (entry, world) in missing.items()]
     for job, summary in executor.as_completed(_evaluate_in_world, jobs):

@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> None:
     suites = [suite_section(file, result, progress=True) for file, result in results]
     text = page(groups, suites, drives, progress=True)
     write_text(out, text)
-    counts = {"run": len(folders), "suite": len(results), "drive": len(drives)}
+    counts = {"run": len(folders), "suite": len(results), "bag": len(drives)}
     content = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in counts.items() if count)
     print(f"{out}: {content}, {len(text.encode()) / 1e6:.1f} MB")
 

@@ -19,7 +19,7 @@ _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the compiled loader i
 
 
 def top_folder(name: str) -> Path:
-    """The folder `agents`, `configs` or `zoo`; in a checkout, `tb2rl.__path__` contains the package's parent, too."""
+    """The folder `agents`, `configs` or `zoo`: in the package, or beside it in a checkout, see `tb2rl.__path__`."""
     return next(folder for parent in tb2rl.__path__ if (folder := Path(parent, name)).is_dir())
 
 
@@ -77,7 +77,7 @@ def parse_yaml(text: str, source: str) -> Any:
         _check_structure(text)
         return yaml.load(text, _Loader)
     except Exception as error:  # also errors of invalid tagged values, such as the KeyError of "!!bool maybe"
-        raise InputError(one_line(f"{source} is not YAML: {error}")) from None
+        raise InputError(one_line(f"cannot parse {source} as YAML: {error}")) from None
 
 
 def _check_structure(text: str) -> None:

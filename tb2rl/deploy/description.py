@@ -18,9 +18,9 @@ from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.tasks.actions import Commands, Velocities
 
 _SENSOR_ATTRIBUTES = ("name", "unit", "shape", "low", "high", "bins")
-_SENSOR_SETTINGS = ("around", "directions", "max_speeds", "near", "radius", "command_history_length")  # for `SENSORS`
+_SENSOR_SETTINGS = ("around", "directions", "max_speeds", "near", "radius", "command_history_length")  # of `SENSORS`
 _ODOMETRY_FIELDS = frozenset({"pose", "odometry", "odometry_twist", "twist", "acceleration", "position_history"})
-_SENSED_FIELDS = _ODOMETRY_FIELDS | {"ranges", "nearest", "bumped", "command", "command_history", "goal"}
+_SENSED_FIELDS = _ODOMETRY_FIELDS | {"ranges", "nearest_range", "bumped", "command", "command_history", "goal"}
 _DEFAULT_GOAL_RADIUS = 0.3  # [m] for tasks without `goal_radius` and `goal_tolerance`
 
 
@@ -76,7 +76,7 @@ def find_needs(scene: Scene) -> Needs:
     """Find the requirements of a policy that was trained in a scene.
 
     Raises:
-        InputError: If the policy observes what a driver lacks, such as the true pose, images or a second plan point.
+        InputError: If the policy observes what `Driver` lacks, such as the true pose, images or a second plan point.
     """
     task, laser = scene.task, scene.laser
     fields, lookaheads = set[str](), set[float]()
@@ -84,7 +84,7 @@ def find_needs(scene: Scene) -> Needs:
         if len(sensor.shape) == 3:
             raise InputError(one_line(f"sensor {sensor.name} reads images, and a driver has no camera"))
         probe = _Probe(sensor, scene.spec)
-        if "pose" in probe.fields and not probe.lookaheads:  # odometry's pose will do only with a lookahead point
+        if "pose" in probe.fields and not probe.lookaheads:  # odometry replaces it only for lookahead points
             raise _unavailable_error(sensor, "pose")
         fields, lookaheads = fields | probe.fields, lookaheads | probe.lookaheads
     if len(lookaheads) > 1:

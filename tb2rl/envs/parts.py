@@ -16,7 +16,7 @@ from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.random_streams import GeneratorSource
 from tb2rl.tasks import Actions, Outcome, Task
 
-_NUM_ENVS = 2  # of a dry run; with one, `if after.bumped` and arrays without a leading axis would pass
+_NUM_ENVS = 2  # of a dry run; with one, `if after.bumped` and arrays of a fixed length of 1 would pass
 
 SENSORS: dict[str, tuple[type[Sensor], ...]] = {  # by name in `task.observe`
     "bumper": (motion.Bumper,),
@@ -109,7 +109,8 @@ def _entries(setting: Sequence[str | Mapping[str, Any]]) -> Iterator[tuple[str, 
 def _checked_class(found: Any, base: type, where: str) -> Any:
     """Return `found` if it is a concrete class derived from `base`."""
     if not (isinstance(found, type) and issubclass(found, base)) or inspect.isabstract(found):
-        raise InputError(one_line(f"{where} is not a class derived from {base.__module__}.{base.__name__}"))
+        name = f"{base.__module__}.{base.__name__}"
+        raise InputError(one_line(f"{where} is not a class derived from {name} that defines its abstract methods"))
     return found
 
 
@@ -124,7 +125,7 @@ def checked_task_parts(task: Task, spec: SimulationSpec) -> tuple[Actions, tuple
     _require(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
     with np.errstate(all="ignore"):  # some tasks divide by a speed, which is 0 here
         goalless_worlds = [index for index, world in enumerate(spec.worlds) if task.goal_task and world.goal is None]
-        # Starts in world 0 and in each world without a goal, which random starts may miss; then in random worlds.
+        # In world 0, in each world without a goal, because a random draw may miss it, and in random worlds.
         for start_spec in (*map(spec.for_world, {0, *goalless_worlds}), spec):
             random = GeneratorSource(np.random.default_rng(0), _NUM_ENVS)
             initial_state = task.initial_state(start_spec, random)

@@ -72,7 +72,7 @@ class Evaluation:
 
     @property
     def score(self) -> tuple[float, float]:
-        """The key by which training compares checkpoints: the rounded success rate, then the mean return.
+        """Rounded success rate and mean return, by which training compares policies, see `train.best_by`.
 
         Success rates are rounded to half percents, so that one more success in a thousand episodes, which is chance,
         does not outweigh a higher return.
@@ -116,7 +116,7 @@ def load_evaluation(run: Run) -> Evaluation:
         fields_of_episodes = [{**plain, **dict(zip(_ARRAYS, values, strict=True))} for plain, *values in stored_rows]
         episodes: list[Episode] = checked(list[type_with_checks(Episode)], fields_of_episodes, "each")  # type: ignore[misc]
         scene = run.config.scene.for_purpose("test").with_time_limit(checked(Count, tree["steps"], "steps"))
-        if config_from(tree["config"]).task != run.config.task or not _are_possible(episodes, scene):
+        if config_from(tree["config"]).task != run.config.task or not _fit_scene(episodes, scene):
             raise ValueError("its task or its episodes do not match the task in config.yaml")
         seed, simulation = checked(int, tree["seed"], "seed"), find_simulator(tree["simulation"]).name
     except (LookupError, TypeError, ValueError) as error:  # an InputError is a ValueError
@@ -124,8 +124,8 @@ def load_evaluation(run: Run) -> Evaluation:
     return Evaluation(episodes, scene, seed, simulation)
 
 
-def _are_possible(episodes: Sequence[Episode], scene: Scene) -> bool:
-    """Whether there are episodes, and their paths, actions and worlds are possible in a scene."""
+def _fit_scene(episodes: Sequence[Episode], scene: Scene) -> bool:
+    """Whether there are episodes, and the shapes of their arrays and their worlds fit a scene."""
     return bool(episodes) and all(
         episode.path.shape == (episode.length + 1, 2)
         and episode.actions.shape == (episode.length, *(scene.action_space.shape or ()))

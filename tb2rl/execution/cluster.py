@@ -24,18 +24,18 @@ from tb2rl.core.files import read_files, write_files
 from tb2rl.core.processes import ONE_THREAD, processors
 from tb2rl.execution.executor import RETRIES, Executor, Job, Result, deserialize, run_job, serialize
 
-_OBJECT_STORE_SIZE = 2**28  # [bytes] size of the shared memory of a local Ray; larger objects are moved to the disk
+_OBJECT_STORE_SIZE = 2**28  # [bytes] size of the shared memory of a local Ray; what does not fit goes to the disk
 _CONNECT_TIMEOUT = 10  # [s]
 _NO_TELEMETRY = {"RAY_USAGE_STATS_ENABLED": "0"}
 # These variables make a local Ray listen only on 127.0.0.1, and give its workers the normal priority.
-_LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
+_LOCAL_RAY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
 
 # Environment variables that are copied to workers. Variables with secrets must be set on each machine.
 _FORWARDED_VARIABLES = ("MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME", "WANDB_MODE", "WANDB_PROJECT")
 
 _LIBRARY_FOLDERS = {"site-packages", "dist-packages"}
 _DATA_SUFFIXES = (".urdf", ".yaml", ".yml", ".json", ".obj", ".stl", ".dae", ".txt")  # files that modules may read
-_module_folders: list[TemporaryDirectory[str]] = []  # in a worker: the user's modules
+_module_folders: list[TemporaryDirectory[str]] = []  # of the user, in a worker; kept until it ends
 
 
 class RayExecutor(Executor):
@@ -108,7 +108,7 @@ def _connect(address: str | None, max_workers: int | None) -> Any:
     if not host or not port.isdigit():
         raise InputError(f"the address of a Ray cluster is HOST:PORT, as `ray start` prints it, got {address!r}")
     is_local = host in ("localhost", "127.0.0.1")
-    os.environ.update(_NO_TELEMETRY | (_LOOPBACK if is_local else {}))  # before Ray reads these variables on import
+    os.environ.update(_NO_TELEMETRY | (_LOCAL_RAY if is_local else {}))  # before Ray reads these variables on import
     try:
         import ray
     except ModuleNotFoundError:

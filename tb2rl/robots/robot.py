@@ -18,7 +18,7 @@ from pydantic import StrictFloat, StrictInt
 from tb2rl.core import InputError, find_plugin
 from tb2rl.core.values import build
 
-Positive = Annotated[StrictFloat, Gt(0)]  # strict, because compiled code needs floats, not numeric strings
+Positive = Annotated[StrictFloat, Gt(0)]  # strict, because `_check` discards converted values
 
 
 @dataclass(frozen=True)

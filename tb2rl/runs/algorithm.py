@@ -76,7 +76,7 @@ def check_trainable(config: Config) -> None:
 
 
 def settings_error(config: Config, reason: str) -> InputError:
-    """Make the error for rejected settings; it lists all settings, because libraries rarely tell the invalid one."""
+    """Make the error for rejected settings; it lists all settings, because libraries rarely name the invalid one."""
     settings = ", ".join(config.agent_arguments) or "all default"
     agent = f"agent {config.agent_name} with {config.observation} observations"
     return InputError(one_line(f"{agent} rejects its settings ({settings}): {reason}"))
@@ -124,7 +124,7 @@ def normalize(env: VecEnv, norm_obs: bool, norm_reward: bool) -> VecEnv:
     parts = space.spaces if isinstance(space, spaces.Dict) else {NUMBERS: space}
     keys = [key for key, part in parts.items() if isinstance(part, spaces.Box) and not is_image_space(part)]
     if norm_obs and not keys:
-        raise InputError("train.norm_obs normalises numbers, but the observations are classes or images; omit it")
+        raise InputError("train.norm_obs normalises numbers, but the observations are discrete or images; omit it")
     norm_obs_keys = keys if isinstance(space, spaces.Dict) else None
     return VecNormalize(env, norm_obs=norm_obs, norm_reward=norm_reward, norm_obs_keys=norm_obs_keys)
 
@@ -196,7 +196,7 @@ def _normalized_to_tensor(
 ) -> tuple[Any, bool]:
     """Normalize an observation like `VecNormalize.normalize_obs`, then call the policy's `obs_to_tensor`.
 
-    `normalize_obs` is not used, because policies are copied and pickled, and a `VecNormalize` permits this only once.
+    `normalize_obs` is not used, because policies are copied and pickled, and a copied `VecNormalize` cannot be copied.
     """
     parts = dict(observation) if isinstance(observation, dict) else {NUMBERS: observation}
     for key, moments in statistics.items():

@@ -1,4 +1,4 @@
-"""TurtleBot2Navigate: reach a goal in an unseen world."""
+"""TurtleBot2Navigate: reach a goal in any world."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from tb2rl.tasks.task import Beams, Clearance, Outcome, Period, Task, collision_
 from tb2rl.worlds import World
 from tb2rl.worlds.goal_paths import OWN_GOAL, RANDOM_GOALS, shortest_path_length
 
-_HISTORY_LENGTH = 3  # observed past commands: the latest, one for the latency of commands, one for that of observations
+_HISTORY_LENGTH = 3  # observed past commands: the latest, and one more for each latency (commands, observations)
 _MIN_APPROACH_SPEED = 0.02  # [m/s] a robot that approaches an obstacle at this speed causes the contact
 
 
@@ -103,7 +103,7 @@ class Navigate(Task):
             return initial_state
         world, goal_numbers = initial_state.world.astype(int), 1 + (random.uniform(2) * RANDOM_GOALS).astype(int)
         lengths = [spec.goal_paths.path_length(world, goal, initial_state.pose) for goal in goal_numbers.T]
-        farther = np.where(lengths[0] >= lengths[1], *goal_numbers.T)  # because few episodes should start at their goal
+        farther = np.where(lengths[0] >= lengths[1], *goal_numbers.T)  # so that few episodes start at their goal
         initial_state.records["goal_path"], initial_state.goal[:] = farther, spec.goal_paths.goals(world, farther)
         return initial_state
 

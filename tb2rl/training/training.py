@@ -93,7 +93,7 @@ def train_config(
     final_folder: Path | None = None,
     checkpoint: Mapping[str, Any] | None = None,
 ) -> FinishedTraining:
-    """Train with a config in a run folder.
+    """Train with a config, and write the run folder.
 
     Args:
         config: The config, see `resolve`.
@@ -147,7 +147,7 @@ class _Learner:
     def restore(self, content: Mapping[str, Any]) -> None:
         """Restore a checkpoint into the new algorithm and callbacks."""
         run, evaluations = self.run, self.callbacks.evaluation
-        file, settings = run.checkpoints[0], run.config.train  # the latest checkpoint
+        file, settings = run.checkpoints[0], run.config.train  # [0]: the latest
         load_parameters(self.algorithm, content, file)
         state.restore(content["training"], self.algorithm, self.callbacks, file)
         timesteps = self.algorithm.num_timesteps
@@ -229,7 +229,7 @@ def resume(
     run = Run.open(Path(folder))
     if not run.checkpoints:
         raise InputError(f"{folder} has no checkpoint to resume from")
-    file, old_total = run.checkpoints[0], run.config.train.total_timesteps  # the latest checkpoint
+    file, old_total = run.checkpoints[0], run.config.train.total_timesteps  # [0]: the latest
     content = read_checkpoint(file)
     # An earlier resume may have raised the total of the config, but ended before it saved a checkpoint.
     if _with_total(checkpoint_config(content, file), old_total) != run.config or "training" not in content:
@@ -263,7 +263,7 @@ def default_folder(config: Config, name: str | None = None) -> Path:
     parent = Path("runs", config.task_name.rpartition(":")[2], config.agent_name.rpartition(":")[2])
     if name:
         if Path(name).name != name or name == ".." or not name.isprintable():
-            raise InputError(f"--name is {name!r}; give a folder name of printable characters, without a path")
+            raise InputError(f"--name (name=) is {name!r}; give a folder name of printable characters, without a path")
         return parent / name
     timestamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     names = chain([timestamp], (f"{timestamp}-{number}" for number in count(2)))

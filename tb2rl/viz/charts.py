@@ -30,7 +30,7 @@ from tb2rl.tasks.task import DYNAMIC_COLLISION
 from tb2rl.viz.pictures import goals_in, group_by_world
 from tb2rl.worlds import World
 
-# Okabe and Ito 2008: colours that are distinct for the colour-blind, too.
+# Distinct for the colour-blind, too; most colours are those of Okabe and Ito 2008.
 GROUP_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f7f7f", "#e69f00", "#56b4e9", "#8c564b")
 ACTION_COLOURS = ("#9ecae9", "#e69f00", "#4b3a8c", "#009e73", "#cc79a7", "#f0e442", "#d55e00", "#6b7280")
 WIDTH = 4.2  # [in] width of a figure; small, so that the text stays readable on a phone
@@ -130,8 +130,8 @@ def draw_episodes(evaluation: Evaluation) -> Markup:
     dynamic obstacles have a separate colour.
     """
     scene = evaluation.scene
-    worlds = group_by_world(evaluation.episodes).items()
-    drawn_worlds = dict(sorted(worlds, key=lambda item: not any(episode.failed for episode in item[1]))[:MAX_WORLDS])
+    by_world = group_by_world(evaluation.episodes).items()
+    drawn_worlds = dict(sorted(by_world, key=lambda item: not any(episode.failed for episode in item[1]))[:MAX_WORLDS])
     figure, axes_by_world = world_figure([scene.spec.worlds[world] for world in drawn_worlds])
     for axes, (world, episodes) in zip(axes_by_world, drawn_worlds.items(), strict=True):
         paths, suffix = [episode.path for episode in episodes], f"-{world}" * (len(drawn_worlds) > 1)
@@ -149,7 +149,7 @@ def draw_episodes(evaluation: Evaluation) -> Markup:
 
 @matplotlib.rc_context(STYLE)
 def draw_heat_map(evaluation: Evaluation) -> Markup:
-    """Heat map of the positions in a single world: percentage of all control steps in each cell."""
+    """Heat map of the positions in a single world: percentage of all positions in each cell."""
     x0, y0, x1, y1 = evaluation.scene.world.bounds
     x, y = np.concatenate([episode.path for episode in evaluation.episodes]).T
     side = max(_MIN_CELL_SIDE, (x1 - x0) / _MAX_CELLS, (y1 - y0) / _MAX_CELLS)

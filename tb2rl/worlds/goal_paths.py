@@ -15,7 +15,7 @@ from tb2rl.core.compiled import njit
 from tb2rl.worlds.floor import CELL_SIZE, MAX_CELLS, Floor, RaggedTable, flood, nearest_cell
 from tb2rl.worlds.world import World
 
-RANDOM_GOALS = 4  # number of random goals in each world, besides the world's own goal
+RANDOM_GOALS = 4  # count of random goals in each world, besides the world's own goal
 OWN_GOAL = 0  # number of a world's own goal; the random goals have the numbers 1 to `RANDOM_GOALS`
 PREFERRED_GAP = 0.35  # [m] between robot and walls; cells with a smaller gap cost more
 _DOUBLE_COST_GAP = 0.15  # [m] cells with this gap cost about double; the additional cost grows with 1 / gap^2
@@ -138,8 +138,8 @@ def shortest_path_length(world: World, radius: float) -> float:
 def march(costs, row, column, cell_side):
     """Path length from all cells to the cell `row`, `column` [m], shape (rows, columns), float32.
 
-    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. A farther cell
-    with a shorter path is not used, because it may be behind a thin wall.
+    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. A cell farther
+    away may have a shorter path, but may be behind a thin wall.
 
     Args:
         costs: See `path_costs`, shape (rows, columns).

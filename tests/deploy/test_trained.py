@@ -110,6 +110,20 @@ def test_a_sensor_that_no_robot_has_is_refused(sensor, message, monkeypatch):
         TrainedPolicy(make_baseline(config), config)
 
 
+def test_a_sensor_reads_the_shortest_range_of_the_scan(monkeypatch):
+    nearest = []
+
+    def read(self, robot_state):
+        nearest.append(robot_state.nearest_range.tolist())
+        return robot_state.bumped[:, None]
+
+    monkeypatch.setattr(Bumper, "read", read)
+    config = resolve("random", "maze", settings={"task.observation": "raw", "task.observe": ["bumper"]})
+    trained = TrainedPolicy(make_baseline(config), config)
+    trained.act(SensorData(np.linspace(0.7, 2.0, len(trained.needs.beams))))
+    assert nearest[-1] == [0.7]
+
+
 def test_a_new_goal_on_the_way_keeps_the_last_commands(monkeypatch):
     config = resolve("pursuit", "navigate", settings={"task.world": "wall"})
     policy, seen = make_baseline(config), []

@@ -10,7 +10,7 @@ from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.runs.config import config_from, resolve
 
 MY_WORLD = "drawing: |\n  #####\n  #S..#\n  #...#\n  #####\n"
-PAIRS = [*zip(agent_names(), cycle(task_names()), strict=False)]  # every agent and every task
+PAIRS = [*zip(agent_names(), cycle(task_names()), strict=False)]  # every agent, with the tasks in turn
 CHANGES = [
     {"task.variation": {"preset": "strong", "latency": [0, 2], "bias": 0.1}},
     {"task.dynamic_obstacles": [{"boxes": 1, "path": [[0, 0], [1, 0]], "speed": 0.5}]},

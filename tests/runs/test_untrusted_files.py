@@ -94,7 +94,7 @@ def test_a_pickle_is_refused_and_runs_nothing(runs, refused, tmp_path):
             assert "is not a checkpoint" in refused(attempt, run.folder)
     (run.folder / "config.yaml").write_text(f"agent: !!python/object/apply:os.mkdir [{marker}]\n")
     for attempt in (load, resume):
-        assert "config.yaml is not" in refused(attempt, run.folder)
+        assert "config.yaml as YAML" in refused(attempt, run.folder)
     assert not marker.exists()
 
 

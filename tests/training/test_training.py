@@ -135,7 +135,7 @@ def test_a_run_has_a_name_of_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     train(name="mine", **BARE)
     assert (tmp_path / "runs/maze/qlearn/mine/config.yaml").is_file()
-    with pytest.raises(InputError, match=r"--name is '\.\./x'; give a folder name"):
+    with pytest.raises(InputError, match=r"--name \(name=\) is '\.\./x'; give a folder name"):
         train(name="../x")
     with pytest.raises(InputError, match="folder= and name= exclude each other"):
         train(name="x", folder="y")

@@ -42,7 +42,7 @@ class ObstacleArrays(NamedTuple):
     """Dynamic obstacles of all environments, for compiled code."""
 
     obstacles: np.ndarray  # records of type `OBSTACLE_TYPE`, shape (num_envs, obstacles)
-    streams: np.ndarray  # random stream of each environment: its key, and numbers drawn; shape (num_envs, 2), uint64
+    streams: np.ndarray  # random stream of each environment: its key, and count of draws; shape (num_envs, 2), uint64
     path_points: np.ndarray  # [m] x, y of the points of all paths, which are loops; shape (points, 2)
 
 
@@ -132,16 +132,16 @@ def as_records(table: np.ndarray, dtype: np.dtype) -> np.ndarray:
 
 
 def directions_to_nearest(poses: np.ndarray, outlines: np.ndarray) -> np.ndarray:
-    """Unit vectors (num_envs, 2) from poses (num_envs, 3) to the nearest of outlines (num_envs, obstacles, 6)."""
+    """Directions (num_envs, 2) in the world's frame, from poses to the nearest of outlines (num_envs, obstacles, 6)."""
     cos, sin, half_sizes = outlines[..., COS], outlines[..., SIN], outlines[..., [LENGTH, WIDTH]]
     dx, dy = np.moveaxis(poses[:, None, :2] - outlines[..., [X, Y]], -1, 0)
     position = np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=-1)  # in the obstacle's frame
     is_box = outlines[..., [WIDTH]] > 0.0
     # Vector to the nearest point of a box, or to the centre of a circle.
     offset = np.where(is_box, np.clip(position, -half_sizes, half_sizes), 0.0) - position
-    length = np.hypot(*np.moveaxis(offset, -1, 0))
-    distance = length - np.where(is_box[..., 0], 0.0, outlines[..., LENGTH])
+    norm = np.hypot(*np.moveaxis(offset, -1, 0))
+    distance = norm - np.where(is_box[..., 0], 0.0, outlines[..., LENGTH])
     nearest = np.arange(len(poses)), np.where(outlines[..., LENGTH] > 0.0, distance, np.inf).argmin(axis=1)
-    x, y = (offset[nearest] / np.maximum(length[nearest], _MIN_DISTANCE)[:, None]).T
+    x, y = (offset[nearest] / np.maximum(norm[nearest], _MIN_DISTANCE)[:, None]).T
     cos, sin = cos[nearest], sin[nearest]
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)

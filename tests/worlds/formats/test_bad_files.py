@@ -91,7 +91,7 @@ MAPS = {
     "bomb": (GOOD, b"P5\n60000 60000\n255\n", "cannot read the picture"),
     "noise": (GOOD, b"P5\n400 400\n255\n" + np.random.default_rng(0).bytes(160_000), "obstacles, the limit"),
     "occupied": (GOOD, b"P5\n4 4\n255\n" + b"\0" * 16, "no free floor"),
-    "not-yaml": ("image: map.pgm\nresolution: a: b\n", FREE, "is not YAML"),
+    "not-yaml": ("image: map.pgm\nresolution: a: b\n", FREE, "as YAML"),
     "huge-yaml": (GOOD + "more: [" + "1, " * 400_000 + "]\n", FREE, "too large"),
 }
 
