@@ -130,7 +130,7 @@ def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
         InputError: If the policy does not exist, or a setting is invalid.
     """
     if (options.policy is None) == (options.agent is None):
-        raise InputError("name one policy: run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY, or a rule's --agent")
+        raise InputError("name a policy: run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY, or non-learning --agent")
     settings = parse_settings(options.set)
     if options.agent is not None:
         config = resolve(options.agent, options.task, settings=settings)

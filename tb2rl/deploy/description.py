@@ -18,7 +18,7 @@ from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.tasks.actions import Commands, Velocities
 
 _SENSOR_ATTRIBUTES = ("name", "unit", "shape", "low", "high", "bins")
-_SENSOR_SETTINGS = ("around", "directions", "max_speeds", "near", "radius", "command_history_length")  # of `SENSORS`
+_SENSOR_SETTINGS = ("around", "directions", "max_speeds", "near", "radius", "command_history_length")  # for `SENSORS`
 _ODOMETRY_FIELDS = frozenset({"pose", "odometry", "odometry_twist", "twist", "acceleration", "position_history"})
 _SENSED_FIELDS = _ODOMETRY_FIELDS | {"ranges", "nearest_range", "bumped", "command", "command_history", "goal"}
 _DEFAULT_GOAL_RADIUS = 0.3  # [m] for tasks without `goal_radius` and `goal_tolerance`

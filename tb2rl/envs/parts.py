@@ -125,7 +125,7 @@ def checked_task_parts(task: Task, spec: SimulationSpec) -> tuple[Actions, tuple
     _require(isinstance(actions, Actions), f"{where}: actions must be Commands or Velocities{hint}", actions)
     with np.errstate(all="ignore"):  # some tasks divide by a speed, which is 0 here
         goalless_worlds = [index for index, world in enumerate(spec.worlds) if task.goal_task and world.goal is None]
-        # In world 0, in each world without a goal, because a random draw may miss it, and in random worlds.
+        # Initial states in world 0; in each world without a goal, which a random draw may miss; in random worlds.
         for start_spec in (*map(spec.for_world, {0, *goalless_worlds}), spec):
             random = GeneratorSource(np.random.default_rng(0), _NUM_ENVS)
             initial_state = task.initial_state(start_spec, random)

@@ -138,8 +138,8 @@ def shortest_path_length(world: World, radius: float) -> float:
 def march(costs, row, column, cell_side):
     """Path length from all cells to the cell `row`, `column` [m], shape (rows, columns), float32.
 
-    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance. A cell farther
-    away may have a shorter path, but may be behind a thin wall.
+    An unreachable cell gets the length of the nearest reachable cell, plus a cost for the distance, even if a
+    cell farther away has a shorter path, because that cell may be behind a thin wall.
 
     Args:
         costs: See `path_costs`, shape (rows, columns).
