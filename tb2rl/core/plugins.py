@@ -27,6 +27,7 @@ FILTERS = {"speed_limits": "tb2rl.envs.filters:SpeedLimits"}
 ROBOTS = {name: f"tb2rl.robots.{name}:ROBOT" for name in ("jackal", "turtlebot2", "turtlebot3")}
 SIMULATORS = {  # in the order of preference for evaluations
     "bullet": "tb2rl.simulation.bullet:SIMULATOR",
+    "mujoco": "tb2rl.simulation.mujoco:SIMULATOR",
     "kinematic": "tb2rl.simulation.kinematic:SIMULATOR",
     "ros": "tb2rl.deploy.ros.robot:SIMULATOR",
 }

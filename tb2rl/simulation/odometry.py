@@ -27,33 +27,43 @@ def is_odometry_exact(initial_states):
     return True
 
 
-def measure_arcs(arcs: np.ndarray, initial_state: InitialState) -> np.ndarray:
+@njit(cache=True)
+def measure_arcs(arcs, initial_states):
     """Measure arcs with the errors of encoders and gyros.
 
     Args:
         arcs: True lengths [m] and turns [rad], or speeds and turn rates, shape (num_envs, 2). For one robot, `arcs`
             may have any number of rows.
-        initial_state: Errors of each robot.
+        initial_states: Records with the errors of each robot, shape (num_envs,).
 
     Returns:
         Measured values, of the same shape.
     """
-    records = initial_state.records
-    half_difference = 0.5 * records["wheel_separation"] * arcs[:, 1]  # of the two wheels' arc lengths
-    left = (arcs[:, 0] - half_difference) * records["left_encoder"] / records["wheel_radius"]
-    right = (arcs[:, 0] + half_difference) * records["right_encoder"] / records["wheel_radius"]
-    encoder_turn, gyro = (right - left) / (records["wheel_separation"] * records["assumed_separation"]), records["gyro"]
-    turn = np.where(gyro == 0.0, encoder_turn, gyro * arcs[:, 1])
-    return np.stack([0.5 * (left + right), turn], axis=1)
+    measured = np.empty(arcs.shape)
+    for i in range(len(arcs)):
+        robot = initial_states[i if len(initial_states) > 1 else 0]
+        half_difference = 0.5 * robot.wheel_separation * arcs[i, 1]  # of the two wheels' arc lengths
+        left = (arcs[i, 0] - half_difference) * robot.left_encoder / robot.wheel_radius
+        right = (arcs[i, 0] + half_difference) * robot.right_encoder / robot.wheel_radius
+        encoder_turn = (right - left) / (robot.wheel_separation * robot.assumed_separation)
+        measured[i, 0] = 0.5 * (left + right)
+        measured[i, 1] = encoder_turn if robot.gyro == 0.0 else robot.gyro * arcs[i, 1]
+    return measured
 
 
-def integrate_odometry(odometry: np.ndarray, arcs: np.ndarray) -> np.ndarray:
-    """Add arcs (num_envs, 2), lengths [m] and turns [rad], to odometry (num_envs, 3)."""
-    half_turn = 0.5 * arcs[:, 1]
-    chord, heading = arcs[:, 0] * np.sinc(half_turn / math.pi), odometry[:, 2] + half_turn
-    yaw = odometry[:, 2] + arcs[:, 1]
-    yaw -= math.tau * np.floor((yaw + math.pi) / math.tau)
-    return np.stack([odometry[:, 0] + chord * np.cos(heading), odometry[:, 1] + chord * np.sin(heading), yaw], axis=1)
+@njit(cache=True)
+def integrate_odometry(odometry, arcs):
+    """Add arcs (num_envs, 2), lengths [m] and turns [rad], to odometry (num_envs, 3), in a new array."""
+    result = np.empty(odometry.shape)
+    for i in range(len(arcs)):
+        length, turn = arcs[i]
+        if turn != 0.0:
+            length *= math.sin(0.5 * turn) / (0.5 * turn)  # the chord of the arc
+        heading, yaw = odometry[i, 2] + 0.5 * turn, odometry[i, 2] + turn
+        result[i, 0] = odometry[i, 0] + length * math.cos(heading)
+        result[i, 1] = odometry[i, 1] + length * math.sin(heading)
+        result[i, 2] = yaw - math.tau * math.floor((yaw + math.pi) / math.tau)
+    return result
 
 
 def encoder_odometry(
@@ -71,7 +81,7 @@ def encoder_odometry(
     length, turn = (left[0] + right[0]) / 2, (right[0] - left[0]) / separation
     v, w = (left[1] + right[1]) / 2, (right[1] - left[1]) / separation
     if initial_state is not None:
-        (length, turn), (v, w) = measure_arcs(np.array([(length, turn), (v, w)]), initial_state).tolist()
+        (length, turn), (v, w) = measure_arcs(np.array([(length, turn), (v, w)]), initial_state.records).tolist()
     if turn:
         length *= math.sin(turn / 2) / (turn / 2)  # the chord of the arc
     heading = yaw + turn / 2

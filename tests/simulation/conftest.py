@@ -1,4 +1,4 @@
-"""Simulators that are closed after a test, and a robot to drive in PyBullet."""
+"""Simulators that are closed after a test, and a robot to drive in each physics."""
 
 import math
 from contextlib import ExitStack, closing
@@ -6,15 +6,15 @@ from contextlib import ExitStack, closing
 import numpy as np
 import pytest
 
-from tb2rl.core.plugins import robot_names
+from tb2rl.core.plugins import robot_names, simulator_names
 from tb2rl.robots.robot import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec, find_simulator
-from tb2rl.simulation.bullet.bodies import WALL_GROUP
-from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.worlds.description import parse_world
 from tb2rl.worlds.world import WALL_HEIGHT
 
+SIMULATORS = [name for name in simulator_names() if not find_simulator(name).is_external]
+PHYSICS = [name for name in SIMULATORS if find_simulator(name).is_physics]
 OPEN = {"boxes": [{"centre": [19, 19], "size": [1, 1]}], "bounds": [-20, -20, 20, 20]}
 
 
@@ -29,7 +29,7 @@ def _initial_state(spec: SimulationSpec, poses=None, world=0, **fields) -> Initi
 
 
 class Track:
-    """One robot in PyBullet, to be placed and driven."""
+    """One robot in a physics simulator, to be placed and driven."""
 
     def __init__(self, simulation) -> None:
         self.simulation, self.world, self.robot = simulation, simulation.spec.worlds[0], simulation.spec.robot
@@ -64,10 +64,22 @@ def robot(request):
     return find_robot(request.param)
 
 
-@pytest.fixture(params=["bullet", "kinematic"])
+def _available(name: str) -> str:
+    if find_simulator(name).unavailable():
+        pytest.skip(f"{find_simulator(name).title} {find_simulator(name).unavailable()}")
+    return name
+
+
+@pytest.fixture(params=SIMULATORS)
 def simulator(request):
     """The name of each simulator."""
-    return request.param
+    return _available(request.param)
+
+
+@pytest.fixture(params=PHYSICS)
+def physics(request):
+    """The name of each physics simulator."""
+    return _available(request.param)
 
 
 @pytest.fixture
@@ -78,14 +90,23 @@ def open_simulator():
 
 
 @pytest.fixture
+def make_physics(physics, open_simulator):
+    """A function from a spec to its simulator in each physics, which is closed after the test."""
+    return lambda spec: open_simulator(physics, spec)
+
+
+@pytest.fixture
 def make_bullet(open_simulator):
     """A function from a spec to its simulator in PyBullet, which is closed after the test."""
-    return lambda spec: open_simulator("bullet", spec)
+    return lambda spec: open_simulator(_available("bullet"), spec)
 
 
 @pytest.fixture
 def ray_ranges():
     """PyBullet's own ranges [m] of a simulator's world from a pose (3,) along angles (beams,), for the exact laser."""
+    pytest.importorskip("pybullet")
+    from tb2rl.simulation.bullet.bodies import WALL_GROUP
+    from tb2rl.simulation.bullet.client import pybullet
 
     def cast(simulation, pose, angles) -> np.ndarray:
         (x, y, yaw), length, height = pose, simulation.spec.laser.max_range, WALL_HEIGHT / 2
@@ -109,12 +130,12 @@ def begin():
 
 
 @pytest.fixture
-def make_track(make_spec, make_bullet):
+def make_track(make_spec, make_physics):
     """A function from a world file's content, the robot, and fields of its laser (else of one beam), to a `Track`."""
 
     def make(content=OPEN, robot=ROBOT, **laser) -> Track:
         world = parse_world({"start": [-2, 0, 0], "bounds": [-5, -5, 5, 5], **content}, "test")
-        return Track(make_bullet(make_spec(world, robot=robot, **{"beams": 1, **laser})))
+        return Track(make_physics(make_spec(world, robot=robot, **{"beams": 1, **laser})))
 
     return make
 

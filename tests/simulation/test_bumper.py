@@ -1,4 +1,4 @@
-"""Walls stop the robot in PyBullet, and its bumper detects every contact."""
+"""Walls stop the robot in each physics, and its bumper detects every contact."""
 
 import math
 
@@ -8,7 +8,6 @@ import shapely
 
 from tb2rl.robots.robot import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.worlds.registry import world_names
 
 TARGETS = {
@@ -21,7 +20,8 @@ TARGETS = {
 
 
 def height_and_tilt(simulation):
-    """Of the robot's base [m, rad]; `state()` builds the world anew, which takes long."""
+    """Of the robot's base [m, rad] in PyBullet; `state()` builds the world anew, which takes long."""
+    pybullet = pytest.importorskip("pybullet")
     (_, _, height), (qx, qy, _, _) = pybullet.getBasePositionAndOrientation(simulation._body.body, simulation._client)
     return height, math.acos(1 - 2 * (qx * qx + qy * qy))
 
@@ -89,6 +89,7 @@ def test_a_long_step_reports_a_short_contact_even_with_wheels_that_exceed_the_to
     assert track.gaps([robot_state]) > 0.1  # and it has long passed
 
 
+@pytest.mark.parametrize("physics", ["bullet"], indirect=True)
 def test_a_contact_is_reported_as_if_every_physics_step_were_checked(make_track, monkeypatch):
     track, rng = make_track(TARGETS["a corner"]), np.random.default_rng(0)
     commands = rng.uniform((0.2, -1.0), (ROBOT.max_speed, 1.0), (300, 2)) * rng.choice([1, 1, -1], (300, 1))

@@ -1,4 +1,4 @@
-"""The robot in PyBullet reaches commanded speeds, with a plausible acceleration, and stands still at zero."""
+"""The robot in each physics reaches commanded speeds, with a plausible acceleration, and stands still at zero."""
 
 import math
 

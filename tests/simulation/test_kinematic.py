@@ -50,7 +50,7 @@ def exact_ranges(poses, world, laser):
         for pair in product(world_names(), robot_names())
     ],
 )
-def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_spec, make_bullet, start_at, begin):
+def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_spec, make_physics, start_at, begin):
     """Sequences of 5 s in each world, a new command over the robot's whole range at each control step."""
     robot, rng, most = find_robot(robot_name), np.random.default_rng(1), 70
     spec = make_spec(name, robot=robot, beams=2)
@@ -62,7 +62,7 @@ def test_random_commands_end_where_they_do_in_pybullet(name, robot_name, make_sp
     clear = np.ones(count, dtype=bool)
     for state in states[1:]:
         clear &= [world.clearance(x, y) > robot.radius + 0.05 for x, y, _ in state.pose]
-    physics, ends, clear = make_bullet(spec), [], np.flatnonzero(clear)[:most]
+    physics, ends, clear = make_physics(spec), [], np.flatnonzero(clear)[:most]
     for i in clear:
         begin(physics, start_at(spec, poses[i : i + 1]))
         ends.append([physics.step(command, PERIOD).pose[0] for command in commands[:, i : i + 1]][-1])

@@ -7,7 +7,7 @@ import pytest
 from tb2rl.core.plugins import robot_names
 from tb2rl.robots.robot import find_robot
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation.bullet.motors import measure_motors
+from tb2rl.simulation.motors import measure_motors
 
 ACCELERATION, COUPLING = ROBOT.wheel_acceleration, ROBOT.wheel_coupling  # [m/s^2]
 

@@ -7,8 +7,8 @@ import numba
 import numpy as np
 import pytest
 
-from tb2rl.simulation.kinematic import threads
-from tb2rl.simulation.kinematic.threads import parallel_for
+from tb2rl.simulation.arrays import threads
+from tb2rl.simulation.arrays.threads import parallel_for
 
 
 @pytest.mark.parametrize(("count", "number", "lead"), [(1, 5, 0), (10, 1, 7), (1001, 5, 7), (1001, 2, 5000)])

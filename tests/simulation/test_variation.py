@@ -105,9 +105,9 @@ def test_a_share_of_the_beams_is_dropped_and_others_each_time(make_varied):
     assert (np.isinf(again.ranges) != np.isinf(first.ranges)).any()
 
 
-def test_mass_slows_the_robot_and_wheels_without_friction_spin(make_spec, make_bullet, begin):
+def test_mass_slows_the_robot_and_wheels_without_friction_spin(make_spec, make_physics, begin):
     def after(**ranges):
-        simulation = make_bullet(make_spec(beams=1))
+        simulation = make_physics(make_spec(beams=1))
         begin(simulation, varied(simulation.spec, **ranges))
         return simulation.step(np.array([[0.6, 0.0]]), 0.15)
 
@@ -117,9 +117,9 @@ def test_mass_slows_the_robot_and_wheels_without_friction_spin(make_spec, make_b
     assert own.twist[0, 0] == pytest.approx(own.odometry_twist[0, 0], rel=0.05)
 
 
-def test_the_robot_is_exactly_nominal_in_the_next_episode(make_spec, make_bullet, begin):
+def test_the_robot_is_exactly_nominal_in_the_next_episode(make_spec, make_physics, begin):
     spec, command = make_spec(beams=3), np.array([[0.6, 1.0]])
-    fresh, used = make_bullet(spec), make_bullet(spec)
+    fresh, used = make_physics(spec), make_physics(spec)
     begin(used, varied(spec, mass=2.0, friction=0.3))
     used.step(command, 1.0)
     for simulation in (fresh, used):
@@ -130,13 +130,13 @@ def test_the_robot_is_exactly_nominal_in_the_next_episode(make_spec, make_bullet
 # ---- both simulators
 
 
-def test_varied_robots_end_where_they_do_in_pybullet(make_spec, make_bullet, start_at):
+def test_varied_robots_end_where_they_do_in_pybullet(make_spec, make_physics, start_at):
     """Drives of 5 s at random commands, until the first touch, without the variation that only PyBullet has."""
     spec, rng, num_envs = make_spec("maze", beams=1), np.random.default_rng(1), 60
     initial_state = start_at(spec, spec.worlds[0].sample_poses(rng.random((num_envs, 4)), 0.3))
     replace(PRESETS["strong"], mass=(1.0, 1.0), friction=(1.0, 1.0)).vary(initial_state, GeneratorSource(rng, num_envs))
     commands = rng.uniform((-ROBOT.max_speed, -2.0), (ROBOT.max_speed, 2.0), (25, num_envs, 2))
-    kinematic, physics = KinematicSimulator(spec, num_envs), make_bullet(spec)
+    kinematic, physics = KinematicSimulator(spec, num_envs), make_physics(spec)
     kinematic.reset(InitialState(initial_state.table.copy()), rng)
     states = [kinematic.step(command, PERIOD) for command in commands]
     missed = []

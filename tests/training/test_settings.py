@@ -33,7 +33,7 @@ def test_the_number_of_threads_changes_no_result(small, assert_same_runs, tmp_pa
     monkeypatch.setattr("tb2rl.simulation.kinematic.simulator.MIN_PARALLEL_TIME", 0.0)
     runs = []
     for threads in (1, 3):
-        monkeypatch.setattr("tb2rl.simulation.kinematic.threads.THREADS", threads)
+        monkeypatch.setattr("tb2rl.simulation.arrays.threads.THREADS", threads)
         runs.append(train_config(config, tmp_path / str(threads)).run)
     assert_same_runs(*runs)
 

@@ -93,11 +93,10 @@ class BulletObstacles(SimulatedObstacles):
 
     def step(self, number: int) -> None:
         """Run a physics step of the control step; `number` counts from 0. The obstacles move before the robot."""
-        (x, y, vx, vy), arrays = self._robot_motion(), self.arrays
-        if number % motion.DECISION_STEPS == 0:
-            period = min(motion.DECISION_STEPS, self._steps - number) * self._duration
-            motion.decide(0, period, arrays, self._records, *self._world_arguments, (x, y, vx, vy))
-        touched = motion.move_obstacles(0, self._duration, arrays, *self._world_arguments, x, y, self._radius)
+        robot_motion, arrays = self._robot_motion(), self.arrays
+        x, y = robot_motion[:2]
+        period, world = (number, self._steps, self._duration), (self._records, *self._world_arguments)
+        touched = motion.step_obstacles(0, *period, arrays, *world, robot_motion)
         self.place()
         pybullet.stepSimulation(self._client)
         if not touched and distance_to_nearest(x, y, arrays.obstacles, 0) <= self._radius + _CONTACT_CHECK_DISTANCE:

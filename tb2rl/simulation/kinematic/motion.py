@@ -1,4 +1,4 @@
-"""Compiled control steps of the kinematic simulator: motion and laser, with and without dynamic obstacles.
+"""Compiled control steps of the kinematic simulator, with and without dynamic obstacles.
 
 Arguments in common: `constants` is `Constants`, `robots` is `RobotArrays`, and `i` is the environment. `obstacles` is
 `ObstacleArrays`, or None without dynamic obstacles; numba compiles each function for both types.
@@ -9,14 +9,12 @@ import math
 import numpy as np
 
 from tb2rl.core.compiled import NO_REFCOUNT, njit
+from tb2rl.simulation.arrays.robots import scan
 from tb2rl.simulation.obstacles import motion
-from tb2rl.simulation.obstacles.outlines import cast_at_obstacles
-from tb2rl.simulation.random_streams import normal, uniform
 from tb2rl.simulation.spec import PHYSICS_RATE
-from tb2rl.worlds.geometry import cast_beams, clearance_at, limit_ranges
+from tb2rl.worlds.geometry import clearance_at
 
 CONTACT = 1.0e-4  # [m] a robot whose gap to an obstacle is smaller touches the obstacle
-_DROPPED_STREAM = np.uint64(0x5851F42D4C957F2D)  # its xor with the key of a laser's noise is the key for dropped beams
 _PROBE = 1.0e-3  # [m] distance at which to test whether a motion leads away from an obstacle in contact
 
 
@@ -130,36 +128,6 @@ def move(i, constants, robots, duration):
     return distance, total_turn, bumped
 
 
-@njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
-def scan(i, constants, robots, scratch, obstacles):
-    """Write the laser's ranges [m] of robot `i`, the shortest range, and whether a dynamic obstacle is nearest.
-
-    `scratch` consists of two arrays of shape (beams,).
-    """
-    episode, robot, ranges = robots.initial_states[i], robots.records[i], robots.ranges
-    x, y, yaw, beam_count = robot.pose[0], robot.pose[1], robot.pose[2], ranges.shape[1]
-    if episode.mount_x != 0.0 or episode.mount_y != 0.0:
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        x, y = x + episode.mount_x * cos - episode.mount_y * sin, y + episode.mount_x * sin + episode.mount_y * cos
-    yaw += episode.mount_yaw
-    cast_beams((x, y, yaw), constants.beams, constants.spatial_index, int(episode.world), scratch, ranges, i)
-    if obstacles is not None:
-        robot.nearest_is_dynamic = cast_at_obstacles(x, y, yaw, constants.beams, obstacles.obstacles, i, ranges)
-    noise = constants.laser_noise if episode.laser_noise < 0.0 else episode.laser_noise
-    key, first_number = robot.stream[0], robot.stream[1] * np.uint64(beam_count)
-    if noise > 0.0:
-        for beam in range(beam_count):
-            ranges[i, beam] += noise * normal(key, first_number + np.uint64(beam))
-    if episode.bias != 0.0:
-        for beam in range(beam_count):
-            ranges[i, beam] += episode.bias
-    if episode.dropped > 0.0:
-        for beam in range(beam_count):
-            if uniform(key ^ _DROPPED_STREAM, first_number + np.uint64(beam)) < episode.dropped:
-                ranges[i, beam] = np.inf
-    robot.nearest_range = limit_ranges(ranges, i, constants.min_range, constants.max_range)
-
-
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def move_among_obstacles(i, constants, robots, duration, obstacles):
     """Move the dynamic obstacles of robot `i`, and then the robot as `move` does, in each physics step.
@@ -182,11 +150,8 @@ def move_among_obstacles(i, constants, robots, duration, obstacles):
     wall_hit, obstacle_hit, distance, total_turn = False, False, 0.0, 0.0
     for step in range(steps):
         x, y, yaw, v = pose[0], pose[1], pose[2], 0.5 * (wheel_speeds[0] + wheel_speeds[1])
-        if step % motion.DECISION_STEPS == 0:
-            period = min(motion.DECISION_STEPS, steps - step) * step_time
-            robot_motion = x, y, v * math.cos(yaw), v * math.sin(yaw)
-            motion.decide(i, period, obstacles, initial_states, spatial_index, world_id, robot_motion)
-        hit = motion.move_obstacles(i, step_time, obstacles, spatial_index, world_id, x, y, radius)
+        robot_motion, world = (x, y, v * math.cos(yaw), v * math.sin(yaw)), (initial_states, spatial_index, world_id)
+        hit = motion.step_obstacles(i, step, steps, step_time, obstacles, *world, robot_motion)
         obstacle_hit = hit or obstacle_hit
         length, turn, hit = move(i, constants, robots, step_time)
         wall_hit = hit or wall_hit
@@ -243,36 +208,8 @@ def step_block(first, end, constants, before, robots, commands, duration, obstac
     _step_robots(first, end, constants, before, robots, commands, duration, scratch, obstacles)
 
 
-@njit(cache=True, error_model="numpy")
-def scan_robots(indices, constants, robots, obstacles):
-    """Measure with the robots `indices` (n,): laser ranges, see `scan`, and twists."""
-    beams = constants.beams[0].size
-    scratch = np.empty(beams), np.empty(beams)
-    for i in indices:
-        _set_twist(robots, i)
-        scan(i, constants, robots, scratch, obstacles)
-
-
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy", forceinline=True)
 def _set_twist(robots, i):
     robot = robots.records[i]
     robot.twist[0] = 0.5 * (robot.wheel_speeds[0] + robot.wheel_speeds[1])
     robot.twist[1] = (robot.wheel_speeds[1] - robot.wheel_speeds[0]) / robots.initial_states[i].wheel_separation
-
-
-@njit(cache=True)
-def reset_robots(indices, new_states, keys, constants, robots, obstacles):
-    """Put the robots `indices` (n,) at rest in `new_states` (n,), which become their `initial_states`, and scan.
-
-    `keys` (n,) are those of new random streams for the lasers; None: the streams continue.
-    """
-    for row, i in enumerate(indices):
-        start, robot = new_states[row], robots.records[i]
-        robots.initial_states[i] = start
-        robot.pose[0], robot.pose[1], robot.pose[2] = start.x, start.y, start.yaw
-        robot.wheel_speeds[:], robot.command[:] = 0.0, 0.0
-        robot.acceleration, robot.bumped = 0.0, False
-        robot.stream[1] += np.uint64(1)
-        if keys is not None:
-            robot.stream[0], robot.stream[1] = keys[row], np.uint64(0)
-    scan_robots(indices, constants, robots, obstacles)

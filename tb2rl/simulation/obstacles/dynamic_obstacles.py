@@ -70,6 +70,10 @@ class SimulatedObstacles:
         """View of the outlines in the table, see `RobotState.dynamic_obstacles`."""
         return self.table[:, :, outlines.OUTLINE]
 
+    def sizes(self, world: int) -> np.ndarray:
+        """Columns `LENGTH` and `WIDTH` of all obstacles that may be in a world [m], shape (obstacles, 2)."""
+        return self._world_rows[world][:, [outlines.LENGTH, outlines.WIDTH]]
+
     def reset_at(self, indices: np.ndarray, initial_state: InitialState) -> None:
         """Place the obstacles of environments `indices` (n,) for new episodes; `initial_state` has n rows."""
         if not self.table.shape[1]:

@@ -55,6 +55,22 @@ def decide(i, duration, arrays, initial_states, spatial_index, world_id, robot_m
 
 
 @njit(cache=True, **NO_REFCOUNT, error_model="numpy")
+def step_obstacles(i, step, steps, physics_step, arrays, initial_states, spatial_index, world_id, robot_motion):
+    """Run the physics step number `step` of the `steps` in a control step; the robot moves afterwards.
+
+    `physics_step` is the duration of a step [s], and `robot_motion` is that of `decide`.
+
+    Returns:
+        Whether an obstacle touched the robot.
+    """
+    x, y, _, _ = robot_motion
+    if step % DECISION_STEPS == 0:
+        duration = min(DECISION_STEPS, steps - step) * physics_step
+        decide(i, duration, arrays, initial_states, spatial_index, world_id, robot_motion)
+    return move_obstacles(i, physics_step, arrays, spatial_index, world_id, x, y, initial_states[i].radius)
+
+
+@njit(cache=True, **NO_REFCOUNT, error_model="numpy")
 def move_obstacles(i, duration, arrays, spatial_index, world_id, x, y, radius):
     """Move the obstacles of an environment for a physics step of a `duration` [s]; they stop at the robot.
 

@@ -1,4 +1,4 @@
-"""The sensors of the robot in PyBullet agree with its true state: odometry, laser and its noise, camera."""
+"""The sensors of the robot in each physics agree with its true state: odometry, laser and its noise, camera."""
 
 import math
 
@@ -70,8 +70,7 @@ def test_laser_noise_is_gaussian_independent_and_of_its_deviation(make_track):
 
 def test_the_camera_shows_a_wall_at_its_distance_and_in_its_colour(make_track):
     track = make_track(WALL)
-    track.place(-2.0, 0.0, 0.3)
-    rgb, depth = track.simulation.camera(64, 48)
+    rgb, depth = (images[0] for images in track.place(-2.0, 0.0, 0.3).render_camera(64, 48))
     assert (rgb.shape, rgb.dtype) == ((48, 64, 3), np.uint8)
     assert (depth.shape, depth.dtype) == ((48, 64), np.float32)
     assert depth[24, 32] == pytest.approx(1.9 / math.cos(0.3) - 0.05, abs=0.02)  # the lens: 5 cm ahead
@@ -85,8 +84,9 @@ def test_camera_images_change_nothing(make_track):
     track = make_track(WALL, beams=720, noise=LASER_NOISE)
     track.place(-1.5)
     expected = track.record(track.drive(commands))
-    track.place(-1.5)
+    robot_state = track.place(-1.5)
     for command in commands:
-        track.simulation.camera(8, 6)
-        states += track.drive([command])
+        robot_state.render_camera(8, 6)
+        (robot_state,) = track.drive([command])
+        states.append(robot_state)
     np.testing.assert_array_equal(track.record(states), expected)

@@ -1,4 +1,4 @@
-"""PyBullet repeats itself exactly: after a reset, and from a restored state."""
+"""Each physics repeats itself exactly: after a reset, and from a restored state."""
 
 import copy
 
@@ -30,11 +30,11 @@ def test_a_reset_to_nearly_the_same_pose_gives_the_same_trajectory(make_track):
 
 @pytest.mark.parametrize("used", ["reset", "restored", "copied"])
 def test_a_reset_a_restored_state_and_a_copy_drive_exactly_as_the_original(
-    used, make_spec, make_bullet, start_at, begin
+    used, make_spec, make_physics, start_at, begin
 ):
     """A quarter of these drives differed in their last digits, and then in their ends, once a wall was touched."""
     spec, rng, bumps = make_spec("loop", "maze", beams=9), np.random.default_rng(3), 0
-    old = make_bullet(spec)
+    old = make_physics(spec)
     for number in range(12):
         initial_state = start_at(spec, spec.sample_poses(number % 2, rng.random((1, 4)), 0.3), number % 2)
         initial_state.goal[:], initial_state.records["max_speed"] = (3.0, 4.0), 0.5
@@ -44,7 +44,7 @@ def test_a_reset_a_restored_state_and_a_copy_drive_exactly_as_the_original(
             old.step(commands[0], 0.2)
             other = copy.deepcopy(old)
         else:
-            other = make_bullet(spec)
+            other = make_physics(spec)
             begin(other, None if used == "restored" else initial_state)
         if used == "restored":
             old.step(commands[0], 0.2)
