@@ -11,7 +11,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Count, checked, type_with_checks
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import Episode
-from tb2rl.evaluation.metrics import figures, shown_metrics
+from tb2rl.evaluation.metrics import criterion, figures, shown_metrics
 from tb2rl.runs import EVALUATION, Config, Run, config_from, versions
 from tb2rl.simulation import find_simulator
 from tb2rl.tasks import Task
@@ -81,10 +81,15 @@ class Evaluation:
         return round(200 * success_rate) / 200, mean_return
 
     @property
+    def good(self) -> np.ndarray:
+        """Whether each episode is good by the `criterion` of the task, bool, shape (episodes,)."""
+        metric = criterion(self.task.goal_task)
+        return np.array([metric.value(episode) for episode in self.episodes], dtype=bool)
+
+    @property
     def good_rate(self) -> float:
-        """The success rate; for a task without a goal the share of episodes that do not fail."""
-        good = self._column("success") if self.task.goal_task else np.logical_not(self._column("failed"))
-        return float(np.mean(good))
+        """The rate of good episodes."""
+        return float(np.mean(self.good))
 
     def serialize(self, config: Config, policy: str) -> tuple[dict[str, Any], dict[str, list[np.ndarray]]]:
         """The content of the files that `Run.write_evaluation` writes and `load_evaluation` reads.

@@ -90,6 +90,11 @@ METRICS = (
 )
 
 
+def criterion(goal_task: bool) -> Metric:
+    """The rate by which an episode is good: success for tasks with a goal, else no failure."""
+    return next(metric for metric in METRICS if metric.name == ("success" if goal_task else "failure_free"))
+
+
 def figures(episodes: Sequence[Episode], control_period: float) -> dict[str, Any]:
     """The figures of all metrics, by key."""
     return {key: figure for metric in METRICS for key, figure in metric.figures(episodes, control_period).items()}

@@ -10,6 +10,7 @@ from tb2rl.evaluation.statistics import (
     bootstrap_interval,
     improvement_probability,
     interquartile_mean,
+    paired_difference,
     performance_profile,
     verdict,
     wilson_interval,
@@ -39,6 +40,32 @@ B = np.array(
 )
 def test_the_wilson_interval_has_the_values_of_the_tables(count, total, interval):
     assert wilson_interval(count, total) == pytest.approx(interval, abs=1e-4)
+
+
+def paired(both: int, first: int, second: int, neither: int) -> tuple[np.ndarray, np.ndarray]:
+    """Successes of as many trials under both conditions, the first or second one alone, or neither."""
+    counts = both, first, second, neither
+    return np.repeat([True, True, False, False], counts), np.repeat([True, False, True, False], counts)
+
+
+@pytest.mark.parametrize(
+    ("counts", "value", "low", "high"),
+    [
+        ((14, 5, 0, 22), -5 / 41, -0.2265, -0.0115),  # Altman et al. 2000, Statistics with confidence, table 6.2
+        ((1, 1, 7, 12), 6 / 21, 0.0256, 0.5069),  # Bentur et al. 2009, by the R package contingencytables
+        ((1000, 0, 0, 0), 0.0, -0.0038, 0.0038),  # that of Wilson's interval
+    ],
+)
+def test_the_interval_of_a_paired_difference_is_that_of_newcombe(counts, value, low, high):
+    found = paired_difference(*paired(*counts))
+    assert (found.value, found.low, found.high) == pytest.approx((value, low, high), abs=1e-4)
+    swapped = paired_difference(*reversed(paired(*counts)))
+    assert (swapped.value, swapped.low, swapped.high) == pytest.approx((-value, -high, -low), abs=1e-4)
+
+
+def test_pairs_make_the_interval_narrower_where_the_same_trials_fail():
+    together, apart = paired_difference(*paired(900, 5, 5, 90)), paired_difference(*paired(815, 90, 90, 5))
+    assert together.high < 0.5 * apart.high
 
 
 def test_the_bootstrap_interval_is_that_of_the_mean_and_of_two_or_three_values_their_range():
