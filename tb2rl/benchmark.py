@@ -17,12 +17,14 @@ on a busy machine, where rates are not.
 from pathlib import Path
 
 from tb2rl.core.command import ArgumentParser, between, command
+from tb2rl.core.plugins import simulator_names
 
 
 @command("benchmark")
 def main(parser: ArgumentParser) -> None:
     """Measure, print a table, write JSON."""
-    add, simulators_help = parser.add_argument, "simulators for part trained (default: kinematic; bullet takes minutes)"
+    add, names = parser.add_argument, ", ".join(simulator_names())
+    simulators_help = f"simulators for part trained: {names} (default: kinematic; physics takes minutes)"
     seconds_help = "time of each measurement [s] in part physics (5); in part kinematic a fifth of it"
     add("parts", nargs="*", metavar="PART", help="physics, kinematic, training, trained (default: all)")
     add("--json", type=Path, metavar="FILE", help="also write the measured values to this file")

@@ -7,6 +7,11 @@ The standard evaluation has 100 episodes of the greedy policy, of at most 1 500 
 differ from those of trainings. The result does not depend on the number of processes, because each episode has a random
 generator of its own. The evaluation takes half a minute on two processors.
 
+    python -m tb2rl.evaluate runs/maze/dqn/NAME --simulation all
+
+`all` drives the same episodes in every physics simulator that is installed, and shows the results side by side with
+their sim-to-sim difference. It works with `--suite`, too.
+
     python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite unseen
     python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite barn PATH
     python -m tb2rl.evaluate runs/navigate/ppo/NAME --suite unseen --on ray
@@ -38,7 +43,7 @@ def main(parser: ArgumentParser) -> None:
     add("--suite", nargs="+", metavar=("NAME", "PATH"), help="evaluate in a suite: unseen, or barn PATH")
     add_executor_arguments(parser)
     add("--json", type=Path, metavar="FILE", help="write the result to this file, not to the run folder")
-    add_robot_arguments(parser)
+    add_robot_arguments(parser, "all (every physics simulator), ")
 
 
 if __name__ == "__main__":

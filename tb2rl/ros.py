@@ -13,7 +13,7 @@ and that Debian's ROS 1 lacks; add FOLDER to PYTHONPATH.
 
 from pathlib import Path
 
-from tb2rl.commands.arguments import add_ros_arguments, add_topics, add_trust
+from tb2rl.commands.arguments import add_ros_arguments, add_simulation, add_topics, add_trust
 from tb2rl.core.command import ArgumentParser, command
 
 ANSWER_TIMEOUT = 5.0  # [s] of wall-clock time, for --lockstep without S
@@ -37,7 +37,7 @@ def main(parser: ArgumentParser) -> None:
     add("--ros", type=int, choices=(1, 2), required=True, help="version of ROS")
     add("--task", default="maze", help="task that defines the world and the initial state (maze)")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="change the task")
-    add("--simulation", metavar="NAME", help="simulator (default: the first physics simulator installed)")
+    add_simulation(simulate, "simulator: ")
     add("--seed", type=int, default=0, help="random seed of noise and of start poses with task.start=random (0)")
     add("--rate", type=float, default=1.0, help="speed relative to real time (1); 0: as fast as possible")
     add("--scan-rate", type=float, default=10.0, metavar="HZ", help="scan rate of the laser (10)")

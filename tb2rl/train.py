@@ -13,6 +13,7 @@ changes any setting.
 
 from pathlib import Path
 
+from tb2rl.commands.arguments import add_simulation
 from tb2rl.core.command import ArgumentParser, command
 from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.arguments import add_executor_arguments
@@ -32,7 +33,7 @@ def main(parser: ArgumentParser) -> None:
     add("--seed", type=int, help="random seed")
     add("--seeds", metavar="A..B", help="train once with each of these seeds, and print a summary")
     add_executor_arguments(parser)
-    add("--simulation", help="simulator to train in: bullet (default) or kinematic")
+    add_simulation(parser, "simulator to train in: ")
     add("--n-envs", type=int, help="environments, in parallel processes or in one batch")
     add("--device", help="device of the networks: cpu, cuda, auto")
     add("--eval-freq", type=int, help="control steps between evaluations; 0: no evaluations")

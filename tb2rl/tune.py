@@ -5,11 +5,12 @@
     python -m tb2rl.tune --agent ppo --task navigate --set task.guide=plan --steps 2000000 --name with-plan
     python -m tb2rl.tune --agent ppo --task navigate --trials 1000 --on ray:10.0.0.1:6379
 
-Trials are evaluated in the kinematic simulator, the best of them also in PyBullet. The study is the folder
+Trials are evaluated in the kinematic simulator, the best of them also in physics. The study is the folder
 runs/tune/NAME. The same command continues a study, also in several terminals at once. Results are best.yaml, a preset
 for `train --preset`, and report.html.
 """
 
+from tb2rl.commands.arguments import add_simulation
 from tb2rl.core.command import ArgumentParser, between, command
 from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.arguments import add_executor_arguments
@@ -28,7 +29,7 @@ def main(parser: ArgumentParser) -> None:
     add("--minutes", type=between(1e-3, 1e6, float), help="time limit; running trials are discarded")
     add("--seeds", type=between(1, 100), default=2, help="trainings of a trial, with different seeds (default: 2)")
     add("--steps", type=int, help="control steps of a training, over all environments")
-    add("--simulation", default="kinematic", help="simulator of the trainings: kinematic (default) or bullet")
+    add_simulation(parser, "simulator of the trainings: ", default="kinematic")
     add("--sampler", default="tpe", help="Optuna's sampler: tpe (default) or random")
     add("--pruner", default="median", help="Optuna's pruner: median (default), hyperband or none")
     add("--seed", type=int, default=0, help="seed of the sampler (default: 0)")

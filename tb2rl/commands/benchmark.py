@@ -34,7 +34,7 @@ ENV_COUNTS = (1, 64, 1024, 4096)
 NUM_PARALLEL = 16  # number of environments in parallel processes, as in the presets
 _BLOCK_STEPS = 50  # control steps of a single measurement
 _KINEMATIC_STEPS = 10  # the same in the kinematic simulator
-_MAX_PHYSICS_STEPS = 50_000  # maximum control steps of a training in PyBullet, which is slow
+_MAX_PHYSICS_STEPS = 50_000  # maximum control steps of a training in physics, which is slow
 
 
 class Figure(NamedTuple):
@@ -48,7 +48,7 @@ class Figure(NamedTuple):
 def measure_physics(options: argparse.Namespace) -> Iterator[Figure]:
     """PyBullet: the environment step, the bare physics of this step, and environments in parallel processes."""
     for beams in BEAM_COUNTS:
-        env = TurtleBot2Env(make_scene(Wander(beams=beams), "raw"))
+        env = TurtleBot2Env(make_scene(Wander(beams=beams), "raw"), simulation="bullet")
         env.reset(seed=0)
         times = _repeat(partial(_time_physics, env, np.random.default_rng(0)), options.seconds)
         env.close()
@@ -208,7 +208,7 @@ def run(options: argparse.Namespace) -> None:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
         if part != "kinematic":  # the others use physics; trained at least in its standard evaluation
-            default_physics().check(f"part {part}")
+            (find_simulator("bullet") if part == "physics" else default_physics()).check(f"part {part}")
     for simulation in options.simulations:
         find_simulator(simulation).check()
     if options.json:

@@ -39,8 +39,8 @@ def make_env(
         observation: "discrete" or "raw". None: that of the policy, or "discrete" for a task.
         render_mode: None, "rgb_array" or "human", see `TurtleBot2Env`.
         simulation: A simulator's name, "module:Class", or an object such as a `tb2rl.deploy.ros.robot.RosRobot` for
-            ROS 2. "bullet" is PyBullet, "kinematic" is thousands of times as fast, and "ros" drives a real or simulated
-            robot by ROS 1. None: `default_physics`.
+            ROS 2. "bullet" and "mujoco" are physics engines, "kinematic" is thousands of times as fast, and "ros"
+            drives a real or simulated robot by ROS 1. None: `default_physics`.
         settings: Fields of the task, such as `world="circuit"`. A world or robot of your own is "module:WORLD".
 
     Raises:

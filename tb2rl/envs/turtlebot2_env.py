@@ -10,6 +10,7 @@ from annotated_types import Ge, Lt
 from gymnasium.envs.registration import EnvSpec
 
 from tb2rl.core.errors import InputError, unknown
+from tb2rl.core.plugins import simulator_names
 from tb2rl.core.values import Pose, checked
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.encodings import take_rows
@@ -146,7 +147,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         """
         colours, depth = self.robot_state.render_camera(width, height)
         if colours is None:
-            raise InputError("this simulator's cameras see no colours; use simulation='bullet'")
+            names = [name for name in simulator_names() if find_simulator(name).has_colours]
+            raise InputError(f"this simulator's cameras see no colours; use simulation={' or '.join(map(repr, names))}")
         return colours[0], depth[0]
 
     def state(self) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class TrainSettings:
     norm_reward: bool = False  # normalise rewards by the standard deviation of returns, which cancels reward_scale
     eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
     eval_simulation: SimulatorName = field(default_factory=lambda: batch_simulator().name)  # simulator of evaluations
-    eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in PyBullet or with images
+    eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in physics or with images
     eval_steps: Count = 1000  # [control steps] time limit of evaluation episodes
     best_by: Literal["success", "return"] = "success"  # metric of the best policy: success rate or mean return
     stop_score: Fraction | None = None  # rate of good episodes in evaluations at which to stop; None: never

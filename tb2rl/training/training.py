@@ -204,7 +204,7 @@ def make_evaluator(scene: Scene, settings: TrainSettings, seed: int = VALIDATION
     except InputError as error:
         simulator = default_simulator()
         print(f"evaluations during training use {simulator.title}, and are slower: {error}", flush=True)
-    is_slow = simulator.needs_processes or scene.has_images
+    is_slow = simulator.is_physics or scene.has_images
     num_episodes = settings.eval_episodes or (_SLOW_EPISODES if is_slow else _FAST_EPISODES)
     states = random_initial_states(scene, num_episodes, seed)
     return Evaluator(scene, states, settings.eval_steps, seed, simulation=simulator)

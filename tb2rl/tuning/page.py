@@ -49,7 +49,7 @@ def write_page(
     Args:
         folder: Folder of the study.
         study: The study.
-        evaluations: Evaluations of the trials with the highest scores, in PyBullet.
+        evaluations: Evaluations of the trials with the highest scores, in physics.
         best: The trial with the best evaluation.
         comparisons: Trainings with the best and with the default settings.
     """

@@ -1,4 +1,4 @@
-"""Selects the best trial in PyBullet, and compares its settings with the default settings.
+"""Selects the best trial in physics, and compares its settings with the default settings.
 
 To avoid selection bias, the episodes of the selection differ from those of all reports: they have other start poses
 and, if worlds are generated, other worlds. The comparison trains with fresh seeds, and uses the standard evaluation.
@@ -22,14 +22,14 @@ from tb2rl.simulation import find_simulator
 from tb2rl.training.training import train_config
 from tb2rl.tuning.study import FRESH_SEED, StudyFolder
 
-NUM_SELECTED = 3  # number of trials with the highest scores that are evaluated in PyBullet
+NUM_SELECTED = 3  # number of trials with the highest scores that are evaluated in physics
 _EPISODES = 100  # number of episodes per trial, divided among the policies of the trial's seeds
 _SEED = 20_210_000  # seed of the episodes of a trial's first policy
 
 
 @dataclass(frozen=True)
 class TrialEvaluation:
-    """Evaluation of the policies of a trial in PyBullet, or in the kinematic simulator if PyBullet is missing."""
+    """Evaluation of the policies of a trial in the default simulator for evaluations, see `default_simulator`."""
 
     trial: int  # number of the trial
     good: int  # number of good episodes

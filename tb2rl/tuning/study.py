@@ -4,7 +4,7 @@
         default.yaml      preset that all trials override: agent, task, the user's preset and the fixed settings
         study.yaml        search space and options of the study
         study.db          Optuna's database
-        trials/<number>/  run folder of each seed; evaluation.json: all seeds in PyBullet, for the best trials
+        trials/<number>/  run folder of each seed; evaluation.json: all seeds in physics, for the best trials
         best.yaml         preset with the best settings
         fresh/            run folders of trainings with fresh seeds, with the best and with the default settings
         report.html       report page
