@@ -26,10 +26,12 @@ import torch as th
 
 from tb2rl import train
 from tb2rl.commands import evaluate as suite_command
+from tb2rl.core import plugins
 from tb2rl.evaluation import suites
 from tb2rl.robots import Robot
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
+from tb2rl.simulation.simulator import default_simulator
 from tb2rl.worlds import World
 from tb2rl.worlds.registry import find_world
 from tb2rl.worlds.suites import Suite
@@ -141,6 +143,39 @@ def module_folder(workdir, monkeypatch) -> Path:
     for name in set(sys.modules) - known:
         if str(workdir) in str(getattr(sys.modules[name], "__file__", "")):
             del sys.modules[name]
+
+
+REFEREES = """
+from tb2rl.simulation.kinematic.simulator import KinematicSimulator
+
+
+class First(KinematicSimulator):
+    title, is_physics = "First", True
+
+
+class Second(KinematicSimulator):
+    title, is_physics = "Second", True
+
+    def step(self, commands, duration, inactive=None):
+        return super().step(commands * (0.5, 0.0), duration, inactive)  # slow robots that cannot turn
+"""
+
+
+@pytest.fixture
+def referees(module_folder, monkeypatch):
+    """Registers two physics simulators in place of the real ones; a function makes one of them (un)available."""
+    (module_folder / "referees.py").write_text(REFEREES)
+    others = {name: plugins.SIMULATORS[name] for name in ("kinematic", "ros")}
+    monkeypatch.setattr(plugins, "SIMULATORS", {"first": "referees:First", "second": "referees:Second", **others})
+    default_simulator.cache_clear()
+
+    def set_available(name: str, available: bool) -> None:
+        problem = staticmethod(lambda: None if available else "is not installed")
+        monkeypatch.setattr(getattr(import_module("referees"), name), "unavailable", problem, raising=False)
+        default_simulator.cache_clear()
+
+    yield set_available
+    default_simulator.cache_clear()
 
 
 @pytest.fixture

@@ -63,7 +63,7 @@ def test_any_other_evaluation_is_not_written_into_the_run_folder(change, run, sh
 def test_a_policy_of_the_zoo_is_evaluated_by_its_name_at_a_changed_task(short, tmp_path, capsys):
     changes = ["--set", "task.world=circuit", "task.laser_noise=0.1", "--set", "task.forward_speed=0.1"]
     command.main(["zoo:maze-loop-qlearn", *short, "--json", str(tmp_path / "it.json"), *changes])
-    assert capsys.readouterr().out.splitlines()[0].strip() == "zoo:maze-loop-qlearn in circuit"
+    assert capsys.readouterr().out.splitlines()[0].strip() == "zoo:maze-loop-qlearn in circuit, PyBullet"
     written = json.loads((tmp_path / "it.json").read_text())
     task = written["config"]["task"]
     assert (task["world"], task["laser_noise"], task["forward_speed"]) == ("circuit", 0.1, 0.1)
@@ -75,6 +75,30 @@ def test_a_baseline_is_evaluated_by_its_name_at_another_task(short, tmp_path, ca
     written = json.loads((tmp_path / "it.json").read_text())
     assert (written["policy"], written["config"]["task"]["name"]) == ("wallfollower", "wall")
     assert "goal reached" in capsys.readouterr().out
+
+
+def test_all_physics_simulators_are_compared_in_the_same_episodes(run, short, referees, capsys):
+    command.main([str(run), *short, "--simulation", "all"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "run in loop, 2 episodes of at most 5 steps" in shown
+    assert "First ┃ Second" in shown
+    assert "Second - First: 0.0 points (95 % interval -65.8 to 65.8), paired over 2 episodes" in shown
+    written = json.loads((run / "evaluation.json").read_text())
+    first, second = written["by_simulation"].values()
+    assert (written["simulation"], first["simulation"], second["simulation"]) == ("first", "first", "second")
+    assert {key: written[key] for key in KEYS} == {key: first[key] for key in KEYS}
+    assert first["mean_distance"] != second["mean_distance"]
+    assert (second["difference"], len(second["difference_interval"])) == (0.0, 2)
+    assert load_evaluation(Run.open(run)).summary()["mean_distance"] == first["mean_distance"]
+
+
+def test_a_missing_second_physics_is_a_line_and_the_evaluation_goes_on(run, short, referees, capsys):
+    referees("Second", available=False)
+    command.main([str(run), *short, "--simulation", "all"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "not in all physics simulators: Second is not installed" in shown
+    assert "run in loop, First" in shown
+    assert "by_simulation" not in json.loads((run / "evaluation.json").read_text())
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,8 @@ def without_display(workdir, monkeypatch) -> None:
 def test_without_a_display_there_is_a_film_named_after_the_policy(workdir, trained_run, capsys):
     play.main([str(trained_run), "--steps", "2", "--episodes", "2", "--seed", "1"])
     out, err = capsys.readouterr()
-    first, second, written = out.splitlines()
+    driving, first, second, written = out.splitlines()
+    assert driving == "driving in PyBullet"
     assert first.startswith("episode 1: time limit after 2 steps (0.4 s), 0.")
     assert "m/s, return" in second
     assert written == f"wrote run.mp4 ({(workdir / 'run.mp4').stat().st_size / 1e6:.1f} MB)"
@@ -35,7 +36,7 @@ def test_an_agent_that_does_not_learn_plays_too_and_a_terminal_shows_a_bar(workd
     stream = terminal()
     line = "--agent wallfollower --task wall --set task.start=fixed 'task.bounds=[-1, -3, 0.3, 3]' --video it.GIF"
     play.main(shlex.split(line))
-    assert capsys.readouterr().out.startswith("episode 1: out of bounds after ")
+    assert capsys.readouterr().out.splitlines()[1].startswith("episode 1: out of bounds after ")
     assert "filming:" in stream.getvalue()
     assert [file.name for file in workdir.iterdir()] == ["it.GIF"]
 

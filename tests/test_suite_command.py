@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from tb2rl import load, train
+from tb2rl.evaluation.suite_comparison import read_results
+from tb2rl.evaluation.suites import SuiteResult
 from tb2rl.runs.folder import Run
 
 work = import_module("tb2rl.commands.evaluate")
@@ -57,7 +59,7 @@ def test_only_the_result_at_the_task_of_the_training_is_written_into_the_run_fol
     written = json.loads((run / "suite-unseen.json").read_text())
     assert written["figures"].keys() == {"all", "a", "b"}
     assert (written["policy"], len(written["policy_digest"])) == (str(run), 64)
-    assert not (run / "suite-unseen.json.journal").exists()
+    assert list(run.glob("*.journal")) == []
     shown = " ".join(capsys.readouterr().out.split())
     assert "guide goal, turtlebot2, PyBullet: suite unseen" in shown
     assert f"{100 * written['figures']['all']['success_rate']:.1f} %" in shown
@@ -73,7 +75,7 @@ def test_an_interrupted_suite_continues_and_gives_the_same_result(interrupt, dri
     written = json.loads((workdir / "whole.json").read_text())
     assert (written["policy"], written["policy_digest"]) == ("agent random", None)
     assert interrupt([*arguments, "parts.json"], 2) == [0, 1]
-    with (workdir / "parts.json.journal").open("a") as stream:
+    with (workdir / "parts.json.bullet.journal").open("a") as stream:
         stream.write('{"world": 2, "end')  # as if killed while writing
     assert interrupt([*arguments, "parts.json"], 0) == []
     command.main([*arguments, "parts.json"])
@@ -81,6 +83,37 @@ def test_an_interrupted_suite_continues_and_gives_the_same_result(interrupt, dri
     assert (workdir / "parts.json").read_bytes() == (workdir / "whole.json").read_bytes()
     assert "continuing: 2 of 3 worlds" in capsys.readouterr().out
     assert sorted(file.name for file in workdir.iterdir()) == ["parts.json", "whole.json"]
+
+
+def test_all_physics_simulators_have_a_result_and_an_interrupted_comparison_continues(
+    referees, interrupt, driven, run, capsys
+):
+    arguments = [str(run), *UNSEEN, "--workers", "1", "--simulation", "all"]
+    assert interrupt(arguments, 2) == [0, 1]
+    assert [file.name for file in run.glob("suite*")] == ["suite-unseen.json.first.journal"]
+    driven.clear()
+    command.main(arguments)
+    assert driven == [2, 0, 1, 2]
+    assert [file.name for file in run.glob("suite*")] == ["suite-unseen.json"]
+    tree = json.loads((run / "suite-unseen.json").read_text())["by_simulation"]
+    assert tree.keys() == {"first", "second"}
+    assert tree["first"]["unsuccessful_worlds"] == [0, 1, 2]
+    assert (tree["second"]["difference"], "difference" in tree["first"]) == (0.0, False)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "turtlebot2, First and Second: suite unseen" in shown
+    assert "│ a │ First │ 0.0 % │" in shown
+    assert "│ a │ Second │ 0.0 % │" in shown
+    assert "Second - First: 0.0 points (95 % interval -56.1 to 56.1), paired over 3 worlds" in shown
+    assert [result.simulation for result in read_results(run / "suite-unseen.json")] == ["first", "second"]
+
+
+def test_another_simulator_is_written_only_to_a_file_of_its_own(referees, run, workdir, capsys):
+    arguments = [str(run), *UNSEEN, "--workers", "1", "--simulation", "second"]
+    command.main(arguments)
+    assert list(run.glob("suite*")) == []
+    assert "not written: only a run folder's result without --set" in capsys.readouterr().out
+    command.main([*arguments, "--json", "it.json"])
+    assert SuiteResult.read(workdir / "it.json").simulation == "second"
 
 
 def test_a_journal_of_another_policy_task_or_suite_is_dropped(small_suite, interrupt, run, workdir, monkeypatch):
@@ -104,6 +137,8 @@ def test_a_journal_of_another_policy_task_or_suite_is_dropped(small_suite, inter
         ("--suite unseen --episodes 3", "--episodes cannot be combined with --suite"),
         ("--suite unseen --set task.episode_steps=60", "task.episode_steps cannot be combined with --suite"),
         ("--suite unseen --top-speed 0.3", "needs --simulation ros"),
+        ("--suite unseen --simulation ros", "--suite needs a simulator, but --simulation ros is a robot"),
+        ("--suite unseen --simulation al", "unknown simulator 'al'"),
     ],
 )
 def test_contradicting_options_are_refused(options, named, refused):

@@ -31,7 +31,7 @@ def test_it_leaves_the_standard_evaluation_in_the_run_folder(folder, monkeypatch
     written = json.loads((folder / "evaluation.json").read_text())
     assert (written["episodes"], written["steps"], len(written["each"])) == (3, 20, 3)
     out = capsys.readouterr().out
-    shown = ["runs/maze/qlearn/it", "training qlearn at maze in loop: 16 steps, 1 environment, seed 0"]
+    shown = ["runs/maze/qlearn/it", "training qlearn at maze in loop: 16 steps in "]
     shown += ["trained 16 steps", f"{100 * written['failure_free_rate']:.1f} %"]
     assert [text for text in shown if text not in out] == []
     assert (folder / "episodes.safetensors").is_file()

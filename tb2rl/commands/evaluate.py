@@ -20,12 +20,20 @@ from tb2rl.deploy.ros.topics import TURTLEBOT2, parse_topics
 from tb2rl.evaluation.episodes import Policy, check_spaces
 from tb2rl.evaluation.evaluate import EPISODES, SEED, STEPS, evaluate, time_limit
 from tb2rl.evaluation.progress import progress
+from tb2rl.evaluation.sim_to_sim import (
+    ALL,
+    BY_SIMULATION,
+    SimToSim,
+    available_physics,
+    describe_unavailable_physics,
+)
+from tb2rl.evaluation.suite_comparison import results_in_json
 from tb2rl.evaluation.suites import SuiteEpisode, run_suite, suite_evaluator, suite_result, suite_scene
 from tb2rl.execution.arguments import make_executor
 from tb2rl.runs import Config, config_of, load, make_baseline, parse_settings, policy_digest, resolve
 from tb2rl.runs.folder import Journal, Run, versions
 from tb2rl.simulation.simulator import default_simulator, find_simulator
-from tb2rl.viz.table import print_evaluation, print_suite
+from tb2rl.viz.table import print_evaluation, print_sim_to_sim, print_suite
 from tb2rl.worlds.suites import Suite, find_suite
 
 
@@ -50,18 +58,38 @@ def _evaluate(options: argparse.Namespace) -> None:
     names = [name for name in ("episodes", "seed", "workers") if getattr(options, name) is not None]
     conditions = {name: getattr(options, name) for name in names} | {"steps": chosen_time_limit(options, STEPS)}
     policy, config = chosen_policy(options)
-    evaluation = evaluate(policy, config, progress=True, simulation=robot or options.simulation, **conditions)
-    name = options.agent or options.policy
-    print_evaluation(evaluation, f"{name} in {'a world with ROS' if robot else evaluation.scene.worlds_title}")
+    simulations = [robot] if robot else _chosen_simulations(options)
+    evaluations = [evaluate(policy, config, progress=True, simulation=each, **conditions) for each in simulations]
+    evaluation, name = evaluations[0], options.agent or options.policy
+    title = f"{name} in {'a world with ROS' if robot else evaluation.scene.worlds_title}"
     standard = EPISODES, STEPS, SEED, default_simulator().name
     is_standard = (len(evaluation.episodes), evaluation.steps, evaluation.seed, evaluation.simulation) == standard
     tree, arrays = evaluation.serialize(config, name)
+    if len(evaluations) == 1:
+        print_evaluation(evaluation, title)
+    else:
+        comparison = SimToSim.of(evaluations)
+        print_sim_to_sim(comparison, title)
+        tree[BY_SIMULATION] = comparison.to_json()
     if options.json:
         write_json(options.json, tree)
     elif is_standard and (run_folder := _run_for_result(options)):
         run_folder.write_evaluation(tree, arrays)
     else:
         print("not written: only a run folder's standard evaluation without --set is kept; --json FILE writes any")
+
+
+def _chosen_simulations(options: argparse.Namespace) -> list[str | None]:
+    """The simulators that `--simulation` selects; None: the default one. Also prints which ones `all` leaves out."""
+    if options.simulation != ALL:
+        return [options.simulation]
+    simulations: list[str | None] = [simulator.name for simulator in available_physics(f"--simulation {ALL}")]
+    missing = describe_unavailable_physics()
+    if missing:
+        print(f"not in all physics simulators: {missing}", flush=True)
+    elif len(simulations) == 1:
+        print("not compared: there is no second physics simulator", flush=True)
+    return simulations
 
 
 def _run_for_result(options: argparse.Namespace) -> Run | None:
@@ -72,9 +100,10 @@ def _run_for_result(options: argparse.Namespace) -> Run | None:
 
 
 def _evaluate_suite(options: argparse.Namespace) -> None:
-    chosen_robot(options)  # raises an error if there are options for a robot
-    fixed_options = ("episodes", "steps", "seed", "simulation", "goal")
-    refuse(options, "cannot be combined with --suite, which defines its episodes and its simulator", *fixed_options)
+    if chosen_robot(options):
+        raise InputError(f"--suite needs a simulator, but --simulation {options.simulation} is a robot")
+    fixed_options = ("episodes", "steps", "seed", "goal")
+    refuse(options, "cannot be combined with --suite, which defines its episodes", *fixed_options)
     if "task.episode_steps" in parse_settings(options.set):
         raise InputError("task.episode_steps cannot be combined with --suite, because each suite has a time limit")
     if len(options.suite) > 2:
@@ -86,27 +115,37 @@ def _evaluate_suite(options: argparse.Namespace) -> None:
     check_spaces(policy, scene)
     digest = policy_digest(options.policy, options.trust) if options.agent is None else None
     origin: dict[str, Any] = {"policy": options.policy or f"agent {options.agent}", "policy_digest": digest}
-    run_folder = None if options.json else _run_for_result(options)
+    is_kept = options.simulation in (None, ALL, default_simulator().name) and not options.json
+    run_folder = _run_for_result(options) if is_kept else None
     file = run_folder.suite_file(suite.name) if run_folder else options.json
-    executor = make_executor(options) if options.on else None
-    with executor or nullcontext(), suite_evaluator(scene, workers=1 if executor else options.workers) as evaluator:
-        origin["simulation"] = evaluator.simulator.name
-        journal = _journal(file, suite, config, origin)
-        episodes = _finished_episodes(journal, len(suite.worlds))
-        new_episodes = run_suite(evaluator, policy, suite, len(episodes), executor)
-        for episode in progress(new_episodes, "evaluating", "world", total=len(suite.worlds) - len(episodes)):
-            journal.append(asdict(episode))
-            episodes.append(episode)
-        result = suite_result(suite, scene, episodes, config, **origin)
+    if file is None:
+        print(
+            "not written: only a run folder's result without --set, in the default simulator or in all, is kept;"
+            " --json FILE writes any"
+        )
+    executor, results, journals = make_executor(options) if options.on else None, [], []
+    with executor or nullcontext():
+        for simulation in _chosen_simulations(options):
+            with suite_evaluator(scene, 1 if executor else options.workers, simulation) as evaluator:
+                origin["simulation"] = evaluator.simulator.name
+                journals.append(_journal(file, suite, config, origin))
+                episodes = _finished_episodes(journals[-1], len(suite.worlds))
+                new_episodes = run_suite(evaluator, policy, suite, len(episodes), executor)
+                for episode in progress(new_episodes, "evaluating", "world", total=len(suite.worlds) - len(episodes)):
+                    journals[-1].append(asdict(episode))
+                    episodes.append(episode)
+                results.append(suite_result(suite, scene, episodes, config, **origin))
     if file is not None:
-        write_json(file, asdict(result))
-    journal.remove()
-    print_suite(result)
+        write_json(file, results_in_json(results))
+    for journal in journals:
+        journal.remove()
+    print_suite(*results)
 
 
 def _journal(file: Path | None, suite: Suite, config: Config, origin: dict[str, Any]) -> Journal:
     """The journal, a file beside the result that holds the finished episodes of an interrupted suite."""
-    path = None if file is None else file.with_name(f"{file.name}.journal")
+    simulation = origin["simulation"].replace(":", ".")  # "module:Class", which Windows allows in no name of a file
+    path = None if file is None else file.with_name(f"{file.name}.{simulation}.journal")
     rules = {"name": suite.name, "digest": suite.digest, "time": suite.time_limit, "goal_radius": suite.goal_radius}
     return Journal(path, {**origin, "suite": rules, "config": config.to_dict(), "versions": versions()})
 
@@ -114,9 +153,7 @@ def _journal(file: Path | None, suite: Suite, config: Config, origin: dict[str, 
 def _finished_episodes(journal: Journal, num_worlds: int) -> list[SuiteEpisode]:
     """The episodes in a journal; also prints whether the suite continues."""
     episodes = [build(SuiteEpisode, entry, str(journal.path)) for entry in journal.entries]
-    if journal.path is None:
-        print("not written: only a run folder's result without --set is kept; --json FILE writes any")
-    elif journal.mismatch is not None:
+    if journal.mismatch is not None:
         print(f"starting again, because {journal.path} is from another {journal.mismatch}")
     elif episodes:
         print(f"continuing: {len(episodes)} of {num_worlds} worlds are in {journal.path}")
@@ -162,7 +199,7 @@ def chosen_robot(options: argparse.Namespace) -> RosRobot | None:
     Raises:
         InputError: If an argument is invalid.
     """
-    if options.simulation is None or not find_simulator(options.simulation).is_external:
+    if options.simulation in (None, ALL) or not find_simulator(options.simulation).is_external:
         refuse(options, "needs --simulation ros", "ros", "topics", "mounting", "top_speed", "ros_args")
         return None
     ros = options.ros or 1

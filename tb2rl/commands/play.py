@@ -13,8 +13,8 @@ from tb2rl.core import InputError, exit_by_signal, handle_termination_signals
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.evaluation.episodes import Policy
 from tb2rl.evaluation.progress import say
+from tb2rl.evaluation.sim_to_sim import explain_place
 from tb2rl.runs import HUB, SUFFIX, Config, parse_settings, resolve
-from tb2rl.simulation.simulator import default_physics, default_simulator
 from tb2rl.viz.film import FILM_STEPS, FilmOptions, film, open_episodes, record
 from tb2rl.viz.window import Teleop, Window, has_display, steer_in_terminal
 
@@ -36,12 +36,14 @@ def run(arguments: argparse.Namespace) -> None:
     policy, config = chosen_policy(arguments)
     if arguments.goal is not None and robot is None:
         config = config.with_task(_goal_settings(config, arguments))
+    if robot is None:
+        say(f"driving {explain_place(options.simulator.name)}")
     with handle_termination_signals(exit_by_signal):  # exit by an exception, which removes a half-written file
         if arguments.bag:
-            _report_files(record(policy, arguments.bag, config, options=options), arguments)
+            _report_files(record(policy, arguments.bag, config, options=options))
         elif arguments.video or not has_display():
             path = arguments.video or f"{_film_name(arguments)}.mp4"
-            _report_files([film(policy, path, config, options=options)], arguments)
+            _report_files([film(policy, path, config, options=options)])
         else:
             _watch(policy, config, replace(options, progress=False))
 
@@ -60,11 +62,8 @@ def _film_name(arguments: argparse.Namespace) -> str:
     return Path(policy).resolve().name.removesuffix(SUFFIX).replace(":", ".")
 
 
-def _report_files(paths: list[Path], arguments: argparse.Namespace) -> None:
-    """Print the files that were written, and why the kinematic simulator was used if PyBullet is unavailable."""
-    physics = default_physics()
-    if arguments.simulation is None and (problem := physics.unavailable()):
-        print(f"driven in the {default_simulator().title}, because {physics.title} {problem}")
+def _report_files(paths: list[Path]) -> None:
+    """Print the files that were written."""
     for path in paths:
         size = sum(file.stat().st_size for file in [path, *path.glob("*")] if file.is_file())
         print(f"wrote {path} ({size / 1e6:.1f} MB)")

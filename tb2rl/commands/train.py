@@ -17,6 +17,7 @@ from tb2rl.core.compiled import announce_compiling
 from tb2rl.envs.worlds import register_worlds, worlds_of_files
 from tb2rl.evaluation.evaluate import EPISODES, SOLVED_RATE, evaluate
 from tb2rl.evaluation.progress import say
+from tb2rl.evaluation.sim_to_sim import describe_place, explain_place
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.execution.arguments import make_executor
 from tb2rl.execution.executor import Executor, Job
@@ -86,7 +87,8 @@ def parse_seeds(text: str) -> list[int]:
 def _print_single_start(config: Config, folder: Path) -> None:
     settings = config.train
     environments = "1 environment" if settings.n_envs == 1 else f"{settings.n_envs} environments"
-    description = f"{settings.total_timesteps} steps, {environments}, seed {settings.seed}"
+    steps = f"{settings.total_timesteps} steps {describe_place(settings.simulation)}"
+    description = f"{steps}, {environments}, seed {settings.seed}"
     _print_start(config, description, f"run folder: {folder} (watch it: tensorboard --logdir runs)")
 
 
@@ -105,8 +107,7 @@ def _finish(training: FinishedTraining, no_evaluation: bool) -> None:
         raise SystemExit(128 + training.signal_number)
     if no_evaluation or training.signal_number:
         return
-    simulator = default_simulator().title
-    say(f"standard evaluation of the best policy in {simulator}: {EPISODES} episodes, about half a minute")
+    say(f"standard evaluation of the best policy: {EPISODES} episodes, about half a minute")
     _evaluate(training.run, str(training.run.folder), progress=True)
 
 
@@ -115,7 +116,9 @@ def train_seeds(config: Config, seeds: Sequence[int], folder: Path, executor: Ex
     check_trainable(config)
     check_device(config.train.device)
     check_trackers(config.train.track, executor.remote)
-    description = f"{len(seeds)} seeds, {config.train.total_timesteps} steps each, then the standard evaluation"
+    steps = f"{config.train.total_timesteps} steps each {describe_place(config.train.simulation)}"
+    evaluations = f"the standard evaluation {explain_place(default_simulator().name)}"
+    description = f"{len(seeds)} seeds, {steps}, then {evaluations}"
     _print_start(config, description, f"run folders: {folder}/seed-* (watch them: tensorboard --logdir runs)")
     jobs, summaries, signals = list[Job](), dict[str, Mapping[str, Any]](), list[int]()
     for seed in seeds:

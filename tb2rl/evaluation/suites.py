@@ -104,6 +104,7 @@ class SuiteResult:
     versions: dict[str, str]  # versions of the packages on which the result depends
     suite_path: str | None = None  # file or folder of the worlds; None: generated worlds
     episodes: tuple[SuiteEpisode, ...] = ()  # one for each world, in the order of the suite; empty in a summary
+    unsuccessful_worlds: tuple[CountOrZero, ...] | None = None  # indices; None: a summary from before this field
 
     def __post_init__(self) -> None:
         if ALL not in self.figures or [episode.world for episode in self.episodes] != [*range(len(self.episodes))]:
@@ -148,8 +149,12 @@ class SuiteResult:
     @property
     def title(self) -> str:
         """Policy, guide, disturbances, robot, simulator and suite."""
+        return self.title_with(find_simulator(self.simulation).title)
+
+    def title_with(self, simulator: str) -> str:
+        """The `title` with another name of the simulator."""
         guide, robot = self.guide and f"guide {self.guide}", str(self.config.get("task", {}).get("robot"))
-        parts = [self.policy, guide, *self.disturbances, robot, find_simulator(self.simulation).title]
+        parts = [self.policy, guide, *self.disturbances, robot, simulator]
         return f"{', '.join(filter(None, parts))}: suite {self.suite}"
 
     @property
@@ -181,6 +186,7 @@ def suite_result(
         config=config.to_dict(),
         versions=versions(),
         episodes=tuple(episodes),
+        unsuccessful_worlds=tuple(episode.world for episode in episodes if not episode.success),
         **origin,
     )
 

@@ -164,7 +164,12 @@ class Run:
         if not self.has_evaluation_episodes:
             _ = self.policy_file  # raises another error if there is no policy to evaluate
             raise InputError(f"{self.folder} has no standard evaluation: run `python -m tb2rl.evaluate {self.folder}`")
-        return _read_json(self.folder / EVALUATION), read_checkpoint(self.folder / EPISODES)
+        return self.read_evaluation_tree(), read_checkpoint(self.folder / EPISODES)
+
+    def read_evaluation_tree(self) -> dict[str, Any]:
+        """Read the tree of the standard evaluation, which exists without arrays in the zoo; {} if there is none."""
+        file = self.folder / EVALUATION
+        return _read_json(file) if file.is_file() else {}
 
 
 def config_file(folder: Path) -> Path:

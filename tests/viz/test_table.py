@@ -13,7 +13,7 @@ def test_the_table_has_the_metrics_of_the_evaluation(make, capsys):
     evaluation = make.evaluation(episodes, ReachGoal(episode_steps=7))
     assert print_evaluation(evaluation, "mine in wall") == evaluation.summary()
     title, _, *lines = [" ".join(re.split(r"[\s│┃]+", line)).strip() for line in capsys.readouterr().out.splitlines()]
-    assert title == "mine in wall"
+    assert title == "mine in wall, kinematic simulator"
     for line in (
         "failure-free 50.0 % 95 % interval 9.5 to 90.5 %",
         "goal reached 50.0 % 95 % interval 9.5 to 90.5 %",
