@@ -90,8 +90,8 @@ def test_training_evaluation_report_film_and_the_notebooks_first_cell_work(run, 
     assert {each["simulation"] for each in evaluations} == {"kinematic"}
     run("-m", "tb2rl.report", str(folder), "--out", "page.html")
     page = (workdir / "page.html").read_text(encoding="utf-8")
-    assert "not in PyBullet" in page
-    assert "in PyBullet's physics" not in page
+    assert "The greedy policy in the kinematic simulator" in page
+    assert "not in physics" in page
     run("-m", "tb2rl.play", str(folder), "--steps", "5")  # a film, although there is a display
     assert (workdir / "mine.mp4").is_file()
     cells = json.loads((CHECKOUT / "zoo" / "quickstart.ipynb").read_text(encoding="utf-8"))["cells"]

@@ -9,12 +9,12 @@ from tb2rl.core import InputError, check_output, write_text
 from tb2rl.core.files import parse_yaml
 from tb2rl.deploy.bags.reading import is_bag, parse_topics, read_drive
 from tb2rl.evaluation.progress import progress as progress_bar
-from tb2rl.evaluation.suites import SuiteResult
+from tb2rl.evaluation.suite_comparison import read_results
 from tb2rl.viz.comparison import compare, comparison_page, read_compared_runs
 from tb2rl.viz.drives import DriveSection, drive_section
 from tb2rl.viz.page import page
 from tb2rl.viz.run_views import display_names, group_runs, read_run_view, run_folders
-from tb2rl.viz.suites import result_files, suite_section
+from tb2rl.viz.suites import result_files, suite_sections
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -27,11 +27,11 @@ def run(arguments: argparse.Namespace) -> None:
     folders = run_folders([reference for reference in arguments.runs if Path(reference) not in [*bags, *files]])
     out = _page_file(arguments)
     drives = _drive_sections(arguments, bags)
-    results = [(file, SuiteResult.read(file)) for file in result_files(files, folders)]
+    results = [(file, read_results(file)) for file in result_files(files, folders)]
     named_folders = list(zip(folders, display_names(folders), strict=True))
     bar = progress_bar(named_folders, "reading", "run")
     groups = group_runs([read_run_view(folder, name, progress=True, trust=arguments.trust) for folder, name in bar])
-    suites = [suite_section(file, result, progress=True) for file, result in results]
+    suites = [section for file, each in results for section in suite_sections(file, each, progress=True)]
     text = page(groups, suites, drives, progress=True)
     write_text(out, text)
     counts = {"run": len(folders), "suite": len(results), "bag": len(drives)}

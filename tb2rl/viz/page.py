@@ -12,6 +12,7 @@ from markupsafe import Markup
 from tb2rl.evaluation.evaluate import EPISODES
 from tb2rl.evaluation.metrics import shown_metrics
 from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.sim_to_sim import describe_place
 from tb2rl.rendering import colours
 from tb2rl.viz import charts
 from tb2rl.viz.action_map import HEADINGS, action_map
@@ -87,6 +88,7 @@ def template(name: str, *folders: Path) -> jinja2.Template:
         spaced=_format_spaced,
         percent=lambda share: f"{100 * share:.1f}\u202f%",
         plain=lambda number: _format_spaced(number) if abs(number) >= 1000 else f"{number:.1f}",
+        place=describe_place,
         unique_ids=lambda picture: _make_ids_unique(picture, next(chart_numbers)),
     )
     return environment.get_template(name)

@@ -15,10 +15,12 @@ from tb2rl.core import InputError, one_line, top_folder
 from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.evaluation import Evaluation, load_evaluation
 from tb2rl.evaluation.metrics import shown_metrics
+from tb2rl.evaluation.sim_to_sim import SimToSim, load_sim_to_sim
 from tb2rl.evaluation.statistics import bootstrap_interval
 from tb2rl.runs import HUB, TRAINING_EVALUATIONS, Config, Run, flatten, read_lines
 from tb2rl.runs.folder import config_file, read_config
 from tb2rl.runs.loading import cached_reference, checkpoint_file, config_of, load
+from tb2rl.simulation import find_simulator
 from tb2rl.viz.charts import GROUP_COLOURS, Curve, distinct_colours
 
 _EPISODES = 20  # number of episodes of an evaluation for the report
@@ -40,11 +42,17 @@ class RunView:
     curves: Mapping[str, Curve]  # see `read_curves`
     evaluation: Evaluation  # the standard evaluation if it is stored, else a shorter one
     is_stored: bool  # whether the run folder contains the evaluation
+    sim_to_sim: SimToSim | None = None  # comparison of physics simulators; None: the run folder has none
 
     @property
     def trained_steps(self) -> int:
         """Control steps of the training so far, which may be more than those of the best policy."""
         return int(max([self.policy.num_timesteps, *(curve.steps[-1] for curve in self.curves.values())]))
+
+    @property
+    def is_in_physics(self) -> bool:
+        """Whether the evaluation was in a physics simulator."""
+        return find_simulator(self.evaluation.simulation).is_physics
 
     @property
     def settings(self) -> dict[str, str]:
@@ -166,7 +174,8 @@ def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool =
     is_stored = run.has_evaluation_episodes
     evaluation = load_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress=progress)
     versions = {str(key): str(value) for key, value in (read_config(folder).get("versions") or {}).items()}
-    return RunView(name, run.config, versions, policy, curves, evaluation, is_stored)
+    comparison = load_sim_to_sim(run)
+    return RunView(name, run.config, versions, policy, curves, evaluation, is_stored, comparison)
 
 
 def read_curves(folder: Path, goal_task: bool) -> dict[str, Curve]:

@@ -3,7 +3,7 @@
 import math
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,6 +12,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.evaluation.episodes import Policy
 from tb2rl.evaluation.evaluate import Evaluator
 from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.suite_comparison import suite_sentences
 from tb2rl.evaluation.suites import SuiteEpisode, SuiteResult, restore_evaluation
 from tb2rl.runs.folder import suite_files
 from tb2rl.viz.film import write_film
@@ -28,6 +29,7 @@ class SuiteSection:
     result: SuiteResult
     episodes: Sequence[tuple[SuiteEpisode, dict[str, Any] | None]]  # each with its film ("ended", "speed", data "url")
     error: str = ""  # the reason why there are no films
+    comparison: Sequence[str] = ()  # sentences about the differences between simulators
 
 
 def result_files(files: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
@@ -49,6 +51,12 @@ def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> Su
     except InputError as error:
         return SuiteSection(result, [(episode, None) for episode in selected], error=str(error))
     return SuiteSection(result, filmed_episodes)
+
+
+def suite_sections(file: Path, results: Sequence[SuiteResult], progress: bool = False) -> list[SuiteSection]:
+    """Make a section of each result of a file; the last one has the comparison."""
+    *others, last = (suite_section(file, result, progress) for result in results)
+    return [*others, replace(last, comparison=suite_sentences(results))]
 
 
 def select_episodes(result: SuiteResult) -> Sequence[SuiteEpisode]:

@@ -8,6 +8,7 @@ import pytest
 import torch as th
 import yaml
 
+from tb2rl.evaluation.sim_to_sim import SimToSim
 from tb2rl.viz import page as page_module
 from tb2rl.viz.action_map import action_map
 from tb2rl.viz.charts import Curve
@@ -76,6 +77,18 @@ def test_the_coverage_table_counts_updates(seeds, pages):
     on_map = f"{100 * action_map(view.policy, view.config.scene).visited_share:.1f} %"
     cells = [" ".join(cell.split()) for cell in re.findall(r"<td>(.*?)</td>", table)]
     assert cells == ["19 683", "25.0 %", "12.5 %", "7", on_map]
+
+
+def test_results_in_several_physics_simulators_are_side_by_side(views, make, pages, without_pictures, referees):
+    lasted, collided = (make.episode(np.zeros((2, 2)), [0], ended) for ended in ("time limit", "collision"))
+    evaluation = make.evaluation([lasted, collided])
+    both = [replace(evaluation, simulation="first"), replace(evaluation, simulation="second", episodes=[lasted] * 2)]
+    view = replace(views[0], evaluation=both[0], sim_to_sim=SimToSim.of(both))
+    shown = pages(page(group_runs([view])))
+    assert "sim-to-sim-1" in shown.ids
+    assert "The greedy policy in First, from random" in shown.text
+    assert "metric First Second failure-free 50.0 % 9.5 to 90.5 % 100.0 % 34.2 to 100.0 %" in shown.text
+    assert "Second - First: 50.0 points" in shown.text
 
 
 # ---- actions

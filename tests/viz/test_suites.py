@@ -12,7 +12,7 @@ from tb2rl.evaluation.suites import SuiteEpisode, SuiteResult, run_suite, suite_
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.config import resolve
 from tb2rl.viz.page import page
-from tb2rl.viz.suites import MAX_FILMS, SuiteSection, select_episodes, suite_section
+from tb2rl.viz.suites import MAX_FILMS, SuiteSection, select_episodes, suite_section, suite_sections
 
 
 def evaluated(suite, agent: str) -> SuiteResult:
@@ -114,6 +114,16 @@ def test_episodes_that_cannot_be_repeated_are_a_line_on_the_page(changes, error,
     assert f"There are no films: {' '.join(section.error.split())}." in shown.text
     assert "at -1" in shown.text, "failures are named all the same"
     assert shown.count("img") == 0
+
+
+def test_results_of_several_simulators_end_with_their_difference(referees, result, pages, tmp_path):
+    results = [replace(result.summary, simulation=name) for name in ("first", "second")]
+    results[0] = replace(results[0], unsuccessful_worlds=(0, 1))
+    first, second = suite_sections(tmp_path / "it.json", results)
+    assert (first.comparison, len(second.comparison)) == ((), 1)
+    text = pages(page([], [first, second])).text
+    assert text.count("sim-to-sim difference (success) Second - First: -33.3 points") == 1
+    assert text.index("First: suite unseen") < text.index("Second: suite unseen") < text.index("sim-to-sim")
 
 
 def test_a_summary_has_its_figures_on_the_page_and_no_drives(result, pages, tmp_path):
