@@ -14,7 +14,11 @@ worlds (unseen_worlds.json).
 Policies for task `navigate` are evaluated in suites instead of unseen worlds. `suites.yaml` lists further policies for
 suites, mostly agents that do not learn. The folder `suites` has the results.
 
-`check` repeats the standard evaluations, compares the results with the earlier ones, and finds outdated files.
+All policies are compared in all physics simulators that are installed: in the same 1 000 episodes, and in suites in the
+same worlds. `build` makes what is missing and keeps what is valid, so an interrupted build goes on.
+
+`check` repeats the standard evaluations in all physics simulators, compares the results with the earlier ones, and
+finds outdated files.
 
 `push` uploads safetensors, JSON, a picture and a card. Every command then accepts the policy as `hf:user/repository`.
 The upload uses the token of `hf auth login` or of HF_TOKEN.
@@ -22,7 +26,8 @@ The upload uses the token of `hf auth login` or of HF_TOKEN.
 
 from pathlib import Path
 
-from tb2rl.core.command import ArgumentParser, command
+from tb2rl.core.command import ArgumentParser, between, command
+from tb2rl.core.plugins import simulator_names
 from tb2rl.execution.arguments import add_executor_arguments
 
 
@@ -33,9 +38,13 @@ def main(parser: ArgumentParser) -> None:
     build = commands.add_parser("build", help="train and evaluate what is missing or outdated, and write all pages")
     build.add_argument("--again", action="store_true", help="train and evaluate existing policies again")
     build.add_argument("--barn", type=Path, metavar="PATH", help="also evaluate in the BARN worlds of this path")
+    help_text = "episodes of each policy in each physics simulator, for their comparison (default: 1000)"
+    build.add_argument("--episodes", type=between(1, 100_000), default=1000, help=help_text)
     add_executor_arguments(build)
     check = commands.add_parser("check", help="repeat and compare the standard evaluations, and find outdated files")
     check.add_argument("--episodes", type=int, help="number of episodes to repeat (default: all)")
+    help_text = f"{', '.join(simulator_names())} or module:Class (default: all physics simulators with results)"
+    check.add_argument("--simulation", metavar="NAME", help=help_text)
     for sub in (build, check):
         sub.add_argument("names", nargs="*", metavar="NAME", help="names in recipes.yaml or suites.yaml (default: all)")
     push = commands.add_parser("push", help="upload a policy to the Hugging Face hub")

@@ -1,31 +1,26 @@
-"""Entries of the zoo (a trained policy with its recipe, files and evaluations), and policies that suites compare."""
+"""Entries of the zoo: trained policies with their recipes, files and evaluations."""
 
 import json
 import shlex
-from argparse import Namespace
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tb2rl.commands.evaluate import chosen_policy
-from tb2rl.commands.evaluate import run as evaluate
 from tb2rl.commands.train import requested_config
-from tb2rl.core import InputError, one_line, read_text, read_yaml, top_folder, unknown, write_text
+from tb2rl.core import InputError, one_line, read_text, read_yaml, top_folder, unknown, write_json, write_text
 from tb2rl.envs.worlds import are_generated
-from tb2rl.evaluate import main as evaluate_command
-from tb2rl.evaluation.metrics import shown_metrics
-from tb2rl.evaluation.suites import SuiteResult
-from tb2rl.runs import EVALUATION, TRAINING_EVALUATIONS, Config, Run, config_from, policy_digest, read_lines
+from tb2rl.evaluation.metrics import criterion, shown_metrics
+from tb2rl.evaluation.sim_to_sim import BY_SIMULATION, SimToSim, load_sim_to_sim, physics_simulators
+from tb2rl.runs import EVALUATION, TRAINING_EVALUATIONS, Config, Run, read_lines
 from tb2rl.simulation.variation import describe_variation
 from tb2rl.tasks.navigate import Navigate
 from tb2rl.train import main as train_command
 from tb2rl.worlds.dynamic_obstacles import describe_groups
-from tb2rl.worlds.suites import SUITES, Suite
+from tb2rl.zoo.suite_policy import SuitePolicy
 
-_RESULTS = Path("runs", "suites")  # folder of the complete results, with a row for each world
 # Worlds for evaluations; without world `wall`, whose open sides let a robot drive away without collisions.
 WORLDS = ("loop", "circuit", "round", "maze", "mixed")
 UNSEEN_SUITE = "unseen"  # the suite of worlds that no training uses
@@ -35,72 +30,6 @@ UNSEEN_WORLDS_FILE = "unseen_worlds.json"
 PROMISED, PROMISED_TABULAR, PROMISED_MAPLESS, PROMISED_AMONG_PEOPLE = 0.99, 0.95, 0.96, 0.9
 # Promised mean speeds relative to the fastest command; lower in generated worlds, where round posts require more turns.
 PROMISED_SPEED, PROMISED_SPEED_GENERATED = 0.75, 0.6
-
-
-@dataclass(frozen=True)
-class SuitePolicy:
-    """A policy for suites, and its results."""
-
-    name: str
-    arguments: str  # arguments of `python -m tb2rl.evaluate` without `--suite`
-    folder: Path  # folder of the summaries
-
-    @property
-    def evaluate_options(self) -> Namespace:
-        """The parsed arguments, a new object for each call."""
-        return evaluate_command.parse(shlex.split(self.arguments))
-
-    @cached_property
-    def config(self) -> Config:
-        """Config of the evaluation."""
-        return chosen_policy(self.evaluate_options)[1]
-
-    @property
-    def digest(self) -> str | None:
-        """Digest of the checkpoint; None for an agent that does not learn."""
-        return policy_digest(policy) if (policy := self.evaluate_options.policy) else None
-
-    def file(self, suite: str) -> Path:
-        """File of the summary in a suite."""
-        return self.folder / f"{self.name}-{suite}.json"
-
-    def summary(self, suite: str) -> SuiteResult | None:
-        """The summary in a suite; None if the file is missing, or stale because policy or task have changed."""
-        if not self.file(suite).is_file():
-            return None
-        summary = SuiteResult.read(self.file(suite))
-        try:
-            config = config_from(summary.config)  # adds defaults of settings that are newer than the file
-        except InputError:
-            return None
-        is_same = (summary.suite, summary.policy_digest) == (suite, self.digest)
-        return summary if is_same and config.to_dict() == self.config.to_dict() else None
-
-    @property
-    def summaries(self) -> list[SuiteResult]:
-        """The summaries in all suites, without missing and stale ones."""
-        return [summary for suite in SUITES if (summary := self.summary(suite)) is not None]
-
-    def evaluate_in(self, suite: Suite, options: Namespace) -> None:
-        """Evaluate in a suite and write the summary if it is missing or stale; continues an interrupted evaluation.
-
-        Args:
-            suite: The suite.
-            options: Options of `zoo build`: `again` replaces a valid summary, `on` and `workers` select the executor.
-        """
-        summary = self.summary(suite.name)
-        if summary is not None and summary.suite_digest == suite.digest and not options.again:
-            return
-        print(f"{self.name} in suite {suite.name}", flush=True)
-        result_file = _RESULTS / self.file(suite.name).name
-        result_file.parent.mkdir(parents=True, exist_ok=True)
-        evaluate_options = self.evaluate_options
-        evaluate_options.suite = [suite.name, *([] if suite.path is None else [str(suite.path)])]
-        evaluate_options.json, evaluate_options.on, evaluate_options.workers = result_file, options.on, options.workers
-        evaluate(evaluate_options)
-        self.folder.mkdir(exist_ok=True)
-        text = json.dumps(asdict(SuiteResult.read(result_file).summary), indent=1, allow_nan=False)
-        write_text(self.file(suite.name), text + "\n")
 
 
 @dataclass(frozen=True)
@@ -130,6 +59,35 @@ class Entry:
     def summary(self) -> dict[str, Any]:
         """Summary of the standard evaluation, see `Evaluation.summary`; key "each" has the episodes."""
         return _read_json(self.folder / EVALUATION)
+
+    @property
+    def sim_to_sim(self) -> SimToSim | None:
+        """Records of longer evaluations in the physics simulators; None: there are none."""
+        return load_sim_to_sim(Run.open(self.folder))
+
+    @property
+    def standard_record(self) -> dict[str, Any]:
+        """The standard evaluation as a record of `sim_to_sim`."""
+        others = ("policy", "config", "each", BY_SIMULATION)
+        figures = {key: figure for key, figure in self.summary.items() if key not in others}
+        bad_episodes = [i for i, episode in enumerate(self.summary["each"]) if not self.is_good(episode)]
+        return {**figures, "bad_episodes": bad_episodes}
+
+    def is_good(self, episode: Mapping[str, Any]) -> bool:
+        """Whether an episode of the standard evaluation, which is under the key "each", is good by the `criterion`."""
+        return bool(episode["success"] if self.criterion == "success" else not episode["failed"])
+
+    def has_record(self, simulation: str, episodes: int = 1) -> bool:
+        """Whether `sim_to_sim` has a record of at least this number of episodes in a simulator."""
+        records = self.sim_to_sim.records if self.sim_to_sim else {}
+        return simulation in records and records[simulation]["episodes"] >= episodes
+
+    def add_record(self, simulation: str, record: dict[str, Any]) -> None:
+        """Add a record to `sim_to_sim`, also to the file; the records are in the order of the registry."""
+        records = {**(self.sim_to_sim.records if self.sim_to_sim else {}), simulation: record}
+        in_order = {each.name: records[each.name] for each in physics_simulators() if each.name in records}
+        self.summary[BY_SIMULATION] = SimToSim(in_order, self.config.task.goal_task).to_json()
+        write_json(self.folder / EVALUATION, self.summary)
 
     @cached_property
     def unseen_world_summaries(self) -> dict[str, dict[str, Any]]:
@@ -163,7 +121,7 @@ class Entry:
         """Whether the training and all evaluations are complete: in `WORLDS` or, for `navigate`, in suite `unseen`."""
         if not (self.folder / EVALUATION).is_file() or self.missing_worlds:
             return False
-        return not self.navigates or self.suite_policy.summary(UNSEEN_SUITE) is not None
+        return not self.navigates or bool(self.suite_policy.summaries_of(UNSEEN_SUITE))
 
     @property
     def missing_worlds(self) -> list[str]:
@@ -187,12 +145,17 @@ class Entry:
     @property
     def criterion(self) -> str:
         """Criterion of a good episode: "success" for tasks with a goal, else "failure_free"."""
-        return "success" if self.config.task.goal_task else "failure_free"
+        return criterion(self.config.task.goal_task).name
 
     @property
     def good_rate(self) -> float:
         """Rate of good episodes in the standard evaluation."""
         return self.summary[f"{self.criterion}_rate"]
+
+    @property
+    def worst_summary(self) -> Mapping[str, Any]:
+        """The worst record of `sim_to_sim`, or the standard evaluation without records."""
+        return self.sim_to_sim.worst() if self.sim_to_sim else self.summary
 
     @property
     def promised_rate(self) -> float:

@@ -15,6 +15,7 @@ import tb2rl
 from tb2rl.core import InputError, read_text, untrusted_source, write_text
 from tb2rl.envs.worlds import paths_in
 from tb2rl.evaluation.evaluation import load_evaluation
+from tb2rl.evaluation.sim_to_sim import load_sim_to_sim
 from tb2rl.runs import Config, checkpoint_file, config_from, read_checkpoint, write_checkpoint
 from tb2rl.runs.folder import EVALUATION, SHARED_CONFIG, TRAINING_EVALUATIONS, Run
 from tb2rl.runs.loading import HUB, POLICY, hub_library, parse_reference, translate_errors
@@ -83,6 +84,7 @@ def prepare_upload(run: Run, repository: str, folder: Path) -> None:
     try:
         summary = {**json.loads(read_text(evaluation)), "policy": f"{HUB}{repository}"}  # no local path
         values = {"config": run.config, "summary": summary, "repository": repository, "picture": picture}
+        values["sim_to_sim"] = load_sim_to_sim(run)
         text = template("shared.md.jinja").render(values, environment=_environment_id(run.config))
     except (LookupError, RecursionError, TypeError, ValueError, UndefinedError):
         raise InputError(f"{evaluation} is not a standard evaluation") from None

@@ -8,6 +8,7 @@ import pytest
 
 from tb2rl.commands import evaluate as command
 from tb2rl.commands import train as training
+from tb2rl.evaluation.evaluate import evaluate
 from tb2rl.evaluation.suites import SuiteResult
 from tb2rl.execution.local import LocalExecutor
 from tb2rl.runs import loading
@@ -21,14 +22,17 @@ MINE = (
     " --set task.world=loop task.named_actions=true task.observe=[goal] train.n_envs=1 train.eval_freq=50"
     " train.eval_episodes=1 train.eval_steps=5"
 )
+BUILD = ["build", "--episodes", "2"]
 DWA = "--agent dwa --task navigate --set task.world=loop"
 
 
 @pytest.fixture
-def suite_zoo(own_zoo, monkeypatch, set_suite):
-    """A zoo with one agent for suites of three worlds, and standard evaluations that are over soon."""
+def suite_zoo(referees, own_zoo, monkeypatch, set_suite):
+    """A zoo with one agent for suites of three worlds, one physics simulator, and evaluations that are over soon."""
+    referees("Second", available=False)
     (own_zoo / "suites.yaml").write_text(f"dwa-goal: {DWA}\n")
     monkeypatch.setattr(training, "evaluate", partial(training.evaluate, episodes=2, steps=5, workers=1))
+    monkeypatch.setattr(maintenance, "evaluate", lambda *a, **others: evaluate(*a, **others, steps=5))
     monkeypatch.setattr(LocalExecutor, "as_completed", in_this_process)
     monkeypatch.setattr("tb2rl.evaluation.evaluate.processors", lambda: 1)
     set_suite()
@@ -37,7 +41,7 @@ def suite_zoo(own_zoo, monkeypatch, set_suite):
 
 def in_this_process(_, function, jobs, shared=()):
     """`Executor.as_completed` without other processes."""
-    return [(job, function(*shared, *job.arguments, job.folder)) for job in jobs]
+    return [(job, function(*shared, *job.arguments, *filter(None, [job.folder]))) for job in jobs]
 
 
 @pytest.fixture
@@ -64,22 +68,21 @@ def section(zoo: Path) -> list[str]:
 
 
 def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main, suite_zoo, driven, capsys):
-    main(["build"])
+    main(BUILD)
     assert driven == [0, 1, 2]
-    file = suite_zoo / "suites" / "dwa-goal-unseen.json"
+    file = suite_zoo / "suites" / "dwa-goal-unseen-first.json"
     summary = SuiteResult.read(file)
     figures = summary.figures["all"]
     head, _, row = section(suite_zoo)
-    assert head.startswith(
-        "| policy | guide | success | 95 % interval | a | b | longest tenth | SPL | time ratio | speed [m/s] |"
-    )
+    assert head.startswith("| policy | physics | guide | success | 95 % interval | sim-to-sim | a | b |")
+    assert " | longest tenth | SPL | time ratio | speed [m/s] |" in head
     low, high = (f"{100 * bound:.1f}" for bound in figures.success_interval)
-    assert row.startswith(f"| dwa-goal | goal | {100 * figures.success_rate:.1f} % | {low} to {high} % | ")
+    assert row.startswith(f"| dwa-goal | First | goal | {100 * figures.success_rate:.1f} % | {low} to {high} % |  | ")
     assert f"{figures.spl:.3f} | - | {figures.mean_speed:.2f} | - |" in row
     assert "### unseen: 3 worlds" in (suite_zoo / "README.md").read_text()
-    result = Path("runs/suites/dwa-goal-unseen.json")
+    result = Path("runs/suites/dwa-goal-unseen-first.json")
     assert SuiteResult.read(result).summary == summary, "with its worlds it stays among the runs"
-    main(["build"])
+    main(BUILD)
     assert driven == [0, 1, 2], "what is there is kept"
 
     main(["check"])
@@ -87,41 +90,41 @@ def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main
     tree = json.loads(file.read_text())
     tree["figures"]["all"]["success_rate"] = 1.0
     file.write_text(json.dumps(tree))
-    (suite_zoo / "suites" / "gone-unseen.json").write_text(file.read_text())
+    (suite_zoo / "suites" / "gone-unseen-first.json").write_text(file.read_text())
     with pytest.raises(SystemExit, match="1"):
         main(["check"])
     said = capsys.readouterr().out
     assert "README.md does not match the results" in said
-    assert "suites/gone-unseen.json is stale: its policy or task has changed or is gone" in said
+    assert "suites/gone-unseen-first.json is stale: its policy or task has changed or is gone" in said
     file.write_text("<<<<<<< HEAD")
     with pytest.raises(SystemExit, match="2"):
         main(["check"])
-    assert "dwa-goal-unseen.json is not the result of a suite" in capsys.readouterr().err
+    assert "dwa-goal-unseen-first.json is not the result of a suite" in capsys.readouterr().err
 
 
 def test_other_worlds_and_another_task_and_again_are_driven_anew(main, suite_zoo, driven, set_suite):
     def summary():
         (policy,) = policies_of_suites_yaml()
-        return policy.summary("unseen")
+        return policy.summary("unseen", "first")
 
-    main(["build"])
+    main(BUILD)
     before = summary()
     set_suite(last=1.1)
-    main(["build"])
+    main(BUILD)
     assert len(driven) == 6
     assert summary().suite_digest != before.suite_digest
     (suite_zoo / "suites.yaml").write_text(f"dwa-goal: {DWA} task.guide=plan\n")
     assert summary() is None, "what was driven with another guide says nothing"
-    main(["build"])
+    main(BUILD)
     assert len(driven) == 9
-    assert section(suite_zoo)[2].startswith("| dwa-goal | plan (map known) | ")
-    main(["build", "dwa-goal", "--again"])
+    assert section(suite_zoo)[2].startswith("| dwa-goal | First | plan (map known) | ")
+    main([*BUILD, "dwa-goal", "--again"])
     assert len(driven) == 12
 
 
 def test_barn_has_a_table_of_its_own_with_a_score_whose_formula_is_named(main, suite_zoo):
-    main(["build", "--barn", "my/worlds.npz"])
-    text = (suite_zoo / "suites" / "dwa-goal-barn.json").read_text()
+    main([*BUILD, "--barn", "my/worlds.npz"])
+    text = (suite_zoo / "suites" / "dwa-goal-barn-first.json").read_text()
     assert "my/worlds.npz" not in text, "nobody else has them there"
     score = json.loads(text)["figures"]["all"]["barn_score"]
     head, _, row = section(suite_zoo)[3:]
@@ -132,19 +135,22 @@ def test_barn_has_a_table_of_its_own_with_a_score_whose_formula_is_named(main, s
         "The score is from 0 to 0.5, by the formula of BARN 2024: 2 OT to 8 OT."
         in (suite_zoo / "README.md").read_text()
     )
-    main(["build"])
+    main(BUILD)
     assert len(section(suite_zoo)) == 6, "without the worlds, what is there stays"
 
 
 def test_a_policy_that_navigates_is_an_entry_whose_summary_is_of_its_checkpoint(main, suite_zoo, driven, capsys):
     (suite_zoo / "recipes.yaml").write_text(f"mine: {MINE}\n")
-    main(["build"])
+    main(BUILD)
     (mine,) = entries()
     assert driven == [0, 1, 2] * 2
     assert mine.is_built
     assert not (mine.folder / "unseen_worlds.json").exists()
     rows = section(suite_zoo)[2:]
-    assert [row.split(" | ")[:2] for row in rows] == [["| [mine](mine/README.md)", "goal"], ["| dwa-goal", "goal"]]
+    assert [row.split(" | ")[:3] for row in rows] == [
+        ["| [mine](mine/README.md)", "First", "goal"],
+        ["| dwa-goal", "First", "goal"],
+    ]
     text = (suite_zoo / "README.md").read_text()
     assert "| [mine](mine/README.md), guide goal | " in text
     assert "| mine | " not in text, "it is not driven in the worlds of the others"
@@ -152,11 +158,11 @@ def test_a_policy_that_navigates_is_an_entry_whose_summary_is_of_its_checkpoint(
 
     text = (mine.folder / "README.md").read_text()
     assert "world `loop`, guide goal, " in text
-    assert "| unseen | a | 2 | 0.0 % | " in text
-    assert "- In suite `unseen`, family `b`: 100.0 % of 1 worlds (endings: time limit 1)." in text
+    assert "| unseen | First | a | 2 | 0.0 % | " in text
+    assert "- In suite `unseen` in First, family `b`: 100.0 % of 1 worlds (endings: time limit 1)." in text
     assert "**Falls short:** 0 % of the episodes are successful, but the zoo promises 95 %." in text
-    assert mine.suite_policy.summary("unseen").policy == "zoo:mine"
-    assert str(suite_zoo) not in mine.suite_policy.file("unseen").read_text(), "nobody else has it there"
+    assert mine.suite_policy.summary("unseen", "first").policy == "zoo:mine"
+    assert str(suite_zoo) not in mine.suite_policy.file("unseen", "first").read_text(), "nobody else has it there"
 
     evaluation = (mine.folder / "evaluation.json").read_text()
     Run.open(mine.folder).save(loading.load(mine.folder), "best/policy", more=1)  # that of before goes with it
@@ -164,10 +170,79 @@ def test_a_policy_that_navigates_is_an_entry_whose_summary_is_of_its_checkpoint(
     assert not entries()[0].is_built
     with pytest.raises(SystemExit, match="1"):
         main(["check", "mine", "--episodes", "1"])
-    assert "suites/mine-unseen.json is stale: its policy or task has changed or is gone" in capsys.readouterr().out
-    main(["build"])
+    assert (
+        "suites/mine-unseen-first.json is stale: its policy or task has changed or is gone" in capsys.readouterr().out
+    )
+    main(BUILD)
     assert len(driven) == 9
     assert entries()[0].is_built
+
+
+def test_a_second_physics_is_added_to_what_is_there_with_columns_and_checks(
+    main, suite_zoo, referees, driven, monkeypatch, capsys
+):
+    (suite_zoo / "recipes.yaml").write_text(f"mine: {MINE}\n")
+    in_simulators, evaluated = [], maintenance.evaluate
+
+    def recorded(*arguments, simulation, **others):
+        in_simulators.append(simulation)
+        return evaluated(*arguments, simulation=simulation, **others)
+
+    monkeypatch.setattr(maintenance, "evaluate", recorded)
+    main(BUILD)
+    (mine,) = entries()
+    assert mine.sim_to_sim.records.keys() == {"first"}
+    assert in_simulators == [], "the standard evaluation has enough episodes"
+    assert "| sim-to-sim | training steps |" not in (suite_zoo / "README.md").read_text()
+
+    referees("Second", available=True)
+    driven.clear()
+    main(BUILD)
+    assert (in_simulators, driven) == (["second"], [0, 1, 2] * 2), "what is there is kept"
+    (mine,) = entries()
+    assert mine.sim_to_sim.records.keys() == {"first", "second"}
+    text = (suite_zoo / "README.md").read_text()
+    assert "| in Second | sim-to-sim | training steps |" in text
+    assert "| 0.0 % | 0.0 (-65.8 to 65.8) | 50 |" in text
+    rows = [row.split(" | ") for row in section(suite_zoo)[2:]]
+    assert [row[1] for row in rows] == ["First", "Second"] * 2
+    assert [row[5] for row in rows] == ["", "0.0 (-56.1 to 56.1)"] * 2
+    card = (mine.folder / "README.md").read_text()
+    assert "| metric | First | Second |" in card
+    assert "- sim-to-sim difference (goal reached) Second - First: 0.0 points" in card
+    assert "| unseen | Second | a | 2 | 0.0 % | " in card
+    referees("First", available=False)
+    (dwa,) = policies_of_suites_yaml()
+    assert len(dwa.summaries_of("unseen")) == 2, "the defaults of a training here do not matter"
+    referees("First", available=True)
+    main(["build", "--episodes", "3"])
+    assert in_simulators == ["second", "first", "second"], "they have too few episodes"
+    capsys.readouterr()
+
+    main(["check", "--episodes", "1"])
+    shown = capsys.readouterr().out
+    assert [f"mine: 0 % good episodes, 0.000 m/s in {title}" in shown for title in ("First", "Second")]
+    assert shown.endswith("1 cards pass, and so do 4 results of suites\n")
+    referees("Second", available=False)
+    main(["check", "mine", "--episodes", "1"])
+    shown = capsys.readouterr().out
+    assert "without Second is not installed" in shown
+    assert "m/s in Second" not in shown
+    main(["check", "mine", "--episodes", "1", "--simulation", "kinematic"])
+    assert "m/s in the kinematic simulator" in capsys.readouterr().out
+
+    referees("Second", available=True)
+    tree = json.loads((mine.folder / "evaluation.json").read_text())
+    tree["by_simulation"]["first"]["success_rate"] = 1.0
+    tree["by_simulation"]["second"].update(bad_episodes=[], mean_speed=0.25)
+    (mine.folder / "evaluation.json").write_text(json.dumps(tree))
+    assert "| 0 %, 0.25 m/s |" in overview(entries()), "the worse of both"
+    with pytest.raises(SystemExit, match="1"):
+        main(["check", "mine", "--episodes", "1"])
+    shown = capsys.readouterr().out
+    assert "mine: 0 % good episodes in Second, but its earlier evaluation implies at least 20.7 %" in shown
+    assert "good episodes in First, but" not in shown
+    assert "mine: its card differs from its files" in shown
 
 
 @pytest.mark.parametrize(
