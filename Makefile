@@ -1,20 +1,28 @@
 # The two main targets: `make train` and `make test`.
-PYTHONS := python3.11 python3 python
-IS_3_11 := -c "import sys; sys.exit(sys.version_info[:2] != (3, 11))"
-PYTHON ?= $(firstword $(foreach name,$(PYTHONS),$(shell $(name) $(IS_3_11) 2>/dev/null && echo $(name))))
+# They take a Python that has wheels of PyBullet if there is one, else the newest; `make PYTHON=python3.12` names one.
+PYTHONS := python3.14 python3.13 python3.12 python3.11 python3 python
+PREFERRED := $(if $(filter Linux-x86_64,$(shell uname -s)-$(shell uname -m)),python3.11)
+IS_SUPPORTED := -c "import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))"
+first_of = $(shell for name in $(1); do $$name $(IS_SUPPORTED) 2>/dev/null && echo $$name && break; done)
+PYTHON ?= $(call first_of,$(PREFERRED) $(PYTHONS))
 VENV := .venv
 ROS2 := .venv-ros2
 LOWEST := .venv-lowest
-BIN := $(VENV)/bin
-SITE := lib/python3.11/site-packages
+NEWEST := .venv-newest
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+# Folder of packages in an environment, such as lib/python3.11/site-packages.
+SITE = $(shell $(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib', vars={'base': '.'}))")
 
-.PHONY: train test check slow ros lowest clean
+.PHONY: train test newest check slow ros lowest clean
 
 train: $(VENV)/installed  ## set up, train the default agent, evaluate it
 	$(BIN)/python -m tb2rl.train --agent qlearn
 
 test: $(VENV)/installed  ## set up, run the fast tests
 	$(BIN)/python -m pytest -n 2
+
+newest:  ## run the fast tests on the newest Python, in its own environment
+	$(MAKE) test VENV=$(NEWEST) PYTHON="$(call first_of,$(PYTHONS))"
 
 slow: $(VENV)/installed  ## run the slow tests
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal --durations 20
@@ -27,8 +35,8 @@ check: $(VENV)/installed  ## format, lint, import contract, types, fast tests
 	$(BIN)/python -m pytest -n 2
 
 $(VENV)/installed: pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "error: make needs Python 3.11, for which PyBullet has wheels; install it, or see 'Other systems and newer Pythons' in README.md" >&2; exit 2; }
-	$(PYTHON) -m venv $(VENV)
+	@test -x $(BIN)/pip || $(PYTHON) $(IS_SUPPORTED) 2>/dev/null || { echo "error: make needs Python 3.11 to 3.14, as in 'make PYTHON=/path/to/python train'; see 'Other systems and newer Pythons' in README.md" >&2; exit 2; }
+	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	touch $@
@@ -53,4 +61,4 @@ $(LOWEST)/installed: $(VENV)/installed tests/lowest_versions.py
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(ROS2) $(LOWEST) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) $(ROS2) $(LOWEST) $(NEWEST) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
