@@ -13,6 +13,7 @@ from contextlib import suppress
 from functools import partial
 from multiprocessing import connection
 from multiprocessing.connection import Connection
+from typing import Any
 
 import cloudpickle
 from tqdm import tqdm  # type: ignore[import-untyped]
@@ -48,8 +49,8 @@ class LocalExecutor(Executor):
 
     def wait(self, seconds: float) -> list[tuple[Job, Result]]:
         results = []
-        for pipe in connection.wait(list(self._busy), seconds):
-            assert isinstance(pipe, Connection)
+        ready: list[Any] = connection.wait(list(self._busy), seconds)
+        for pipe in ready:
             worker = self._busy[pipe]
             try:
                 result = pipe.recv()

@@ -196,10 +196,12 @@ def steer_in_terminal(teleop: Teleop, show: Show) -> None:
         InputError: If the terminal cannot be used.
     """
     try:
-        import curses  # not on Windows
-
+        import curses
+    except ImportError:
+        raise InputError("--teleop needs Python's module curses, which Windows lacks") from None
+    try:
         curses.setupterm()
-    except (ImportError, curses.error) as error:
+    except curses.error as error:
         raise InputError(f"--teleop cannot use this terminal: {error}") from None
     arrows = {curses.KEY_UP: "w", curses.KEY_LEFT: "a", curses.KEY_DOWN: "s", curses.KEY_RIGHT: "d"}
     with suppress(KeyboardInterrupt):

@@ -11,8 +11,9 @@ from contextlib import ExitStack, closing
 import numpy as np
 import pytest
 
+from tb2rl.core.errors import InputError
 from tb2rl.robots import Laser
-from tb2rl.viz.window import Teleop, range_lines
+from tb2rl.viz.window import Teleop, range_lines, steer_in_terminal
 
 
 def test_ranges_are_bars_from_right_to_left():
@@ -101,6 +102,12 @@ def test_an_ending_is_shown_and_a_new_episode_begins_at_rest(task, settings, mes
     assert any(line.startswith(message) and line.endswith("): new episode") for line in teleop.lines(24))
     assert teleop.robot_state.pose[0] == pytest.approx(start, abs=1e-3)
     assert not teleop.command.any()
+
+
+def test_a_system_without_curses_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "curses", None)
+    with pytest.raises(InputError, match="curses, which Windows lacks"):
+        steer_in_terminal(None, None)
 
 
 @pytest.mark.slow
