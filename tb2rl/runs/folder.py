@@ -43,7 +43,17 @@ CONFIG, SHARED_CONFIG = "config.yaml", "config.json"  # config of a run folder, 
 TRAINING_EVALUATIONS = "evaluations.jsonl"
 EVALUATION, EPISODES = "evaluation.json", f"episodes{SUFFIX}"  # the standard evaluation and its episodes
 _SUITE_FILE = "suite-{}.json"  # result of a suite, by the name of the suite
-_PACKAGES = ("tb2rl", "stable-baselines3", "torch", "gymnasium", "pybullet", "numpy", "numba", "safetensors")
+_PACKAGES = (
+    "tb2rl",
+    "stable-baselines3",
+    "torch",
+    "gymnasium",
+    "pybullet",
+    "mujoco-core",
+    "numpy",
+    "numba",
+    "safetensors",
+)
 
 
 @dataclass(frozen=True)
