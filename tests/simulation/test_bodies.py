@@ -8,10 +8,11 @@ import pytest
 
 from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
-from tb2rl.simulation.bullet.client import pybullet
 from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many
 from tb2rl.worlds.registry import world_names
+
+pybullet = pytest.importorskip("tb2rl.simulation.bullet.client", reason="PyBullet is not installed").pybullet
 
 BEAM = 1e-3  # [m] half the thickness of a beam: what a ray of single precision may miss at an edge
 

@@ -14,9 +14,9 @@ import pytest
 from tb2rl.core.errors import InputError
 from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
-from tb2rl.simulation.bullet.batch import BulletBatch
-from tb2rl.simulation.bullet.simulator import BulletSimulator
 from tb2rl.worlds.registry import find_world
+
+bullet = pytest.importorskip("tb2rl.simulation.bullet.batch", reason="PyBullet is not installed")
 
 WORLDS = tuple(map(find_world, ("loop", "maze")))
 SPEC = SimulationSpec(ROBOT, replace(ROBOT.laser, beams=9, noise=0.02), WORLDS)
@@ -60,7 +60,7 @@ def drive(batch, steps=10) -> list[dict]:
 
 def drive_alone(i, num_envs, steps=10) -> list[dict]:
     """The same drive of environment `i` in a simulator of its own."""
-    with closing(BulletSimulator(SPEC)) as simulation:
+    with closing(bullet.BulletSimulator(SPEC)) as simulation:
         noise = np.random.default_rng(0).spawn(num_envs)[i]
         states = [simulation.reset(InitialState(initial_states(num_envs).table[[i]]), noise).state()]
         for step, command in enumerate(commands(steps, num_envs)):
@@ -99,7 +99,7 @@ def test_the_cameras_show_the_view_of_each_robot(make):
     assert (colours.shape, colours.dtype, depth.shape) == ((4, 18, 24, 3), np.uint8, (4, 18, 24))
     np.testing.assert_array_equal(first.render_camera(24, 18)[0], colours[1:3])
     assert len({image.tobytes() for image in colours}) == 4
-    with closing(BulletSimulator(SPEC)) as alone:
+    with closing(bullet.BulletSimulator(SPEC)) as alone:
         alone.reset(InitialState(initial_states(4).table[3:]), np.random.default_rng(0))
         np.testing.assert_array_equal(alone.step(command[3:], PERIOD).render_camera(24, 18)[0][0], colours[3])
 
@@ -170,7 +170,7 @@ def test_an_error_while_the_worlds_open_is_raised_and_leaves_no_process(make, tm
     before = set(multiprocessing.active_children())
     (tmp_path / "robot.urdf").write_text("no robot")
     with pytest.raises(InputError, match="PyBullet cannot load"):
-        BulletBatch(replace(SPEC, robot=replace(ROBOT, urdf=tmp_path / "robot.urdf")), 2, 2)
+        bullet.BulletBatch(replace(SPEC, robot=replace(ROBOT, urdf=tmp_path / "robot.urdf")), 2, 2)
     monkeypatch.setattr("tb2rl.simulation.bullet.batch.cloudpickle.dumps", lambda _: b"no spec")
     with pytest.raises(pickle.UnpicklingError):  # of the other process
         make(2)
