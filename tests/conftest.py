@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
+from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from threading import Thread
@@ -45,8 +46,13 @@ th.set_num_threads(1)  # because the networks are small and other tests use the 
 
 
 def pytest_collection_modifyitems(items) -> None:
-    """Start the longest tests first, so that no worker waits for them at the end."""
+    """Start the longest tests first, so that no worker waits for them at the end. Skip what lacks PyBullet."""
     items.sort(key=lambda item: item.get_closest_marker("first") is None)
+    if find_spec("pybullet") is None:
+        for item in items:
+            parameters = {*re.split(r"[][-]", item.name)}
+            if item.get_closest_marker("bullet") or parameters & {"bullet", "chase"}:  # PyBullet has the chase camera
+                item.add_marker(pytest.mark.skip("PyBullet is not installed"))
 
 
 FLOOR = World.from_shapes("floor", start=(0.0, 0.0, 0.0), bounds=(-9.0, -9.0, 9.0, 9.0))

@@ -5,6 +5,7 @@ import gc
 import pickle
 import subprocess
 import sys
+from importlib import import_module
 
 import gymnasium as gym
 import numpy as np
@@ -12,7 +13,6 @@ import pytest
 
 import tb2rl
 from tb2rl.core.errors import InputError
-from tb2rl.simulation.bullet.client import pybullet
 
 ACTIONS, OTHERS = np.random.default_rng(0).integers(3, size=(2, 60))
 
@@ -79,6 +79,7 @@ def test_a_closed_environment_does_not_close_its_copy(simulation):
     np.testing.assert_array_equal(run(copied, ACTIONS), expected)
 
 
+@pytest.mark.bullet
 def test_an_environment_with_a_window_is_not_copied(make):
     env = make("maze")
     env.simulator._window = True
@@ -86,20 +87,23 @@ def test_an_environment_with_a_window_is_not_copied(make):
         copy.deepcopy(env)
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("make_again", [lambda env: env, lambda env: pickle.loads(pickle.dumps(env))])
 def test_an_environment_without_references_frees_its_client(make_again, without_gc):
     env = make_again(gym.make("tb2rl:TurtleBot2Maze-v0", render_mode="rgb_array"))
     env.reset(seed=0)
     env.step(0)
     client = env.unwrapped.simulator._client
+    pybullet = import_module("pybullet")
     assert pybullet.isConnected(client)
     del env
     assert not pybullet.isConnected(client)
 
 
+@pytest.mark.bullet
 def test_a_forked_process_does_not_disconnect_the_client_of_its_parent(monkeypatch, without_gc):
     env = tb2rl.make_env()
-    client = env.simulator._client
+    client, pybullet = env.simulator._client, import_module("pybullet")
     with monkeypatch.context() as forked:
         forked.setattr("os.getpid", lambda: -1)
         del env

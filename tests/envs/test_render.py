@@ -65,6 +65,7 @@ def test_an_image_shows_the_world_that_the_episode_is_in(make):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
+@pytest.mark.bullet
 def test_a_window_without_a_display_is_refused_with_the_way_out(make, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(InputError, match="no display; use 'rgb_array'"):

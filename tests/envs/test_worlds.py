@@ -157,6 +157,7 @@ def test_each_environment_begins_in_a_world_that_is_drawn_for_it(begins):
         assert begins == "random" or tuple(initial_state.pose[i]) == world.start
 
 
+@pytest.mark.bullet
 def test_episodes_change_worlds_and_start_alike_in_both_simulators(make):
     worlds = ["loop", "circuit", "round"]
     envs, seen = [make(world=worlds, simulation=simulation) for simulation in ("bullet", "kinematic")], set()

@@ -14,6 +14,7 @@ from tb2rl.envs.scene import make_scene
 from tb2rl.evaluation.episodes import check_spaces
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.config import resolve
+from tb2rl.simulation.simulator import default_physics
 from tb2rl.tasks.wander import Wander
 
 SHORT = {"episodes": 1, "steps": 3, "workers": 1}
@@ -25,7 +26,7 @@ def test_settings_and_simulation_can_be_chosen(trained_run):
     evaluation = evaluate(trained_run, settings=settings, **KINEMATIC)
     assert (evaluation.task.world, evaluation.scene.world.name) == ("circuit", "circuit")
     assert evaluation.task.laser_noise == 0.1
-    assert (evaluation.simulation, evaluate(trained_run, **SHORT).simulation) == ("kinematic", "bullet")
+    assert (evaluation.simulation, evaluate(trained_run, **SHORT).simulation) == ("kinematic", default_physics().name)
     with pytest.raises(InputError, match="did you mean 'world'"):
         evaluate(trained_run, settings={"wrld": "circuit"}, **KINEMATIC)
     with pytest.raises(InputError, match="unknown simulator 'gazebo'; known: bullet, kinematic"):

@@ -19,6 +19,7 @@ from tb2rl.robots.turtlebot2 import ROBOT
 from tb2rl.runs.algorithm import make_algorithm, make_baseline
 from tb2rl.runs.config import Config, resolve
 from tb2rl.simulation import InitialState
+from tb2rl.simulation.simulator import default_physics
 from tb2rl.tasks.wander import Wander
 from tb2rl.worlds.registry import find_world
 
@@ -112,11 +113,13 @@ def test_the_steps_of_an_episode_are_those_of_its_record():
 def test_simulators_make_other_episodes_from_the_same_initial_states(outcomes):
     config = resolve("qlearn", settings={"task.laser_noise": 0.01})
     policy = make_policy(config)
-    evaluations = [run(config, policy, 4, 20, seed=1, simulation=name) for name in ("kinematic", "bullet")]
+    simulations = ("kinematic", default_physics().name)
+    evaluations = [run(config, policy, 4, 20, seed=1, simulation=name) for name in simulations]
     assert outcomes(evaluations[0]) != outcomes(evaluations[1])
     np.testing.assert_allclose(*([episode.start for episode in each.episodes] for each in evaluations), atol=1e-12)
 
 
+@pytest.mark.bullet
 def test_a_robot_that_cannot_be_loaded_is_refused_before_processes_start():
     scene = resolve("wallfollower").scene
     unusable = replace(scene, spec=replace(scene.spec, robot=replace(ROBOT, urdf=Path("missing.urdf"))))
@@ -205,7 +208,7 @@ def test_a_task_with_initial_states_of_its_own_is_evaluated_from_them(northward,
 
 
 def test_anything_that_predicts_is_evaluated(forward):
-    episodes = run(resolve(), forward, 3, 200, simulation="bullet").episodes
+    episodes = run(resolve(), forward, 3, 200, simulation=default_physics().name).episodes
     assert [(episode.ended, episode.failed) for episode in episodes] == [("collision", True)] * 3
     assert [episode.episode_return for episode in episodes] == [5.0 * (e.length - 1) - 200.0 for e in episodes]
     assert [episode.actions.tolist() for episode in episodes] == [[0] * e.length for e in episodes]

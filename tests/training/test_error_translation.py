@@ -12,7 +12,7 @@ import pytest
 
 from tb2rl import load
 from tb2rl.core.errors import InputError
-from tb2rl.simulation.bullet.batch import BulletBatch
+from tb2rl.simulation.simulator import default_physics
 from tb2rl.tasks.wander import Wander
 from tb2rl.training.training import resume, train_config
 
@@ -29,7 +29,8 @@ def test_a_full_disk_is_named_though_tensorboard_writes_in_a_thread(small, tmp_p
 
 
 def test_a_killed_simulator_process_is_named_and_none_is_left(small, tmp_path, monkeypatch):
-    before, step = set(multiprocessing.active_children()), BulletBatch.step
+    batch_module = pytest.importorskip("tb2rl.simulation.bullet.batch", reason="PyBullet is not installed")
+    before, step = set(multiprocessing.active_children()), batch_module.BulletBatch.step
 
     def killed(batch, *arguments):
         for process in batch._processes:
@@ -37,8 +38,8 @@ def test_a_killed_simulator_process_is_named_and_none_is_left(small, tmp_path, m
             process.join()
         return step(batch, *arguments)
 
-    monkeypatch.setattr("tb2rl.simulation.bullet.batch.processors", lambda: 3)
-    monkeypatch.setattr(BulletBatch, "step", killed)
+    monkeypatch.setattr(batch_module, "processors", lambda: 3)
+    monkeypatch.setattr(batch_module.BulletBatch, "step", killed)
     with pytest.raises(InputError, match="a process with PyBullet environments has ended"):
         train_config(small(simulation="bullet", n_envs=3), tmp_path / "run")
     assert set(multiprocessing.active_children()) <= before
@@ -79,7 +80,8 @@ def test_settings_that_fail_while_learning_are_named(agent, settings, message, s
 
 
 def test_an_error_in_a_task_keeps_its_traceback(small, tmp_path, monkeypatch):
-    configs = {simulation: small(simulation=simulation, n_envs=1) for simulation in ("kinematic", "bullet")}
+    simulations = ("kinematic", default_physics().name)
+    configs = {simulation: small(simulation=simulation, n_envs=1) for simulation in simulations}
     monkeypatch.setattr(Wander, "outcome", lambda *_: np.zeros(3) + np.zeros(4))
     for simulation, config in configs.items():
         with pytest.raises(ValueError, match="could not be broadcast") as bug:

@@ -12,6 +12,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluate import Evaluator
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.runs.config import resolve
+from tb2rl.simulation.simulator import default_physics
 from tb2rl.train import main
 from tb2rl.training.training import make_evaluator, resume, train_config
 
@@ -95,14 +96,14 @@ def test_the_command_prints_that_a_training_was_stopped_and_notes_its_evaluation
     monkeypatch.chdir(tmp_path)
     rates(1.0, 1.0)
     flags = "--simulation kinematic --n-envs 4 --total-timesteps 512 --eval-freq 64 --no-evaluation --name run"
-    few = ["train.stop_score=0.995", "train.eval_episodes=3", "train.eval_steps=10", "train.eval_simulation=bullet"]
-    main([*flags.split(), "--set", *few])
+    few, simulation = ["train.stop_score=0.995", "train.eval_episodes=3", "train.eval_steps=10"], default_physics().name
+    main([*flags.split(), "--set", *few, f"train.eval_simulation={simulation}"])
     assert (
         "stopped after 128 of 512 steps: 2 evaluations in a row reached the train.stop_score of 99.5 %\n"
         in capsys.readouterr().out
     )
     line, _ = map(json.loads, (tmp_path / "runs/maze/qlearn/run/evaluations.jsonl").read_text().splitlines())
-    assert (line["simulation"], line["episodes"], line["steps"]) == ("bullet", 3, 10)
+    assert (line["simulation"], line["episodes"], line["steps"]) == (simulation, 3, 10)
     assert line["median_squares"] >= 1
     assert 0.0 < line["seconds"] <= line["elapsed"]
 

@@ -21,6 +21,7 @@ from tb2rl.evaluation.evaluate import VALIDATION_SEED
 from tb2rl.runs.algorithm import make_algorithm
 from tb2rl.runs.checkpoint import read_checkpoint
 from tb2rl.runs.config import parse_settings
+from tb2rl.simulation.simulator import default_physics
 from tb2rl.training.training import train_config
 
 SMALL = {"agent.policy_kwargs.net_arch": [16], "task.observation": "raw"}
@@ -29,7 +30,7 @@ OFF_POLICY = {"agent.learning_starts": 32, "agent.buffer_size": 200, "agent.batc
 BOTH = {"norm_obs": True, "norm_reward": True}
 TRAININGS = {
     "PPO, an image": ("stable_baselines3:PPO", "my_tasks:Pictured", {**ON_POLICY, "task.frame_stack": 2}),
-    "SAC": ("stable_baselines3:SAC", "drive", {**OFF_POLICY, "train.eval_simulation": "bullet"}),
+    "SAC": ("stable_baselines3:SAC", "drive", {**OFF_POLICY, "train.eval_simulation": default_physics().name}),
     "RecurrentPPO": ("sb3_contrib:RecurrentPPO", "drive", {**ON_POLICY, "agent.policy_kwargs.lstm_hidden_size": 8}),
 }
 

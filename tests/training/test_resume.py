@@ -10,6 +10,7 @@ from tb2rl import load
 from tb2rl.core.errors import InputError
 from tb2rl.runs.checkpoint import read_checkpoint, write_checkpoint
 from tb2rl.runs.folder import Run
+from tb2rl.simulation.simulator import default_physics
 from tb2rl.training.training import resume, train_config
 
 SB3, CONTRIB = "stable_baselines3", "sb3_contrib"
@@ -45,7 +46,7 @@ SLOW = [
     (f"{CONTRIB}:TRPO", MAZE, {"agent.n_steps": 16, "agent.batch_size": 32}),
     (f"{CONTRIB}:RecurrentPPO", PICTURED, {**ON_POLICY, **LSTM}),
 ]
-SHORT = {"simulation": "bullet", "total_timesteps": 64, "n_envs": 1}
+SHORT = {"simulation": default_physics().name, "total_timesteps": 64, "n_envs": 1}
 
 
 @pytest.mark.parametrize(

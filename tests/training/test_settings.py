@@ -20,6 +20,7 @@ def table(folder) -> np.ndarray:
     return load(folder / "final" / "policy.safetensors").policy.q.numpy()
 
 
+@pytest.mark.bullet
 def test_equal_seeds_give_equal_tables_whatever_the_number_of_processes(small, tmp_path, monkeypatch):
     for name, seed, processors in (("one", 5, 1), ("two", 5, 3), ("other", 6, 1)):
         monkeypatch.setattr("tb2rl.simulation.bullet.batch.processors", lambda n=processors: n)

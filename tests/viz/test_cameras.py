@@ -109,6 +109,7 @@ def test_each_episode_shows_its_own_goal(make, green):
             assert len(green(picture[row - 3 : row + 4, column - 3 : column + 4])), (x, y)
 
 
+@pytest.mark.bullet
 def test_a_robot_is_shown_in_its_size(make):
     configs = [make.config(start="fixed", beams=1, robot=robot) for robot in ("turtlebot2", "turtlebot3")]
     large, small = ((first_picture("chase", make, config).max(axis=2) < 90).sum() for config in configs)

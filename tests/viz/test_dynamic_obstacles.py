@@ -49,6 +49,7 @@ def test_beams_end_at_them(make):
         assert camera.ranges(frames[0])[1] == pytest.approx(3.75 - 2.0 - 0.4, abs=1e-3)
 
 
+@pytest.mark.bullet
 def test_the_chase_camera_shows_them(make):
     seen = []
     for settings in (POST, None):

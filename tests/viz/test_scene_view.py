@@ -6,22 +6,20 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from tb2rl.simulation.bullet.bodies import connect
-from tb2rl.viz import scene_view
-from tb2rl.viz.scene_view import SceneView, draw_floor
+scene_view = pytest.importorskip("tb2rl.viz.scene_view", reason="PyBullet is not installed")
 
 SIDES = 160, 90  # [px]
 NO_GOAL = np.full(2, np.nan)
 
 
 @pytest.fixture
-def view(make_spec) -> Iterator[SceneView]:
+def view(make_spec) -> Iterator[scene_view.SceneView]:
     """The worlds `wall` and `loop`, and the TurtleBot2."""
-    with closing(SceneView(make_spec("wall", "loop"))) as view:
+    with closing(scene_view.SceneView(make_spec("wall", "loop"))) as view:
         yield view
 
 
-def seen(view: SceneView, world: int, goal: np.ndarray, pose: tuple[float, float, float]) -> np.ndarray:
+def seen(view: scene_view.SceneView, world: int, goal: np.ndarray, pose: tuple[float, float, float]) -> np.ndarray:
     view.show(world, goal, np.array(pose))
     return view.chase_picture(*SIDES).astype(int)
 
@@ -39,9 +37,10 @@ def test_the_robot_stands_before_the_camera_wherever_it_is_placed(view):
 
 def test_a_window_shows_the_same_robot_in_its_colours(view, make_spec, monkeypatch):
     """PyBullet's window gives a link one colour; the camera's renderer shows no difference, so it needs no display."""
+    connect = scene_view.connect
     monkeypatch.setattr(scene_view, "connect", lambda window: connect(False))
     pose = (1.0, 0.5, 0.7)
-    with closing(SceneView(make_spec("wall", "loop"), window=True)) as window:
+    with closing(scene_view.SceneView(make_spec("wall", "loop"), window=True)) as window:
         robots = [seen(each, 0, NO_GOAL, pose)[30:75, 55:105] for each in (view, window)]
     dark = [(robot.max(axis=2) < 90) for robot in robots]
     assert (dark[0] != dark[1]).mean() < 0.05
@@ -71,7 +70,7 @@ def test_worlds_alternate_and_a_view_can_be_closed_twice(view):
 
 def test_the_floor_has_fixed_tiles_of_a_metre():
     here, two_tiles_on, one_tile_on = (
-        draw_floor((x, y, 0.5), *SIDES) for x, y in ((0.3, 0.2), (2.3, -1.8), (1.3, 0.2))
+        scene_view.draw_floor((x, y, 0.5), *SIDES) for x, y in ((0.3, 0.2), (2.3, -1.8), (1.3, 0.2))
     )
     assert (here.shape, here.dtype) == ((*SIDES[::-1], 3), np.uint8)
     assert (here != two_tiles_on).any(axis=2).mean() < 0.001, "up to rounding"

@@ -11,6 +11,7 @@ from tb2rl.evaluation import suites
 from tb2rl.evaluation.suites import SuiteEpisode, SuiteResult, run_suite, suite_evaluator, suite_result, suite_scene
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.config import resolve
+from tb2rl.simulation.simulator import default_physics
 from tb2rl.viz.page import page
 from tb2rl.viz.suites import MAX_FILMS, SuiteSection, select_episodes, suite_section, suite_sections
 
@@ -55,7 +56,7 @@ def test_a_result_has_its_metrics_and_a_film_of_each_failure(result, pages, tmp_
     shown = pages(page([], [suite_section(tmp_path / "it.json", result)]))
     low, high = (f"{100 * bound:.1f} %" for bound in result.figures["all"].success_interval)
     for part in (
-        "agent random, guide goal, turtlebot2, PyBullet: suite unseen",
+        f"agent random, guide goal, turtlebot2, {default_physics().title}: suite unseen",
         f"all 3 0.0 % {low} to {high} 0.0 % 100.0 % 0.000",
         "The goal was missed in 3 of 3 worlds. The films show repeated episodes.",
         "at -1 (a): time limit after 1.0 s and",

@@ -16,7 +16,7 @@ STEPS = 10
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
-@pytest.mark.parametrize(("display", "expected"), [(":0", True), ("", False)])
+@pytest.mark.parametrize(("display", "expected"), [pytest.param(":0", True, marks=pytest.mark.bullet), ("", False)])
 def test_the_environment_names_the_display(display, expected, monkeypatch):
     monkeypatch.setenv("DISPLAY", display)
     assert has_display() == expected

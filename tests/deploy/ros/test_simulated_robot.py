@@ -86,6 +86,7 @@ def test_a_contact_behind_the_robot_presses_no_bumper():
     assert not events
 
 
+@pytest.mark.bullet
 def test_images_have_depths_and_in_pybullet_colours():
     colours, depth = make_robot("bullet").images()
     assert (colours.pixels.shape, colours.pixels.dtype) == ((240, 320, 3), np.uint8)
@@ -96,6 +97,7 @@ def test_images_have_depths_and_in_pybullet_colours():
     assert np.median(np.abs(depth.pixels[both] - kinematic.pixels[both])) < 0.02
 
 
+@pytest.mark.bullet
 def test_memory_does_not_grow_with_the_drive(monkeypatch):
     monkeypatch.setattr("tb2rl.deploy.ros.simulated_robot._TICKS_BETWEEN_READS", 4)
     robot = make_robot("bullet")
