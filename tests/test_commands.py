@@ -50,7 +50,7 @@ def test_train_refuses_wrong_input(line, named, workdir, refused):
         ("--agent random --episodes 2147483648", ["--episodes", "from 1 to 100000"]),
         (300 * "x", ["File name too long"]),
         ("--agent random --json missing/it.json", ["missing/it.json"]),
-        ("--agent random --simulation gazebo", ["unknown simulator", "bullet, kinematic, ros"]),
+        ("--agent random --simulation gazebo", ["unknown simulator", "bullet, kinematic, mujoco, ros"]),
         ("--agent random --ros 2", ["--ros needs --simulation ros"]),
         ("--agent random --goal 1,2", ["--goal", "--simulation ros", "task.goal"]),
         ("--agent random --simulation ros --workers 2", ["--workers", "one robot"]),

@@ -95,7 +95,7 @@ class SimulatorType:
         """Raise an `InputError` if the simulator cannot run here; `purpose` is its use, for the message."""
         reason = self.unavailable()
         if reason is not None:
-            use = purpose or f'simulation="{self.name}" (another one is simulation="{batch_simulator().name}")'
+            use = purpose or f'simulation="{self.name}" (another one is simulation="{default_simulator().name}")'
             remedy = f": {self.install}" if self.install and reason == NOT_INSTALLED else ""
             raise InputError(f"{use} needs {self.title}, which {reason}{remedy}")
 
