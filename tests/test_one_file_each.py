@@ -139,9 +139,9 @@ def test_a_training_is_resumed_evaluated_filmed_and_reported(new, mine):
     assert (run.folder / "report.html").stat().st_size > 10_000
 
 
-def test_an_own_robot_follows_commands_in_both_simulators(mine):
+def test_an_own_robot_follows_commands_in_every_simulator(mine):
     ends = {}
-    for simulation in ("bullet", "kinematic"):
+    for simulation in ("bullet", "mujoco", "kinematic"):
         env = tb2rl.make_env("cruise:Cruise", "raw", simulation=simulation, robot="small:ROBOT", world="wall")
         env.reset(seed=0, options={"pose": (0.0, -2.0, 0.0)})
         for action in ([1.0, 0.0], [1.0, 1.0], [1.0, -1.0]) * 5:
@@ -149,7 +149,8 @@ def test_an_own_robot_follows_commands_in_both_simulators(mine):
         ends[simulation] = info["pose"]
         assert 0.5 < info["distance"] <= 0.3 * 3.0 + 0.02  # 15 steps of 0.2 s at 0.3 m/s, its fastest
         env.close()
-    np.testing.assert_allclose(ends["bullet"][:2], ends["kinematic"][:2], atol=0.05)
+    for physics in ("bullet", "mujoco"):
+        np.testing.assert_allclose(ends[physics][:2], ends["kinematic"][:2], atol=0.05)
 
 
 def test_a_baseline_is_evaluated_and_filmed(mine, capsys):

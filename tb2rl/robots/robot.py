@@ -59,7 +59,7 @@ class Camera:
 class Robot:
     """A differential drive.
 
-    The kinematic simulator uses only the numbers, PyBullet also the URDF file, so the two must agree.
+    The kinematic simulator uses only the numbers, physics also the URDF file, so the two must agree.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Robot:
     wheel_torque: Positive  # [N m] largest torque of a wheel's motor
     max_speed: Positive  # [m/s]
     max_turn_rate: Positive  # [rad/s]
-    # Measured in PyBullet by `tb2rl.simulation.motors.measure_motors`:
+    # Measured in PyBullet, or MuJoCo, by `tb2rl.simulation.motors.measure_motors`:
     wheel_acceleration: Positive  # [m/s^2] acceleration of a wheel's rim by its own motor
     wheel_coupling: StrictFloat  # [m/s^2] added if the other motor pushes the same way, subtracted if the opposite way
     laser: Laser

@@ -1,7 +1,8 @@
 """Simulators: robots in their worlds, commanded by v and w, with laser, odometry, bumper and camera.
 
-`simulator` has the protocol and the registry, `kinematic/` and `bullet/` have one simulator each, and `obstacles/` has
-the dynamic obstacles. The first axis of all arrays is that of the environments. Imports worlds, robots and core.
+`simulator` has the protocol and the registry. `bullet/`, `mujoco/` and `kinematic/` have one simulator each, `arrays/`
+has what the last two share, and `obstacles/` has the dynamic obstacles. The first axis of all arrays is that of the
+environments. Imports worlds, robots and core.
 """
 
 from tb2rl.simulation.random_streams import RandomSource

@@ -38,8 +38,8 @@ class Variation:
     wheel_separation: Range[Ratio] = (1.0, 1.0)  # true / nominal
     odometry: Range[Ratio] = (1.0, 1.0)  # measured / true distance of each wheel, if the wheel radius is nominal
     acceleration: Range[Ratio] = (1.0, 1.0)  # acceleration by the motors, true / nominal
-    mass: Range[WideRatio] = (1.0, 1.0)  # true / nominal, in PyBullet only
-    friction: Range[WideRatio] = (1.0, 1.0)  # friction of the wheels on the floor, true / nominal, in PyBullet only
+    mass: Range[WideRatio] = (1.0, 1.0)  # true / nominal, in physics only
+    friction: Range[WideRatio] = (1.0, 1.0)  # friction of the wheels on the floor, true / nominal, in physics only
     laser_noise: Range[NonNegative] | None = None  # [m] standard deviation of the laser; None: the task's `laser_noise`
     bias: Range[Length] = (0.0, 0.0)  # [m] added to all ranges
     dropped: Range[Fraction] = (0.0, 0.0)  # share of beams that return inf

@@ -17,7 +17,7 @@ from tb2rl.core.errors import InputError
 ACTIONS, OTHERS = np.random.default_rng(0).integers(3, size=(2, 60))
 
 
-@pytest.fixture(params=("bullet", "kinematic"))
+@pytest.fixture(params=("bullet", "mujoco", "kinematic"))
 def simulation(request):
     """The name of a simulator."""
     return request.param

@@ -35,7 +35,7 @@ def test_every_task_can_have_dynamic_obstacles_and_variation(name, make):
         assert env.observation_space.contains(env.step(env.action_space.sample())[0])
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_a_worlds_file_can_have_dynamic_obstacles(simulation, hall, make):
     env = make("maze", simulation=simulation, world=hall, dynamic_obstacles={"people": 1})
     env.reset(seed=0)
@@ -55,7 +55,7 @@ def test_a_world_and_a_task_have_at_most_fifty_dynamic_obstacles_together(hall, 
         make("maze", world=hall, dynamic_obstacles={"people": 50})
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_episodes_end_in_collisions_of_both_kinds(simulation, make, drive):
     """A dynamic obstacle runs into a robot at rest; a robot that drives straight on hits a wall."""
     ended = {0: set(), 1: set()}

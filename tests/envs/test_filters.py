@@ -65,7 +65,7 @@ def crawl(tmp_path, monkeypatch):
     sys.modules.pop("crawling", None)
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_a_filter_slows_one_environment_and_many(crawl, simulation, make, drive, start_vec_env):
     """The wheels accelerate, so that the speed is measured in the last of some steps."""
     speeds = []

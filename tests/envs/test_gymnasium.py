@@ -95,7 +95,7 @@ def test_gymnasium_shows_the_kinematic_simulator_in_a_window(monkeypatch, drive)
         made.close()
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_an_environment_that_was_closed_opens_with_a_reset(simulation, make, drive):
     env, fresh = (make("maze", laser_noise=0.01, simulation=simulation) for _ in range(2))
     env.reset(seed=3)

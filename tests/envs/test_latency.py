@@ -23,7 +23,7 @@ def run(make):
     return run_episode
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_a_command_takes_effect_so_many_steps_later(simulation, run):
     *_, late = run(simulation, variation={"latency": 2})
     *_, prompt = run(simulation)

@@ -59,7 +59,7 @@ def test_an_environment_does_not_depend_on_the_others(task, start_vec_env):
         np.testing.assert_array_equal((rewards[:5], dones[:5]), (same_rewards, same_dones))
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_one_environment_continues_from_its_state_and_as_a_copy(task, simulation, make, drive):
     env, fresh = (make(task, "raw", simulation=simulation) for _ in range(2))
     env.reset(seed=3)

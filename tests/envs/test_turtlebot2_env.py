@@ -61,7 +61,7 @@ def test_the_option_initial_state_goes_alone_and_has_one_row(make):
     assert env.reset(options={"initial_state": initial_state})[1]["pose"] == pytest.approx([3.75, 0.0, 1.5])
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_a_step_reports_where_the_robot_is_and_how_it_fares(simulation, make, drive):
     env = make("maze", "raw", start="fixed", simulation=simulation)
     _, info = env.reset()
@@ -75,7 +75,7 @@ def test_a_step_reports_where_the_robot_is_and_how_it_fares(simulation, make, dr
     assert info["min_range"] == pytest.approx(seen.min())
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_a_collision_terminates_and_has_failed(simulation, make, drive):
     env = make(simulation=simulation)
     env.reset(options={"pose": FACING_A_WALL})
@@ -97,7 +97,7 @@ def test_reaching_the_goal_is_a_success_and_running_out_of_time_is_not(make, dri
     assert (truncated, info["ended"], info["is_success"], info["failed"]) == (True, "time limit", False, False)
 
 
-@pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 def test_any_velocities_are_driven(simulation, glide, make, drive):
     env = make(glide, "raw", simulation=simulation, start="fixed", episode_steps=9)
     env.reset()

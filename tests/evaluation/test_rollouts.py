@@ -20,7 +20,7 @@ def env():
         yield env
 
 
-@pytest.mark.parametrize("simulation", ["kinematic", "bullet"])
+@pytest.mark.parametrize("simulation", ["kinematic", "bullet", "mujoco"])
 def test_a_rollout_is_an_episode_of_the_environment(simulation, forward):
     with closing(make_env("maze", episode_steps=100, simulation=simulation)) as env:
         steps = list(roll_out(env.loop, forward, seed=3))

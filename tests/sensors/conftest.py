@@ -10,7 +10,7 @@ from tb2rl.simulation import InitialState, find_simulator
 PERIOD = 0.2  # [s] of a command
 
 
-@pytest.fixture(params=("bullet", "kinematic"))
+@pytest.fixture(params=("bullet", "mujoco", "kinematic"))
 def drive(request, make_spec):
     """A function from a world, a pose and commands to the first robot state and those after each command."""
 

@@ -46,6 +46,7 @@ SLOW = [
     (f"{CONTRIB}:TRPO", MAZE, {"agent.n_steps": 16, "agent.batch_size": 32}),
     (f"{CONTRIB}:RecurrentPPO", PICTURED, {**ON_POLICY, **LSTM}),
 ]
+EACH = ["kinematic", *(pytest.param(name, marks=pytest.mark.slow) for name in ("bullet", "mujoco"))]
 SHORT = {"simulation": default_physics().name, "total_timesteps": 64, "n_envs": 1}
 
 
@@ -55,6 +56,7 @@ SHORT = {"simulation": default_physics().name, "total_timesteps": 64, "n_envs": 
         *((*case, "kinematic") for case in FAST),
         *(pytest.param(*case, "kinematic", marks=pytest.mark.slow) for case in SLOW),
         *(pytest.param(*case, "bullet", marks=pytest.mark.slow) for case in [*FAST[:4], SLOW[1]]),
+        *(pytest.param(*case, "mujoco", marks=pytest.mark.slow) for case in FAST[:2]),
     ],
 )
 def test_a_resumed_training_equals_the_uninterrupted_one(
@@ -69,7 +71,7 @@ def test_a_resumed_training_equals_the_uninterrupted_one(
     assert_same_runs(whole, resumed)
 
 
-@pytest.mark.parametrize("simulation", ["kinematic", pytest.param("bullet", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("simulation", EACH)
 @pytest.mark.parametrize(
     ("agent", "settings"), [("qlearn", {}), ("ppo", {"agent.n_steps": 16, "agent.batch_size": 64})]
 )
@@ -87,7 +89,7 @@ def test_evaluations_and_curves_continue_without_a_gap(
     assert len(curves[0]) == len(evaluations(whole)) == 4
 
 
-@pytest.mark.parametrize("simulation", ["kinematic", pytest.param("bullet", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("simulation", EACH)
 def test_a_training_in_many_worlds_resumes_to_the_bit(simulation, small, killed, assert_same_runs, tmp_path):
     settings = {"task.world": {"generator": "mixed", "worlds": 64}, "task.start_clearance": 0.25} | ON_POLICY
     train = {"simulation": simulation, "n_envs": 8, "total_timesteps": 256, "episode_steps": 10, "keep": 9}
@@ -97,7 +99,7 @@ def test_a_training_in_many_worlds_resumes_to_the_bit(simulation, small, killed,
     assert resume(resumed.folder).timesteps == 128
     assert_same_runs(whole, resumed)
     state = read_checkpoint(whole.checkpoints[0])["training"]["environments"]["loop"]["simulator"]
-    parts = [state] if simulation == "kinematic" else state["worlds"]
+    parts = state["worlds"] if simulation == "bullet" else [state]
     worlds = np.concatenate([np.atleast_1d(part["initial_state"][:, 3]) for part in parts])
     assert len(np.unique(worlds)) > 4, "environments in worlds of their own"
 

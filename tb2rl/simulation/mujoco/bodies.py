@@ -7,7 +7,7 @@ import numpy as np
 from mujoco import MjData, MjModel, mj_camlight, mj_kinematics, mj_setConst, mj_step
 
 from tb2rl.robots import Robot
-from tb2rl.simulation.mujoco.models import FINE_STEPS, quaternion, vary_model
+from tb2rl.simulation.mujoco.models import quaternion, vary_model
 from tb2rl.worlds.world import WALL_HEIGHT
 
 _START_HEIGHT = -1.0e-6  # [m] the wheels sink so far into the floor; at 0 they would have no grip in the first step
@@ -18,7 +18,7 @@ class Models(NamedTuple):
     """Models that differ in their time steps only, so that both can step the same data."""
 
     coarse: MjModel
-    fine: MjModel  # near obstacles, where `FINE_STEPS` of its steps are a physics step
+    fine: MjModel  # for the motion near obstacles; `FINE_STEPS` of its time steps are one of the coarse model
 
 
 class RobotBody:
@@ -69,8 +69,8 @@ class RobotBody:
         mj_step(self.models.coarse, self.data, count)
 
     def step_finely(self, count: int) -> None:
-        """Run the same time in time steps of the fine model."""
-        mj_step(self.models.fine, self.data, FINE_STEPS * count)
+        """Run time steps of the fine model."""
+        mj_step(self.models.fine, self.data, count)
 
     def update_positions(self) -> None:
         """Compute the positions of all bodies and of the camera, for an image."""

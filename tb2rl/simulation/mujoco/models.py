@@ -19,13 +19,14 @@ from tb2rl.simulation.spec import SimulationSpec
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 WALL_COLOUR, OBSTACLE_COLOUR, FLOOR_COLOUR = (0.66, 0.36, 0.27, 1.0), (0.49, 0.31, 0.63, 1.0), (0.93, 0.93, 0.91, 1.0)
-WHEEL_FRICTION = 1.0  # friction coefficient of a wheel on the floor; it has priority over that of the floor
+WHEEL_FRICTION = 1.0  # friction coefficient of a wheel on the floor, which has priority over that of the floor
+_TOUCH = 5.0e-5  # [m] a caster whose gap to the floor is smaller carries a part of the weight
 BASE = ("base_x", "base_y", "base_z", "base_yaw")  # names of the joints of the base
 FINE_STEPS = 4  # steps of the fine model in a physics step, near obstacles
 _FLOOR_GROUP, _WALL_GROUP = 1, 2  # collision groups: wheels touch the floor, the base touches walls and obstacles
 _HIDDEN = 3  # group of shapes that MuJoCo does not draw
 _MARGIN = 0.2e-3  # [m] gap to a wall at which the wall begins to stop the base
-_MAX_SINKING = 5.0e-4  # [m] limit of the base's vertical motion; wheels sink into the floor a little
+_MAX_HOP = 5.0e-3  # [m] limit of the base's vertical motion; contacts with slip can lift it
 _SHORTEST = 1.0e-4  # [s] time constant of contacts; MuJoCo raises it to the shortest stable one, two time steps
 # Settings of shapes that stop the base, without friction.
 _HARD: dict[str, Any] = {
@@ -114,20 +115,20 @@ def _load_robot(robot: Robot) -> MjSpec:
     for joint in list(model.joints):
         if joint.name not in robot.wheel_joints:
             model.delete(joint)
-    base = model.worldbody.first_body()
+    base, load_on_wheels = model.worldbody.first_body(), _load_on_wheels(robot)
     for body in model.bodies[1:]:  # the first is the world
         for shape in list(body.geoms):
             if body.name not in wheels:
                 model.delete(shape)
                 continue
             shape.contype, shape.conaffinity, shape.condim, shape.group = 0, _FLOOR_GROUP, 3, _HIDDEN
-            shape.friction, shape.priority = (WHEEL_FRICTION, 0.0, 0.0), 1
+            shape.friction, shape.priority = (WHEEL_FRICTION * load_on_wheels, 0.0, 0.0), 1
             shape.solref, shape.solimp = (_SHORTEST, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)  # grips, and hardly sinks
     slide, hinge = mjtJoint.mjJNT_SLIDE, mjtJoint.mjJNT_HINGE
     joints = zip(BASE, (slide, slide, slide, hinge), ((1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1)), strict=True)
     for name, joint_type, axis in joints:
         base.add_joint(name=name, type=joint_type, axis=axis)
-    model.joint("base_z").limited, model.joint("base_z").range = True, (-_MAX_SINKING, _MAX_SINKING)
+    model.joint("base_z").limited, model.joint("base_z").range = True, (-_MAX_HOP, _MAX_HOP)
     ball = {"type": mjtGeom.mjGEOM_SPHERE, "size": (robot.radius, 0.0, 0.0), "pos": (0.0, 0.0, WALL_HEIGHT / 2)}
     base.add_geom(**ball, contype=0, conaffinity=_WALL_GROUP, condim=1, mass=0.0, group=_HIDDEN)
     camera, visual = robot.camera, model.visual
@@ -138,6 +139,24 @@ def _load_robot(robot: Robot) -> MjSpec:
     light = visual.headlight
     light.ambient, light.diffuse, light.specular = (0.8, 0.8, 0.8), (0.2, 0.2, 0.2), (0.0, 0.0, 0.0)
     return model
+
+
+@cache
+def _load_on_wheels(robot: Robot) -> float:
+    """Share of the robot's weight on its wheels: the casters that touch the floor carry as much as the wheels."""
+    model = MjSpec.from_file(str(robot.urdf))
+    floor = model.worldbody.add_geom(type=mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 1.0), name="floor")
+    compiled = model.compile()
+    data, wheels = mujoco.MjData(compiled), [compiled.joint(name).bodyid[0] for name in robot.wheel_joints]
+    mujoco.mj_kinematics(compiled, data)
+    casters = [
+        shape
+        for shape in range(compiled.ngeom)
+        if shape != floor.id
+        and compiled.geom_bodyid[shape] not in wheels
+        and mujoco.mj_geomDistance(compiled, data, shape, floor.id, 1.0, None) < _TOUCH
+    ]
+    return 2.0 / (2 + len(casters))
 
 
 def _wheel_body(model: MjSpec, robot: Robot, joint_name: str) -> str:

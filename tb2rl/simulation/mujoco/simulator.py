@@ -145,11 +145,9 @@ class MujocoSimulator(ArraySimulator):
             if free_steps:
                 body.step(free_steps * self.spec.substeps)
             else:
-                body.step_finely(self.spec.substeps)
+                touched = self._step_finely(i) or touched
             steps -= max(free_steps, 1)
-            gap = self._gap_to_walls(i)
-            touched = touched or gap < _CONTACT
-            free_steps = int(min(gap / reach, steps))  # without walls, the gap is infinite
+            free_steps = int(min(self._gap_to_walls(i) / reach, steps))  # without walls, the gap is infinite
         return touched
 
     def _step_among_obstacles(self, i: int, step: ControlStep) -> tuple[bool, bool]:
@@ -165,11 +163,18 @@ class MujocoSimulator(ArraySimulator):
             motion = *body.joints[:2].tolist(), *body.rates[:2].tolist()
             hit = step_obstacles(i, number, step.steps, physics_step, obstacles.arrays, *world, motion)
             body.place_obstacles(obstacles.outlines[i])
-            body.step_finely(self.spec.substeps)
+            wall_hit = self._step_finely(i) or wall_hit
             gap = distance_to_nearest(*body.joints[:2].tolist(), obstacles.arrays.obstacles, i) - self.spec.robot.radius
             obstacle_hit = obstacle_hit or hit or gap < _CONTACT
-            wall_hit = wall_hit or self._gap_to_walls(i) < _CONTACT
         return wall_hit, obstacle_hit
+
+    def _step_finely(self, i: int) -> bool:
+        """Run a physics step near obstacles; returns whether the robot touched a wall, however shortly."""
+        touched = False
+        for _ in range(FINE_STEPS):
+            self._bodies[i].step_finely(self.spec.substeps)
+            touched = touched or self._gap_to_walls(i) < _CONTACT
+        return touched
 
     def _reach(self, i: int) -> float:
         """Distance [m] that a robot cannot exceed in a physics step, unless it rebounds from an obstacle."""

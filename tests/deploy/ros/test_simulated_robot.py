@@ -11,7 +11,7 @@ from tb2rl.simulation import find_simulator
 from tb2rl.tasks.wander import Wander
 
 FORWARD = Twist(0.5, 0.0)
-both_simulators = pytest.mark.parametrize("simulation", ["bullet", "kinematic"])
+both_simulators = pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
 
 
 def make_robot(simulation="kinematic", seed=0, scan_rate=10.0, long_ticks=False, **settings):
