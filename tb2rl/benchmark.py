@@ -5,7 +5,7 @@
 
 | part | measures |
 |---|---|
-| physics | rate of the environment step in PyBullet, and the ratio of its CPU time to that of the engine alone |
+| physics | rate of the environment step in each physics; for PyBullet also its CPU time over that of the bare engine |
 | kinematic | rate of the VecEnv step in the kinematic simulator, and the ratio of its time to that of the bare kernel |
 | training | training rate of each learning agent with its own preset, without evaluations |
 | trained | training time until an evaluation is at least 95 % failure-free, and the standard evaluation afterwards |

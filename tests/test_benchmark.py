@@ -45,17 +45,25 @@ def test_the_kinematic_simulator_is_measured_without_pybullet(measured, monkeypa
 
 @pytest.mark.slow
 @pytest.mark.flaky(reruns=1)  # it compares processor times
-def test_pybullet_is_measured_alone_and_in_processes(measured, monkeypatch):
-    rates, measure_rate = list[float](), work._measure_rate
-    monkeypatch.setattr(work, "_measure_rate", lambda *args: rates.append(measure_rate(*args)) or rates[-1])
+def test_each_physics_is_measured_alone_and_in_parallel(measured, monkeypatch):
+    rates, measure_rate = dict[str, list[float]](), work._measure_rate
+
+    def record(env, steps) -> float:
+        rate = measure_rate(env, steps)
+        rates.setdefault("MuJoCo" if "mujoco" in type(env.loop.simulator).__module__ else "PyBullet", []).append(rate)
+        return rate
+
+    monkeypatch.setattr(work, "_measure_rate", record)
     values = measured("physics", "--seconds", "0.5")
     assert 1 < values["PyBullet, 6 beams: step / bare stepping"] < 3
     assert values["PyBullet, 6 beams: bare stepping in it"] > 0.05  # [ms]
-    parallel, alone = np.array(rates).reshape(-1, 2).T
-    assert values["PyBullet, 2 environments in parallel processes"] == pytest.approx(np.median(parallel))
-    assert values["PyBullet, one environment alone"] == pytest.approx(np.median(alone))
-    shares = [value for name, value in values.items() if name.startswith("PyBullet, 2 in parallel / (")]
-    assert shares == [pytest.approx(np.median(parallel / alone) / processors())]
+    assert values["MuJoCo, 6 beams: step"] > values["PyBullet, 6 beams: step"]
+    for title, both in rates.items():
+        parallel, alone = np.array(both).reshape(-1, 2).T
+        assert values[f"{title}, 2 environments in parallel"] == pytest.approx(np.median(parallel))
+        assert values[f"{title}, one environment alone"] == pytest.approx(np.median(alone))
+        shares = [value for name, value in values.items() if name.startswith(f"{title}, 2 in parallel / (")]
+        assert shares == [pytest.approx(np.median(parallel / alone) / processors())]
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ def test_one_module_imports_pybullet_and_one_compiles():
 
 # ---- imports
 
-HEAVY = "torch numba stable_baselines3 pybullet tensorboard pydantic shapely matplotlib optuna"
+HEAVY = "torch numba stable_baselines3 pybullet mujoco tensorboard pydantic shapely matplotlib optuna"
 SHOWN = f"print('heavy:', *[name for name in {HEAVY!r}.split() if name in sys.modules])"
 HELP = f"""
 import sys

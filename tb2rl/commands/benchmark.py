@@ -1,6 +1,7 @@
 """Implementation of `python -m tb2rl.benchmark`: the measurements of its four parts."""
 
 import argparse
+import math
 import platform
 import re
 import tempfile
@@ -23,9 +24,10 @@ from tb2rl.envs.scene import make_scene
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.evaluation.evaluate import SOLVED_RATE, evaluate
+from tb2rl.evaluation.sim_to_sim import available_physics
 from tb2rl.runs import TRAINING_EVALUATIONS, load, read_lines, resolve
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
-from tb2rl.simulation.simulator import batch_simulator, default_physics, find_simulator
+from tb2rl.simulation.simulator import SimulatorType, batch_simulator, default_physics, find_simulator
 from tb2rl.tasks.wander import Wander
 from tb2rl.training.training import FinishedTraining, train_config
 
@@ -48,18 +50,20 @@ class Figure(NamedTuple):
 
 
 def measure_physics(options: argparse.Namespace) -> Iterator[Figure]:
-    """PyBullet: the environment step, the bare physics of this step, and environments in parallel processes."""
-    for beams in BEAM_COUNTS:
-        env = TurtleBot2Env(make_scene(Wander(beams=beams), "raw"), simulation="bullet")
-        env.reset(seed=0)
-        times = _repeat(partial(_time_physics, env, np.random.default_rng(0)), options.seconds)
-        env.close()
-        step, physics, ratio = np.median([*times.T, times[:, 0] / times[:, 1]], axis=1).tolist()
-        name = f"PyBullet, {beams} beams"
-        yield Figure(f"{name}: step", 1.0 / step, "steps/s")
-        yield Figure(f"{name}: bare stepping in it", 1e3 * physics, f"ms per {env.task.control_period} s")
-        yield Figure(f"{name}: step / bare stepping", ratio, "ratio")
-    yield from _measure_processes(options.seconds)
+    """Each physics: the environment step, many environments, and for PyBullet the bare physics of the step."""
+    for simulator in available_physics("part physics"):
+        for beams in BEAM_COUNTS:
+            env = TurtleBot2Env(make_scene(Wander(beams=beams), "raw"), simulation=simulator)
+            env.reset(seed=0)
+            times = _repeat(partial(_time_physics, env, np.random.default_rng(0)), options.seconds)
+            env.close()
+            step, physics, ratio = np.median([*times.T, times[:, 0] / times[:, 1]], axis=1).tolist()
+            name = f"{simulator.title}, {beams} beams"
+            yield Figure(f"{name}: step", 1.0 / step, "steps/s")
+            if not math.isnan(ratio):
+                yield Figure(f"{name}: bare stepping in it", 1e3 * physics, f"ms per {env.task.control_period} s")
+                yield Figure(f"{name}: step / bare stepping", ratio, "ratio")
+        yield from _measure_parallel(simulator, options.seconds)
 
 
 def _repeat(measure: Callable[[], Sequence[float]], seconds: float) -> np.ndarray:
@@ -71,7 +75,10 @@ def _repeat(measure: Callable[[], Sequence[float]], seconds: float) -> np.ndarra
 
 
 def _time_physics(env: TurtleBot2Env, rng: np.random.Generator) -> tuple[float, float]:
-    """Mean CPU times of an environment step and of its bare physics [s], for the same motion from the same state."""
+    """Mean CPU times of an environment step and of its bare physics [s], for the same motion from the same state.
+
+    Simulators without a method `advance` have no bare physics; its time is NaN.
+    """
     simulator: Any = env.simulator
     actions = rng.integers(len(env.scene.actions.names), size=_BLOCK_STEPS)
     before, steps, done, bare_time = simulator.state(), 0, False, 0.0
@@ -80,32 +87,34 @@ def _time_physics(env: TurtleBot2Env, rng: np.random.Generator) -> tuple[float, 
         done = True in env.step(actions[steps])[2:4]  # terminated, truncated
         steps += 1
     total_time = _cpu_time() - start
-    after = simulator.state()
-    simulator.restore(before)
-    simulator.set_duration(env.task.control_period)
-    for command in env.scene.actions.commands(actions[:steps]).tolist():
-        simulator.set_wheel_speeds(command)
-        bare_time += timeit(simulator.advance, timer=_cpu_time, number=1)
-    simulator.restore(after)
+    if hasattr(simulator, "advance"):
+        after = simulator.state()
+        simulator.restore(before)
+        simulator.set_duration(env.task.control_period)
+        for command in env.scene.actions.commands(actions[:steps]).tolist():
+            simulator.set_wheel_speeds(command)
+            bare_time += timeit(simulator.advance, timer=_cpu_time, number=1)
+        simulator.restore(after)
     if done:
         env.reset()
-    return total_time / steps, bare_time / steps
+    return total_time / steps, bare_time / steps or math.nan
 
 
-def _measure_processes(seconds: float) -> Iterator[Figure]:
-    """Measure environments in parallel processes and one alone, by turns, because a machine's speed varies."""
-    parallel, single = (_make_vec_env(num_envs, "discrete", "bullet") for num_envs in (NUM_PARALLEL, 1))
+def _measure_parallel(simulator: SimulatorType, seconds: float) -> Iterator[Figure]:
+    """Measure many environments and one alone, by turns, because a machine's speed varies."""
+    parallel, single = (_make_vec_env(num_envs, "discrete", simulator) for num_envs in (NUM_PARALLEL, 1))
     rates = _repeat(lambda: (_measure_rate(parallel, _BLOCK_STEPS), _measure_rate(single, 4 * _BLOCK_STEPS)), seconds)
     parallel.close()
     single.close()
     parallel_rate, single_rate = np.median(rates, axis=0).tolist()
     ratio = float(np.median(rates[:, 0] / rates[:, 1])) / processors()
-    yield Figure("PyBullet, one environment alone", single_rate, "steps/s")
-    yield Figure(f"PyBullet, {NUM_PARALLEL} environments in parallel processes", parallel_rate, "steps/s")
-    yield Figure(f"PyBullet, {NUM_PARALLEL} in parallel / ({processors()} x one alone)", ratio, "ratio")
+    name = simulator.title
+    yield Figure(f"{name}, one environment alone", single_rate, "steps/s")
+    yield Figure(f"{name}, {NUM_PARALLEL} environments in parallel", parallel_rate, "steps/s")
+    yield Figure(f"{name}, {NUM_PARALLEL} in parallel / ({processors()} x one alone)", ratio, "ratio")
 
 
-def _make_vec_env(num_envs: int, observation: str, simulation: str, **settings: Any) -> TurtleBot2VecEnv:
+def _make_vec_env(num_envs: int, observation: str, simulation: Any, **settings: Any) -> TurtleBot2VecEnv:
     env = TurtleBot2VecEnv(make_scene(Wander(**settings), observation), num_envs, simulation=simulation)
     env.seed(0)
     env.reset()
@@ -210,7 +219,7 @@ def run(options: argparse.Namespace) -> None:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
         if part != "kinematic":  # the others use physics; trained at least in its standard evaluation
-            (find_simulator("bullet") if part == "physics" else default_physics()).check(f"part {part}")
+            default_physics().check(f"part {part}")
     for simulation in options.simulations:
         find_simulator(simulation).check()
     if options.json:
