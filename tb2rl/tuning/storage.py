@@ -3,7 +3,7 @@
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 
 import optuna
 from optuna.exceptions import ExperimentalWarning, StorageInternalError
@@ -33,16 +33,16 @@ def open_study(folder: StudyFolder) -> Iterator[optuna.Study]:
         warnings.simplefilter("ignore", ExperimentalWarning)
         # Optuna warns, because only its `optimize` records heartbeats; here, the function `heartbeats` does.
         warnings.filterwarnings("ignore", "Heartbeat of storage", UserWarning)
-        with folder.lock():  # two processes cannot create the tables at once
-            storage = _Storage(folder)
-            study = optuna.create_study(
-                storage=storage,
-                study_name=folder.path.name,
-                direction="maximize",
-                load_if_exists=True,
-                pruner=make_pruner(folder),
-            )
-        with closing(storage):
+        with ExitStack() as resources:
+            with folder.lock():  # two processes cannot create the tables at once
+                storage = resources.enter_context(closing(_Storage(folder)))
+                study = optuna.create_study(
+                    storage=storage,
+                    study_name=folder.path.name,
+                    direction="maximize",
+                    load_if_exists=True,
+                    pruner=make_pruner(folder),
+                )
             yield study
 
 
@@ -94,6 +94,10 @@ class _Storage(RDBStorage):
             )
         except ImportError as error:  # the database driver in the URL is missing
             raise InputError(one_line(f"cannot use the database of {folder.path}: {error}")) from None
+        except SQLAlchemyError:
+            if hasattr(self, "engine"):  # the URL was valid
+                self.engine.dispose()
+            raise
 
     def close(self) -> None:
         """Close all connections."""
