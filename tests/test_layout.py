@@ -15,17 +15,21 @@ from tb2rl.__main__ import COMMANDS
 
 CHECKOUT = Path(__file__).parent.parent
 MODULES = [*(CHECKOUT / "tb2rl").rglob("*.py"), *(CHECKOUT / "agents").glob("*.py"), *(CHECKOUT / "zoo").glob("*.py")]
-TEXTS = {str(module.relative_to(CHECKOUT)): module.read_text() for module in MODULES}
+TEXTS = {module.relative_to(CHECKOUT).as_posix(): module.read_text(encoding="utf-8") for module in MODULES}
 FOR_AGENTS = {"tb2rl", "tb2rl.core.values", "tb2rl.core.compiled", "tb2rl.core.errors", "tb2rl.robots.vehicle"}
 
 
 def test_contract_picture_and_folders_have_the_same_rooms():
-    contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
     (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
     folders = {file.parent.name for file in (CHECKOUT / "tb2rl").glob("*/__init__.py")}
     rooms = [name for name in " | ".join(layers).split(" | ") if name in folders]
     assert {*rooms} == folders
-    shown = re.findall(r'font-weight="600">(\w+)/?</text>', (CHECKOUT / "zoo/pictures/architecture.svg").read_text())
+    shown = re.findall(
+        r'font-weight="600">(\w+)/?</text>', (CHECKOUT / "zoo/pictures/architecture.svg").read_text(encoding="utf-8")
+    )
     assert [name for name in shown if name in rooms] == rooms
 
 

@@ -163,7 +163,7 @@ def test_leaving_the_loop_and_the_timeout_terminate_what_runs(tmp_path):
     ("engine", "ending", "to_group"),
     [
         ("local", signal.SIGINT, True),
-        pytest.param("local", signal.SIGKILL, False, marks=pytest.mark.slow),
+        pytest.param("local", getattr(signal, "SIGKILL", None), False, marks=pytest.mark.slow),
         pytest.param("ray", signal.SIGINT, False, marks=pytest.mark.slow),
     ],
 )

@@ -19,7 +19,7 @@ def runs(tmp_path, monkeypatch):
     """A function that makes a folder of runs with given shares of good episodes."""
 
     def stored(run):
-        metrics = json.loads((run.folder / "metrics.json").read_text())
+        metrics = json.loads((run.folder / "metrics.json").read_text(encoding="utf-8"))
         return SimpleNamespace(good_rate=metrics["good"], summary=lambda: {"mean_speed": metrics["speed"]})
 
     def make(name, rates, **settings):
@@ -43,7 +43,7 @@ def test_the_page_says_which_runs_are_better_and_draws_both(runs, tmp_path, caps
     assert "Good episodes: 95.0 % (" in out
     assert "Speed, relative to the fastest action: 50.9 % (" in out
     assert f"do not tell {good} and {bad} apart" in out, "their speeds are equal"
-    page = (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "&lt;good&gt;" in page
     assert "<good>" not in page
     assert page.count("profile-0") == 2

@@ -63,7 +63,7 @@ def set_suite(monkeypatch, small_suite):
 
 def section(zoo: Path) -> list[str]:
     """The lines of the table of suites."""
-    _, _, text = (zoo / "README.md").read_text().partition("## Suites\n")
+    _, _, text = (zoo / "README.md").read_text(encoding="utf-8").partition("## Suites\n")
     return [line for line in text.splitlines() if line.startswith("|")]
 
 
@@ -79,7 +79,7 @@ def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main
     low, high = (f"{100 * bound:.1f}" for bound in figures.success_interval)
     assert row.startswith(f"| dwa-goal | First | goal | {100 * figures.success_rate:.1f} % | {low} to {high} % |  | ")
     assert f"{figures.spl:.3f} | - | {figures.mean_speed:.2f} | - |" in row
-    assert "### unseen: 3 worlds" in (suite_zoo / "README.md").read_text()
+    assert "### unseen: 3 worlds" in (suite_zoo / "README.md").read_text(encoding="utf-8")
     result = Path("runs/suites/dwa-goal-unseen-first.json")
     assert SuiteResult.read(result).summary == summary, "with its worlds it stays among the runs"
     main(BUILD)
@@ -87,10 +87,10 @@ def test_an_agent_is_driven_once_and_has_a_row_until_its_summary_is_touched(main
 
     main(["check"])
     assert capsys.readouterr().out.endswith("0 cards pass, and so do 1 results of suites\n")
-    tree = json.loads(file.read_text())
+    tree = json.loads(file.read_text(encoding="utf-8"))
     tree["figures"]["all"]["success_rate"] = 1.0
     file.write_text(json.dumps(tree))
-    (suite_zoo / "suites" / "gone-unseen-first.json").write_text(file.read_text())
+    (suite_zoo / "suites" / "gone-unseen-first.json").write_text(file.read_text(encoding="utf-8"))
     with pytest.raises(SystemExit, match="1"):
         main(["check"])
     said = capsys.readouterr().out
@@ -124,17 +124,16 @@ def test_other_worlds_and_another_task_and_again_are_driven_anew(main, suite_zoo
 
 def test_barn_has_a_table_of_its_own_with_a_score_whose_formula_is_named(main, suite_zoo):
     main([*BUILD, "--barn", "my/worlds.npz"])
-    text = (suite_zoo / "suites" / "dwa-goal-barn-first.json").read_text()
+    text = (suite_zoo / "suites" / "dwa-goal-barn-first.json").read_text(encoding="utf-8")
     assert "my/worlds.npz" not in text, "nobody else has them there"
     score = json.loads(text)["figures"]["all"]["barn_score"]
     head, _, row = section(suite_zoo)[3:]
     assert "longest tenth | SPL | time ratio | speed [m/s] | clearance [m] | score |" in head
     assert "| barn |" not in head
     assert row.endswith(f" {score:.3f} |")
-    assert (
-        "The score is from 0 to 0.5, by the formula of BARN 2024: 2 OT to 8 OT."
-        in (suite_zoo / "README.md").read_text()
-    )
+    assert "The score is from 0 to 0.5, by the formula of BARN 2024: 2 OT to 8 OT." in (
+        suite_zoo / "README.md"
+    ).read_text(encoding="utf-8")
     main(BUILD)
     assert len(section(suite_zoo)) == 6, "without the worlds, what is there stays"
 
@@ -151,20 +150,22 @@ def test_a_policy_that_navigates_is_an_entry_whose_summary_is_of_its_checkpoint(
         ["| [mine](mine/README.md)", "First", "goal"],
         ["| dwa-goal", "First", "goal"],
     ]
-    text = (suite_zoo / "README.md").read_text()
+    text = (suite_zoo / "README.md").read_text(encoding="utf-8")
     assert "| [mine](mine/README.md), guide goal | " in text
     assert "| mine | " not in text, "it is not driven in the worlds of the others"
     assert "`navigate, loop, guide goal`" in overview([mine])
 
-    text = (mine.folder / "README.md").read_text()
+    text = (mine.folder / "README.md").read_text(encoding="utf-8")
     assert "world `loop`, guide goal, " in text
     assert "| unseen | First | a | 2 | 0.0 % | " in text
     assert "- In suite `unseen` in First, family `b`: 100.0 % of 1 worlds (endings: time limit 1)." in text
     assert "**Falls short:** 0 % of the episodes are successful, but the zoo promises 95 %." in text
     assert mine.suite_policy.summary("unseen", "first").policy == "zoo:mine"
-    assert str(suite_zoo) not in mine.suite_policy.file("unseen", "first").read_text(), "nobody else has it there"
+    assert str(suite_zoo) not in mine.suite_policy.file("unseen", "first").read_text(encoding="utf-8"), (
+        "nobody else has it there"
+    )
 
-    evaluation = (mine.folder / "evaluation.json").read_text()
+    evaluation = (mine.folder / "evaluation.json").read_text(encoding="utf-8")
     Run.open(mine.folder).save(loading.load(mine.folder), "best/policy", more=1)  # that of before goes with it
     (mine.folder / "evaluation.json").write_text(evaluation)
     assert not entries()[0].is_built
@@ -193,7 +194,7 @@ def test_a_second_physics_is_added_to_what_is_there_with_columns_and_checks(
     (mine,) = entries()
     assert mine.sim_to_sim.records.keys() == {"first"}
     assert in_simulators == [], "the standard evaluation has enough episodes"
-    assert "| sim-to-sim | training steps |" not in (suite_zoo / "README.md").read_text()
+    assert "| sim-to-sim | training steps |" not in (suite_zoo / "README.md").read_text(encoding="utf-8")
 
     referees("Second", available=True)
     driven.clear()
@@ -201,13 +202,13 @@ def test_a_second_physics_is_added_to_what_is_there_with_columns_and_checks(
     assert (in_simulators, driven) == (["second"], [0, 1, 2] * 2), "what is there is kept"
     (mine,) = entries()
     assert mine.sim_to_sim.records.keys() == {"first", "second"}
-    text = (suite_zoo / "README.md").read_text()
+    text = (suite_zoo / "README.md").read_text(encoding="utf-8")
     assert "| in Second | sim-to-sim | training steps |" in text
     assert "| 0.0 % | 0.0 (-65.8 to 65.8) | 50 |" in text
     rows = [row.split(" | ") for row in section(suite_zoo)[2:]]
     assert [row[1] for row in rows] == ["First", "Second"] * 2
     assert [row[5] for row in rows] == ["", "0.0 (-56.1 to 56.1)"] * 2
-    card = (mine.folder / "README.md").read_text()
+    card = (mine.folder / "README.md").read_text(encoding="utf-8")
     assert "| metric | First | Second |" in card
     assert "- sim-to-sim difference (goal reached) Second - First: 0.0 points" in card
     assert "| unseen | Second | a | 2 | 0.0 % | " in card
@@ -232,7 +233,7 @@ def test_a_second_physics_is_added_to_what_is_there_with_columns_and_checks(
     assert "m/s in the kinematic simulator" in capsys.readouterr().out
 
     referees("Second", available=True)
-    tree = json.loads((mine.folder / "evaluation.json").read_text())
+    tree = json.loads((mine.folder / "evaluation.json").read_text(encoding="utf-8"))
     tree["by_simulation"]["first"]["success_rate"] = 1.0
     tree["by_simulation"]["second"].update(bad_episodes=[], mean_speed=0.25)
     (mine.folder / "evaluation.json").write_text(json.dumps(tree))

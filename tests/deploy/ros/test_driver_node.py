@@ -20,6 +20,7 @@ from tb2rl.ros import main
 pytest.importorskip("rosbags")
 TOPICS = TURTLEBOT2[1]
 FORWARD, STILL = (0.4, 0.2), (0.0, 0.0)
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name)]
 
 
 class Robot:
@@ -215,7 +216,7 @@ def test_at_the_end_it_stops_the_wheels_several_times(terminal, robot, monkeypat
     assert terminal == "closed" or lines(capsys)[-1].startswith("6 scans, median time from scan to command: ")
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("sign", SIGNALS)
 def test_each_signal_that_ends_the_node_stops_the_wheels(sign, node, clock, scripted_policy, monkeypatch):
     policy, handlers = scripted_policy(), {}
     replaced = {"create_node": node, "load": None, "TrainedPolicy": policy, "WallClock": clock}
