@@ -132,7 +132,7 @@ def checked(annotation: Any, value: Any, where: str) -> Any:
 
 def is_untyped(cls: type, key: str) -> bool:
     """Whether a class has a plain attribute without annotation, such as `bonus = 5.0`, which is not a field."""
-    is_typed = any(key in vars(base).get("__annotations__", {}) for base in cls.__mro__)
+    is_typed = key in getattr(cls, "__dataclass_fields__", {})  # also a ClassVar
     return not is_typed and isinstance(getattr(cls, key, None), bool | int | float | str | tuple | list)
 
 
