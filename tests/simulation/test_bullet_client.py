@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.bullet
 THREADS = """
 import sys
 import numpy as np

@@ -73,7 +73,8 @@ def test_velocities_are_rewarded_as_commanded(teleoperate, cruise):
     teleop = teleoperate(cruise, beams=3, observation="raw")
     drive(teleop, 0.4, 0.2, 5)
     *head, _, _, _ = lines = teleop.lines(24)
-    assert any(line.startswith("rewarded as action 0.40, +0.20: +0.8") for line in head)
+    (reward,) = [line.split()[-1] for line in head if line.startswith("rewarded as action 0.40, +0.20: ")]
+    assert float(reward) == pytest.approx(0.8, abs=0.02)
     ranges = lines[-3:]
     assert [line[:8] for line in ranges] == [" -90 deg", "  +0 deg", " +90 deg"]
     assert "bin" not in "".join(ranges), "raw ranges have none"
