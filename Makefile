@@ -9,11 +9,12 @@ VENV := .venv
 ROS2 := .venv-ros2
 LOWEST := .venv-lowest
 NEWEST := .venv-newest
+ON_NEWEST = VENV=$(NEWEST) PYTHON="$(call first_of,$(PYTHONS))"
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 # Folder of packages in an environment, such as lib/python3.11/site-packages.
 SITE = $(shell $(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib', vars={'base': '.'}))")
 
-.PHONY: train test newest check slow ros lowest clean
+.PHONY: train test newest install-newest check slow ros lowest clean
 
 train: $(VENV)/installed  ## set up, train the default agent, evaluate it
 	$(BIN)/python -m tb2rl.train --agent qlearn
@@ -21,8 +22,11 @@ train: $(VENV)/installed  ## set up, train the default agent, evaluate it
 test: $(VENV)/installed  ## set up, run the fast tests
 	$(BIN)/python -m pytest -n 2
 
-newest:  ## run the fast tests on the newest Python, in its own environment
-	$(MAKE) test VENV=$(NEWEST) PYTHON="$(call first_of,$(PYTHONS))"
+newest: install-newest  ## run the fast tests on the newest Python, in its own environment
+	$(MAKE) test $(ON_NEWEST)
+
+install-newest:
+	$(MAKE) $(NEWEST)/installed $(ON_NEWEST)
 
 slow: $(VENV)/installed  ## run the slow tests
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal --durations 20
