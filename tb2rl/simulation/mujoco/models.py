@@ -1,7 +1,7 @@
 """MuJoCo models of a robot in a world: the robot from its URDF file, walls, posts, dynamic obstacles and a camera.
 
-The robot moves upright: its base has joints along x, y and z and about z. A free joint would let it tilt by 9 degrees,
-because the casters are left out. The base touches walls as a sphere, because MuJoCo's contacts between a cylinder and a
+The robot stays upright: its base has joints along x, y and z and about z. A free joint would let it tilt by 9 degrees,
+because casters have no contacts. The base touches walls as a sphere, because MuJoCo's contacts between a cylinder and a
 box miss the edges of the box.
 """
 
@@ -19,14 +19,16 @@ from tb2rl.simulation.spec import SimulationSpec
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 WALL_COLOUR, OBSTACLE_COLOUR, FLOOR_COLOUR = (0.66, 0.36, 0.27, 1.0), (0.49, 0.31, 0.63, 1.0), (0.93, 0.93, 0.91, 1.0)
-WHEEL_FRICTION = 1.0  # friction coefficient of a wheel on the floor, which has priority over that of the floor
-_TOUCH = 5.0e-5  # [m] a caster whose gap to the floor is smaller carries a part of the weight
+WHEEL_FRICTION = 1.0  # friction coefficient of the wheels on the floor, as in PyBullet
 BASE = ("base_x", "base_y", "base_z", "base_yaw")  # names of the joints of the base
-FINE_STEPS = 4  # steps of the fine model in a physics step, near obstacles
+# Time steps of the fine model in one of the coarse model. With 4, a base enters walls by less than 2 mm; with 1, a
+# TurtleBot2 would enter them by 8 mm, the way that it drives in a time step.
+FINE_STEPS = 4
 _FLOOR_GROUP, _WALL_GROUP = 1, 2  # collision groups: wheels touch the floor, the base touches walls and obstacles
 _HIDDEN = 3  # group of shapes that MuJoCo does not draw
 _MARGIN = 0.2e-3  # [m] gap to a wall at which the wall begins to stop the base
-_MAX_HOP = 5.0e-3  # [m] limit of the base's vertical motion; contacts with slip can lift it
+_MAX_HOP = 5.0e-3  # [m] limit of the base's vertical motion; MuJoCo's convex friction cones lift wheels that slip
+_CASTER_GAP = 5.0e-5  # [m] a caster that is nearer to the floor carries a part of the weight
 _SHORTEST = 1.0e-4  # [s] time constant of contacts; MuJoCo raises it to the shortest stable one, two time steps
 # Settings of shapes that stop the base, without friction.
 _HARD: dict[str, Any] = {
@@ -143,7 +145,11 @@ def _load_robot(robot: Robot) -> MjSpec:
 
 @cache
 def _load_on_wheels(robot: Robot) -> float:
-    """Share of the robot's weight on its wheels: the casters that touch the floor carry as much as the wheels."""
+    """Share of the robot's weight on its two wheels, if the wheels and each caster on the floor carry the same.
+
+    In PyBullet it is 49 % for the TurtleBots. It scales the friction of the wheels, because MuJoCo would put the whole
+    weight on the wheels as soon as they need grip, with casters too.
+    """
     model = MjSpec.from_file(str(robot.urdf))
     floor = model.worldbody.add_geom(type=mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 1.0), name="floor")
     compiled = model.compile()
@@ -154,7 +160,7 @@ def _load_on_wheels(robot: Robot) -> float:
         for shape in range(compiled.ngeom)
         if shape != floor.id
         and compiled.geom_bodyid[shape] not in wheels
-        and mujoco.mj_geomDistance(compiled, data, shape, floor.id, 1.0, None) < _TOUCH
+        and mujoco.mj_geomDistance(compiled, data, shape, floor.id, 1.0, None) < _CASTER_GAP
     ]
     return 2.0 / (2 + len(casters))
 
