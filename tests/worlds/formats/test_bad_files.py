@@ -73,6 +73,7 @@ def test_a_bad_world_is_one_line(name, write):
     assert "root:" not in message, "nothing of a file outside is shown"
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such files")
 def test_a_pipe_is_no_world(tmp_path):
     os.mkfifo(tmp_path / "pipe.world")
     with pytest.raises(InputError, match="there is no file"):
