@@ -11,6 +11,7 @@ from tb2rl.core.errors import InputError
 from tb2rl.evaluation.evaluate import SEED
 from tb2rl.evaluation.evaluation import load_evaluation
 from tb2rl.runs.folder import Run
+from tb2rl.simulation.simulator import default_physics
 
 work = import_module("tb2rl.commands.evaluate")
 command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
@@ -37,12 +38,12 @@ def test_the_standard_evaluation_is_written_into_the_run_folder(run, short, caps
     written = json.loads((run / "evaluation.json").read_text())
     assert written.keys() >= KEYS | {"policy", "config", "versions"}
     assert (written["episodes"], written["steps"], written["seed"], len(written["each"])) == (2, 5, SEED, 2)
-    assert (written["policy"], written["simulation"]) == (str(run), "bullet")
+    assert (written["policy"], written["simulation"]) == (str(run), default_physics().name)
     assert written["config"] == load(run).trained_with.to_dict()
     shown = capsys.readouterr().out
     assert f"{100 * written['failure_free_rate']:.1f} %" in shown
     assert f"{written['mean_return']:.1f}" in shown
-    assert "not PyBullet's" not in shown
+    assert f"not {default_physics().title}'s" not in shown
     assert load_evaluation(Run.open(run)).summary() == evaluate(run, episodes=2, steps=5, workers=1).summary()
     for file in ("evaluation.json", "episodes.safetensors"):
         (run / file).unlink()
@@ -57,13 +58,14 @@ def test_any_other_evaluation_is_not_written_into_the_run_folder(change, run, sh
     assert not (run / "evaluation.json").exists()
     shown = capsys.readouterr().out
     assert "not written: only a run folder's standard evaluation" in shown
-    assert ("not PyBullet's" in shown) == bool(simulation)
+    assert (f"not {default_physics().title}'s" in shown) == bool(simulation)
 
 
 def test_a_policy_of_the_zoo_is_evaluated_by_its_name_at_a_changed_task(short, tmp_path, capsys):
     changes = ["--set", "task.world=circuit", "task.laser_noise=0.1", "--set", "task.forward_speed=0.1"]
     command.main(["zoo:maze-loop-qlearn", *short, "--json", str(tmp_path / "it.json"), *changes])
-    assert capsys.readouterr().out.splitlines()[0].strip() == "zoo:maze-loop-qlearn in circuit, PyBullet"
+    title = f"zoo:maze-loop-qlearn in circuit, {default_physics().title}"
+    assert capsys.readouterr().out.splitlines()[0].strip() == title
     written = json.loads((tmp_path / "it.json").read_text())
     task = written["config"]["task"]
     assert (task["world"], task["laser_noise"], task["forward_speed"]) == ("circuit", 0.1, 0.1)

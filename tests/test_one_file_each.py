@@ -10,6 +10,7 @@ import pytest
 
 import tb2rl
 from tb2rl.evaluation.evaluate import evaluate
+from tb2rl.evaluation.sim_to_sim import available_physics
 from tb2rl.report import main as report
 from tb2rl.robots.turtlebot2 import ROBOT as TURTLEBOT2
 from tb2rl.runs.config import resolve
@@ -140,8 +141,8 @@ def test_a_training_is_resumed_evaluated_filmed_and_reported(new, mine):
 
 
 def test_an_own_robot_follows_commands_in_every_simulator(mine):
-    ends = {}
-    for simulation in ("bullet", "mujoco", "kinematic"):
+    ends, physics = {}, [simulator.name for simulator in available_physics("the test")]
+    for simulation in (*physics, "kinematic"):
         env = tb2rl.make_env("cruise:Cruise", "raw", simulation=simulation, robot="small:ROBOT", world="wall")
         env.reset(seed=0, options={"pose": (0.0, -2.0, 0.0)})
         for action in ([1.0, 0.0], [1.0, 1.0], [1.0, -1.0]) * 5:
@@ -149,8 +150,8 @@ def test_an_own_robot_follows_commands_in_every_simulator(mine):
         ends[simulation] = info["pose"]
         assert 0.5 < info["distance"] <= 0.3 * 3.0 + 0.02  # 15 steps of 0.2 s at 0.3 m/s, its fastest
         env.close()
-    for physics in ("bullet", "mujoco"):
-        np.testing.assert_allclose(ends[physics][:2], ends["kinematic"][:2], atol=0.05)
+    for name in physics:
+        np.testing.assert_allclose(ends[name][:2], ends["kinematic"][:2], atol=0.05)
 
 
 def test_a_baseline_is_evaluated_and_filmed(mine, capsys):

@@ -11,6 +11,7 @@ from tb2rl import load, train
 from tb2rl.evaluation.suite_comparison import read_results
 from tb2rl.evaluation.suites import SuiteResult
 from tb2rl.runs.folder import Run
+from tb2rl.simulation.simulator import default_physics
 
 work = import_module("tb2rl.commands.evaluate")
 command = import_module("tb2rl.evaluate")  # `from tb2rl import evaluate` is the function
@@ -61,7 +62,7 @@ def test_only_the_result_at_the_task_of_the_training_is_written_into_the_run_fol
     assert (written["policy"], len(written["policy_digest"])) == (str(run), 64)
     assert list(run.glob("*.journal")) == []
     shown = " ".join(capsys.readouterr().out.split())
-    assert "guide goal, turtlebot2, PyBullet: suite unseen" in shown
+    assert f"guide goal, turtlebot2, {default_physics().title}: suite unseen" in shown
     assert f"{100 * written['figures']['all']['success_rate']:.1f} %" in shown
     assert "│ a │ 2 │" in shown
     opened = Run.open(run)
@@ -75,7 +76,7 @@ def test_an_interrupted_suite_continues_and_gives_the_same_result(interrupt, dri
     written = json.loads((workdir / "whole.json").read_text())
     assert (written["policy"], written["policy_digest"]) == ("agent random", None)
     assert interrupt([*arguments, "parts.json"], 2) == [0, 1]
-    with (workdir / "parts.json.bullet.journal").open("a") as stream:
+    with (workdir / f"parts.json.{default_physics().name}.journal").open("a") as stream:
         stream.write('{"world": 2, "end')  # as if killed while writing
     assert interrupt([*arguments, "parts.json"], 0) == []
     command.main([*arguments, "parts.json"])

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import vector
 
+from tb2rl.simulation.simulator import default_physics
+
 RAW = "tb2rl:TurtleBot2MazeRaw-v0"
 NUM_ENVS = 3
 
@@ -33,7 +35,7 @@ def drive(envs, action=1, steps=30):
 @pytest.mark.parametrize(
     ("settings", "wrapper"),
     [
-        ({"simulation": "bullet"}, vector.NormalizeReward),
+        ({"simulation": default_physics().name}, vector.NormalizeReward),
         # Gymnasium has these wrappers only for the autoreset mode NEXT_STEP.
         ({"vectorization_mode": "sync"}, vector.NormalizeObservation),
         ({"autoreset_mode": "NEXT_STEP"}, lambda envs: vector.ReshapeObservation(envs, (2, 18))),
