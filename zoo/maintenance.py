@@ -133,8 +133,8 @@ def _changes(entry: Entry, num_episodes: int, simulator: SimulatorType) -> list[
         record = entry.sim_to_sim.records[simulator.name]
         num_earlier = min(num_episodes, record["episodes"])
         good = num_earlier - sum(number < num_earlier for number in record["bad_episodes"])
-        # A record has no speeds of single episodes, and the mean speed of a few ones says little.
-        speed_before = record["mean_speed"] if num_episodes == EPISODES else 0.0
+        # A record has no speeds of single episodes, so only the mean of the same ones can be compared.
+        speed_before = record["mean_speed"] if num_episodes == record["episodes"] else 0.0
     else:
         earlier_episodes = entry.summary["each"][:num_episodes]
         num_earlier = len(earlier_episodes)

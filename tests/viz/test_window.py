@@ -53,7 +53,8 @@ def test_the_window_shows_an_episode_in_real_time(screen, camera, tmp_path, monk
     began = time.monotonic()
     play.main(["--agent", "wallfollower", "--task", "wall", "--steps", str(STEPS), "--camera", camera])
     assert STEPS * 0.2 < time.monotonic() - began < 60, "waited for the window to open and close"
-    assert capsys.readouterr().out.startswith("episode 1: time limit after 10 steps (2.0 s)")
+    expected = "driving in PyBullet\nepisode 1: time limit after 10 steps (2.0 s)"
+    assert capsys.readouterr().out.startswith(expected)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -63,6 +64,7 @@ def test_closing_the_window_ends_play_quietly(screen):
     server = screen()
     arguments = [sys.executable, "-m", "tb2rl.play", "--agent", "wallfollower", "--steps", "10", "--episodes", "1000"]
     process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout.readline() == "driving in PyBullet\n"
     assert process.stdout.readline().startswith("episode 1")
     server.terminate()  # closes the window
     out, _ = process.communicate(timeout=60)
