@@ -5,7 +5,7 @@ the robot's frame is on the floor under the middle of the axle.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
@@ -19,6 +19,9 @@ from tb2rl.core import InputError, find_plugin
 from tb2rl.core.values import build
 
 Positive = Annotated[StrictFloat, Gt(0)]  # strict, because `_check` discards converted values
+
+
+_URDF_TOLERANCE = 0.01  # allowed relative difference between a robot's parameters and its URDF file
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,28 @@ class Robot:
         """Commands v [m/s] and w [rad/s], shape (..., 2), clipped to the robot's limits."""
         limits = np.array([self.max_speed, self.max_turn_rate])
         return np.clip(commands, -limits, limits)
+
+    def check_wheels(self, left: Sequence[float], right: Sequence[float]) -> None:
+        """Compare the wheels in the URDF file with the parameters, which the kinematic simulator uses.
+
+        Args:
+            left, right: Centre of each wheel in the robot's frame: x, y, z [m]. The origin of the frame is on the
+                floor, so the height of the centre is the radius of the wheel.
+
+        Raises:
+            InputError: If the wheels are exchanged, or differ from the parameters by more than 1 %.
+        """
+        (_, left_y, height), (_, right_y, other_height) = left, right
+        if not left_y > 0.0 > right_y:
+            first, second = self.wheel_joints
+            found = f"{first!r} is at y = {left_y:.4g} m, {second!r} at y = {right_y:.4g} m"
+            rule = "wheel_joints must be the left wheel (y > 0) and the right wheel"
+            raise InputError(f"robot {self.name}: {rule}; {found}")
+        in_urdf = ("wheel_separation", left_y - right_y), ("wheel_radius", height), ("wheel_radius", other_height)
+        for name, urdf_value in in_urdf:
+            value = getattr(self, name)
+            if abs(value - urdf_value) > _URDF_TOLERANCE * abs(urdf_value):
+                raise InputError(f"robot {self.name}: {name} is {value:.4g} m, but {urdf_value:.4g} m in {self.urdf}")
 
 
 def find_robot(name: str) -> Robot:

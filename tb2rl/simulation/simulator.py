@@ -10,11 +10,12 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
 
-from tb2rl.core import InputError, find_plugin, simulator_names
+from tb2rl.core import InputError, find_plugin, one_line, simulator_names
 from tb2rl.simulation.robot_state import RobotState
 from tb2rl.simulation.spec import InitialState, SimulationSpec
 
@@ -117,6 +118,17 @@ class SimulatorType:
 
 
 NOT_INSTALLED = "is not installed"  # the result of `SimulatorType.unavailable` for a missing package
+
+
+def import_problem(module: str, package: str) -> str | None:
+    """Import a module; return why that fails, for `SimulatorType.unavailable`, or None. It needs a `package`."""
+    try:
+        import_module(module)
+    except Exception as error:  # a broken installation can raise anything
+        if isinstance(error, ModuleNotFoundError) and error.name == package:
+            return NOT_INSTALLED
+        return one_line(f"is installed, but importing it raises {type(error).__name__}: {error}")
+    return None
 
 
 def find_simulator(name: Any) -> SimulatorType:

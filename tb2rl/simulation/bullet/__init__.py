@@ -3,21 +3,14 @@
 from functools import cache
 from typing import Any
 
-from tb2rl.core.errors import one_line
-from tb2rl.simulation.simulator import NOT_INSTALLED, SimulatorType
+from tb2rl.simulation.simulator import SimulatorType, import_problem
 from tb2rl.simulation.spec import SimulationSpec
 
 
 @cache
 def unavailable() -> str | None:
     """Reason why PyBullet is unavailable, such as "is not installed"; None: PyBullet is available."""
-    try:
-        import tb2rl.simulation.bullet.client
-    except Exception as error:  # a broken installation can raise anything
-        if isinstance(error, ModuleNotFoundError) and error.name == "pybullet":
-            return NOT_INSTALLED
-        return one_line(f"is installed, but importing it raises {type(error).__name__}: {error}")
-    return None
+    return import_problem("tb2rl.simulation.bullet.client", "pybullet")
 
 
 def make(spec: SimulationSpec, num_envs: int, window: bool = False, processes: int | None = None) -> Any:

@@ -23,7 +23,6 @@ CONTACT = 1.0e-3  # [m] bodies with a smaller gap touch, because Bullet keeps to
 WALL_GROUP = 2  # collision group of walls and dynamic obstacles, which collide with robots only
 ROBOT_GROUP = 1  # PyBullet's default collision group of bodies with mass; here, robots
 _MAX_SHAPES = 16  # maximum number of shapes of a body; PyBullet ignores others without a message
-_TOLERANCE = 0.01  # allowed relative difference between a robot's parameters and its URDF file
 _CFM = 1.0e-6  # constraint force mixing; with 0, the matrix of the direct solver is singular
 
 
@@ -202,7 +201,7 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
         known = ", ".join(joint_numbers)
         raise InputError(f"robot {robot.name}: {robot.urdf} has no joint {missing[0]!r}; it has {known}")
     wheels = joint_numbers[robot.wheel_joints[0]], joint_numbers[robot.wheel_joints[1]]
-    _check_wheels(client, body, wheels, robot)
+    robot.check_wheels(*(pybullet.getLinkState(body, wheel, physicsClientId=client)[4] for wheel in wheels))
     # The casters are merged into the base, which has no friction, because casters roll.
     undamped = {"linearDamping": 0.0, "angularDamping": 0.0, "jointDamping": 0.0, "physicsClientId": client}
     pybullet.changeDynamics(body, -1, lateralFriction=0.0, **undamped)
@@ -210,25 +209,6 @@ def add_robot(client: int, robot: Robot) -> RobotBody:
         pybullet.changeDynamics(body, wheel, lateralFriction=WHEEL_FRICTION, **undamped)
     mass, _, moments, (centre_x, _, centre_z), *_ = pybullet.getDynamicsInfo(body, -1, client)
     return RobotBody(client, body, wheels, (centre_x, centre_z), (mass, moments))
-
-
-def _check_wheels(client: int, body: int, wheels: tuple[int, int], robot: Robot) -> None:
-    """Compare the wheels of a loaded body with the robot's parameters, which the kinematic simulator uses.
-
-    The origin of the robot's frame is on the floor, so the height of a wheel's centre is the radius of the wheel.
-    """
-    centres = [pybullet.getLinkState(body, wheel, physicsClientId=client)[4] for wheel in wheels]
-    (_, left, height), (_, right, other_height) = centres
-    if not left > 0.0 > right:
-        first, second = robot.wheel_joints
-        found = f"{first!r} is at y = {left:.4g} m, {second!r} at y = {right:.4g} m"
-        rule = "wheel_joints must be the left wheel (y > 0) and the right wheel"
-        raise InputError(f"robot {robot.name}: {rule}; {found}")
-    in_urdf = ("wheel_separation", left - right), ("wheel_radius", height), ("wheel_radius", other_height)
-    for name, urdf_value in in_urdf:
-        value = getattr(robot, name)
-        if abs(value - urdf_value) > _TOLERANCE * abs(urdf_value):
-            raise InputError(f"robot {robot.name}: {name} is {value:.4g} m, but {urdf_value:.4g} m in {robot.urdf}")
 
 
 def camera_image(

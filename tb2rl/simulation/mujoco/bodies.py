@@ -25,8 +25,10 @@ class RobotBody:
     """A robot and its dynamic obstacles in a MuJoCo model.
 
     Attributes:
-        joints: Views of MuJoCo's positions, velocities and warm start of the six joints: x, y, z [m], yaw [rad] of the
-            base, angles [rad] of the wheels.
+        models, data: MuJoCo's models and data.
+        joints: View of the positions of the joints: x, y, z [m] and yaw [rad] of the base, angles [rad] of the wheels.
+        rates: View of their velocities [m/s or rad/s].
+        warm_start: View of the accelerations from which the solver starts [m/s^2 or rad/s^2].
     """
 
     def __init__(self, models: Models) -> None:

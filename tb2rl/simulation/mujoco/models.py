@@ -39,7 +39,6 @@ _HARD: dict[str, Any] = {
     "solref": (_SHORTEST, 3.0),  # a damping ratio of 1 would let the base rebound
     "solimp": (0.99, 0.99, 0.001, 0.5, 2.0),
 }
-_TOLERANCE = 0.01  # allowed relative difference between a robot's parameters and its URDF file
 _MEMORY = 1 << 20  # [bytes] for the contacts of a model; MuJoCo's default is 13 times as much
 
 
@@ -83,9 +82,7 @@ def vary_model(
 
 @cache
 def check_robot(robot: Robot) -> None:
-    """Compare the wheels in the robot's URDF file with its parameters, which the kinematic simulator uses.
-
-    The origin of the robot's frame is on the floor, so the height of a wheel's centre is the radius of the wheel.
+    """Check a robot's URDF file.
 
     Raises:
         InputError: If MuJoCo cannot load the file, the file lacks the joints of the wheels, or its wheels differ from
@@ -94,17 +91,7 @@ def check_robot(robot: Robot) -> None:
     model = _load_robot(robot).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    (_, left, height), (_, right, other_height) = (data.joint(name).xanchor for name in robot.wheel_joints)
-    if not left > 0.0 > right:
-        first, second = robot.wheel_joints
-        found = f"{first!r} is at y = {left:.4g} m, {second!r} at y = {right:.4g} m"
-        rule = "wheel_joints must be the left wheel (y > 0) and the right wheel"
-        raise InputError(f"robot {robot.name}: {rule}; {found}")
-    in_urdf = ("wheel_separation", left - right), ("wheel_radius", height), ("wheel_radius", other_height)
-    for name, urdf_value in in_urdf:
-        value = getattr(robot, name)
-        if abs(value - urdf_value) > _TOLERANCE * abs(urdf_value):
-            raise InputError(f"robot {robot.name}: {name} is {value:.4g} m, but {urdf_value:.4g} m in {robot.urdf}")
+    robot.check_wheels(*(data.joint(name).xanchor for name in robot.wheel_joints))
 
 
 def _load_robot(robot: Robot) -> MjSpec:

@@ -147,7 +147,8 @@ class MujocoSimulator(ArraySimulator):
             else:
                 touched = self._step_finely(i) or touched
             steps -= max(free_steps, 1)
-            free_steps = int(min(self._gap_to_walls(i) / reach, steps))  # without walls, the gap is infinite
+            if steps:
+                free_steps = int(min(self._gap_to_walls(i) / reach, steps))  # without walls, the gap is infinite
         return touched
 
     def _step_among_obstacles(self, i: int, step: ControlStep) -> tuple[bool, bool]:
