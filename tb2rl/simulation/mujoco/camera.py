@@ -30,7 +30,7 @@ class CameraRenderer:
             self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # depends on the system's libraries, which can raise anything
             problem = one_line(f"{type(error).__name__}: {error}")
-            remedy = "pip install 'tb2rl[camera]', and on Linux the libraries libegl1 and libgl1-mesa-dri"
+            remedy = "pip install 'tb2rl[camera]', and on Linux the libraries libegl1, libgl1-mesa-dri and libopengl0"
             raise InputError(f"MuJoCo's camera needs OpenGL, which fails here ({problem}): {remedy}") from None
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
