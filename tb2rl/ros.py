@@ -28,6 +28,8 @@ def main(parser: ArgumentParser) -> None:
     add_trust(drive)
     drive.add_argument("--speed", type=float, metavar="M/S", help="speed limit; turn rates are reduced in proportion")
     drive.add_argument("--wait", action="store_true", help="stand still until the service ~/start is called")
+    safe = "setting of the safety filter (usual)"
+    drive.add_argument("--safe", choices=("usual", "guaranteed", "off"), default="usual", help=safe)
     drive.add_argument("--dry-run", action="store_true", help="print the commands without publishing them")
     add_ros_arguments(drive)
     drive.set_defaults(run="tb2rl.deploy.ros.driver_node:run", ros=1, mounting="0,0,0")

@@ -13,7 +13,7 @@ changes any setting.
 
 from pathlib import Path
 
-from tb2rl.commands.arguments import add_simulation
+from tb2rl.commands.arguments import add_safe, add_simulation
 from tb2rl.core.command import ArgumentParser, command
 from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.arguments import add_executor_arguments
@@ -27,6 +27,7 @@ def main(parser: ArgumentParser) -> None:
     add("--task", help=f"{', '.join(task_names())}, or module:Class (default: maze)")
     add("--preset", help="a file in configs/, such as tutorial, or a path")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9")
+    add_safe(parser)
     add("--name", help="name of the run folder runs/TASK/AGENT/NAME (default: date and time)")
     add("--total-timesteps", type=int, help="control steps, over all environments")
     add("--episodes", type=int, help="stop after this number of episodes, or earlier at --total-timesteps")

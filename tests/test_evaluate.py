@@ -113,3 +113,18 @@ def test_the_fork_server_starts_before_the_slow_imports_if_there_will_be_workers
     monkeypatch.setattr("tb2rl.core.command.import_object", lambda reference: lambda options: calls.append(reference))
     command.main(["zoo:maze-loop-ppo", *arguments])
     assert calls == ["start"] * starts + ["tb2rl.commands.evaluate:run"]
+
+
+def test_the_safety_filter_drives_with_any_policy_and_its_share_is_shown(capsys):
+    settings = "--set task.collision_range=0 task.beams=37"
+    arguments = f"--agent random --task drive --simulation kinematic --episodes 2 --steps 40 {settings}"
+    command.main([*arguments.split(), "--safe", "guaranteed"])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "changed by filters" in line]
+    assert "% of steps" in line
+    command.main(arguments.split())
+    assert "filters" not in capsys.readouterr().out
+
+
+def test_the_safety_filter_refuses_a_laser_with_few_beams(refused):
+    line = "--agent random --set task.beams=9 --safe"
+    refused(command.main, line, ["task.filters.Safety", "a laser beam at least every 5.5 degrees"])

@@ -91,3 +91,11 @@ def test_seeds_are_parsed():
     for text in ("", "4..2", "1,1", "-1", "0..", "0..99999"):
         with pytest.raises(InputError, match=r"0\.\.4"):
             work.parse_seeds(text)
+
+
+def test_a_policy_trained_with_the_safety_filter_keeps_it(workdir):
+    settings = ["--set", "task.filters=[{speed_limits: {speed: 0.4}}]", "agent.n_steps=8", "agent.batch_size=8"]
+    trained = ["--agent", "ppo", "--task", "drive", "--name", "it", "--total-timesteps", "8", "--no-evaluation"]
+    command.main([*trained, *BARE, *settings, "--safe"])
+    names = [type(each).__name__ for each in load(workdir / "runs/drive/ppo/it").trained_with.scene.filters]
+    assert names == ["Safety", "SpeedLimits"]

@@ -13,6 +13,7 @@ def add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     add("--agent", help="an agent that does not learn, such as random or wallfollower, as the policy")
     add("--task", help="task of --agent (default: maze)")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="change the task: task.beams=9")
+    add_safe(parser)
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser, more_simulations: str = "") -> None:
@@ -51,6 +52,12 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
     """Add the names of ROS topics."""
     add = parser.add_argument
     add("--topics", nargs="+", default=[], action="extend", metavar="KEY=TOPIC", help="rename topics: scan=/scan")
+
+
+def add_safe(parser: argparse.ArgumentParser) -> None:
+    """Add `--safe`, the setting of the safety filter."""
+    help_text = "drive with the safety filter; with guaranteed, more cautiously: see tb2rl/tasks/README.md"
+    parser.add_argument("--safe", nargs="?", const="usual", choices=("usual", "guaranteed"), help=help_text)
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:

@@ -170,14 +170,22 @@ def chosen_policy(options: argparse.Namespace) -> tuple[Policy, Config]:
         raise InputError("name a policy: run folder, checkpoint, zoo:NAME, hf:USER/REPOSITORY, or non-learning --agent")
     settings = parse_settings(options.set)
     if options.agent is not None:
-        config = resolve(options.agent, options.task, settings=settings)
+        config = with_safety(resolve(options.agent, options.task, settings=settings), options.safe)
         return make_baseline(config), config
     refuse(options, "needs --agent; for a policy, --set task.KEY=VALUE changes the task of its training", "task")
     policy = load(options.policy, options.trust)
     for key in settings:
         if not key.startswith("task."):
             raise InputError(f"of a trained policy, only the task can be set (task.KEY=VALUE), got {key!r}")
-    return policy, config_of(policy).with_task({key.removeprefix("task."): value for key, value in settings.items()})
+    config = config_of(policy).with_task({key.removeprefix("task."): value for key, value in settings.items()})
+    return policy, with_safety(config, options.safe)
+
+
+def with_safety(config: Config, setting: str | None) -> Config:
+    """Put the safety filter before the task's filters; `setting` is the value of `--safe`, or None."""
+    if setting is None:
+        return config
+    return config.with_task({"filters": [{"safety": {"setting": setting}}, *config.task.filters]})
 
 
 def chosen_time_limit(options: argparse.Namespace, default: int) -> int:

@@ -15,7 +15,7 @@ from tb2rl.deploy.folder import write_folder
 from tb2rl.deploy.network import OBSERVATION, extract_network, observation_spaces
 from tb2rl.deploy.portable.policy import Network
 from tb2rl.envs.encodings import has_images, stack_observations
-from tb2rl.envs.parts import describe_filters
+from tb2rl.envs.parts import describe_filters, robot_facts
 from tb2rl.runs.loading import config_of, load
 
 # The check of an export compares actions for random observations; few images, because onnx's evaluator is slow.
@@ -59,8 +59,10 @@ def export_folder(reference: str | Path, folder: Path, trust: bool = False) -> N
     needs, network = find_portable_needs(config), extract_network(policy)
     portable = Network(network.sequence())
     _check_same_actions(lambda observations: portable(observations[OBSERVATION]), policy)
-    filters, files = describe_filters(config.task)
-    write_folder(folder, network, {**describe(config, str(reference)), "filters": filters}, needs, files)
+    filters, files = describe_filters(config.task, config.scene.spec)
+    facts = robot_facts(config.task, config.scene.spec)
+    description = {**describe(config, str(reference)), "filters": filters, "safety": facts}
+    write_folder(folder, network, description, needs, files)
 
 
 def _check_same_actions(act: Callable[[Mapping[str, np.ndarray]], np.ndarray], policy: BaseAlgorithm) -> None:

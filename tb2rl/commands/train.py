@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.commands.arguments import refuse
+from tb2rl.commands.evaluate import with_safety
 from tb2rl.core import InputError, handle_termination_signals, write_json, write_text
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.envs.worlds import register_worlds, worlds_of_files
@@ -65,7 +66,8 @@ def requested_config(options: argparse.Namespace) -> Config:
     """The config of a command line."""
     settings = TrainSettings.__dataclass_fields__
     flags = {f"train.{name}": value for name, value in vars(options).items() if name in settings and value is not None}
-    return resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
+    config = resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
+    return with_safety(config, getattr(options, "safe", None))
 
 
 def parse_seeds(text: str) -> list[int]:

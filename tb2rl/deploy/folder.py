@@ -21,15 +21,16 @@ from tb2rl.core import InputError, write_text
 from tb2rl.core.files import atomic_write
 from tb2rl.deploy.network import Network
 from tb2rl.deploy.portable.policy import POLICY_FORMAT
-from tb2rl.envs import filters as filters_module
+from tb2rl.envs.parts import PORTABLE_FILTERS
 
 _HERE = Path(__file__).parent
 _MODULES = (  # each after the modules that it imports
-    "policy_contract", "path", "scan_reader", "driver", "encoding", "policy",
+    "compiled", "policy_contract", "path", "scan_reader", "filter_chain", "driver", "encoding", "policy",
     "termination", "main",
 )  # fmt: skip
 _PACKED_IMPORT = re.compile(  # imports of the program's own modules, and of __future__, which `_HEADER` has
-    rf"^from (?:\.\w*|__future__|{re.escape(filters_module.__name__)}) import (?:\([^)]*\))?.*\n+", re.MULTILINE
+    r"^from (?:\.\w*|__future__|tb2rl\.core\.compiled|tb2rl\.envs\.(?:filters|safety)) import (?:\([^)]*\))?.*\n+",
+    re.MULTILINE,
 )
 _HEADER = '''"""Drives a robot with the policy in this folder, for Python 3.8 and numpy; see README.md.
 
@@ -87,7 +88,7 @@ def write_folder(
 
 
 def build_program(filters: Sequence[Path] = ()) -> str:
-    """Join `tb2rl.envs.filters`, the files of filters and the modules of `portable/` into one program.
+    """Join tb2rl's filters, the files of other filters and the modules of `portable/` into one program.
 
     Args:
         filters: Files with subclasses of `tb2rl.envs.filters.Filter`. They must run on Python 3.8 and may import only
@@ -96,9 +97,9 @@ def build_program(filters: Sequence[Path] = ()) -> str:
     Raises:
         InputError: If a file cannot be read, is not Python 3.8, or defines a global name that another part defines.
     """
-    modules = [_HERE / "portable" / f"{name}.py" for name in _MODULES]
+    compiled, *modules = (_HERE / "portable" / f"{name}.py" for name in _MODULES)
     names, sections = Counter[str](), []
-    for file in (Path(filters_module.__file__), *filters, *modules):
+    for file in (compiled, *PORTABLE_FILTERS, *filters, *modules):
         try:
             source = file.read_text(encoding="utf-8")
             symbols = symtable(source, str(file), "exec").get_symbols()

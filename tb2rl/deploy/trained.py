@@ -11,6 +11,7 @@ from tb2rl.deploy.description import find_needs
 from tb2rl.deploy.portable.policy_contract import SensorData, Speeds
 from tb2rl.envs.encodings import take_rows
 from tb2rl.envs.observation_pipeline import ObservationPipeline
+from tb2rl.envs.parts import robot_facts
 from tb2rl.runs import Config, config_of, load
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.worlds import World
@@ -31,6 +32,7 @@ class TrainedPolicy:
     Attributes:
         needs: The requirements of the policy.
         filters: Filters that the driver applies to the commands of `act`.
+        safety: Facts about the robot for `Safety`.
 
     Raises:
         InputError: If there is no such policy, or it observes what no robot can sense.
@@ -41,6 +43,7 @@ class TrainedPolicy:
             policy = load(policy)
         self._scene = (config or config_of(policy)).scene
         self.needs, self.filters = find_needs(self._scene), list(deepcopy(self._scene.filters))
+        self.safety = robot_facts(self._scene.task, self._scene.spec)
         self._policy = getattr(policy, "policy", policy)
         sensor_data = SensorData(np.full(len(self.needs.beams), np.inf), goal=(2.0, 0.0), waypoint=(1.0, 0.0))
         self.reset()

@@ -12,6 +12,7 @@ import numpy as np
 from tb2rl.core.compiled import njit
 from tb2rl.core.errors import InputError
 from tb2rl.envs.encodings import Observations, take_rows
+from tb2rl.envs.filters import SensedState, intervention
 from tb2rl.envs.observation_pipeline import History
 from tb2rl.envs.scene import Scene
 from tb2rl.simulation import InitialState, RobotState, Simulator, find_simulator
@@ -50,6 +51,7 @@ class ControlLoop:
     Attributes:
         distances: Distance driven since the start of each episode [m], shape (num_envs,).
         lengths: Number of control steps since the start of each episode, shape (num_envs,).
+        is_filtered: Whether filters changed the latest command of each environment, shape (num_envs,).
     """
 
     def __init__(self, scene: Scene, simulator: Simulator) -> None:
@@ -57,7 +59,9 @@ class ControlLoop:
         self._actions, self._filters = scene.actions, deepcopy(scene.filters)
         self._latency = self.task.resolved_variation.latency[1]  # [control steps] largest command latency
         self._recent_commands, self._observation_pipeline = History(self._latency), scene.observation_pipeline()
+        self._recent_readings = History(self.task.resolved_variation.observation_latency[1] if self._filters else 0)
         self._robot_state: RobotState | None = None
+        self.is_filtered = np.zeros(self.num_envs, dtype=bool)
 
     @classmethod
     def open(
@@ -100,6 +104,7 @@ class ControlLoop:
             command_filter.reset(self.num_envs)
         self._robot_state = reset_state = self.simulator.reset(initial_state, rng)
         self._recent_commands.reset(reset_state.command)
+        self._recent_readings.reset(_readings(reset_state))
         return self._observation_pipeline.reset(reset_state)
 
     def step(self, actions: np.ndarray, inactive: np.ndarray | None = None) -> Transition:
@@ -112,8 +117,8 @@ class ControlLoop:
         """
         before = self.robot_state
         commands = self._actions.commands(actions)
-        for command_filter in self._filters:
-            commands = command_filter(commands, before)
+        if self._filters:
+            commands = self._filter(commands, before)
         delayed_commands = commands
         if self._latency:
             delayed_commands = self._recent_commands.delay(commands, before.initial_state.records["command_latency"])
@@ -135,6 +140,22 @@ class ControlLoop:
             finished = FinishedEpisodes(indices, last, infos, self._returns[indices], self.lengths[indices])
         return Transition(observations, reward, terminated, truncated, finished)
 
+    def _filter(self, commands: np.ndarray, robot_state: RobotState) -> np.ndarray:
+        """Pass commands (num_envs, 2) through the filters, whose readings are as old as observations."""
+        latency = robot_state.initial_state.records["observation_latency"]
+        readings = self._recent_readings.delay(_readings(robot_state), latency)
+        age = latency * self.task.control_period
+        sensed_state = SensedState(**readings, bumped=robot_state.bumped, command=robot_state.command, age=age)
+        filtered = commands
+        for command_filter in self._filters:
+            filtered = command_filter(filtered, sensed_state)
+        self.is_filtered = (filtered != commands).any(axis=1)
+        return filtered
+
+    def intervention(self, index: int) -> str:
+        """Why filters changed the latest command in an environment; empty if they did not, or do not say."""
+        return intervention(self._filters, index)
+
     def reset_at(
         self, indices: np.ndarray, initial_state: InitialState, observations: Observations, rng: ResetGenerators = None
     ) -> None:
@@ -153,6 +174,7 @@ class ControlLoop:
         self._robot_state, reset_states = self.simulator.reset_at(indices, initial_state, rng)
         self._robot_state.copy_path_lengths(before, indices, reset_states)
         self._recent_commands.reset_at(indices, reset_states.command)
+        self._recent_readings.reset_at(indices, _readings(reset_states))
         self._observation_pipeline.reset_at(indices, reset_states, observations)
 
     def infos(self, indices: slice | np.ndarray = slice(None), endings: Sequence[Ending] = ()) -> dict[str, np.ndarray]:
@@ -185,6 +207,7 @@ class ControlLoop:
             "observations": self._observation_pipeline.state(),
             "filters": [command_filter.state() for command_filter in self._filters],
             "recent_commands": deepcopy(self._recent_commands.values),
+            "recent_readings": deepcopy(self._recent_readings.values),
             "lengths": self.lengths.copy(),
             "returns": self._returns.copy(),
             "distances": self.distances.copy(),
@@ -198,6 +221,7 @@ class ControlLoop:
         for command_filter, filter_state in zip(self._filters, state["filters"], strict=True):
             command_filter.restore(filter_state)
         self._recent_commands.values = deepcopy(state["recent_commands"])
+        self._recent_readings.values = deepcopy(state["recent_readings"])
         self.lengths, self._returns = state["lengths"].copy(), state["returns"].copy()
         self.distances = state["distances"].copy()
 
@@ -205,6 +229,11 @@ class ControlLoop:
         """Release the resources of the simulator; a reset acquires them again."""
         self.simulator.close()
         self._robot_state = None
+
+
+def _readings(robot_state: RobotState) -> dict[str, np.ndarray]:
+    """The readings of `SensedState` that latency delays, by name."""
+    return {"ranges": robot_state.ranges, "pose": robot_state.odometry, "twist": robot_state.odometry_twist}
 
 
 @njit(cache=True)

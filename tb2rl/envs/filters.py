@@ -6,9 +6,30 @@ This file needs only Python 3.8 and numpy, and imports nothing of tb2rl, because
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
+
+
+class SensedState(NamedTuple):
+    """The latest readings of the robots' sensors, which are `age` old.
+
+    Attributes:
+        ranges: Laser ranges [m], right to left, inf without a hit, shape (num_envs, beams).
+        pose: x [m], y [m], yaw [rad] by the odometry, shape (num_envs, 3).
+        twist: v [m/s] and w [rad/s] by the odometry, shape (num_envs, 2).
+        bumped: Whether the bumper is pressed, shape (num_envs,).
+        command: The latest command in effect, v [m/s] and w [rad/s], shape (num_envs, 2).
+        age: Time since the ranges and the odometry were measured [s], shape (num_envs,).
+    """
+
+    ranges: np.ndarray
+    pose: np.ndarray
+    twist: np.ndarray
+    bumped: np.ndarray
+    command: np.ndarray
+    age: np.ndarray
 
 
 class Filter:
@@ -24,18 +45,21 @@ class Filter:
     def reset_at(self, indices: np.ndarray) -> None:
         """Start a new episode in the environments with these indices."""
 
-    def __call__(self, commands: np.ndarray, robot_state: Any) -> np.ndarray:
+    def __call__(self, commands: np.ndarray, robot_state: SensedState) -> np.ndarray:
         """Filter the commands of one control step.
 
         Args:
             commands: v [m/s] and w [rad/s], shape (num_envs, 2).
-            robot_state: The state before the step: `ranges` [m], shape (num_envs, beams), right to left, inf without a
-                hit; `pose` (num_envs, 3); `twist` and the latest `command` (num_envs, 2); `bumped` (num_envs,).
+            robot_state: What the robots sense before the step.
 
         Returns:
             A new array of the same shape, or `commands` itself.
         """
         return commands
+
+    def reason(self, index: int) -> str:
+        """Why the filter changed the latest command in an environment, for users; empty if it has nothing to say."""
+        return ""
 
     def state(self) -> dict[str, np.ndarray]:
         """The memory of the filter: arrays by name, each with num_envs rows."""
@@ -43,6 +67,11 @@ class Filter:
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue from a result of `state`."""
+
+
+def intervention(filters: Iterable[Filter], index: int) -> str:
+    """The first reason of the filters for a change of the latest command in an environment, or an empty string."""
+    return next(filter(None, (each.reason(index) for each in filters)), "")
 
 
 class SpeedLimits(Filter):

@@ -1,6 +1,7 @@
 """The parts of a task: sensors and filters from its settings, and a dry run of its methods."""
 
 import inspect
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,17 @@ from typing import Any
 import numpy as np
 
 from tb2rl.core import InputError, find_plugin, import_object, make_part, one_line, unknown
-from tb2rl.envs import filters
+from tb2rl.envs import filters, safety
 from tb2rl.envs.filters import Filter
 from tb2rl.sensors import Sensor, camera, goal, laser, motion
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
 from tb2rl.simulation.random_streams import GeneratorSource
 from tb2rl.tasks import Actions, Outcome, Task
 
+PORTABLE_FILTERS = tuple(
+    Path(inspect.getfile(module)) for module in (filters, safety)
+)  # every exported policy includes them
+_GRIP = 0.85  # share of the motors' deceleration that a robot has in every direction
 _NUM_ENVS = 2  # of a dry run; with one, `if after.bumped` and arrays of a fixed length of 1 would pass
 
 SENSORS: dict[str, tuple[type[Sensor], ...]] = {  # by name in `task.observe`
@@ -74,29 +79,67 @@ def observed_sensors(task: Task, task_sensors: tuple[Sensor, ...], spec: Simulat
     return tuple(sensors)
 
 
-def task_filters(task: Task) -> tuple[Filter, ...]:
+def task_filters(task: Task, spec: SimulationSpec) -> tuple[Filter, ...]:
     """New filters, in the order of `task.filters`.
 
     Raises:
         InputError: If there is no such filter, or an argument is invalid.
     """
-    return tuple(make_part(cls, arguments, f"task.filters.{cls.__name__}") for cls, arguments in _filters(task))
+    parts = ((cls, arguments, f"task.filters.{cls.__name__}", facts) for cls, arguments, facts in _filters(task, spec))
+    return tuple(make_part(*part) for part in parts)
 
 
-def describe_filters(task: Task) -> tuple[list[dict[str, Any]], list[Path]]:
+def describe_filters(task: Task, spec: SimulationSpec) -> tuple[list[dict[str, Any]], list[Path]]:
     """Describe the filters of a task for an exported policy.
 
     Returns:
         Class name and arguments of each filter, and the files of users' filter classes.
     """
-    entries = [{"class": cls.__name__, "arguments": dict(arguments)} for cls, arguments in _filters(task)]
-    files = [Path(inspect.getfile(cls)) for cls, _ in _filters(task)]
-    return entries, [file for file in dict.fromkeys(files) if file != Path(filters.__file__)]
+    found = list(_filters(task, spec))
+    entries = [{"class": cls.__name__, "arguments": {**facts, **arguments}} for cls, arguments, facts in found]
+    files = [Path(inspect.getfile(cls)) for cls, _, _ in found]
+    return entries, [file for file in dict.fromkeys(files) if file not in PORTABLE_FILTERS]
 
 
-def _filters(task: Task) -> Iterator[tuple[type[Filter], Mapping[str, Any]]]:
+def robot_facts(task: Task, spec: SimulationSpec) -> dict[str, Any]:
+    """Facts about the robot for filters with a parameter `robot`, in plain values, see `Safety`.
+
+    The bounds of the setting "guaranteed" are the ends of the ranges of `task.variation`.
+    """
+    variation, robot, period = task.resolved_variation, spec.robot, task.control_period
+    noise = max((variation.laser_noise or (0.0, 0.0))[1], spec.laser.noise)
+    mounting = [max(map(abs, limits)) for limits in (variation.mount_x, variation.mount_y)]
+    (weak, strong), (light, heavy) = variation.acceleration, variation.mass
+    fastest = robot.wheel_acceleration + abs(robot.wheel_coupling)
+    mean = (weak + strong) / (light + heavy) * robot.wheel_acceleration
+    return {
+        "radius": robot.radius,
+        "wheel_separation": robot.wheel_separation,
+        "angles": spec.laser.angles.tolist(),
+        "control_period": period,
+        "guaranteed": {
+            "latency": variation.latency[1] * period,
+            "accelerations": [_GRIP * weak / heavy * robot.wheel_acceleration, strong / light * fastest],
+            "braking": 0.5,
+            "error": max(variation.bias[1], 0.0) + math.hypot(*mounting) + noise,
+            "margin": 0.03,
+        },
+        "usual": {
+            "latency": 0.5 * sum(variation.latency) * period,
+            "accelerations": [mean],
+            "braking": 1.0,
+            "error": 0.0,
+            "margin": 0.02,
+        },
+    }
+
+
+def _filters(task: Task, spec: SimulationSpec) -> Iterator[tuple[type[Filter], Mapping[str, Any], dict[str, Any]]]:
+    """Class, arguments of the config, and facts about the robot if the class takes them, of each filter."""
     for name, arguments in _entries(task.filters):
-        yield _checked_class(find_plugin("filter", name), Filter, f"task.filters: {name!r}"), arguments
+        cls = _checked_class(find_plugin("filter", name), Filter, f"task.filters: {name!r}")
+        takes_facts = "robot" in inspect.signature(cls).parameters
+        yield cls, arguments, {"robot": robot_facts(task, spec)} if takes_facts else {}
 
 
 def _entries(setting: Sequence[str | Mapping[str, Any]]) -> Iterator[tuple[str, Mapping[str, Any]]]:

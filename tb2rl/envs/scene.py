@@ -216,4 +216,4 @@ def _assemble(task: Task, observation: str, robot: Robot, worlds: tuple[World, .
     actions, sensors = checked_task_parts(task, spec)
     encoding = make_encoding(observation, sensors)
     space = stacked_space(encoding.space, task.frame_stack)
-    return Scene(task, observation, spec, encoding, space, actions.clipped_to(robot), sensors, task_filters(task))
+    return Scene(task, observation, spec, encoding, space, actions.clipped_to(robot), sensors, task_filters(task, spec))

@@ -68,6 +68,7 @@ class EpisodeStep:
     reward: float
     episode_return: float  # sum of the rewards since the reset
     info: Mapping[str, Any]  # as from `TurtleBot2Env.step`; "ended" is empty before the last step
+    intervention: str = ""  # why filters changed the command; empty if they did not, or do not say
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ class Episode:
     world: Annotated[int, Ge(0)] = 0  # index in the worlds of the scene
     min_clearance: float | None = None  # [m] smallest gap from hull to obstacles, see `run_episodes`; None: no obstacle
     goal: tuple[float, float] | None = None  # x, y [m]; None: a task without a goal
+    filtered_share: float = 0.0  # [%] control steps in which filters changed the command
 
 
 def check_spaces(policy: Any, scene: Scene) -> None:
@@ -162,7 +164,8 @@ def run_single(loop: ControlLoop, policy: Policy, start: EpisodeStart) -> Iterat
         finished, reward = step.transition.finished, float(step.transition.reward[0])
         episode_return += reward
         info = {key: column[0] for key, column in (finished.infos if finished else loop.infos()).items()}
-        yield EpisodeStep(number, step.before, loop.robot_state, step.actions[0], reward, episode_return, info)
+        action, why = step.actions[0], loop.intervention(0)
+        yield EpisodeStep(number, step.before, loop.robot_state, action, reward, episode_return, info, why)
 
 
 def run_episodes(
@@ -191,6 +194,7 @@ class _Recorder:
         dtype = np.min_scalar_type(int(space.n) - 1) if isinstance(space, spaces.Discrete) else space.dtype
         self._actions = np.empty((num_slots, steps, *(space.shape or ())), dtype)
         self._touched, self._min_ranges = np.empty(num_slots, dtype=bool), np.empty(num_slots)
+        self._filtered_steps = np.zeros(num_slots, dtype=int)
 
     def record(self, step: LoopStep) -> Iterator[tuple[int, Episode]]:
         """Record a control step, and yield the number and the record of each episode that ends with it."""
@@ -198,9 +202,11 @@ class _Recorder:
         lengths, after = self._loop.lengths[slots], self._loop.robot_state
         new = slots[lengths == 1]  # slots whose episode began with this step
         self._poses[new, 0], self._touched[new], self._min_ranges[new] = step.before.pose[new], False, np.inf
+        self._filtered_steps[new] = 0
         self._poses[slots, lengths] = after.pose[slots]
         self._actions[slots, lengths - 1] = np.asarray(step.actions)[slots]
         self._touched |= after.bumped
+        self._filtered_steps += self._loop.is_filtered
         self._min_ranges = np.minimum(self._min_ranges, after.nearest_range)
         if finished:
             for row, slot in enumerate(finished.indices):
@@ -228,6 +234,7 @@ class _Recorder:
             world=world,
             min_clearance=clearance if np.isfinite(clearance) else None,
             goal=tuple(initial_state.goal[slot].tolist()) if scene.task.goal_task else None,
+            filtered_share=100.0 * int(self._filtered_steps[slot]) / length,
         )
 
 

@@ -68,7 +68,8 @@ class Evaluation:
         """Rows of a table: label, figure, and spread or interval with the unit."""
         summary = self.summary()
         endings = ", ".join(f"{ended} {count}" for ended, count in summary["endings"].items())
-        return [*(metric.row(summary) for metric in shown_metrics(self.task.goal_task)), ("endings", "", endings)]
+        shown = shown_metrics(self.task.goal_task, bool(self.task.filters))
+        return [*(metric.row(summary) for metric in shown), ("endings", "", endings)]
 
     @property
     def score(self) -> tuple[float, float]:

@@ -22,6 +22,7 @@ class Metric:
         statistic: Statistic of the values: a "rate" with its 95 % interval, a "mean" with the standard deviation, the
             "median", or the sum "per second" of simulated time.
         goal_tasks_only: Whether tables show the metric only for tasks with a goal.
+        filters_only: Whether tables show the metric only for tasks with filters.
         is_shown: Whether tables, charts and TensorBoard show the metric; JSON files always contain it.
     """
 
@@ -31,6 +32,7 @@ class Metric:
     value: Callable[[Episode], float]
     statistic: Literal["rate", "mean", "median", "per second"] = "mean"
     goal_tasks_only: bool = False
+    filters_only: bool = False
     is_shown: bool = True
 
     @property
@@ -85,6 +87,7 @@ METRICS = (
     Metric("return", "return", "", lambda episode: episode.episode_return),
     Metric("length", "length", "steps", lambda episode: episode.length),
     Metric("mean_speed", "speed", "m/s", lambda episode: episode.distance, "per second"),
+    Metric("filtered", "changed by filters", "% of steps", lambda episode: episode.filtered_share, filters_only=True),
     # Few visited squares reveal a robot that only drives in circles.
     Metric("median_squares", "visited", "squares of 1 m (median)", lambda e: _count_squares(e.path), "median"),
 )
@@ -100,6 +103,7 @@ def figures(episodes: Sequence[Episode], control_period: float) -> dict[str, Any
     return {key: figure for metric in METRICS for key, figure in metric.figures(episodes, control_period).items()}
 
 
-def shown_metrics(goal_task: bool) -> list[Metric]:
-    """The metrics that tables, charts and TensorBoard show, for tasks with or without a goal."""
-    return [metric for metric in METRICS if metric.is_shown and (goal_task or not metric.goal_tasks_only)]
+def shown_metrics(goal_task: bool, has_filters: bool = False) -> list[Metric]:
+    """The metrics that tables, charts and TensorBoard show, for tasks with or without a goal and filters."""
+    shown = [metric for metric in METRICS if metric.is_shown and (has_filters or not metric.filters_only)]
+    return [metric for metric in shown if goal_task or not metric.goal_tasks_only]

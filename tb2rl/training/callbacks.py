@@ -82,7 +82,7 @@ class EvaluationCallback(StatefulCallback):
             self._best = score
             self.run.save(self.model, "best/policy")
         self.run.append_training_evaluation(summary)
-        for metric in shown_metrics(goal_task=True):  # all of them, also for a task without a goal
+        for metric in shown_metrics(goal_task=True, has_filters=True):  # all of them
             self.logger.record(f"eval/{metric.key}", summary[metric.key])
         self.logger.record("eval/score", success_rate)
         picture = draw_paths(evaluation.scene, evaluation.episodes[:_NUM_DRAWN_PATHS])

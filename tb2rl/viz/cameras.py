@@ -156,6 +156,8 @@ def caption_values(frame: FilmFrame, scene: Scene) -> dict[str, str]:
     """Texts of a caption by label."""
     step, (v, w) = frame.step, frame.step.after.twist[0]
     status = {"ended": frame.ended} if frame.ended else {"action": scene.actions.describe(step.action)}
+    if step.intervention:
+        status = {**status, "filter": step.intervention}
     speeds = {"v [m/s]": f"{v:z.2f}", "w [rad/s]": f"{w:+z.2f}"}
     reward = {"reward": f"{step.reward:+g}", "return": f"{step.episode_return:g}"}
     return {"time [s]": f"{frame.time:.1f}", **speeds, **status, **reward}

@@ -33,7 +33,7 @@ def compare_commands(policy) -> int:
     env = make_env(policy, simulation="kinematic", variation="none", dynamic_obstacles=None)
     trained = TrainedPolicy(policy)
     observation, _ = env.reset(seed=2)
-    driver, memory = Driver(trained), None
+    driver, memory = Driver(trained, safe="off"), None
     if trained.needs.goal:
         driver.set_goal(tuple(env.robot_state.goal[0].tolist()))
     driver.start()

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
-from tb2rl.envs.filters import Filter, SpeedLimits
+from tb2rl.envs.filters import SpeedLimits
 
+from .filter_chain import FilterChain
 from .path import PlannedPath
 from .policy_contract import Point, Policy, Pose, SensorData, Speeds, are_usable
 from .scan_reader import Mounting, Scan, ScanReader
@@ -48,12 +47,14 @@ class Command:
         w: Turn rate to the left [rad/s].
         why: "driving", or the reason for a stop in plain words.
         wanted: The v and w after all filters, which a dry run does not send; zeros if the robot is stopped.
+        intervention: Why filters changed the command of the policy; empty if they did not, or do not say.
     """
 
     v: float
     w: float
     why: str
     wanted: Speeds = _ZERO_SPEEDS
+    intervention: str = ""
 
 
 class Driver:
@@ -69,18 +70,31 @@ class Driver:
     After every stop the policy starts a new episode.
 
     Args:
-        policy: The policy; its `filters`, if it has any, change the commands before the limits.
+        policy: The policy; its `filters`, if it has any, change the commands before the limits. From its attribute
+            `safety`, if it has one, the driver makes the safety filter, which comes first.
         limits: Speed limits of this robot; faster commands are slowed down on the same arc.
         mounting: The pose of the scanner; by default above the middle of the axle and facing forward.
         dry_run: Whether to stand still, and only report the commands in `Command.wanted`.
+        safe: Setting of the safety filter, "usual", "guaranteed" or "off".
+
+    Attributes:
+        filters: The filters, with the number of their interventions.
+
+    Raises:
+        ValueError: If the laser of the policy does not suffice for the setting of the safety filter.
     """
 
     def __init__(
-        self, policy: Policy, limits: SpeedLimits | None = None, mounting: Mounting | None = None, dry_run: bool = False
+        self,
+        policy: Policy,
+        limits: SpeedLimits | None = None,
+        mounting: Mounting | None = None,
+        dry_run: bool = False,
+        safe: str = "usual",
     ) -> None:
         self._policy, self.needs, self.dry_run = policy, policy.needs, dry_run
         self._limits, self._reader = limits or SpeedLimits(), ScanReader(policy.needs, mounting)
-        self._filters: list[Filter] = [*getattr(policy, "filters", ()), self._limits]
+        self.filters = FilterChain(policy, self._limits, mounting, safe)
         self._scan: Scan | None = None
         self._scan_stamps: deque[float] = deque(maxlen=20)  # [s] of the latest scans, the newest last
         self._needs_odometry = self.needs.uses_odometry or self.needs.goal is not None
@@ -167,12 +181,13 @@ class Driver:
         """Return the command for the base at the time `now` [s]."""
         why = self._stop_reason or self._data_problem(now) or self._check_arrival_at_goal()
         if not why and self._begin_control_step(now):
-            why = self._decide()
+            why = self._decide(now)
         if why:
             self._in_episode, self._last_command = False, _ZERO_SPEEDS
             return Command(0.0, 0.0, why)
         self._last_command = _ZERO_SPEEDS if self.dry_run else self._wanted
-        return Command(*self._last_command, DRY_RUN if self.dry_run else DRIVING, self._wanted)
+        why = DRY_RUN if self.dry_run else DRIVING
+        return Command(*self._last_command, why, self._wanted, self.filters.intervention)
 
     def _missing_data(self) -> list[str]:
         """Describe the data that the policy needs and that has not arrived yet."""
@@ -210,7 +225,7 @@ class Driver:
         self._next_decision_time = (self._next_decision_time if is_on_time else now) + period
         return True
 
-    def _decide(self) -> str:
+    def _decide(self, now: float) -> str:
         """Ask the policy for the next command; returns the reason for a stop, or an empty string."""
         assert self._scan is not None
         ranges, problem = self._reader.read(self._scan)
@@ -218,21 +233,19 @@ class Driver:
             return problem
         if not self._in_episode:
             self._policy.reset()
-            for command_filter in self._filters:
-                command_filter.reset(1)
+            self.filters.reset()
         self._in_episode = True
         plan = self._plan if self.needs.goal == "plan" else None
         waypoint = plan.lookahead_point(self._pose, self.needs.lookahead) if plan else None
         bumped = False  # after a contact the policy is not asked
-        sensor_data = SensorData(ranges, self._pose, self._twist, bumped, self._last_command, self._goal, waypoint)
+        # Without odometry, the robot is assumed to obey.
+        twist = self._last_command if age_problem("odometry", now - self._odometry_stamp) else self._twist
+        sensor_data = SensorData(ranges, self._pose, twist, bumped, self._last_command, self._goal, waypoint)
         speeds = self._policy.act(sensor_data)
         if all(map(math.isfinite, speeds)):
-            names = ("ranges", "pose", "twist", "bumped", "command")
-            robot_state: Any = SimpleNamespace(**{name: np.array([getattr(sensor_data, name)]) for name in names})
-            commands = np.array([speeds])
-            for command_filter in self._filters:
-                commands = command_filter(commands, robot_state)
-            speeds = tuple(commands[0].tolist())
+            speeds, problem = self.filters(speeds, sensor_data, self._scan, now - self._scan_stamps[-1])
+        if problem:
+            return problem
         if not all(map(math.isfinite, speeds)):
             return "the policy or a filter returned {} and {} in place of finite speeds".format(*speeds)
         self._wanted = speeds

@@ -12,7 +12,8 @@ An input line holds new data under any of these keys:
     "start":    true to drive
     "stop":     true to stop
 
-An output line is {"v": [m/s], "w": [rad/s], "why": "driving", or the reason for a stop}.
+An output line is {"v": [m/s], "w": [rad/s], "why": "driving", or the reason for a stop}, with "intervention": REASON if
+a filter, such as the safety filter, changed the command of the policy.
 
 The last output line is a stop, whatever ends the program: the end of its input, an invalid line or one longer than 1 MB
 (exit status 2), or a signal (SIGINT, SIGTERM, SIGHUP, SIGQUIT; status 128 + its number). Until it
@@ -35,8 +36,10 @@ from typing import Any
 import numpy as np
 
 from tb2rl.envs.filters import SpeedLimits
+from tb2rl.envs.safety import SETTINGS
 
 from .driver import Command, Driver
+from .filter_chain import OFF
 from .policy import ExportedPolicy
 from .policy_contract import MAX_MAGNITUDE
 from .scan_reader import Mounting, Scan
@@ -73,7 +76,7 @@ def _answer_all(options: argparse.Namespace, guard: SignalGuard) -> tuple[int, s
     try:
         x, y, yaw = options.scanner
         mounting, limits = Mounting(x, y, yaw, options.upside_down), SpeedLimits(options.speed, options.turn_rate)
-        driver = Driver(ExportedPolicy(options.folder), limits, mounting, options.dry_run)
+        driver = Driver(ExportedPolicy(options.folder), limits, mounting, options.dry_run, options.safe)
         while True:
             line = guard.wait_for(lambda: sys.stdin.buffer.readline(_MAX_LINE_LENGTH + 1))
             if not line:
@@ -82,7 +85,7 @@ def _answer_all(options: argparse.Namespace, guard: SignalGuard) -> tuple[int, s
             if len(line) > _MAX_LINE_LENGTH:
                 raise ValueError(f"more than {_MAX_LINE_LENGTH} bytes")
             command = answer(driver, json.loads(line.decode("utf-8"), parse_int=float))  # an int may be too large
-            _write(command.v, command.w, command.why)
+            _write(command.v, command.w, command.why, command.intervention)
     except SignalledError as error:
         (signal_number,) = error.args
         why = f"{signal.Signals(signal_number).name} ended the program"
@@ -151,11 +154,14 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--scanner", nargs=3, type=float, default=(0, 0, 0), metavar=("X", "Y", "YAW"), help=pose)
     parser.add_argument("--upside-down", action="store_true", help="the scanner is mounted upside down")
     parser.add_argument("--dry-run", action="store_true", help='do not drive; answer "dry run" instead')
+    safe = "setting of the safety filter (default: usual)"
+    parser.add_argument("--safe", choices=(*SETTINGS, OFF), default=SETTINGS[0], help=safe)
     return parser.parse_args(arguments)
 
 
-def _write(v: float, w: float, why: str) -> None:
-    print(json.dumps({"v": v, "w": w, "why": why}), flush=True)
+def _write(v: float, w: float, why: str, intervention: str = "") -> None:
+    extra = {"intervention": intervention} if intervention else {}
+    print(json.dumps({"v": v, "w": w, "why": why, **extra}), flush=True)
 
 
 def _log(line: str) -> None:

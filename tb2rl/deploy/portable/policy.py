@@ -30,6 +30,7 @@ class ExportedPolicy:
     Attributes:
         needs: The requirements of the policy.
         filters: The filters of the commands.
+        safety: Facts about the robot for `Safety`.
         observation: The last observation, shape (1, n).
 
     Raises:
@@ -49,7 +50,7 @@ class ExportedPolicy:
             self.needs = Needs(**{**description["needs"], "beams": np.array(description["needs"]["beams"])})
             classes = {each.__name__: each for each in Filter.__subclasses__()}  # also those packed into this program
             self.filters = [classes[each["class"]](**each["arguments"]) for each in description.get("filters", ())]
-            self._actions = description["actions"]
+            self.safety, self._actions = description.get("safety"), description["actions"]
             self._encoding = Encoding(description["observation"], self.needs)
             self._network = Network(layers)
         except Exception as error:  # json, zipfile, zlib and numpy raise a dozen kinds of errors for damaged files

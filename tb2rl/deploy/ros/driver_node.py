@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch as th
 
+from tb2rl.core.errors import InputError
 from tb2rl.deploy import Command, Driver, Finding, TrainedPolicy
 from tb2rl.deploy.portable.driver import BUMPED, DRIVING, DRY_RUN, MAX_AGE, REACHED, STOPPED
 from tb2rl.deploy.portable.termination import termination_signals
@@ -34,6 +35,7 @@ _FROZEN_TIME = 0.2  # simulated time is frozen if it has not changed for this lo
 _COMMAND_TIMEOUT = 0.45  # maximum age of the last command while simulated time is frozen; then the robot stops
 _PREFLIGHT_PERIOD = 3.0  # of repeated preflights, which report missing sensors
 _DIAGNOSTICS_PERIOD = 1.0
+_INTERVENTION_PERIOD = 2.0  # least time between printed interventions of filters
 _PUBLISH_PAUSE = 0.02  # between zero commands at the end, so that the last ones arrive
 
 
@@ -43,7 +45,10 @@ def run(options: argparse.Namespace) -> None:
     mounting, limits = parse_mounting(options.mounting), parse_limits(options.speed)
     th.set_num_threads(1)  # because inference is too small to be parallel, and the robot's other programs need the CPU
     policy = TrainedPolicy(load(options.policy, options.trust))
-    driver = Driver(policy, limits, mounting, dry_run=options.dry_run)
+    try:
+        driver = Driver(policy, limits, mounting, options.dry_run, options.safe)
+    except ValueError as error:
+        raise InputError(f"{error}; --safe off drives without the safety filter") from None
     with closing(create_node(options.ros, NODE_NAME, options.ros_args)) as node:
         shutdown = threading.Event()
         for termination_signal in termination_signals():
@@ -73,6 +78,7 @@ class DriverNode:
         self._last_ros_time, self._last_decision_time = math.nan, -math.inf  # [s] of ROS time
         # [s] of wall-clock time; the last tick is the last change of the ROS time:
         self._last_tick = self._last_command_time = self._last_diagnostics = self._last_preflight = self._clock.now()
+        self._printed_intervention, self._next_intervention_time = "", -math.inf
         self._command, self._printed_state, self._findings = Command(0.0, 0.0, ""), "", list[Finding]()
         self._pending_goal: Goal | Plan | None = None  # waits for the first odometry, whose frame it must have
         self._odometry_frame, self._has_odometry_warning = "", False
@@ -107,6 +113,10 @@ class DriverNode:
             with self._lock, suppress(OSError):  # `_print` fails if the terminal is closed
                 self._publish(self._driver.command(self._node.now()))
             self._clock.sleep(_PUBLISH_PAUSE)
+        filters = self._driver.filters
+        if filters.interventions:
+            with suppress(OSError):
+                _print(f"the safety filter changed {filters.interventions} of {filters.decisions} commands")
         if self._latencies:
             percentiles = np.percentile(self._latencies, [50, 99], axis=0).T * 1e3
             wall, cpu = (f"{median:.1f} ms, 99 % within {p99:.1f} ms" for median, p99 in percentiles)
@@ -220,6 +230,10 @@ class DriverNode:
         if not self._driver.dry_run and self._zero_repeats_left > 0:
             self._velocity.publish(Twist(command.v, command.w))
         self._command = command
+        if command.intervention != self._printed_intervention and self._clock.now() > self._next_intervention_time:
+            self._printed_intervention = command.intervention
+            self._next_intervention_time = self._clock.now() + _INTERVENTION_PERIOD
+            _print(f"slowed: {command.intervention}" if command.intervention else "not slowed any more")
         state = _remove_numbers(command.why)
         if state != self._printed_state and not self._autostart:  # before the start, the preflight prints its findings
             self._printed_state = state
@@ -232,6 +246,7 @@ class DriverNode:
         level = "ERROR" if any(finding.is_error for finding in self._findings) else "WARN"
         level = "OK" if command.why in (DRIVING, DRY_RUN, REACHED) else level
         values = {"v [m/s]": f"{v:.3f}", "w [rad/s]": f"{w:.3f}"}
+        values |= {"filters": command.intervention} if command.intervention else {}
         values |= {f"finding {number}": finding.message for number, finding in enumerate(self._findings, 1)}
         stamp = round(self._node.now() * BILLION)
         self._diagnostics.publish(Diagnostics(stamp, level, f"{NODE_NAME}: policy", command.why, values))

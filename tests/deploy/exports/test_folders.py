@@ -134,7 +134,7 @@ def test_the_program_drives_with_numpy_and_nothing_else(alone, robot, loaded):
     scene = config_of(policy).scene
     scene.observation_space.seed(3)
     seen = scene.observation_space.sample()
-    done = alone(MAIN.format("['--speed', '0.1']"), lines_of(seen.tolist(), scene.laser.angles))
+    done = alone(MAIN.format("['--speed', '0.1', '--safe', 'off']"), lines_of(seen.tolist(), scene.laser.angles))
     assert done.returncode == 0
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     whys = ["not started", "driving", "driving", "the last scan is 8.0 s old", "the input ended"]

@@ -2,6 +2,7 @@
 
 import errno
 import math
+import re
 import signal
 import threading
 from types import SimpleNamespace
@@ -15,7 +16,11 @@ from tb2rl.deploy.bags.messages import BagMessages
 from tb2rl.deploy.ros.driver_node import DriverNode, run
 from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Goal, LaserScan, Odometry, Plan, Twist
 from tb2rl.deploy.ros.topics import TURTLEBOT2
+from tb2rl.envs.parts import robot_facts
+from tb2rl.envs.safety import REASONS
+from tb2rl.envs.scene import make_scene
 from tb2rl.ros import main
+from tb2rl.tasks.drive import Drive
 
 pytest.importorskip("rosbags")
 TOPICS = TURTLEBOT2[1]
@@ -29,13 +34,13 @@ class Robot:
     def __init__(self, node, clock, policy):
         self.node, self.clock, self.policy = node, clock, policy
 
-    def scan(self, count=1, odometry=True, age=0.0):
+    def scan(self, count=1, odometry=True, age=0.0, distance=2.0):
         for _ in range(count):
             self.node.time = round(self.node.time + 0.1, 6)
             stamp = round((self.node.time - age) * BILLION)
             if odometry:
                 self.publish("odometry", Odometry(stamp, "odom", "base", (1.0, 0.0, 0.0), STILL))
-            self.publish("scan", LaserScan(stamp, "laser", -1.58, 3.16 / 360, 0.1, 0.1, 30.0, np.full(361, 2.0)))
+            self.publish("scan", LaserScan(stamp, "laser", -1.58, 3.16 / 360, 0.1, 0.1, 30.0, np.full(361, distance)))
 
     def publish(self, topic, message):
         self.node.receive[getattr(TOPICS, topic)](message)
@@ -67,9 +72,12 @@ class Robot:
 def robot(node, clock, scripted_policy, monkeypatch):
     """A function that makes a `Robot` and its driver node."""
     monkeypatch.setattr("tb2rl.deploy.ros.driver_node.WallClock", lambda: clock)
+    scene = make_scene(Drive(), "raw")
+    facts = robot_facts(scene.task, scene.spec)
 
-    def make(waits=False, dry_run=False, limits=None, **needs):
+    def make(waits=False, dry_run=False, limits=None, safety=False, **needs):
         robot = Robot(node, clock, scripted_policy(**needs))
+        robot.policy.safety = facts if safety else None
         robot.driver = Driver(robot.policy, limits, dry_run=dry_run)
         robot.driver_node = DriverNode(robot.driver, node, TOPICS, waits)
         return robot
@@ -124,6 +132,19 @@ def test_a_serious_finding_prevents_the_start_and_is_in_the_diagnostics(robot, n
     printed = lines(capsys)
     assert printed.count(f"error: {serious}") == 1
     assert printed[-2:] == ["the goal is (4.00, 0.00) in 'odom'", "driving"]
+
+
+def test_it_says_when_the_safety_filter_slows_the_robot_down_and_how_often(robot, node, capsys):
+    it = robot(safety=True)
+    it.scan(10, distance=0.19)
+    assert all(v == 0.0 for v, _ in it.commands())
+    it.clock.sleep(1.0)
+    it.run(0.1)
+    assert node.topics["/diagnostics"].messages[-1].values["filters"] == REASONS[1]
+    it.driver_node.close()
+    printed = lines(capsys)
+    assert printed[:2] == [f"slowed: {REASONS[1]}", "driving"]
+    assert re.search(r"the safety filter changed \d of \d commands", "\n".join(printed))
 
 
 def test_missing_scans_and_minor_findings_are_printed(robot, capsys):
