@@ -28,6 +28,7 @@ from tb2rl.core import InputError, check_output, one_line
 from tb2rl.core.files import atomic_write
 from tb2rl.deploy.bags.messages import BagMessages, rosbags_library
 from tb2rl.deploy.ros import messages as msg
+from tb2rl.deploy.ros.events import bumper_events
 from tb2rl.deploy.ros.topics import TURTLEBOT2, Topics
 from tb2rl.envs.scene import Scene
 from tb2rl.sensors.motion import bumper_at
@@ -74,7 +75,7 @@ class Recorder:
         self._write("/bumper", self._make_scalar("std_msgs/Bool", bumped))
         contact_angle = self._scene.laser.angles[np.argmin(robot_state.ranges[0])]
         before, self._pressed_bumper = self._pressed_bumper, bumper_at(contact_angle) if bumped else None
-        for event in msg.bumper_events(before, self._pressed_bumper):
+        for event in bumper_events(before, self._pressed_bumper):
             self._write(self._driver_topics.bumper, event)
 
     def _make_scan(self, task_ranges: np.ndarray) -> msg.LaserScan:

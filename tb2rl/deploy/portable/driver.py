@@ -21,6 +21,8 @@ from .scan_reader import Mounting, Scan, ScanReader
 
 DRIVING, DRY_RUN, NOT_STARTED = "driving", "dry run", "not started"
 BUMPED, REACHED, STOPPED = "the bumper was touched", "the goal is reached", "told to stop"
+CLIFF, WHEEL_DROP = "a cliff sensor sees no floor", "a wheel hangs in the air"
+BUTTON = "a button was pressed"
 MAX_AGE = 0.5  # [s] of sensor data; with older data the robot stops
 _ZERO_SPEEDS: Speeds = (0.0, 0.0)
 _MAX_CLOCK_DIFFERENCE = 1e6  # [s] if the clocks differ by more, one shows simulated and one wall-clock time
@@ -102,6 +104,7 @@ class Driver:
         self._goal: Point | None = None
         self._reached_goal: Point | None = None
         self._plan: PlannedPath | None = None
+        self._events: set[tuple[str, int]] = set()  # reasons and parts of events that last
         self._stop_reason = NOT_STARTED  # why the robot is stopped until the next `start`, or an empty string
         self._in_episode = False
         self._wanted = self._last_command = _ZERO_SPEEDS
@@ -125,6 +128,20 @@ class Driver:
         """Report a contact, which stops the robot until the next `start`."""
         self.stop(BUMPED)
 
+    def see_event(self, why: str, is_active: bool, part: int = 0) -> None:
+        """Pass the begin or the end of an event of the base, which stops the robot until it has ended and `start`.
+
+        Args:
+            why: Reason of the stop, such as `CLIFF`.
+            is_active: Whether the event begins.
+            part: Number of the part of the base, such as one of several cliff sensors.
+        """
+        if is_active:
+            self._events.add((why, part))
+            self.stop(why)
+        else:
+            self._events.discard((why, part))
+
     def set_goal(self, goal: Point) -> None:
         """Set the goal, x, y [m] in the odometry frame.
 
@@ -147,8 +164,8 @@ class Driver:
         self.set_goal(self._plan.end)
 
     def start(self) -> None:
-        """Drive as soon as all needed data has arrived."""
-        self._stop_reason, self._reached_goal, self._in_episode = "", None, False
+        """Drive as soon as all needed data has arrived, unless an event of the base lasts."""
+        self._stop_reason, self._reached_goal, self._in_episode = self._lasting_event(), None, False
 
     def stop(self, why: str = STOPPED) -> None:
         """Stop the robot until the next `start`."""
@@ -157,7 +174,8 @@ class Driver:
     def preflight(self) -> list[Finding]:
         """Missing data, and mismatches of policy and robot in the data that has arrived, errors first."""
         needs, limits, scan, stamps = self.needs, self._limits, self._scan, self._scan_stamps
-        errors, warnings = self._missing_data(), []
+        event = self._lasting_event()
+        errors, warnings = [*([event] if event else []), *self._missing_data()], []
         problem = self._reader.read(scan).problem if scan else ""
         if problem:
             errors.append(problem)
@@ -188,6 +206,10 @@ class Driver:
         self._last_command = _ZERO_SPEEDS if self.dry_run else self._wanted
         why = DRY_RUN if self.dry_run else DRIVING
         return Command(*self._last_command, why, self._wanted, self.filters.intervention)
+
+    def _lasting_event(self) -> str:
+        """The reason of an event that lasts, or an empty string."""
+        return min(self._events)[0] if self._events else ""
 
     def _missing_data(self) -> list[str]:
         """Describe the data that the policy needs and that has not arrived yet."""

@@ -6,7 +6,8 @@ An input line holds new data under any of these keys:
     "scan":     {"ranges": [...], "angle_min": , "angle_increment": , "range_min": , "range_max": }, as in
                 ROS; Infinity where nothing was hit, null where nothing was measured
     "odometry": {"x": , "y": , "yaw": , "v": , "w": } in m, rad, m/s and rad/s
-    "bumper":   true while the base touches something
+    "bumper":   true when the base begins to touch something, false when it does not any more
+    "cliff", "wheel_drop", "button": likewise, for a cliff sensor, a wheel that hangs in the air, and a button
     "goal":     [x, y] in the odometry frame
     "plan":     [[x, y], ...] a path in the odometry frame; the last point is the goal
     "start":    true to drive
@@ -38,14 +39,15 @@ import numpy as np
 from tb2rl.envs.filters import SpeedLimits
 from tb2rl.envs.safety import SETTINGS
 
-from .driver import Command, Driver
+from .driver import BUMPED, BUTTON, CLIFF, WHEEL_DROP, Command, Driver
 from .filter_chain import OFF
 from .policy import ExportedPolicy
 from .policy_contract import MAX_MAGNITUDE
 from .scan_reader import Mounting, Scan
 from .termination import SignalGuard, SignalledError
 
-_KEYS = ("time", "scan", "odometry", "bumper", "goal", "plan", "start", "stop")
+_EVENTS = {"bumper": BUMPED, "cliff": CLIFF, "wheel_drop": WHEEL_DROP, "button": BUTTON}
+_KEYS = ("time", "scan", "odometry", *_EVENTS, "goal", "plan", "start", "stop")
 _MAX_LINE_LENGTH = 1_000_000  # [bytes]
 _INPUT_ERRORS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
@@ -108,7 +110,7 @@ def answer(driver: Driver, data: dict[str, Any]) -> Command:
     """
     for name in set(data) - set(_KEYS):
         raise ValueError(f"unknown key {name!r}; the keys are {', '.join(_KEYS)}")
-    for name in ("start", "bumper", "stop"):
+    for name in ("start", *_EVENTS, "stop"):
         if data.get(name) not in (True, False, None):  # 1 and 0 are fine; "no" must not start a robot
             raise ValueError(f"{name!r} is {data[name]!r}; give true or false")
     now = _to_float(data["time"], sys.float_info.max) if "time" in data else time.monotonic()
@@ -130,8 +132,9 @@ def answer(driver: Driver, data: dict[str, Any]) -> Command:
         driver.start()
         for finding in driver.preflight():
             _log(f"{'error' if finding.is_error else 'warning'}: {finding.message}")
-    if data.get("bumper"):
-        driver.bump()
+    for name, why in _EVENTS.items():
+        if data.get(name) is not None:
+            driver.see_event(why, bool(data[name]))
     if data.get("stop"):
         driver.stop()
     return driver.command(now)

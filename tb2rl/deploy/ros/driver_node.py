@@ -16,11 +16,12 @@ import torch as th
 
 from tb2rl.core.errors import InputError
 from tb2rl.deploy import Command, Driver, Finding, TrainedPolicy
-from tb2rl.deploy.portable.driver import BUMPED, DRIVING, DRY_RUN, MAX_AGE, REACHED, STOPPED
+from tb2rl.deploy.portable.driver import DRIVING, DRY_RUN, MAX_AGE, REACHED, STOPPED
 from tb2rl.deploy.portable.termination import termination_signals
 from tb2rl.deploy.ros import create_node
-from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Diagnostics, Goal, LaserScan, Odometry, Plan, Twist
-from tb2rl.deploy.ros.node import ABSENT, TRIGGER, Node, WallClock
+from tb2rl.deploy.ros.events import Event, subscribe_to_events
+from tb2rl.deploy.ros.messages import BILLION, Diagnostics, Goal, LaserScan, Odometry, Plan, Twist
+from tb2rl.deploy.ros.node import TRIGGER, Node, WallClock
 from tb2rl.deploy.ros.robot import parse_limits, parse_mounting
 from tb2rl.deploy.ros.topics import TURTLEBOT2, DriverTopics, parse_topics
 from tb2rl.runs.loading import load
@@ -87,8 +88,8 @@ class DriverNode:
         self._diagnostics = node.create_publisher("/diagnostics", Diagnostics)
         node.create_subscription(topics.scan, LaserScan, self._guarded(self._on_scan))
         node.create_subscription(topics.odometry, Odometry, self._guarded(self._on_odometry))
-        if node.create_subscription(topics.bumper, BumperEvent, self._guarded(self._on_bumper)) is ABSENT:
-            _print("warning: contacts are not noticed, because the messages of the Kobuki are not installed")
+        if not subscribe_to_events(node, topics, self._guarded(self._on_event)):
+            _print("warning: the messages of the Kobuki are not installed, so events must come as std_msgs/Bool")
         if driver.needs.goal == "goal":
             node.create_subscription(topics.goal, Goal, self._guarded(self._on_goal))
         if driver.needs.goal == "plan":
@@ -160,9 +161,10 @@ class DriverNode:
             self._has_odometry_warning = True
             _print("warning: odometry is ignored: its orientation is invalid, or a number is not finite or too large")
 
-    def _on_bumper(self, event: BumperEvent) -> None:
-        if event.pressed:
-            self._stop(BUMPED)
+    def _on_event(self, event: Event) -> None:
+        self._driver.see_event(event.why, event.is_active, event.part)
+        if event.is_active:
+            self._stop(event.why)
 
     def _on_goal(self, goal: Goal | Plan) -> None:
         frame, name = self._odometry_frame, type(goal).__name__.lower()

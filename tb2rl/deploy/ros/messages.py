@@ -171,14 +171,6 @@ class Image(_Stamped):
         return message
 
 
-class BumperEvent(Message):
-    """Press or release of one of the three bumpers."""
-
-    type_name, optional = "kobuki_msgs/BumperEvent", True
-    bumper: Annotated[int, "bumper"]  # 0 left, 1 in the middle, 2 right
-    pressed: Annotated[bool, "state"]
-
-
 class Goal(_Stamped):
     """A goal position."""
 
@@ -223,14 +215,6 @@ class Diagnostics(Message):
             status.values.append(pair)
         message.status = [status]
         return message
-
-
-def bumper_events(before: int | None, after: int | None) -> list[BumperEvent]:
-    """Return the events between two times, given the number of the pressed bumper at each time, or None."""
-    if before == after:
-        return []
-    changes = ((before, False), (after, True))
-    return [BumperEvent(bumper, pressed) for bumper, pressed in changes if bumper is not None]
 
 
 def quaternion(yaw: float) -> tuple[float, float, float, float]:

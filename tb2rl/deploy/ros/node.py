@@ -60,7 +60,7 @@ class Node(Protocol):
         package, name = type_name.split("/")
         try:
             return getattr(import_module(f"{package}.{module}"), name)
-        except ImportError:
+        except (ImportError, AttributeError):  # without the package, or in an early version of it
             if optional:
                 return None
             raise InputError(f"{type_name} is not installed for ROS {self.version}; {self.install_hint}") from None

@@ -13,7 +13,8 @@ from tb2rl.core.errors import InputError
 from tb2rl.deploy import ScanReader, SpeedLimits
 from tb2rl.deploy.portable.driver import MAX_AGE, age_problem
 from tb2rl.deploy.portable.policy_contract import are_usable
-from tb2rl.deploy.ros.messages import BILLION, BumperEvent, LaserScan, Odometry, Twist
+from tb2rl.deploy.ros.events import Event, subscribe_to_events
+from tb2rl.deploy.ros.messages import BILLION, LaserScan, Odometry, Twist
 from tb2rl.deploy.ros.node import EMPTY, Node, WallClock
 from tb2rl.deploy.ros.topics import DriverTopics
 from tb2rl.simulation import InitialState, RobotState, SimulationSpec
@@ -53,7 +54,7 @@ class RemoteRobot:
 
     The robot stops:
 
-    - on contact,
+    - on contact, and on the other events of the base, which count as a contact,
     - when scans or odometry are missing for half a second,
     - when no step follows for half a second,
     - between episodes and at the end.
@@ -77,14 +78,15 @@ class RemoteRobot:
         self._condition = threading.Condition()  # its lock is shared with the threads of ROS and the watchdog
         self._ranges = self._odometry = _LastData()
         self._scan_problem = ""  # why the last scan cannot be used
-        self._had_contact = self._bumper_pressed = self._closed = False  # contact: since the last robot state
+        self._had_contact = self._closed = False  # contact: since the last robot state
+        self._events: frozenset[str] = frozenset()  # reasons of events of the base that last
         self._command, self._zero_repeats_left, self._last_publish_time = _ZERO_COMMAND, 0, -math.inf
         self._repeat_until = -math.inf  # ROS time [s] until which the command is repeated; -inf outside steps and waits
         self._watchdog_deadline = math.inf  # wall-clock time [s]
         self._velocity = node.create_publisher(topics.velocity, Twist)
         node.create_subscription(topics.scan, LaserScan, self._on_scan)
         node.create_subscription(topics.odometry, Odometry, self._on_odometry)
-        node.create_subscription(topics.bumper, BumperEvent, self._on_bumper)
+        subscribe_to_events(node, topics, self._on_event)
         self._end_watchdog = self._clock.repeat(_WATCHDOG_PERIOD, self._watch)
         atexit.register(self.close)
 
@@ -191,10 +193,10 @@ class RemoteRobot:
                 self._odometry = _LastData(message, ros_time, self._clock.now(), count)
                 self._condition.notify_all()
 
-    def _on_bumper(self, event: BumperEvent) -> None:
+    def _on_event(self, event: Event) -> None:
         with self._condition:
-            self._bumper_pressed = event.pressed
-            if event.pressed:
+            self._events = self._events | {event.why} if event.is_active else self._events - {event.why}
+            if event.is_active:
                 self._had_contact = True
                 self._send(_ZERO_COMMAND)
 
@@ -257,7 +259,7 @@ class RemoteRobot:
         heading = math.remainder(start_yaw + yaw - origin_yaw, math.tau)
         pose = np.array([start_x + cos * dx - sin * dy, start_y + sin * dx + cos * dy, heading])
         self.travelled, self._position = np.array([math.dist(pose[:2], self._position)]), pose[:2]
-        bumped, self._had_contact = self._had_contact or self._bumper_pressed, False
+        bumped, self._had_contact = self._had_contact or bool(self._events), False
         acceleration, self._speed = (v - self._speed) / duration, v
         twist, command = np.array([v, w]), np.array(self._command)
         arrays = (pose, twist, pose, twist, self._ranges.value, bumped, command, acceleration)

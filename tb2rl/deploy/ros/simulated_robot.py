@@ -1,11 +1,13 @@
 """A simulated robot that executes its last command until a timeout, as a real robot does; independent of ROS."""
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tb2rl.deploy.ros import messages as msg
+from tb2rl.deploy.ros.events import BumperEvent, bumper_events
 from tb2rl.envs.scene import Scene
 from tb2rl.sensors.motion import bumper_at
 from tb2rl.simulation import RobotState, SimulatorType
@@ -47,8 +49,8 @@ class DriveRecord:
 class SimulatedRobot:
     """A robot in the worlds of a scene, simulated tick by tick. Not thread-safe.
 
-    Its laser has all beams, even if the task uses only some of them. The latencies of the task's variation are ignored,
-    because ROS has latencies of its own.
+    Its laser has all beams, even if the task uses only some of them. With latencies in the task's variation, commands
+    take effect later, and scans and odometry are published later, with the time of their measurement.
 
     Args:
         scene: The robot, its worlds and its initial state.
@@ -73,22 +75,33 @@ class SimulatedRobot:
         initial_state = self._task.randomized_initial_state(self._spec, GeneratorSource(self._rng))
         self._robot_state = self._simulator.reset(initial_state, self._rng)
         self._time_ns = 0 if reset_clock else self._time_ns
-        self.command(msg.Twist(0.0, 0.0))
+        period, records = self._task.control_period * msg.BILLION, initial_state.records
+        self._command_latency = round(float(records["command_latency"][0]) * period)  # [ns]
+        self._sensor_latency = round(float(records["observation_latency"][0]) * period)  # [ns]
+        self._measured = deque([(self._time_ns, self._robot_state)])  # times [ns] and states, the published one first
+        self._command, self._command_time = np.zeros((1, 2)), self._time_ns
+        self._late_commands: deque[tuple[int, np.ndarray]] = deque()  # with the times when they take effect [ns]
         self.record = DriveRecord(initial_state.pose[0].tolist())
 
     def command(self, velocity: msg.Twist) -> None:
         """Execute a command until the next one or the timeout."""
-        self._command, self._command_time = np.array([[velocity.linear, velocity.angular]]), self._time_ns
+        command = np.array([[velocity.linear, velocity.angular]])
+        self._late_commands.append((self._time_ns + self._command_latency, command))
 
-    def step(self) -> list[msg.BumperEvent]:
+    def step(self) -> list[BumperEvent]:
         """Simulate one tick; returns the bumper events."""
+        while self._late_commands and self._late_commands[0][0] <= self._time_ns:
+            self._command_time, self._command = self._late_commands.popleft()
         command = self._command if self._time_ns - self._command_time < COMMAND_TIMEOUT else np.zeros((1, 2))
         before, self._robot_state = self._robot_state, self._simulator.step(command, self.tick_duration)
         self._time_ns += self._tick_ns
+        self._measured.append((self._time_ns, self._robot_state))
+        while len(self._measured) > 1 and self._measured[1][0] <= self._time_ns - self._sensor_latency:
+            self._measured.popleft()
         if self._time_ns // self._tick_ns % _TICKS_BETWEEN_READS == 0:
             self._simulator.state()  # because PyBullet's simulator stores all commands since the last read
         self.record.add_tick(before, self._robot_state, self.tick_duration)
-        return msg.bumper_events(self._pressed_bumper(before), self._pressed_bumper(self._robot_state))
+        return bumper_events(self._pressed_bumper(before), self._pressed_bumper(self._robot_state))
 
     def close(self) -> None:
         self._simulator.close()
@@ -100,17 +113,20 @@ class SimulatedRobot:
 
     def scan(self) -> msg.LaserScan:
         period = self._tick_ns * self.ticks_per_scan / msg.BILLION
-        return msg.LaserScan.of(self._spec.laser, self._time_ns, LASER, period, self._robot_state.ranges[0])
+        stamp, robot_state = self._measured[0]
+        return msg.LaserScan.of(self._spec.laser, stamp, LASER, period, robot_state.ranges[0])
 
     def odometry(self) -> msg.Odometry:
         """Wheel odometry; it counts from the start pose in the world, so that its frame is the world's frame."""
-        pose, twist = self._robot_state.odometry[0].tolist(), self._robot_state.odometry_twist[0].tolist()
-        return msg.Odometry(self._time_ns, ODOM, BASE, pose, twist)
+        stamp, robot_state = self._measured[0]
+        pose, twist = robot_state.odometry[0].tolist(), robot_state.odometry_twist[0].tolist()
+        return msg.Odometry(stamp, ODOM, BASE, pose, twist)
 
     def transforms(self) -> msg.Transforms:
         """Pose of the robot by its odometry, and poses of the laser and the camera on the robot."""
-        x, y, yaw = self._robot_state.odometry[0].tolist()
-        base = msg.Transform(self._time_ns, ODOM, BASE, (x, y, 0.0), msg.quaternion(yaw))
+        stamp, robot_state = self._measured[0]
+        x, y, yaw = robot_state.odometry[0].tolist()
+        base = msg.Transform(stamp, ODOM, BASE, (x, y, 0.0), msg.quaternion(yaw))
         laser = msg.Transform(self._time_ns, BASE, LASER, (0.0, 0.0, LASER_HEIGHT), msg.quaternion(0.0))
         camera = msg.Transform(self._time_ns, BASE, CAMERA, self._spec.robot.camera.position, _CAMERA_ROTATION)
         return msg.Transforms((base, laser, camera))

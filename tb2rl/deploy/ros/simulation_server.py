@@ -5,6 +5,7 @@ import math
 import signal
 import threading
 from contextlib import closing, suppress
+from functools import partial
 from typing import Annotated
 
 from annotated_types import Ge, Le, Lt
@@ -12,10 +13,11 @@ from annotated_types import Ge, Le, Lt
 from tb2rl.core.values import CountOrZero, NonNegative, Positive, checked
 from tb2rl.deploy.portable.termination import termination_signals
 from tb2rl.deploy.ros import create_node
-from tb2rl.deploy.ros.messages import BumperEvent, Clock, Image, LaserScan, Odometry, Transforms, Twist
-from tb2rl.deploy.ros.node import ABSENT, EMPTY, SET_PHYSICS, Node, WallClock
+from tb2rl.deploy.ros.events import EVENTS, create_event_publisher
+from tb2rl.deploy.ros.messages import Clock, Image, LaserScan, Odometry, Transforms, Twist
+from tb2rl.deploy.ros.node import ABSENT, EMPTY, SET_PHYSICS, TRIGGER, Node, WallClock
 from tb2rl.deploy.ros.simulated_robot import SimulatedRobot
-from tb2rl.deploy.ros.topics import Topics, parse_topics
+from tb2rl.deploy.ros.topics import SIMULATED, Topics, parse_topics
 from tb2rl.runs.config import parse_settings, resolve
 from tb2rl.simulation.simulator import default_simulator, find_simulator
 
@@ -38,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
     checked(ScanRate, options.scan_rate, "--scan-rate")
     checked(Annotated[Positive, Lt(threading.TIMEOUT_MAX)] | None, options.lockstep, "--lockstep")
     checked(CountOrZero, options.seed, "--seed")
-    topics = parse_topics(options.topics, Topics())
+    topics = parse_topics(options.topics, SIMULATED[options.ros])
     simulator = find_simulator(options.simulation or default_simulator())
     config = resolve(agent="random", task=options.task, settings={"task.start": "fixed"} | parse_settings(options.set))
     with closing(create_node(options.ros, "tb2rl_simulation")) as node:
@@ -73,9 +75,14 @@ class SimulationServer:
         self._odometry = node.create_publisher(topics.odometry, Odometry)
         self._depth = node.create_publisher(topics.depth, Image)
         self._colours = node.create_publisher(topics.colours, Image) if robot.has_colours else ABSENT
-        self._bumper = node.create_publisher(topics.bumper, BumperEvent)
+        self._publish_events = {
+            name: create_event_publisher(node, getattr(topics, name), kind) for name, kind in EVENTS.items()
+        }
+        self._active_events = set[str]()
         inputs = topics.velocity, topics.navigation
         self._commands = [node.create_subscription(topic, Twist, self._on_command) for topic in inputs]
+        for name in EVENTS.keys() - {"bumper"}:  # bumpers are pressed by walls
+            node.create_service(f"~/{name}", TRIGGER, partial(self._toggle_event, name))
         node.create_service("/gazebo/pause_physics", EMPTY, lambda: self._set_paused(True))
         node.create_service("/gazebo/unpause_physics", EMPTY, lambda: self._set_paused(False))
         node.create_service("/gazebo/reset_world", EMPTY, lambda: self._reset(reset_clock=False))
@@ -103,6 +110,12 @@ class SimulationServer:
         if self._lockstep is not None:
             print(f"scans that no command answered: {self._unanswered_scans}", flush=True)
 
+    def _toggle_event(self, name: str) -> str:
+        """Begin an event of the base, or end it if it has begun."""
+        self._active_events ^= {name}
+        self._publish_events[name](EVENTS[name](0, name in self._active_events))
+        return ""
+
     def _programs_connected(self) -> bool:
         return self._lockstep is None or (self._scan.connected() and any(each.connected() for each in self._commands))
 
@@ -116,7 +129,7 @@ class SimulationServer:
             self._ticks_until_scan = self._robot.ticks_per_scan
         self._ticks_until_scan -= 1
         for event in self._robot.step():
-            self._bumper.publish(event)
+            self._publish_events["bumper"](event)
 
     def _publish_standstill(self) -> None:
         """Publish the current sensors again, because a program may wait for them before it connects a publisher.

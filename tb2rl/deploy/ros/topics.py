@@ -23,6 +23,9 @@ class Topics:
     colours: Topic = "/camera/rgb/image_raw"
     depth: Topic = "/camera/depth/image_raw"
     bumper: Topic = "/mobile_base/events/bumper"
+    cliff: Topic = "/mobile_base/events/cliff"
+    wheel_drop: Topic = "/mobile_base/events/wheel_drop"
+    button: Topic = "/mobile_base/events/button"
 
 
 @dataclass(frozen=True)
@@ -36,14 +39,19 @@ class DriverTopics:
     scan: Topic = "/scan"
     odometry: Topic = "/odom"
     bumper: Topic = "/mobile_base/events/bumper"
+    cliff: Topic = "/mobile_base/events/cliff"
+    wheel_drop: Topic = "/mobile_base/events/wheel_drop"
+    button: Topic = "/mobile_base/events/button"
     goal: Topic = "/move_base_simple/goal"  # RViz: 2D Nav Goal
     plan: Topic = "/move_base/NavfnROS/plan"
 
 
+_EVENTS2 = {key: f"/events/{key}" for key in ("bumper", "cliff", "wheel_drop", "button")}
 TURTLEBOT2 = {  # by version of ROS
     1: DriverTopics(),
-    2: DriverTopics(velocity="/cmd_vel", bumper="/events/bumper", goal="/goal_pose", plan="/plan"),
+    2: DriverTopics(velocity="/cmd_vel", goal="/goal_pose", plan="/plan", **_EVENTS2),
 }
+SIMULATED = {1: Topics(), 2: Topics(**_EVENTS2)}  # by version of ROS
 T = TypeVar("T", Topics, DriverTopics)
 
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 import tb2rl
+from tb2rl.deploy.ros.events import EVENTS
 
 pytestmark = pytest.mark.slow
 STEPS, REAL_TIME = 300, 8.0  # [control steps], [s]
@@ -123,6 +124,27 @@ def check_services(driven, probe):
     assert stopped["stop command"] > stopped["move command"]
     (status,) = probe.take("/diagnostics")[0]["status"]
     assert (status["name"], status["message"]) == ("tb2rl_driver: policy", "told to stop")
+
+
+@pytest.mark.flaky(reruns=1)  # in real time
+def test_each_event_of_the_base_stops_it_until_it_has_ended_and_it_is_started_again(graph):
+    with simulate(graph) as _, watching(graph) as probe, drive(graph) as driven:
+        wait_for(driven, "driving")
+        for name, event_type in EVENTS.items():
+            if name == "bumper":  # a wall presses it, see `test_graphs.py`
+                continue
+            probe.watched(until="move command", seconds=1.0)
+            seen = len(driven.lines)
+            assert probe.call(f"/tb2rl_simulation/{name}", "std_srvs/Trigger") == [True, ""]
+            wait_for(driven, f"stopped: {event_type.why}", seen)
+            assert probe.call("/tb2rl_driver/start", "std_srvs/Trigger") == [False, event_type.why]
+            seen = len(driven.lines)
+            assert probe.call(f"/tb2rl_simulation/{name}", "std_srvs/Trigger") == [True, ""]
+            answer = probe.call("/tb2rl_driver/start", "std_srvs/Trigger")
+            while answer == [False, event_type.why]:  # the message of its end is on its way
+                answer = probe.call("/tb2rl_driver/start", "std_srvs/Trigger")
+            assert answer == [True, ""]
+            wait_for(driven, "driving", seen)
 
 
 @pytest.mark.flaky(reruns=1)  # in real time

@@ -14,7 +14,8 @@ import pytest
 from tb2rl.deploy import Driver, SpeedLimits
 from tb2rl.deploy.bags.messages import BagMessages
 from tb2rl.deploy.ros.driver_node import DriverNode, run
-from tb2rl.deploy.ros.messages import BILLION, BumperEvent, Goal, LaserScan, Odometry, Plan, Twist
+from tb2rl.deploy.ros.events import EVENTS, BumperEvent
+from tb2rl.deploy.ros.messages import BILLION, Goal, LaserScan, Odometry, Plan, Twist
 from tb2rl.deploy.ros.topics import TURTLEBOT2
 from tb2rl.envs.parts import robot_facts
 from tb2rl.envs.safety import REASONS
@@ -113,6 +114,28 @@ def test_services_start_and_stop_it_and_so_does_a_contact(robot, capsys):
         assert it.commands() == [STILL]
     stands = [f"stopped: {reason}" for reason in ("not started", "told to stop", "the bumper was touched")]
     assert lines(capsys) == [stands[0], "driving", stands[1], "driving", stands[2]]
+
+
+@pytest.mark.parametrize("name", EVENTS)
+def test_an_event_of_the_base_stops_it_until_it_has_ended_and_the_next_start(name, robot, capsys):
+    it, event_type = robot(waits=True), EVENTS[name]
+    it.scan(5)
+    it.call("start")
+    it.scan()
+    it.commands()
+    for part in (0, 1):
+        it.publish(name, event_type(part, True))
+    assert it.commands()[0] == STILL, "at once"
+    it.publish(name, event_type(0, False))
+    assert it.call("start") == event_type.why, "the other part still reports it"
+    it.publish(name, event_type(1, False))
+    it.scan()
+    assert set(it.commands()) == {STILL}, "its end does not start the robot"
+    assert it.call("start") == ""
+    it.scan()
+    assert it.commands()[-1] == FORWARD
+    printed = ["stopped: not started", "driving", f"stopped: {event_type.why}", f"error: {event_type.why}", "driving"]
+    assert lines(capsys) == printed
 
 
 def test_a_serious_finding_prevents_the_start_and_is_in_the_diagnostics(robot, node, capsys):

@@ -11,7 +11,8 @@ import pytest
 import tb2rl
 from tb2rl.core.errors import InputError
 from tb2rl.deploy import Mounting, SpeedLimits
-from tb2rl.deploy.ros.messages import BILLION, BumperEvent, LaserScan, Odometry
+from tb2rl.deploy.ros.events import BumperEvent
+from tb2rl.deploy.ros.messages import BILLION, LaserScan, Odometry
 from tb2rl.deploy.ros.remote import PROMPT
 from tb2rl.deploy.ros.robot import RosRobot, adapt_scene
 from tb2rl.deploy.ros.topics import TURTLEBOT2

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.deploy.ros.messages import BumperEvent, Twist
+from tb2rl.deploy.ros.events import BumperEvent
+from tb2rl.deploy.ros.messages import Twist
 from tb2rl.deploy.ros.simulated_robot import SimulatedRobot
 from tb2rl.envs.scene import make_scene
 from tb2rl.simulation import find_simulator
@@ -37,6 +38,24 @@ def test_it_executes_a_command_until_the_timeout_of_the_base(simulation):
     assert 0.5 < distance < 0.5 * 1.2
     advance(robot, 1.0)
     assert robot.odometry().pose[0] - start == pytest.approx(distance, abs=1e-3)
+
+
+@both_simulators
+def test_commands_take_effect_late_and_sensors_show_the_past_with_its_time(simulation):
+    late, prompt = (
+        make_robot(simulation, variation={"latency": latency, "observation_latency": latency}) for latency in (1, 0)
+    )
+    for robot in (late, prompt):
+        robot.command(FORWARD)
+    moved = []
+    for _ in range(40):
+        for robot in (late, prompt):
+            robot.step()
+            robot.command(FORWARD)
+        moved.append((late.odometry().pose[0], prompt.odometry().pose[0]))
+    assert (late.clock().stamp, late.odometry().stamp, late.scan().stamp) == (10**9, 8 * 10**8, 8 * 10**8)
+    assert late.transforms().transforms[0].stamp == 8 * 10**8
+    assert [each for each, _ in moved[16:]] == pytest.approx([each for _, each in moved[:-16]], abs=1e-6)
 
 
 def test_a_tick_lasts_at_most_25_ms_or_in_lockstep_from_scan_to_scan():
