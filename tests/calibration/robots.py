@@ -1,4 +1,4 @@
-"""Forty hidden robots, drawn from seeds that were committed before the first estimate: for tuning, and for the report."""
+"""Forty hidden robots, drawn from seeds that were committed before the first estimate: to tune on, and to report."""
 
 from dataclasses import dataclass, fields
 
