@@ -18,6 +18,7 @@ import numpy as np
 from tb2rl.core.errors import InputError, one_line, unknown
 from tb2rl.core.values import Pose
 from tb2rl.deploy.bags.messages import BUMPER_EVENTS, BagMessages, rosbags_library
+from tb2rl.deploy.bags.scans import Scans, ScanTable, message_age
 from tb2rl.deploy.ros.messages import Goal, Odometry
 from tb2rl.deploy.ros.topics import split_pairs
 
@@ -36,12 +37,14 @@ class Drive:
     Attributes:
         name: Name of the bag.
         topics: The topics of the tables, by the kinds of `TOPIC_KINDS`.
-        odometry: Time, x [m], y [m], yaw [rad], forward speed [m/s], turn rate [rad/s], shape (messages, 6).
+        odometry: Time, x [m], y [m], yaw [rad], forward speed [m/s], turn rate [rad/s], and age of the message when it
+            arrived [s], shape (messages, 7).
         truth: True motion in the world's frame, from a simulation, with the columns of `odometry`.
         scan_minima: Time, shortest range of a scan [m], inf without an obstacle in range, shape (messages, 2).
         commands: Time, v [m/s], w [rad/s], shape (messages, 3).
         bumper: Time, 1 if the bumper is pressed, else 0, shape (messages, 2).
         goals: Time, x [m], y [m], shape (messages, 3).
+        scans: The full scans, if they were asked for and the bag has any.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Drive:
     commands: np.ndarray
     bumper: np.ndarray
     goals: np.ndarray
+    scans: Scans | None = None
 
     @property
     def trajectory(self) -> np.ndarray:
@@ -95,12 +99,13 @@ def is_bag(path: Path) -> bool:
     return path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
 
 
-def read_drive(path: Path, topics: Mapping[str, str]) -> Drive:
+def read_drive(path: Path, topics: Mapping[str, str], scans: bool = False) -> Drive:
     """Read the drive in a bag.
 
     Args:
         path: The bag.
         topics: Topics that the user chose, by kind; the others are found by their names and types, see `find_topics`.
+        scans: Whether to read the full scans, which take memory.
 
     Raises:
         InputError: If `rosbags` is not installed, or the bag cannot be read, is too large or has no odometry.
@@ -109,14 +114,14 @@ def read_drive(path: Path, topics: Mapping[str, str]) -> Drive:
     if not path.exists():
         raise InputError(one_line(f"there is no bag {path}"))
     try:
-        return _read(path, topics)
+        return _read(path, topics, scans)
     except InputError as error:
         raise InputError(one_line(f"{path}: {error}")) from None
     except Exception as error:
         raise InputError(one_line(f"cannot read the bag {path}: {error!r}")) from None
 
 
-def _read(path: Path, topics: Mapping[str, str]) -> Drive:
+def _read(path: Path, topics: Mapping[str, str], scans: bool) -> Drive:
     library, messages = rosbags_library(), BagMessages(1 if path.suffix == ".bag" else 2)
     with (library.rosbag1 if messages.ros == 1 else library.rosbag2).Reader(path) as bag:
         available = {name: (topic.msgtype or "several types", topic.msgcount) for name, topic in bag.topics.items()}
@@ -128,7 +133,7 @@ def _read(path: Path, topics: Mapping[str, str]) -> Drive:
         for connection in connections:
             _check_definition(messages.store, connection)
         values: dict[str, array[float]] = {kind: array("d") for kind in TOPIC_KINDS}
-        start = None  # [ns] of the first message
+        start, scan_table = None, ScanTable()  # [ns] of the first message
         for count, (connection, stamp, raw) in enumerate(bag.messages(connections)):
             if count == MAX_MESSAGES:
                 name_list = ", ".join(dict.fromkeys(found.values()))
@@ -137,11 +142,13 @@ def _read(path: Path, topics: Mapping[str, str]) -> Drive:
             message = messages.deserialize(raw, connection.msgtype)
             for kind in found:
                 if found[kind] == connection.topic:
-                    values[kind].extend(((stamp - start) / 1e9, *TOPIC_KINDS[kind].convert(message)))
+                    values[kind].extend(((stamp - start) / 1e9, *TOPIC_KINDS[kind].convert(message, stamp)))
+                    if kind == "scan" and scans:
+                        scan_table.add(message, (stamp - start) / 1e9, message_age(message, stamp))
     tables = {kind: _make_table(kind, values[kind]) for kind in TOPIC_KINDS}
     if not len(tables["odom"]) + len(tables["ground_truth"]):
         raise InputError("the odometry has no valid pose")
-    return Drive(path.name, found, *tables.values())
+    return Drive(path.name, found, *tables.values(), scans=scan_table.scans())
 
 
 def _check_definition(store: Any, connection: Any) -> None:
@@ -165,23 +172,23 @@ def _make_table(kind: str, values: array[float]) -> np.ndarray:
 # ---- kinds of topics: how to find a topic of each kind, and how to convert its messages
 
 
-def _motion(message: Any) -> Row:
+def _motion(message: Any, log_time: int) -> Row:
     odometry = Odometry.from_ros(message)
-    return *odometry.pose, *odometry.twist
+    return *odometry.pose, *odometry.twist, message_age(message, log_time)
 
 
-def _min_range(message: Any) -> Row:
+def _min_range(message: Any, _: int) -> Row:
     ranges = message.ranges
     valid = ranges[(ranges >= message.range_min) & (ranges <= min(message.range_max, MAX_VALUE))]
     return (float(valid.min(initial=math.inf)),)
 
 
-def _command(message: Any) -> Row:
+def _command(message: Any, _: int) -> Row:
     twist = getattr(message, "twist", message)
     return twist.linear.x, twist.angular.z
 
 
-def _bumper_state(message: Any) -> Row:
+def _bumper_state(message: Any, _: int) -> Row:
     return (float(message.data if hasattr(message, "data") else message.state),)
 
 
@@ -192,7 +199,7 @@ class TopicKind:
     types: tuple[str, ...]  # message types
     names: tuple[str, ...]  # common topic names, the most likely first
     value_count: int  # number of values from a message
-    convert: Callable[[Any], Row]  # returns the values from a message
+    convert: Callable[[Any, int], Row]  # returns the values from a message and its time in the bag [ns]
     any_name: bool = False  # whether to use a topic with another name, if its type matches
 
 
@@ -204,12 +211,12 @@ _COMMAND_TOPICS = ("/cmd_vel", "/mobile_base/commands/velocity", "/commands/velo
 _BUMPER_TOPICS = ("/bumper", "/mobile_base/events/bumper", "/events/bumper")
 _GOAL_TOPICS = ("/move_base_simple/goal", "/goal_pose")
 TOPIC_KINDS: Mapping[str, TopicKind] = {  # in the order of the tables of a `Drive`
-    "odom": TopicKind((_ODOMETRY,), ("/odom", "/odometry/filtered"), 5, _motion, any_name=True),
-    "ground_truth": TopicKind((_ODOMETRY,), _TRUTH_TOPICS, 5, _motion),
+    "odom": TopicKind((_ODOMETRY,), ("/odom", "/odometry/filtered"), 6, _motion, any_name=True),
+    "ground_truth": TopicKind((_ODOMETRY,), _TRUTH_TOPICS, 6, _motion),
     "scan": TopicKind((_SCAN,), ("/kobuki/laser/scan", "/scan"), 1, _min_range, any_name=True),
     "cmd_vel": TopicKind(_TWISTS, _COMMAND_TOPICS, 2, _command, any_name=True),
     "bumper": TopicKind(_BUMPER, _BUMPER_TOPICS, 1, _bumper_state),
-    "goal": TopicKind((_GOAL,), _GOAL_TOPICS, 2, lambda message: Goal.from_ros(message).position),
+    "goal": TopicKind((_GOAL,), _GOAL_TOPICS, 2, lambda message, _: Goal.from_ros(message).position),
 }
 
 

@@ -1,5 +1,7 @@
 """Records an episode as a ROS bag: a file (ROS 1), or a folder with an mcap file (ROS 2).
 
+Odometry and scans have a time in the bag that is later than their stamp by the robot's observation latency.
+
 | topic | message | content |
 |---|---|---|
 | `/kobuki/laser/scan` | sensor_msgs/LaserScan | the laser; NaN for beams that the task does not use |
@@ -47,11 +49,14 @@ class Recorder:
         self._connections: dict[str, Any] = {}
         self._step = 0
         self._pressed_bumper: int | None = None
+        self._age = 0  # [ns] from the stamp of odometry and scans to their time in the bag, the observation latency
 
     def reset(self, robot_state: RobotState) -> None:
         """Write the initial robot state of the episode."""
         if self._scene.task.goal_task:
             self._write(self._driver_topics.goal, msg.Goal(self._now, MAP, robot_state.goal[0].tolist()))
+        latency = robot_state.initial_state.records["observation_latency"][0]
+        self._age = round(latency * self._scene.task.control_period * msg.BILLION)
         self._write_sensors(robot_state)
 
     def step(self, command: np.ndarray, reward: float, robot_state: RobotState) -> None:
@@ -69,8 +74,9 @@ class Recorder:
         map_to_odom = self._make_transform(MAP, ODOM, *_odometry_origin(pose, odometry))
         self._write("/tf", msg.Transforms((map_to_odom, self._make_transform(ODOM, BASE, *odometry))))
         self._write("/ground_truth", msg.Odometry(self._now, MAP, BASE, pose, twist))
-        self._write(self._topics.odometry, msg.Odometry(self._now, ODOM, BASE, odometry, odometry_twist))
-        self._write(self._topics.scan, self._make_scan(robot_state.ranges[0]))
+        odometry_message = msg.Odometry(self._now, ODOM, BASE, odometry, odometry_twist)
+        self._write(self._topics.odometry, odometry_message, self._age)
+        self._write(self._topics.scan, self._make_scan(robot_state.ranges[0]), self._age)
         bumped = bool(robot_state.bumped[0])
         self._write("/bumper", self._make_scalar("std_msgs/Bool", bumped))
         contact_angle = self._scene.laser.angles[np.argmin(robot_state.ranges[0])]
@@ -97,12 +103,12 @@ class Recorder:
         message.data = value
         return message
 
-    def _write(self, topic: str, message: Any) -> None:
+    def _write(self, topic: str, message: Any, age: int = 0) -> None:
         message = message.to_ros(self._messages) if isinstance(message, msg.Message) else message
         if topic not in self._connections:
             store = self._messages.store
             self._connections[topic] = self._bag.add_connection(topic, message.__msgtype__, typestore=store)
-        self._bag.write(self._connections[topic], self._now, self._messages.serialize(message))
+        self._bag.write(self._connections[topic], self._now + age, self._messages.serialize(message))
 
 
 def _odometry_origin(pose: tuple[float, float, float], odometry: list[float]) -> tuple[float, float, float]:

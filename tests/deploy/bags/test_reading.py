@@ -38,14 +38,20 @@ def refused(path: Path, words: str, topics=None) -> None:
 
 
 def test_an_episode_reads_back_as_it_was_driven(driven):
-    drive = read_drive(driven.path, {})
+    drive = read_drive(driven.path, {}, scans=True)
     states = driven.robot_states
+    age = 0.2 * float(states[0].initial_state.records["observation_latency"][0])
     for rows, poses, twists in ((drive.odometry, "odometry", "odometry_twist"), (drive.truth, "pose", "twist")):
-        assert rows[:, 0] == pytest.approx(0.2 * np.arange(len(states)), abs=1e-9)
+        assert rows[:, 6] == pytest.approx(age if poses == "odometry" else 0.0, abs=1e-9)
+        assert rows[:, 0] - rows[:, 6] == pytest.approx(0.2 * np.arange(len(states)), abs=1e-9)
         assert rows[:, 1:4] == pytest.approx(np.array([getattr(each, poses)[0] for each in states]), abs=1e-9)
-        assert rows[:, 4:].tolist() == [getattr(each, twists)[0].tolist() for each in states]
+        assert rows[:, 4:6].tolist() == [getattr(each, twists)[0].tolist() for each in states]
     assert drive.commands[:, 1:].tolist() == driven.commands.tolist()
     assert drive.scan_minima[:, 1].tolist() == [float(np.float32(each.nearest_range[0])) for each in states]
+    assert drive.scans.times == pytest.approx(0.2 * np.arange(len(states)), abs=1e-9)
+    assert drive.scans.ages == pytest.approx(age, abs=1e-9)
+    assert drive.scans.ranges.tolist() == np.float32([each.ranges[0] for each in states]).tolist()
+    assert drive.scans.angles == pytest.approx(driven.scene.laser.angles, abs=1e-6)
     assert drive.trajectory is drive.truth
     assert (drive.distance, drive.seconds) == pytest.approx((driven.distance, 2.0), abs=1e-9)
     assert drive.contacts == 0
@@ -69,7 +75,7 @@ def test_topics_are_found_by_type_or_chosen_by_name(foreign):
     assert (drive.distance, drive.seconds, drive.speed, drive.min_range) == pytest.approx((2.0, 2.0, 1.0, 3.0))
     assert drive.contacts is None
     assert drive.commands[:, 1:].tolist() == [[1.1, 0.2]] * 11
-    assert drive.trajectory[:, 4:].tolist() == [[1.0, 0.1]] * 11
+    assert drive.trajectory[:, 4:6].tolist() == [[1.0, 0.1]] * 11
     assert read_drive(foreign, {"odom": "/robot/filtered"}).odometry[:, 1].tolist() == [7.0]
     refused(foreign, "no topic /x of type nav_msgs.*; odom can be: /robot/filtered, /robot/wheels", {"odom": "/x"})
     if not foreign.suffix:
