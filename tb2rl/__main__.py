@@ -8,7 +8,19 @@ import tb2rl
 from tb2rl.core.command import ArgumentParser, report_errors
 from tb2rl.core.errors import unknown
 
-_PLAIN_MODULES = ["benchmark", "convert", "evaluate", "export", "play", "report", "ros", "train", "tune", "warm"]
+_PLAIN_MODULES = [
+    "benchmark",
+    "calibrate",
+    "convert",
+    "evaluate",
+    "export",
+    "play",
+    "report",
+    "ros",
+    "train",
+    "tune",
+    "warm",
+]
 # Modules with a `@command` named `main`; worlds and zoo are packages, not plain modules.
 COMMANDS = {name: f"tb2rl.{name}" for name in _PLAIN_MODULES}
 COMMANDS |= {name: f"tb2rl.{name}.__main__" for name in ("worlds", "zoo")}

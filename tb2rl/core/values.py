@@ -54,6 +54,7 @@ def _has_source(world: str | dict[str, Any]) -> bool:
 Pose = Annotated[tuple[float, float, float], _with_message("must be [x, y, yaw], in m and rad")]
 _NAME_MESSAGE = 'must be a name, or "module:NAME" for an object in your own file'
 Name = Annotated[str, _with_message(_NAME_MESSAGE)]
+RobotSetting = Annotated[str | dict[str, Any], _with_message(f"{_NAME_MESSAGE}, or a robot file")]
 PAIR = BeforeValidator(lambda value: (value, value) if isinstance(value, int | float) else value)  # number to pair
 ASCENDING = _require(lambda pair: pair[0] <= pair[1], "must be a number, or the lowest and the highest")
 Names = Annotated[

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tb2rl.deploy.portable.policy_contract import Needs, Pose, SensorData, Speeds
+from tb2rl.deploy.portable.policy_contract import Needs, SensorData, Speeds
 from tb2rl.robots import Robot
 
 MIN_RADIUS = 0.9  # [m] of the free disc; lines in a smaller one are too short
@@ -51,7 +51,8 @@ class CalibrationDrive:
         limits = robot.laser.min_range, max_range, _PERIOD, speed, turn_rate
         self.needs = Needs(_BEAMS, *limits, robot.name, uses_odometry=True)
         self.done, self.problem = False, ""
-        self._radius, self._reach = radius, radius - robot.radius - _MARGIN
+        self._robot_radius, self._radius, self._reach = robot.radius, radius, radius - robot.radius - _MARGIN
+        self._is_checked = False  # whether the robot has looked around
         self._data, self._centre = SensorData(np.empty(0)), (0.0, 0.0)
         self._overshoot = 0.0  # [s] for which a turn went on after the command to stop
         self._turned, self._last_yaw = 0.0, 0.0  # [rad] by odometry since the start, without a jump at 180 degrees
@@ -66,8 +67,8 @@ class CalibrationDrive:
             self._commands, self._centre, self._last_yaw = self._drive(), sensor_data.pose[:2], sensor_data.pose[2]
         self._turned += math.remainder(sensor_data.pose[2] - self._last_yaw, math.tau)
         self._data, self._last_yaw = sensor_data, sensor_data.pose[2]
-        if not self.done and not self._is_free():
-            self.done, self.problem = True, f"the laser sees an obstacle within {self._radius:g} m of the start"
+        self.problem = self.problem or ("" if self.done else self._obstacle())
+        self.done = self.done or bool(self.problem)
         command = None if self.done else next(self._commands, None)
         self.done = command is None
         return command or (0.0, 0.0)
@@ -78,6 +79,7 @@ class CalibrationDrive:
         speed, turn_rate = self.needs.max_speed, self.needs.max_turn_rate
         yield from self._hold(0.0, 0.0, 3.0)
         yield from self._turn(_FIRST_TURN, math.tau)
+        self._is_checked = True
         for share in (0.3, 0.6, 1.0, 1.0, 1.0):
             yield from self._line(share * speed, 0.0)
         for share in (0.25, -0.25, 0.5, -0.5, 1.0, -1.0):
@@ -127,22 +129,27 @@ class CalibrationDrive:
     # ---- the free space
 
     def _stays_inside(self, v: float) -> bool:
-        """Whether the robot, if it stops now from the larger of command and speed, stops in the disc."""
+        """Whether the robot, if it stops now from the larger of command and speed, stops in the disc and before walls.
+
+        The laser decides, too, because odometry drifts.
+        """
         v = max(v, self._data.twist[0])
-        x, y, _ = _ahead(self._data.pose, v * _REACTION + v * v / (2.0 * _BRAKING))
-        before, after = math.dist(self._data.pose[:2], self._centre), math.dist((x, y), self._centre)
-        return after < self._reach or after < before
-
-    def _is_free(self) -> bool:
-        """Whether no beams end in the disc."""
+        distance = v * _REACTION + v * v / (2.0 * _BRAKING)
         x, y, yaw = self._data.pose
-        ranges = np.where(np.isfinite(self._data.ranges), self._data.ranges, 1e6)
-        angles = yaw + self.needs.beams
-        distances = np.hypot(
-            x + ranges * np.cos(angles) - self._centre[0], y + ranges * np.sin(angles) - self._centre[1]
-        )
-        return bool((distances < self._radius - _MARGIN).sum() < _TOO_MANY)
+        end = x + distance * math.cos(yaw), y + distance * math.sin(yaw)
+        before, after = math.dist((x, y), self._centre), math.dist(end, self._centre)
+        return (after < self._reach or after < before) and self._is_free_ahead(distance + _MARGIN)
 
+    def _is_free_ahead(self, distance: float) -> bool:
+        ranges = np.minimum(self._data.ranges, self.needs.max_range)
+        ahead, left = ranges * np.cos(self.needs.beams), ranges * np.sin(self.needs.beams)
+        inside = (np.abs(left) < self._robot_radius + _MARGIN) & (ahead < self._robot_radius + distance)
+        return int(inside.sum()) < _TOO_MANY
 
-def _ahead(pose: Pose, distance: float) -> Pose:
-    return pose[0] + distance * math.cos(pose[2]), pose[1] + distance * math.sin(pose[2]), pose[2]
+    def _obstacle(self) -> str:
+        """Describe an obstacle in the disc, before the first line, or near the robot; an empty string without one."""
+        limit = self._robot_radius + 0.5 * _MARGIN if self._is_checked else self._radius - _MARGIN
+        if int((self._data.ranges < limit).sum()) < _TOO_MANY:
+            return ""
+        place = "the robot" if self._is_checked else "the start"
+        return f"the laser sees an obstacle nearer than {limit:.2f} m to {place}"

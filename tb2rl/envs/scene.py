@@ -160,13 +160,13 @@ def with_robot_settings(
         InputError: If there is no such robot, or a key of its task settings is not a field of `Task`.
     """
     name = settings.get("robot")
-    if not isinstance(name, str):  # absent, or invalid, which the validation of settings reports later
+    if not isinstance(name, str | Mapping):  # absent, or invalid, which the validation of settings reports later
         return dict(settings)
     task_defaults = {field.name: field.default for field in fields(task_class)}
     robot_settings = _settings_of(find_robot(name), task_defaults)
     for key in robot_settings:
         if key not in Task.__dataclass_fields__:
-            raise unknown(f"key of robot {name}.task_settings", key, Task.__dataclass_fields__)
+            raise unknown(f"key of robot {find_robot(name).name}.task_settings", key, Task.__dataclass_fields__)
     old_settings = _settings_of(find_robot(task.robot), task_defaults) if task else {}
     reverted = {key: task_defaults[key] for key, value in old_settings.items() if getattr(task, key) == value}
     return {**reverted, **robot_settings, **settings}

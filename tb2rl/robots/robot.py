@@ -6,7 +6,7 @@ the robot's frame is on the floor under the middle of the axle.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,12 +15,14 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import StrictFloat, StrictInt
 
-from tb2rl.core import InputError, find_plugin
-from tb2rl.core.values import build
+from tb2rl.core import InputError, find_plugin, unknown
+from tb2rl.core.values import build, checked
+from tb2rl.robots.robot_file import robot_setting, split_base
 
 Positive = Annotated[StrictFloat, Gt(0)]  # strict, because `_check` discards converted values
 
 
+CHANGEABLE = ("max_speed", "max_turn_rate", "laser")  # fields that a robot file can change
 _URDF_TOLERANCE = 0.01  # allowed relative difference between a robot's parameters and its URDF file
 
 
@@ -111,17 +113,35 @@ class Robot:
                 raise InputError(f"robot {self.name}: {name} is {value:.4g} m, but {urdf_value:.4g} m in {self.urdf}")
 
 
-def find_robot(name: str) -> Robot:
-    """Find a robot by its name or "module:ROBOT".
+def find_robot(name: str | Mapping[str, Any]) -> Robot:
+    """Find a robot by its name, "module:ROBOT", the path of a robot file, or the changes in one.
 
     Raises:
         InputError: If there is no such robot, or one of its numbers is invalid.
     """
+    name = robot_setting(name)
+    if isinstance(name, Mapping):
+        return _changed(*split_base(name))
     found = find_plugin("robot", name)
     if not isinstance(found, Robot):
         raise InputError(f"robot {name!r} is not a tb2rl.robots.Robot")
     _check(found)
     return found
+
+
+def _changed(base: str, changes: Mapping[str, Any]) -> Robot:
+    """A copy of a robot with changed numbers, and a changed laser."""
+    robot, laser = find_robot(base), changes.get("laser", {})
+    for key in [key for key in changes if key not in CHANGEABLE]:
+        raise unknown("key of a robot file's robot:", key, ["base", *CHANGEABLE])
+    if laser:
+        laser = {
+            "laser": build(Laser, {**asdict(robot.laser), **laser} if isinstance(laser, Mapping) else laser, "laser")
+        }
+    numbers = {key: checked(Positive, value, f"robot.{key}") for key, value in changes.items() if key != "laser"}
+    changed = replace(robot, **numbers, **(laser or {}))
+    _check(changed)
+    return changed
 
 
 @cache  # because a check takes a fifth of the time in which an environment opens

@@ -29,6 +29,7 @@ from tb2rl.core.files import find_file, parse_yaml, read_yaml, top_folder
 from tb2rl.core.values import Count, CountOrZero, Fraction, Names, build
 from tb2rl.envs.scene import Scene, make_scene, with_robot_settings
 from tb2rl.envs.worlds import absolute_worlds, paths_in
+from tb2rl.robots.robot_file import robot_setting, variation_setting
 from tb2rl.runs.arguments import checked_arguments, is_schedule, with_policy
 from tb2rl.simulation.simulator import batch_simulator, default_physics, find_simulator
 from tb2rl.tasks import Task
@@ -114,8 +115,11 @@ def config_from(tree: Mapping[str, Any]) -> Config:
     task = build(find_task(task_name), sections["task"], "task")
     for file in paths_in(task.world):
         check_file_allowed(file)
-    # Paths become absolute, because the run may be loaded from another working directory.
-    task = dataclasses.replace(task, world=absolute_worlds(task.world))
+    # Paths become absolute, because the run may be loaded from another working directory; of a robot file, a run needs
+    # only the values.
+    variation = variation_setting(task.variation, task.control_period)
+    files = {"world": absolute_worlds(task.world), "robot": robot_setting(task.robot), "variation": variation}
+    task = dataclasses.replace(task, **files)
     scene = make_scene(task, observation)  # raises an InputError if settings of the task contradict each other
     agent = with_policy(agent, scene.observation_space)
     arguments = checked_arguments(agent, sections["agent"])

@@ -12,8 +12,18 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
 from tb2rl.core import InputError, find_plugin
-from tb2rl.core.values import Bins, Count, DynamicObstaclesSetting, Name, NonNegative, PluginNames, SensorNames, Worlds
+from tb2rl.core.values import (
+    Bins,
+    Count,
+    DynamicObstaclesSetting,
+    NonNegative,
+    PluginNames,
+    RobotSetting,
+    SensorNames,
+    Worlds,
+)
 from tb2rl.robots import Robot
+from tb2rl.robots.robot_file import variation_setting
 from tb2rl.sensors import Sensor
 from tb2rl.sensors.laser import LaserRanges
 from tb2rl.simulation import InitialState, RandomSource, RobotState, SimulationSpec
@@ -95,7 +105,7 @@ class Task(ABC):
 
     goal_task: ClassVar[bool] = False  # whether an episode succeeds at a goal, not at the time limit
 
-    robot: Name = "turtlebot2"  # a built-in name, or "module:ROBOT"
+    robot: RobotSetting = "turtlebot2"  # a name, "module:ROBOT", or a robot file: see tb2rl/robots/README.md
     world: Worlds = "loop"  # a name, a list, or settings of a generator: see tb2rl/worlds/README.md
     start: Literal["fixed", "random"] = "random"
     start_clearance: Clearance = 0.6  # [m] least distance of a random start from walls and bounds
@@ -105,7 +115,7 @@ class Task(ABC):
     field_of_view: Annotated[float, Gt(0), Le(math.tau)] | None = None  # [rad] that beams cover; None: the laser's
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # beams to read; None: all
     laser_noise: NonNegative = 0.0  # [m] standard deviation of the ranges; 0.01 is realistic
-    variation: Any = "none"  # a preset, or ranges by name: see tb2rl/robots/README.md
+    variation: Any = "none"  # a preset, ranges by name, or a robot file: see tb2rl/robots/README.md
     dynamic_obstacles: DynamicObstaclesSetting = None  # such as {people: 4}: see tb2rl/worlds/README.md
     frame_stack: Annotated[int, Ge(1), Le(100)] = 1  # number of stacked observations, the oldest first
     range_bins: Bins = (0.7, 1.0, 1.7)  # [m] borders between bins of laser ranges
@@ -115,7 +125,7 @@ class Task(ABC):
     @cached_property
     def resolved_variation(self) -> Variation:
         """The ranges of domain randomisation; raises an `InputError` if the setting `variation` is invalid."""
-        return find_variation(self.variation)
+        return find_variation(variation_setting(self.variation, self.control_period))
 
     @property
     def maps_online(self) -> bool:

@@ -29,6 +29,16 @@ class HiddenRobot:
     latency: float  # [s] until a command takes effect
     scan_age: float  # [s] from the measurement to the arrival of a scan
 
+    @property
+    def encoders(self) -> float:
+        """Both encoders: distance measured / true, if the wheel radius is nominal."""
+        return 0.5 * (self.left_encoder + self.right_encoder)
+
+    @property
+    def stamps_arrival(self) -> bool:
+        """Whether the scans of this robot are stamped at their arrival, not when they were measured."""
+        return self.gyro > 1.0
+
 
 _LIMITS = HiddenRobot(  # type: ignore[arg-type]  # of uniform distributions
     (0.95, 1.05), (0.93, 1.07), (0.98, 1.02), (0.98, 1.02), (0.98, 1.02), (0.6, 1.3), (0.005, 0.04), (-0.04, 0.04),

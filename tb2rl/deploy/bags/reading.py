@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ class Drive:
     commands: np.ndarray
     bumper: np.ndarray
     goals: np.ndarray
-    scans: Scans | None = None
+    scans: Scans | None = field(default=None, kw_only=True)
 
     @property
     def trajectory(self) -> np.ndarray:

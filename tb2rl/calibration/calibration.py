@@ -1,0 +1,217 @@
+"""The calibration of a robot: all quantities that a drive shows, with intervals, and what would show the others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tb2rl.calibration import alignment, response
+from tb2rl.calibration.alignment import Alignment
+from tb2rl.calibration.estimates import UNKNOWN, Estimate, Solution
+from tb2rl.calibration.laser import dropped, noise
+from tb2rl.calibration.response import Response, fit_response
+from tb2rl.core import InputError
+from tb2rl.deploy.bags.reading import Drive
+from tb2rl.deploy.bags.scans import Scans
+from tb2rl.robots import Robot
+
+_MIN_SCANS = 10
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is estimated.
+
+    Attributes:
+        label: For tables.
+        unit: Of the value, or an empty string for ratios.
+        useful: Largest half of an interval that still tells something; with a wider one the quantity is unknown.
+        manoeuvre: What would tell the quantity.
+    """
+
+    label: str
+    unit: str
+    useful: float
+    manoeuvre: str
+
+
+_STEPS, _FAST = "start and stop at irregular times", "drive straight at full speed for a second"
+_FAST_TURN, _LINES = "turn on the spot at full speed for a second", "drive straight lines of 2 m near walls"
+_TURNS, _STAND = "turn on the spot by several whole turns, both ways", "stand still for a few seconds in front of walls"
+QUANTITIES: Mapping[str, Quantity] = {
+    "latency": Quantity("latency of commands", "s", 0.05, _STEPS),
+    "scan_period": Quantity("period of scans", "s", 0.05, "record scans"),
+    "scan_age": Quantity("age of scans at arrival", "s", 0.05, f"{_TURNS}; {_STEPS}"),
+    "max_speed": Quantity("largest speed", "m/s", 0.1, f"{_FAST}, commanding more than the robot can"),
+    "max_turn_rate": Quantity("largest turn rate", "rad/s", 0.5, f"{_FAST_TURN}, commanding more than it can"),
+    "acceleration": Quantity("acceleration", "m/s^2", 0.6, f"{_FAST}, then stop"),
+    "turn_acceleration": Quantity("turning acceleration", "rad/s^2", 5.0, f"{_FAST_TURN}, then stop"),
+    "distance_scale": Quantity("odometry: measured / true distance", "", 0.03, _LINES),
+    "turn_scale": Quantity("odometry: measured / true turn", "", 0.03, _TURNS),
+    "wheel_radius": Quantity("true / commanded speed", "", 0.03, _LINES),
+    "turn_ratio": Quantity("true / commanded turn rate", "", 0.03, _TURNS),
+    "laser_noise": Quantity("laser: noise", "m", 0.01, _STAND),
+    "bias": Quantity("laser: bias", "m", 0.02, f"{_TURNS}, with walls on all sides"),
+    "dropped": Quantity("laser: share of dropped beams", "", 0.02, _STAND),
+    "mount_x": Quantity("laser: mounting x", "m", 0.02, _TURNS),
+    "mount_y": Quantity("laser: mounting y", "m", 0.02, _TURNS),
+    "mount_yaw": Quantity("laser: mounting yaw", "rad", 0.03, _LINES),
+}
+# Standard errors that the residuals do not show, from hidden robots in PyBullet: slip, the shape of its accelerations,
+# and the lines' ends.
+_SYSTEMATIC = {
+    "latency": 0.0002, "scan_age": 0.0002, "max_speed": 0.0003, "max_turn_rate": 0.0001, "acceleration": 0.002,
+    "turn_acceleration": 0.006, "distance_scale": 0.0003, "turn_scale": 0.00005, "forward": 0.0002, "turn": 0.0001,
+    "bias": 0.001, "mount_x": 0.0004, "mount_y": 0.0001, "mount_yaw": 0.0004,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The estimates of a robot.
+
+    Attributes:
+        estimates: By the keys of `QUANTITIES`; `UNKNOWN` where the drives do not tell.
+        limits: Largest speed [m/s] and turn rate [rad/s] of commands, beyond which the robot goes no faster.
+        forward: Speed by odometry / commanded speed.
+        robot: The nominal robot.
+        responses: The fits of the speeds, one per drive.
+        alignments: Parameters of `Alignment`, one per drive; its start values without scans.
+        drives: The drives.
+    """
+
+    estimates: Mapping[str, Estimate]
+    limits: tuple[Estimate, Estimate]
+    forward: Estimate
+    robot: Robot
+    responses: Sequence[Response]
+    alignments: Sequence[np.ndarray]
+    drives: Sequence[Drive]
+
+    @property
+    def missing(self) -> dict[str, str]:
+        """The manoeuvres that would tell the unknown quantities, by key."""
+        return {key: QUANTITIES[key].manoeuvre for key, each in self.estimates.items() if each is UNKNOWN}
+
+
+def calibrate(drives: Sequence[Drive], robot: Robot) -> Calibration:
+    """Estimate a robot from drives.
+
+    Args:
+        drives: Drives of one robot, read with their scans.
+        robot: The nominal robot.
+
+    Raises:
+        InputError: If a drive has no odometry.
+    """
+    parts = [_calibrate_one(drive, robot) for drive in drives]
+    estimates = {key: _useful(key, _combine([part.estimates[key] for part in parts])) for key in QUANTITIES}
+    limits = tuple(_combine([part.limits[k] for part in parts]) for k in (0, 1))
+    responses, alignments = (
+        [each for part in parts for each in getattr(part, name)] for name in ("responses", "alignments")
+    )
+    return Calibration(
+        estimates,
+        (limits[0], limits[1]),
+        _combine([part.forward for part in parts]),
+        robot,
+        responses,
+        alignments,
+        drives,
+    )
+
+
+def _calibrate_one(drive: Drive, robot: Robot) -> Calibration:
+    if not len(drive.odometry):
+        raise InputError(f"{drive.name} has no odometry")
+    fit = fit_response(drive, robot)
+    estimates, scan_solution = dict.fromkeys(QUANTITIES, UNKNOWN), Solution(
+        alignment.START, np.diag(alignment.PRIOR**2), 1.96
+    )  # fmt: skip
+    if drive.scans is not None and len(drive.scans.times) >= _MIN_SCANS:
+        scan_solution, laser = _read_scans(drive, drive.scans)
+        estimates |= laser
+    at_scans = {name: scan_solution.estimate(index, _SYSTEMATIC[name]) for name, index in _ALIGNED.items()}
+    motion = _motion(fit.solution, at_scans, robot)
+    limits = tuple(fit.solution.estimate(k, _SYSTEMATIC[name]) for k, name in _LIMITS)
+    forward = fit.solution.estimate(response.FORWARD, _SYSTEMATIC["forward"])
+    estimates |= motion | {name: each for name, each in at_scans.items() if name in QUANTITIES and drive.scans}
+    return Calibration(estimates, (limits[0], limits[1]), forward, robot, [fit], [scan_solution.values], [drive])
+
+
+_ALIGNED = {
+    "distance_scale": alignment.DISTANCE, "turn_scale": alignment.TURN, "mount_x": alignment.X, "mount_y": alignment.Y,
+    "mount_yaw": alignment.YAW, "bias": alignment.BIAS,
+}  # fmt: skip
+_LIMITS = ((response.SPEED, "max_speed"), (response.TURN_RATE, "max_turn_rate"))
+
+
+def _read_scans(drive: Drive, scans: Scans) -> tuple[Solution, dict[str, Estimate]]:
+    """The solution of the alignment, and what the scans tell beyond it."""
+    first = noise(drive, scans, 0.0)
+    aligned = Alignment(drive, scans, first.value if math.isfinite(first.value) else 0.02).solve()
+    delay = aligned.estimate(alignment.DELAY, _SYSTEMATIC["scan_age"])
+    age, periods = float(np.median(scans.ages)), np.diff(scans.times)
+    period = float(np.median(periods))
+    spread = float(np.median(np.abs(periods - period)))
+    return aligned, {
+        "scan_period": Estimate.of(period, 0.0001 + spread / math.sqrt(len(periods))),
+        "scan_age": Estimate(age + delay.value, age + delay.low, age + delay.high),
+        "laser_noise": noise(drive, scans, float(aligned.values[alignment.BIAS])),
+        "dropped": dropped(scans),
+    }
+
+
+def _motion(fit: Solution, at_scans: Mapping[str, Estimate], robot: Robot) -> dict[str, Estimate]:
+    """Latency, limits, accelerations and ratios in true units, from the response in units of the odometry."""
+    each = [fit.estimate(index) for index in range(len(fit.values))]
+    forward, turn = (
+        fit.estimate(k, _SYSTEMATIC[n]) for k, n in ((response.FORWARD, "forward"), (response.TURN, "turn"))
+    )
+    distance_scale, turn_scale = at_scans["distance_scale"], at_scans["turn_scale"]
+    wheel_radius, turn_ratio = _ratio(forward, distance_scale), _ratio(turn, turn_scale)
+    to_turn = 2.0 / robot.wheel_separation
+    acceleration = _ratio(each[response.ACCELERATION], distance_scale, _SYSTEMATIC["acceleration"])
+    turn_acceleration = _ratio(each[response.TURN_ACCELERATION], turn_scale, _SYSTEMATIC["turn_acceleration"], to_turn)
+    return {
+        "latency": fit.estimate(response.LATENCY, _SYSTEMATIC["latency"]).within(0.0, math.inf),
+        "max_speed": _product(each[response.SPEED], wheel_radius, _SYSTEMATIC["max_speed"]),
+        "max_turn_rate": _product(each[response.TURN_RATE], turn_ratio, _SYSTEMATIC["max_turn_rate"]),
+        "acceleration": acceleration,
+        "turn_acceleration": turn_acceleration,
+        "wheel_radius": wheel_radius,
+        "turn_ratio": turn_ratio,
+    }
+
+
+def _ratio(first: Estimate, second: Estimate, systematic: float = 0.0, factor: float = 1.0) -> Estimate:
+    """The estimate of factor * first / second, with a relative standard error of its own."""
+    return _with_relative_error(factor * first.value / second.value, first, second, systematic)
+
+
+def _product(first: Estimate, second: Estimate, systematic: float = 0.0) -> Estimate:
+    return _with_relative_error(first.value * second.value, first, second, systematic)
+
+
+def _with_relative_error(value: float, first: Estimate, second: Estimate, systematic: float) -> Estimate:
+    parts = [each.half_width / abs(each.value) for each in (first, second)]
+    return Estimate.of(value, abs(value) * math.hypot(*parts, 1.96 * systematic) / 1.96)
+
+
+def _combine(estimates: Sequence[Estimate]) -> Estimate:
+    """The mean of estimates, weighted by their precision."""
+    known = [each for each in estimates if math.isfinite(each.half_width) and each.half_width > 0.0]
+    if len(known) < 2:
+        return known[0] if known else estimates[0]
+    weights = np.array([each.half_width**-2.0 for each in known])
+    value = float(weights @ [each.value for each in known] / weights.sum())
+    half = float(weights.sum() ** -0.5)
+    return Estimate(value, value - half, value + half)
+
+
+def _useful(key: str, estimate: Estimate) -> Estimate:
+    """`UNKNOWN` in place of an estimate whose interval tells nothing."""
+    return estimate if estimate.half_width <= QUANTITIES[key].useful else UNKNOWN
