@@ -83,7 +83,8 @@ def test_every_command_is_listed_in_a_line(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     main([])
     lines = capsys.readouterr().out.splitlines()
-    assert " ".join(COMMANDS) == "benchmark calibrate convert evaluate export play report ros train tune warm worlds zoo"
+    names = "benchmark calibrate convert evaluate export play report ros train tune warm worlds zoo"
+    assert " ".join(COMMANDS) == names
     for name, module in COMMANDS.items():
         (line,) = [line for line in lines if line.split()[:1] == [name]]
         assert line.endswith(import_module(module).__doc__.splitlines()[0])

@@ -11,14 +11,15 @@ import numpy as np
 from tb2rl.calibration import alignment, response
 from tb2rl.calibration.alignment import Alignment
 from tb2rl.calibration.estimates import UNKNOWN, Estimate, Solution
-from tb2rl.calibration.laser import dropped, noise
-from tb2rl.calibration.response import Response, fit_response
+from tb2rl.calibration.laser import dropped, noise, used_beams
+from tb2rl.calibration.response import Response, fit_response, is_limited
 from tb2rl.core import InputError
 from tb2rl.deploy.bags.reading import Drive
 from tb2rl.deploy.bags.scans import Scans
 from tb2rl.robots import Robot
 
 _MIN_SCANS = 10
+_PER_LATENCY = 4.0  # [1/s] relative error of an acceleration for an error of the latency
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ _STEPS, _FAST = "start and stop at irregular times", "drive straight at full spe
 _FAST_TURN, _LINES = "turn on the spot at full speed for a second", "drive straight lines of 2 m near walls"
 _TURNS, _STAND = "turn on the spot by several whole turns, both ways", "stand still for a few seconds in front of walls"
 QUANTITIES: Mapping[str, Quantity] = {
-    "latency": Quantity("latency of commands", "s", 0.05, _STEPS),
+    "latency": Quantity("latency of commands", "s", 0.1, _STEPS),
     "scan_period": Quantity("period of scans", "s", 0.05, "record scans"),
     "scan_age": Quantity("age of scans at arrival", "s", 0.05, f"{_TURNS}; {_STEPS}"),
     "max_speed": Quantity("largest speed", "m/s", 0.1, f"{_FAST}, commanding more than the robot can"),
@@ -63,9 +64,12 @@ QUANTITIES: Mapping[str, Quantity] = {
 # Standard errors that the residuals do not show, from hidden robots in PyBullet: slip, the shape of its accelerations,
 # and the lines' ends.
 _SYSTEMATIC = {
-    "latency": 0.0002, "scan_age": 0.0002, "max_speed": 0.0003, "max_turn_rate": 0.0001, "acceleration": 0.002,
-    "turn_acceleration": 0.006, "distance_scale": 0.0003, "turn_scale": 0.00005, "forward": 0.0002, "turn": 0.0001,
-    "bias": 0.001, "mount_x": 0.0004, "mount_y": 0.0001, "mount_yaw": 0.0004,
+    "latency": 0.0001, "scan_age": 0.00015, "max_speed": 0.0002, "max_turn_rate": 0.0001, "acceleration": 0.0015,
+    "turn_acceleration": 0.006, "distance_scale": 0.00025, "turn_scale": 0.00005, "forward": 0.00015, "turn": 0.0001,
+    "bias": 0.001, "mount_x": 0.0004, "mount_y": 0.0001, "mount_yaw": 0.0003,
+}  # fmt: skip
+_SPARSE = {  # added for each radian between two beams, as the lines of sparse beams cut corners
+    "bias": 0.03, "mount_x": 0.04, "mount_y": 0.025, "mount_yaw": 0.01, "distance_scale": 0.008, "turn_scale": 0.006,
 }  # fmt: skip
 
 
@@ -134,9 +138,16 @@ def _calibrate_one(drive: Drive, robot: Robot) -> Calibration:
     if drive.scans is not None and len(drive.scans.times) >= _MIN_SCANS:
         scan_solution, laser = _read_scans(drive, drive.scans)
         estimates |= laser
-    at_scans = {name: scan_solution.estimate(index, _SYSTEMATIC[name]) for name, index in _ALIGNED.items()}
-    motion = _motion(fit.solution, at_scans, robot)
+    spacing = float(np.diff(used_beams(drive.scans)[1]).mean()) if drive.scans is not None else 0.0
+    at_scans = {
+        name: scan_solution.estimate(index, _SYSTEMATIC[name] + _SPARSE[name] * spacing)
+        for name, index in _ALIGNED.items()
+    }
     limits = tuple(fit.solution.estimate(k, _SYSTEMATIC[name]) for k, name in _LIMITS)
+    motion = _motion(fit, at_scans, robot)
+    for (_, name), limit, commands in zip(_LIMITS, limits, drive.commands.T[1:], strict=True):
+        if not is_limited(commands, limit.value):
+            motion[name] = UNKNOWN
     forward = fit.solution.estimate(response.FORWARD, _SYSTEMATIC["forward"])
     estimates |= motion | {name: each for name, each in at_scans.items() if name in QUANTITIES and drive.scans}
     return Calibration(estimates, (limits[0], limits[1]), forward, robot, [fit], [scan_solution.values], [drive])
@@ -165,8 +176,9 @@ def _read_scans(drive: Drive, scans: Scans) -> tuple[Solution, dict[str, Estimat
     }
 
 
-def _motion(fit: Solution, at_scans: Mapping[str, Estimate], robot: Robot) -> dict[str, Estimate]:
+def _motion(whole: Response, at_scans: Mapping[str, Estimate], robot: Robot) -> dict[str, Estimate]:
     """Latency, limits, accelerations and ratios in true units, from the response in units of the odometry."""
+    fit = whole.solution
     each = [fit.estimate(index) for index in range(len(fit.values))]
     forward, turn = (
         fit.estimate(k, _SYSTEMATIC[n]) for k, n in ((response.FORWARD, "forward"), (response.TURN, "turn"))
@@ -174,10 +186,12 @@ def _motion(fit: Solution, at_scans: Mapping[str, Estimate], robot: Robot) -> di
     distance_scale, turn_scale = at_scans["distance_scale"], at_scans["turn_scale"]
     wheel_radius, turn_ratio = _ratio(forward, distance_scale), _ratio(turn, turn_scale)
     to_turn = 2.0 / robot.wheel_separation
-    acceleration = _ratio(each[response.ACCELERATION], distance_scale, _SYSTEMATIC["acceleration"])
-    turn_acceleration = _ratio(each[response.TURN_ACCELERATION], turn_scale, _SYSTEMATIC["turn_acceleration"], to_turn)
+    blur = _PER_LATENCY * whole.latency.half_width  # as a longer latency and a higher acceleration look alike
+    errors = (math.hypot(blur, _SYSTEMATIC[name]) for name in ("acceleration", "turn_acceleration"))
+    acceleration = _ratio(each[response.ACCELERATION], distance_scale, next(errors))
+    turn_acceleration = _ratio(each[response.TURN_ACCELERATION], turn_scale, next(errors), to_turn)
     return {
-        "latency": fit.estimate(response.LATENCY, _SYSTEMATIC["latency"]).within(0.0, math.inf),
+        "latency": _widened(whole.latency, _SYSTEMATIC["latency"]).within(0.0, math.inf),
         "max_speed": _product(each[response.SPEED], wheel_radius, _SYSTEMATIC["max_speed"]),
         "max_turn_rate": _product(each[response.TURN_RATE], turn_ratio, _SYSTEMATIC["max_turn_rate"]),
         "acceleration": acceleration,
@@ -185,6 +199,10 @@ def _motion(fit: Solution, at_scans: Mapping[str, Estimate], robot: Robot) -> di
         "wheel_radius": wheel_radius,
         "turn_ratio": turn_ratio,
     }
+
+
+def _widened(estimate: Estimate, systematic: float) -> Estimate:
+    return Estimate.of(estimate.value, math.hypot(estimate.half_width, 1.96 * systematic), 1.0)
 
 
 def _ratio(first: Estimate, second: Estimate, systematic: float = 0.0, factor: float = 1.0) -> Estimate:

@@ -47,11 +47,13 @@ class Solution:
         values: Shape (parameters,).
         covariance: Shape (parameters, parameters).
         quantile: Of Student's t, for an interval of 95 %.
+        count: Number of residuals.
     """
 
     values: np.ndarray
     covariance: np.ndarray
     quantile: float
+    count: int = 1
 
     def estimate(self, index: int, systematic: float = 0.0) -> Estimate:
         """The estimate of a parameter, with a standard error that the data cannot show."""
@@ -93,7 +95,7 @@ def solve(
     bread = np.linalg.inv((jacobian.T * weights) @ jacobian + np.eye(len(start)))
     meat = scores.T @ scores * count / freedom + np.eye(len(start))
     covariance = bread @ meat @ bread * np.outer(prior, prior)
-    return Solution(start + steps * prior, covariance, float(student.ppf(0.5 + CONFIDENCE / 2, freedom)))
+    return Solution(start + steps * prior, covariance, float(student.ppf(0.5 + CONFIDENCE / 2, freedom)), len(errors))
 
 
 def _huberized(errors: np.ndarray) -> np.ndarray:

@@ -54,12 +54,12 @@ def _line_errors(ranges: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
     On a straight wall 1/r is a sinusoid of the angle, so that u[-1] + u[1] = 2 cos(step) u[0].
     """
-    steps = np.diff(angles)
+    steps, ranges = np.diff(angles), np.where(np.isfinite(ranges), ranges, np.nan)
     even = np.abs(np.diff(steps)) < 0.01 * steps[:-1]
     u, factor = 1.0 / ranges, 2.0 * np.cos(steps[:-1])
     errors = u[:, :-2] + u[:, 2:] - factor * u[:, 1:-1]
     weights = np.sqrt(u[:, :-2] ** 4 + u[:, 2:] ** 4 + factor**2 * u[:, 1:-1] ** 4)
-    return (errors / weights)[:, even].ravel()
+    return errors[:, even].ravel() / np.maximum(weights[:, even].ravel(), 1e-9)
 
 
 def _spread(values: np.ndarray) -> float:

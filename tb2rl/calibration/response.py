@@ -7,11 +7,12 @@ accelerate evenly to their new speeds.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from tb2rl.calibration.estimates import Solution, solve
+from tb2rl.calibration.estimates import Estimate, Solution, solve
 from tb2rl.core.compiled import njit
 from tb2rl.deploy.bags.reading import Drive
 from tb2rl.robots import Robot
@@ -20,6 +21,7 @@ from tb2rl.simulation.kinematic.motion import wheel_speed
 LATENCY, FORWARD, TURN, SPEED, TURN_RATE, ACCELERATION, TURN_ACCELERATION = range(7)
 MAX_LATENCY = 0.8  # [s]
 _USUAL_ERRORS = np.array([0.01, 0.03])  # [m/s], [rad/s] of the measured speeds
+_BEYOND, _MIN_BEYOND = 1.01, 5  # ratio to a limit, and number, of commands that show the limit
 _BLOCK = 4.0  # [s] the residuals of a block depend on each other
 
 
@@ -31,6 +33,7 @@ class Response:
     """
 
     solution: Solution
+    latency: Estimate  # [s]
     times: np.ndarray  # [s] of the odometry's stamps, shape (n,)
     measured: np.ndarray  # v [m/s], w [rad/s] by odometry, shape (n, 2)
     nominal: np.ndarray  # predicted for the nominal robot
@@ -57,7 +60,40 @@ def fit_response(drive: Drive, robot: Robot) -> Response:
     prior = np.array([0.3, 0.1, 0.1, 0.3 * limits[0], 0.3 * limits[1], 0.5 * acceleration, 0.5 * acceleration])
     clusters = np.repeat(((times - times[0]) / _BLOCK).astype(int), 2)
     solution = solve(residuals, start, prior, clusters)
-    return Response(solution, times, measured, predict(nominal), predict(solution.values))
+    latency = _profile(residuals, solution)
+    return Response(solution, latency, times, measured, predict(nominal), predict(solution.values))
+
+
+def is_limited(commands: np.ndarray, limit: float) -> bool:
+    """Whether some commands, shape (messages,), exceed a limit, so that they show it."""
+    return int((np.abs(commands) > _BEYOND * limit).sum()) >= _MIN_BEYOND
+
+
+def _profile(residuals: Callable[[np.ndarray], np.ndarray], solution: Solution) -> Estimate:
+    """The latencies that explain the drive about as well as the best one.
+
+    The residuals can be flat, if the odometry is rarer than the accelerations are long.
+    """
+    grid, factors = (
+        np.arange(0.0, MAX_LATENCY, 0.005),
+        (0.6, 0.8, 1.0, 1.25, 1.6),
+    )  # of the accelerations, which a latency replaces
+    costs = np.array([[_cost(residuals, solution.values, each, factor) for factor in factors] for each in grid])
+    fit = solution.estimate(LATENCY)
+    best = min(float(costs.min()), _cost(residuals, solution.values, fit.value, 1.0))
+    good = grid[costs.min(axis=1) <= best + 4.0 * max(1.0, best / solution.count)]
+    if not len(good):
+        return fit
+    found = Estimate.of(0.5 * float(good[0] + good[-1]), 0.5 * float(good[-1] - good[0]) + 0.005, 1.0)
+    if fit.half_width > 2.0 * found.half_width:
+        return found
+    return fit if fit.half_width > 0.5 * found.half_width or len(good) < 3 else found
+
+
+def _cost(residuals: Callable[[np.ndarray], np.ndarray], values: np.ndarray, latency: float, factor: float) -> float:
+    changed = values * np.array([1.0, 1.0, 1.0, 1.0, 1.0, factor, factor])
+    changed[LATENCY] = latency
+    return float((2.0 * (np.sqrt(1.0 + residuals(changed) ** 2) - 1.0)).sum())
 
 
 @njit(cache=True)

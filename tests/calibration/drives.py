@@ -2,11 +2,15 @@
 
 from collections import deque
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
+import yaml
 from calibration.robots import TICK, HiddenRobot
 
-from tb2rl.deploy.bags.reading import Drive
+from tb2rl.deploy.bags.reading import Drive, read_drive
 from tb2rl.deploy.bags.scans import Scans
 from tb2rl.deploy.calibration_drive import CalibrationDrive
 from tb2rl.deploy.portable.driver import Driver
@@ -16,6 +20,7 @@ from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.robots.robot import find_robot
 from tb2rl.simulation import find_simulator
 from tb2rl.tasks.wander import Wander
+from tb2rl.viz.film import FilmOptions, record
 from tb2rl.worlds import World
 
 RADIUS = 1.5  # [m] of the free disc
@@ -62,6 +67,10 @@ class Recording:
     @property
     def now(self) -> float:
         return self._ticks * TICK
+
+    @property
+    def is_control_step(self) -> bool:
+        return self._ticks % round(0.1 / TICK) == 0
 
     def command(self, v: float, w: float) -> None:
         self.rows["commands"].append((self.now, v, w))
@@ -110,7 +119,7 @@ def calibration_drive(hidden: HiddenRobot, seed: int) -> Drive:
         for stamp, scan in scans:
             driver.see_scan(scan.to_scan(), stamp)
         driver.see_odometry(odometry.pose, odometry.twist, recording.now)
-        if recording._ticks % 4 == 0:
+        if recording.is_control_step:
             command = driver.command(recording.now)
             recording.command(command.v, command.w)
         recording.step()
@@ -118,3 +127,21 @@ def calibration_drive(hidden: HiddenRobot, seed: int) -> Drive:
     assert policy.done
     assert not policy.problem
     return recording.drive()
+
+
+def play_drive(hidden: HiddenRobot, seed: int) -> Drive:
+    """A bag of `play --bag` of a policy with a hidden robot in PyBullet, read back; latencies are in control steps."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "robot.yaml")
+        path.write_text(yaml.safe_dump(robot_tree(hidden)))
+        settings = {"robot": str(path), "variation": str(path)}
+        options = FilmOptions(steps=300, seed=seed, simulation="bullet")
+        (bag,) = record("zoo:drive-loop-ppo", Path(folder, "drive.bag"), settings=settings, options=options)
+        return read_drive(bag, {}, scans=True)
+
+
+def robot_tree(hidden: HiddenRobot) -> dict[str, Any]:
+    """The robot file of a hidden robot."""
+    limits = {"max_speed": hidden.max_speed, "max_turn_rate": hidden.max_turn_rate}
+    latencies = {"latency": hidden.latency, "observation_latency": hidden.scan_age}
+    return {"robot": {"base": "turtlebot2", **limits}, "variation": variation(hidden), **latencies}

@@ -1,6 +1,6 @@
 """Forty hidden robots, drawn from seeds that were committed before the first estimate: to tune on, and to report."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -29,6 +29,8 @@ class HiddenRobot:
     latency: float  # [s] until a command takes effect
     scan_age: float  # [s] from the measurement to the arrival of a scan
 
+    scan_period: float = 0.1  # [s]
+
     @property
     def encoders(self) -> float:
         """Both encoders: distance measured / true, if the wheel radius is nominal."""
@@ -49,7 +51,13 @@ _LIMITS = HiddenRobot(  # type: ignore[arg-type]  # of uniform distributions
 def hidden_robot(seed: int) -> HiddenRobot:
     """Draw the robot of a seed."""
     rng = np.random.default_rng([35, seed])
-    values = {field.name: float(rng.uniform(*getattr(_LIMITS, field.name))) for field in fields(HiddenRobot)}
+    values = {field.name: float(rng.uniform(*getattr(_LIMITS, field.name))) for field in fields(HiddenRobot)[:-1]}
     for name in ("latency", "scan_age"):
         values[name] = float(np.ceil(values[name] / TICK) * TICK)
     return HiddenRobot(**values)
+
+
+def in_steps(hidden: HiddenRobot, period: float = 0.2) -> HiddenRobot:
+    """The robot with latencies in whole control steps, for environments."""
+    latency, age = (round(seconds / period) * period for seconds in (hidden.latency, hidden.scan_age))
+    return replace(hidden, latency=latency, scan_age=age, scan_period=period)

@@ -41,7 +41,7 @@ def test_the_librarys_own_reader_finds_the_episode_in_simulated_time(driven):  #
         assert [x, y, math.sin(heading)] == pytest.approx([*state.pose[0, :2], math.sin(state.pose[0, 2])], abs=1e-9)
     times = [START_TIME + 0.2 * step for step in range(11)]
     age = 0.2 * float(driven.robot_states[0].initial_state.records["observation_latency"][0])
-    late = dict.fromkeys(("/odom", "/kobuki/laser/scan"), [time + age for time in times])
+    late = {topic: [time + age for time in times] for topic in ("/odom", "/kobuki/laser/scan")}
     for topic, messages in found.items():
         expected = {"/cmd_vel": times[:-1], "/reward": times[1:], **late}.get(topic, times)
         assert [time for time, _ in messages] == pytest.approx(expected), topic
