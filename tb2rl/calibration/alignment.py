@@ -23,6 +23,7 @@ START = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 PRIOR = np.array([0.1, 0.1, 0.15, 0.15, 0.15, 0.3, 0.1])  # standard deviations: ratio, ratio, s, m, m, rad, m
 _SPANS, _GATES = (1.5, 4.0, 12.0, 12.0), (0.5, 0.3, 0.2, 0.1)  # [s] between the scans of a pair; [m] largest distances
 _REFERENCES, _PARTNERS, _READINGS = 120, 6, 60  # most reference scans, partners of each, and readings of a partner
+_BLOCK = 3.0  # [s] errors of references in one block depend on each other
 _MAX_RANGE = 12.0  # [m] readings that are used
 _MIN_COSINE = 0.3  # of the angle between a beam and the normal of a wall
 _MIN_ERROR = 0.004  # [m] of a distance, without noise
@@ -49,7 +50,7 @@ class Matches:
     points: np.ndarray  # of the lines [m], in the laser's frame of the reference
     directions: np.ndarray
     normals: np.ndarray
-    clusters: np.ndarray  # number of the reference
+    clusters: np.ndarray  # number of the block of time of the reference
 
 
 class Alignment:
@@ -83,7 +84,8 @@ class Alignment:
             def residuals(values: np.ndarray, matches: Matches = matches, bias: float = parameters[BIAS]) -> np.ndarray:
                 return self._distances(values, matches, bias) / self._error
 
-            solution = solve(residuals, parameters, PRIOR, matches.clusters, START)
+            clusters = matches.clusters - matches.clusters.min(initial=0)
+            solution = solve(residuals, parameters, PRIOR, clusters, START)
             parameters = solution.values
         return solution
 
@@ -125,7 +127,15 @@ class Alignment:
             near = (np.abs((difference * normals).sum(axis=1)) < gate) & (np.hypot(*difference.T) < 2.0 * gate + 0.1)
             near &= np.abs((seen * normals).sum(axis=1)) > _MIN_COSINE * np.hypot(*seen.T)
         keep = inside & near & lines.valid[index]
-        columns = *times, readings, directions[beam], points, lines.directions[index], normals, index[0]
+        columns = (
+            *times,
+            readings,
+            directions[beam],
+            points,
+            lines.directions[index],
+            normals,
+            (times[0] // _BLOCK).astype(int),
+        )
         return Matches(*(column[keep] for column in columns))
 
     def _pairs(self, span: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

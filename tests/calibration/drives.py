@@ -1,6 +1,7 @@
 """Drives of hidden robots in PyBullet: the calibration drive without ROS, recorded as a bag would record it."""
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -97,6 +98,17 @@ class Recording:
         self.robot.step()
         self._ticks += 1
 
+    def follow(self, commands: Iterable[tuple[float, float]]) -> Drive:
+        """Send a command in each control step, and close the simulator."""
+        for v, w in commands:
+            self.command(v, w)
+            for _ in range(round(0.1 / TICK)):
+                self.measure()
+                self.step()
+        self.measure()
+        self.robot.close()
+        return self.drive()
+
     def drive(self) -> Drive:
         """What `read_drive` reads from a bag of this drive."""
         times, ages, messages = zip(*self.rows["scans"], strict=True)
@@ -108,9 +120,9 @@ class Recording:
         return Drive("drive", {}, scan_minima=empty, bumper=empty, goals=empty, scans=scans, **tables)
 
 
-def calibration_drive(hidden: HiddenRobot, seed: int) -> Drive:
+def calibration_drive(hidden: HiddenRobot, seed: int, simulation: str = "bullet") -> Drive:
     """The drive of `python -m tb2rl.ros calibrate` by a hidden robot."""
-    recording = Recording(hidden, room(seed), seed)
+    recording = Recording(hidden, room(seed), seed, simulation)
     policy = CalibrationDrive(find_robot("turtlebot2"), RADIUS)
     driver = Driver(policy)
     driver.start()

@@ -5,6 +5,7 @@ Arguments: `tuning` or `report`, and `drive` (the calibration drive) or `play` (
 
 import sys
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,12 @@ RELATIVE = {
     "max_turn_rate": 0.05, "acceleration": 0.05, "turn_acceleration": 0.05, "laser_noise": 0.2,
 }  # fmt: skip
 ABSOLUTE = {"bias": 0.005, "mount_x": 0.01, "mount_y": 0.01, "mount_yaw": np.radians(1.0), "dropped": 0.02}
+
+
+@cache
+def calibration_of(seed: int) -> Calibration:
+    """The calibration of a hidden robot from its calibration drive."""
+    return calibrate([calibration_drive(hidden_robot(seed), seed)], ROBOT)
 
 
 def true_values(hidden: HiddenRobot) -> dict[str, float]:
@@ -72,9 +79,8 @@ if __name__ == "__main__":
         hidden = hidden_robot(seed)
         if kind == "play":
             hidden = in_steps(hidden)
-        drive, period = (play_drive(hidden, seed), 0.2) if kind == "play" else (calibration_drive(hidden, seed), 0.1)
-        calibration = calibrate([drive], ROBOT)
-        results.append(judge(hidden, calibration, period))
+        calibration = calibrate([play_drive(hidden, seed)], ROBOT) if kind == "play" else calibration_of(seed)
+        results.append(judge(hidden, calibration, 0.2 if kind == "play" else 0.1))
         for name, (known, good, covered) in results[-1].items():
             if (known and not good) or not covered:
                 print(seed, name, true_values(hidden)[name], calibration.estimates[name])

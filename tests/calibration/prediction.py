@@ -11,11 +11,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from calibration.drives import Recording, calibration_drive
-from calibration.judging import ROBOT
+from calibration.drives import Recording
+from calibration.judging import ROBOT, calibration_of
 from calibration.robots import REPORT_SEEDS, TUNING_SEEDS, HiddenRobot, hidden_robot
 
-from tb2rl.calibration.calibration import Calibration, calibrate
+from tb2rl.calibration.calibration import Calibration
 from tb2rl.calibration.output import robot_file
 from tb2rl.core.files import parse_yaml
 from tb2rl.worlds import World
@@ -49,19 +49,13 @@ def end_of_drive(robot: HiddenRobot, seed: int) -> np.ndarray:
     commands = [(rng.uniform(0.1, 0.65), rng.uniform(-1.5, 1.5)) for _ in range(10)]
     durations = rng.multinomial(round(SECONDS / PERIOD), np.ones(10) / 10)
     sequence = [command for command, count in zip(commands, durations, strict=True) for _ in range(count)]
-    while recording.now < SECONDS - 1e-9:
-        recording.measure()
-        if recording.is_control_step:
-            recording.command(*sequence[round(recording.now / PERIOD)])
-        recording.step()
-    recording.robot.close()
-    return np.array(recording.rows["truth"][-1][1:3])
+    return recording.follow(sequence).truth[-1, 1:3]
 
 
 def prediction_errors(seed: int) -> tuple[float, float]:
     """Distances [m] from the true end: of the calibrated, and of the nominal robot."""
     hidden = hidden_robot(seed)
-    calibration = calibrate([calibration_drive(hidden, seed)], ROBOT)
+    calibration = calibration_of(seed)
     truth = end_of_drive(hidden, seed)
     robots = calibrated_robot(calibration), NOMINAL
     calibrated, nominal = (float(np.hypot(*(end_of_drive(robot, seed) - truth))) for robot in robots)
