@@ -98,6 +98,6 @@ def test_the_version_is_printed(capsys):
 
 
 def test_an_unknown_command_is_refused(refused):
-    message = "error: unknown command 'trian'; did you mean 'train'? known: benchmark, convert, evaluate"
+    message = "error: unknown command 'trian'; did you mean 'train'? known: benchmark, calibrate, convert"
     assert refused(main, "trian").startswith(message)
     assert refused(main, "--agent qlearn").startswith("error: unrecognized arguments: --agent")
