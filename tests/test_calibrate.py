@@ -1,5 +1,7 @@
 """The command `calibrate`: from a bag to a robot file that a training takes, and a page."""
 
+import sys
+
 import pytest
 import yaml
 
@@ -10,6 +12,7 @@ from tb2rl.runs import resolve
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
+    pytest.importorskip("rosbags")
     path = tmp_path_factory.mktemp("bag") / "drive.bag"
     settings = ["task.variation={laser_noise: 0.02, bias: 0.02}", "task.beams=60"]
     arguments = ["--agent", "wallfollower", "--task", "maze", "--bag", str(path), "--simulation", "kinematic"]
@@ -19,6 +22,7 @@ def bag(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_bag_becomes_a_robot_file_and_a_page(bag, tmp_path, capsys):
+    pytest.importorskip("scipy")
     file = tmp_path / "my_robot.yaml"
     main([str(bag), "-o", str(file)])
     lines = capsys.readouterr().out.splitlines()
@@ -35,6 +39,7 @@ def test_a_bag_becomes_a_robot_file_and_a_page(bag, tmp_path, capsys):
 
 
 def test_mistakes_are_one_line(bag, tmp_path, capsys):
+    pytest.importorskip("scipy")
     for arguments, message in (
         (["none.bag", "-o", str(tmp_path / "a.yaml")], "there is no bag none.bag"),
         ([str(bag), "-o", str(tmp_path / "a.txt")], "must end in .yaml"),
@@ -43,3 +48,10 @@ def test_mistakes_are_one_line(bag, tmp_path, capsys):
         with pytest.raises(SystemExit, match="2"):
             main(arguments)
         assert message in capsys.readouterr().err
+
+
+def test_without_scipy_the_extra_is_named(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "scipy.optimize", None)
+    with pytest.raises(SystemExit, match="2"):
+        main([str(bag), "-o", str(tmp_path / "a.yaml")])
+    assert "calibrate needs the extra `calibrate`" in capsys.readouterr().err
