@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from tb2rl.deploy.bags.reading import Drive
 from tb2rl.deploy.bags.scans import Scans
 from tb2rl.robots import Robot
 
-_MIN_SCANS = 10
+_MIN_SCANS, _MIN_BEAMS = 10, 8
 _PER_LATENCY = 4.0  # [1/s] relative error of an acceleration for an error of the latency
 
 
@@ -111,6 +111,7 @@ def calibrate(drives: Sequence[Drive], robot: Robot) -> Calibration:
     Raises:
         InputError: If a drive has no odometry.
     """
+    drives = [_with_useful_scans(drive) for drive in drives]
     parts = [_calibrate_one(drive, robot) for drive in drives]
     estimates = {key: _useful(key, _combine([part.estimates[key] for part in parts])) for key in QUANTITIES}
     limits = tuple(_combine([part.limits[k] for part in parts]) for k in (0, 1))
@@ -135,10 +136,11 @@ def _calibrate_one(drive: Drive, robot: Robot) -> Calibration:
     estimates, scan_solution = dict.fromkeys(QUANTITIES, UNKNOWN), Solution(
         alignment.START, np.diag(alignment.PRIOR**2), 1.96
     )  # fmt: skip
-    if drive.scans is not None and len(drive.scans.times) >= _MIN_SCANS:
-        scan_solution, laser = _read_scans(drive, drive.scans)
+    scans = drive.scans
+    if scans:
+        scan_solution, laser = _read_scans(drive, scans)
         estimates |= laser
-    spacing = float(np.diff(used_beams(drive.scans)[1]).mean()) if drive.scans is not None else 0.0
+    spacing = float(np.diff(used_beams(scans)[1]).mean()) if scans else 0.0
     at_scans = {
         name: scan_solution.estimate(index, _SYSTEMATIC[name] + _SPARSE[name] * spacing)
         for name, index in _ALIGNED.items()
@@ -149,8 +151,15 @@ def _calibrate_one(drive: Drive, robot: Robot) -> Calibration:
         if not is_limited(commands, limit.value):
             motion[name] = UNKNOWN
     forward = fit.solution.estimate(response.FORWARD, _SYSTEMATIC["forward"])
-    estimates |= motion | {name: each for name, each in at_scans.items() if name in QUANTITIES and drive.scans}
+    estimates |= motion | {name: each for name, each in at_scans.items() if name in QUANTITIES and scans}
     return Calibration(estimates, (limits[0], limits[1]), forward, robot, [fit], [scan_solution.values], [drive])
+
+
+def _with_useful_scans(drive: Drive) -> Drive:
+    scans = drive.scans
+    if scans and len(scans.times) >= _MIN_SCANS and len(used_beams(scans)[1]) >= _MIN_BEAMS:
+        return drive
+    return replace(drive, scans=None)
 
 
 _ALIGNED = {

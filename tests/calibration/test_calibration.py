@@ -51,6 +51,18 @@ def test_a_straight_drive_shows_no_turns(hidden):
 
 
 @pytest.mark.slow
+def test_what_a_bag_lacks_is_unknown(hidden):
+    drive = Recording(hidden, room(0), 0, "kinematic").follow([(0.0, 0.0)] * 5 + [(0.3, 1.0)] * 30)
+    empty = replace(drive.scans, ranges=np.full_like(drive.scans.ranges, np.inf))
+    for changes in ({"scans": None}, {"scans": empty}, {"commands": np.empty((0, 3))}):
+        found = known(calibrate([replace(drive, **changes)], ROBOT))
+        lacking = (
+            {"latency", "wheel_radius", "turn_ratio"} if "commands" in changes else {"laser_noise", "mount_x", "bias"}
+        )
+        assert not found & lacking
+
+
+@pytest.mark.slow
 @pytest.mark.bullet
 def test_the_calibration_drive_shows_everything():
     """The first lines of issue 35 on a few of the hidden robots; `judging.py` prints them for all."""
