@@ -2,7 +2,8 @@
 
 `python tests/calibration/payoff.py FOLDER` trains into a folder and prints success rates in PyBullet on the five robots
 of the report with the longest latencies: 93.4 % of 500 episodes calibrated, 75.6 % without variation, 87.8 % with
-`strong`; paired differences 17.8 points (13.8 to 21.8) and 5.6 points (2.5 to 8.7). The task takes the nominal limits of speed, which a policy's spaces contain.
+`strong`; paired differences 17.8 points (13.8 to 21.8) and 5.6 points (2.5 to 8.7). The task takes the
+nominal limits of speed, which a policy's spaces contain.
 """
 
 import sys

@@ -1,7 +1,7 @@
 """Predicts where a held-out drive of 20 s ends, by its commands, with the calibrated and with the nominal robot.
 
-`python tests/calibration/prediction.py tuning` (or `report`) prints the medians over the hidden robots: in the report, 2.4 mm
-calibrated and 288 mm nominal.
+`python tests/calibration/prediction.py tuning` (or `report`) prints the medians over the hidden robots: in the
+report, 2.4 mm calibrated and 288 mm nominal.
 """
 
 import sys
