@@ -13,7 +13,8 @@ from PIL import Image, ImageColor
 
 from tb2rl.core import InputError, check_output, one_line, unknown
 from tb2rl.core.files import atomic_write
-from tb2rl.deploy.bags.recorder import checked_bag_path, open_bag
+from tb2rl.deploy.bags.recorder import open_bag
+from tb2rl.deploy.bags.writing import checked_bag_path
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import LARGEST_SEED, EpisodeStep, Policy, check_spaces, roll_out

@@ -21,14 +21,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from tb2rl.core import InputError, check_output, one_line
-from tb2rl.core.files import atomic_write
-from tb2rl.deploy.bags.messages import BagMessages, rosbags_library
+from tb2rl.deploy.bags.writing import BagWriter, open_writer
 from tb2rl.deploy.ros import messages as msg
 from tb2rl.deploy.ros.events import bumper_events
 from tb2rl.deploy.ros.topics import TURTLEBOT2, Topics
@@ -43,10 +40,9 @@ MAP, ODOM, BASE = "map", "odom", "base_footprint"  # frames (REP 105)
 class Recorder:
     """Writes one episode to an open bag; `open_bag` makes it."""
 
-    def __init__(self, bag: Any, messages: BagMessages, scene: Scene) -> None:
-        self._bag, self._messages, self._scene = bag, messages, scene
-        self._topics, self._driver_topics = Topics(), TURTLEBOT2[messages.ros]
-        self._connections: dict[str, Any] = {}
+    def __init__(self, writer: BagWriter, scene: Scene) -> None:
+        self._writer, self._messages, self._scene = writer, writer.messages, scene
+        self._topics, self._driver_topics = Topics(), TURTLEBOT2[self._messages.ros]
         self._step = 0
         self._pressed_bumper: int | None = None
         self._age = 0  # [ns] from the stamp of odometry and scans to their time in the bag, the observation latency
@@ -104,11 +100,7 @@ class Recorder:
         return message
 
     def _write(self, topic: str, message: Any, age: int = 0) -> None:
-        message = message.to_ros(self._messages) if isinstance(message, msg.Message) else message
-        if topic not in self._connections:
-            store = self._messages.store
-            self._connections[topic] = self._bag.add_connection(topic, message.__msgtype__, typestore=store)
-        self._bag.write(self._connections[topic], self._now + age, self._messages.serialize(message))
+        self._writer.write(topic, message, self._now + age)
 
 
 def _odometry_origin(pose: tuple[float, float, float], odometry: list[float]) -> tuple[float, float, float]:
@@ -119,40 +111,8 @@ def _odometry_origin(pose: tuple[float, float, float], odometry: list[float]) ->
     return pose[0] - x, pose[1] - y, yaw
 
 
-def checked_bag_path(path: str | Path) -> Path:
-    """Return the path of a bag, if the bag can be written.
-
-    Raises:
-        InputError: If the path is invalid, or exists (a file NAME.bag is replaced), or `rosbags` is not installed.
-    """
-    path = Path(path)
-    rosbags_library()
-    if path.suffix not in ("", ".bag"):
-        raise InputError(f"the bag is {str(path)!r}; give a file NAME.bag (ROS 1) or a folder without a dot (ROS 2)")
-    if path.exists() and not path.suffix:
-        raise InputError(f"cannot write {path}: it exists already; remove it, or give another name")
-    check_output(path)
-    return path
-
-
 @contextmanager
 def open_bag(path: Path, scene: Scene) -> Iterator[Recorder]:
-    """Open a bag at a path from `checked_bag_path`. A bag appears there only if the block ends without an error.
-
-    Raises:
-        InputError: If the bag cannot be written.
-    """
-    library, messages = rosbags_library(), BagMessages(1 if path.suffix else 2)
-    try:
-        if messages.ros == 1:
-            with atomic_write(path) as temporary, library.rosbag1.Writer(temporary) as bag:
-                yield Recorder(bag, messages, scene)
-        else:
-            plugin = library.rosbag2.StoragePlugin.MCAP
-            with TemporaryDirectory(dir=path.absolute().parent, prefix=".") as parent:
-                folder = Path(parent, path.name)  # the final name, because a bag stores its own name
-                with library.rosbag2.Writer(folder, version=8, storage_plugin=plugin) as bag:
-                    yield Recorder(bag, messages, scene)
-                folder.rename(path)
-    except OSError as error:
-        raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
+    """Open a bag for an episode, see `tb2rl.deploy.bags.writing.open_writer`."""
+    with open_writer(path) as writer:
+        yield Recorder(writer, scene)

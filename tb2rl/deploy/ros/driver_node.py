@@ -99,11 +99,15 @@ class DriverNode:
 
     def run(self, shutdown: threading.Event) -> None:
         """Drive until ROS shuts the node down, or the event is set."""
-        while not (self._node.is_shutdown() or self._clock.wait(shutdown, _POLL_PERIOD)):
+        while not (self._is_over() or self._clock.wait(shutdown, _POLL_PERIOD)):
             if self._callback_error:
                 raise self._callback_error
             with self._lock:
                 self._poll()
+
+    def _is_over(self) -> bool:
+        """Whether `run` ends; a subclass may add reasons."""
+        return self._node.is_shutdown()
 
     def close(self) -> None:
         """Stop the robot, and print the latency from scan to command."""

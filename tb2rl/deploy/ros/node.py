@@ -70,18 +70,25 @@ class Node(Protocol):
         ros_type = self.find_type(message_type.type_name, optional=message_type.optional)
         return self._publisher(topic, message_type, ros_type) if ros_type else ABSENT
 
-    def create_subscription(self, topic: str, message_type: type[M], callback: Callable[[M], None]) -> Endpoint:
-        """Call a function with each message, in a thread of ROS; returns `ABSENT` as `create_publisher` does."""
+    def create_subscription(
+        self, topic: str, message_type: type[M], callback: Callable[[M], None], depth: int | None = None
+    ) -> Endpoint:
+        """Call a function with each message, in a thread of ROS; returns `ABSENT` as `create_publisher` does.
+
+        `depth` is the number of messages that can wait; None: as many as fit the message type.
+        """
         ros_type = self.find_type(message_type.type_name, optional=message_type.optional)
         if not ros_type:
             return ABSENT
         latest_only = message_type.latest_only
-        return self._subscription(topic, ros_type, latest_only, lambda raw: callback(message_type.from_ros(raw)))
+        return self._subscription(topic, ros_type, latest_only, lambda raw: callback(message_type.from_ros(raw)), depth)
 
     def _publisher(self, topic: str, message_type: type[Message], ros_type: Any) -> Endpoint: ...
 
-    def _subscription(self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None]) -> Endpoint:
-        """Call `receive` with each message; `latest_only`: drop waiting messages when a new one arrives."""
+    def _subscription(
+        self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None], depth: int | None
+    ) -> Endpoint:
+        """Call `receive` with each message; `latest_only` without `depth`: a new message may replace waiting ones."""
 
     def create_service(self, service: str, type_name: str, callback: Callable[[], str | None]) -> None:
         """Offer a service; "~/NAME" is private to the node. ROS 2 has no `SET_PHYSICS`; it is not offered there.

@@ -53,8 +53,10 @@ class Ros1Node(Node):
         publisher = rospy.Publisher(topic, ros_type, queue_size=QUEUE_SIZE)
         return Endpoint(publisher.get_num_connections, lambda message: publisher.publish(message.to_ros(self)))
 
-    def _subscription(self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None]) -> Endpoint:
-        queue_size = 1 if latest_only else None
+    def _subscription(
+        self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None], depth: int | None
+    ) -> Endpoint:
+        queue_size = depth or (1 if latest_only else None)
         subscriber = rospy.Subscriber(topic, ros_type, receive, queue_size=queue_size, tcp_nodelay=True)
         return Endpoint(subscriber.get_num_connections)
 

@@ -15,7 +15,7 @@ _INSTALL_HINT = f"source your installation of ROS 2, or: {install_extra('ros2')}
 try:
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
     from rclpy.signals import SignalHandlerOptions
     from rclpy.time import Time
 except ImportError as error:
@@ -62,14 +62,19 @@ class Ros2Node(Node):
         publisher = self._node.create_publisher(ros_type, topic, qos)
         return Endpoint(publisher.get_subscription_count, lambda message: publisher.publish(message.to_ros(self)))
 
-    def _subscription(self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None]) -> Endpoint:
+    def _subscription(
+        self, topic: str, ros_type: Any, latest_only: bool, receive: Callable[[Any], None], depth: int | None
+    ) -> Endpoint:
         def guarded(message: Any) -> None:
             try:
                 receive(message)
             except Exception:  # would end the thread that receives all topics
                 self._node.get_logger().error(f"a message on {topic} is ignored: {traceback.format_exc()}")
 
-        qos = qos_profile_sensor_data if latest_only else QUEUE_SIZE
+        best_effort = QoSProfile(
+            depth=depth or qos_profile_sensor_data.depth, reliability=ReliabilityPolicy.BEST_EFFORT
+        )
+        qos = best_effort if latest_only else depth or QUEUE_SIZE
         self._node.create_subscription(ros_type, topic, guarded, qos)
         return Endpoint(lambda: self._node.count_publishers(topic))
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tb2rl.core.errors import InputError, install_extra
-from tb2rl.deploy.bags.recorder import START_TIME, checked_bag_path, open_bag
+from tb2rl.deploy.bags.recorder import START_TIME, open_bag
+from tb2rl.deploy.bags.writing import checked_bag_path
 
 highlevel = pytest.importorskip("rosbags.highlevel")
 

@@ -198,7 +198,9 @@ class FakeNode:
     def create_publisher(self, topic: str, message_type: type) -> FakeEndpoint:
         return self.topics[topic]
 
-    def create_subscription(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> FakeEndpoint:
+    def create_subscription(
+        self, topic: str, message_type: type, callback: Callable[[Any], None], depth: int | None = None
+    ) -> FakeEndpoint:
         self.receive[topic] = callback
         return self.topics[topic]
 
