@@ -5,10 +5,11 @@ from collections.abc import Callable
 from typing import Any
 
 from tb2rl.deploy.bags.writing import BagWriter
-from tb2rl.deploy.ros.messages import BILLION, BumperEvent, LaserScan, Message, Odometry, Twist
+from tb2rl.deploy.ros.events import BumperEvent, Flag
+from tb2rl.deploy.ros.messages import BILLION, LaserScan, Message, Odometry, Twist
 from tb2rl.deploy.ros.node import Endpoint, M, Node
 
-_RECORDED = LaserScan, Odometry, BumperEvent, Twist
+_RECORDED = LaserScan, Odometry, BumperEvent, Flag, Twist
 _DEPTH = 100  # messages that can wait, so that none is lost
 
 
