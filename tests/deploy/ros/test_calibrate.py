@@ -11,7 +11,8 @@ from tb2rl.core import InputError
 from tb2rl.deploy.bags.reading import read_drive
 from tb2rl.deploy.calibrate import run
 from tb2rl.deploy.calibration_drive import CalibrationDrive
-from tb2rl.deploy.ros.messages import BILLION, BumperEvent, LaserScan, Odometry
+from tb2rl.deploy.ros.events import BumperEvent
+from tb2rl.deploy.ros.messages import BILLION, LaserScan, Odometry
 from tb2rl.deploy.ros.topics import TURTLEBOT2
 from tb2rl.ros import main
 
