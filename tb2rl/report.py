@@ -19,6 +19,11 @@ page of its own: metrics, the worlds without success, and films of the first six
 The page of a bag shows the path by odometry, or the true path if a simulator recorded the bag. It also shows speed,
 turn rate and nearest range over time. `--world` draws the path in a world. The path begins at the start of the world,
 because the odometry frame is unknown; "{file: my_map.yaml, start: [1, 2, 0]}" sets another start.
+
+    python -m tb2rl.report drive.bag --against my_robot.yaml --world my_map.yaml
+
+`--against` drives the commands of a bag again, in a simulator with the robot of a policy's training or of a robot file.
+It shows where both part: in windows of 5 s, each from the measured pose, in metres and, with `--world`, in ranges.
 """
 
 from pathlib import Path
@@ -38,6 +43,7 @@ def main(parser: ArgumentParser) -> None:
     add("--compare", action="store_true", help="compare two folders of runs over their seeds")
     add("--out", type=Path, metavar="FILE", help="output file (default: report.html, in RUN if RUN is a single folder)")
     add("--world", help="world of the bags, a value of task.world")
+    add("--against", metavar="POLICY", help="policy, run or robot file to simulate the drives of bags with")
     add("--topics", nargs="+", default=[], metavar="KIND=NAME", help=topics)
 
 

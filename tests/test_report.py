@@ -72,6 +72,23 @@ def test_a_bag_has_a_page_of_its_own_or_is_on_the_page_of_a_run(trained_run, bag
     assert "it.html: 1 run, 1 bag, " in capsys.readouterr().out
 
 
+def test_a_bag_is_compared_with_a_simulation_of_its_robot(workdir, capsys):
+    pytest.importorskip("rosbags")
+    options = ["--steps", "50", "--simulation", "kinematic", "--set", "task.variation={wheel_radius: 1.02}"]
+    import_module("tb2rl.play").main(["zoo:drive-loop-ppo", *options, "--bag", "it.bag"])
+    (workdir / "mine.yaml").write_text("robot: {base: turtlebot2}\nvariation: {wheel_radius: 1.02}\n")
+    capsys.readouterr()
+    distances = []
+    for against in ("mine.yaml", "zoo:drive-loop-ppo"):
+        report.main(["it.bag", "--against", against, "--world", "loop"])
+        line, _ = capsys.readouterr().out.splitlines()
+        assert line.startswith(f"it.bag against {against}: 0.")
+        assert "ranges 0." in line
+        distances.append(float(line.split(": ")[1].split(" m")[0]))
+        assert f"with the robot of {against}" in " ".join((workdir / "report.html").read_text().split())
+    assert distances[0] < distances[1]  # in another simulator
+
+
 @pytest.mark.parametrize(
     ("line", "named"),
     [
@@ -80,6 +97,9 @@ def test_a_bag_has_a_page_of_its_own_or_is_on_the_page_of_a_run(trained_run, bag
         ("missing.bag", ["there is no bag missing.bag"]),
         ("suite-unseen.json", ["suite-unseen.json is not the result of a suite"]),
         ("zoo:maze-loop-ppo --world loop", ["--world is for bags"]),
+        ("zoo:maze-loop-ppo --against zoo:maze-loop-ppo", ["--against is for bags"]),
+        ("BAG --against missing.yaml", ["missing.yaml"]),
+        ("BAG --against zoo:maze-loop-ppo", ["shorter than a window of 6 s"]),
         ("zoo:maze-loop-ppo --out missing/it.html", ["cannot write missing/it.html"]),
         ("zoo:maze-loop-ppo --out .", ["cannot write ."]),
         ("BAG --world '[loop, circuit]'", ["--world takes one world, got 2"]),

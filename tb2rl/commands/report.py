@@ -3,13 +3,18 @@
 import argparse
 from pathlib import Path
 
+from tb2rl.calibration.replay import Replay, replay
 from tb2rl.commands.arguments import refuse
 from tb2rl.commands.worlds import only_world
 from tb2rl.core import InputError, check_output, write_text
 from tb2rl.core.files import parse_yaml
 from tb2rl.deploy.bags.reading import is_bag, parse_topics, read_drive
+from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.evaluation.suite_comparison import read_results
+from tb2rl.robots.robot_file import is_robot_file
+from tb2rl.runs import config_of, load, resolve
+from tb2rl.simulation.simulator import default_simulator
 from tb2rl.viz.comparison import compare, comparison_page, read_compared_runs
 from tb2rl.viz.drives import DriveSection, drive_section
 from tb2rl.viz.page import page
@@ -41,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _compare(arguments: argparse.Namespace) -> None:
     """Compare two folders of runs, print the verdicts and write the page."""
-    refuse(arguments, "cannot be combined with --compare", "topics", "world")
+    refuse(arguments, "cannot be combined with --compare", "topics", "world", "against")
     if len(arguments.runs) != 2:
         raise InputError("--compare takes two folders of runs")
     first, second = (set(run_folders([reference])) for reference in arguments.runs)
@@ -60,10 +65,26 @@ def _compare(arguments: argparse.Namespace) -> None:
 def _drive_sections(arguments: argparse.Namespace, bags: list[Path]) -> list[DriveSection]:
     topics, world = parse_topics(arguments.topics), None
     if not bags:
-        refuse(arguments, "is for bags, but there is no bag among the arguments", "topics", "world")
+        refuse(arguments, "is for bags, but there is no bag among the arguments", "topics", "world", "against")
     if arguments.world:
         world = only_world(parse_yaml(arguments.world, "--world"), "--world")
-    return [drive_section(read_drive(bag, topics), world) for bag in progress_bar(bags, "reading", "bag")]
+    scene = _scene_against(arguments) if arguments.against else None
+    sections = []
+    for bag in progress_bar(bags, "reading", "bag"):
+        drive, replays = read_drive(bag, topics, scans=scene is not None), dict[str, Replay]()
+        if scene is not None:
+            replays[arguments.against] = replay(drive, scene, default_simulator(), world)
+            print(f"{bag} against {arguments.against}: {replays[arguments.against]}")
+        sections.append(drive_section(drive, world, replays))
+    return sections
+
+
+def _scene_against(arguments: argparse.Namespace) -> Scene:
+    """The scene with the robot and the variation of `--against`: a robot file, or the training of a policy."""
+    reference = arguments.against
+    if is_robot_file(reference):
+        return resolve("random", "drive", settings={"task.robot": reference, "task.variation": reference}).scene
+    return config_of(load(reference, arguments.trust)).scene
 
 
 def _page_file(arguments: argparse.Namespace) -> Path:

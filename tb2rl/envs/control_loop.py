@@ -51,6 +51,7 @@ class ControlLoop:
     Attributes:
         distances: Distance driven since the start of each episode [m], shape (num_envs,).
         lengths: Number of control steps since the start of each episode, shape (num_envs,).
+        commands: The latest commands after the filters, v [m/s] and w [rad/s], shape (num_envs, 2).
         is_filtered: Whether filters changed the latest command of each environment, shape (num_envs,).
     """
 
@@ -61,7 +62,7 @@ class ControlLoop:
         self._recent_commands, self._observation_pipeline = History(self._latency), scene.observation_pipeline()
         self._recent_readings = History(self.task.resolved_variation.observation_latency[1] if self._filters else 0)
         self._robot_state: RobotState | None = None
-        self.is_filtered = np.zeros(self.num_envs, dtype=bool)
+        self.is_filtered, self.commands = np.zeros(self.num_envs, dtype=bool), np.zeros((self.num_envs, 2))
 
     @classmethod
     def open(
@@ -119,7 +120,7 @@ class ControlLoop:
         commands = self._actions.commands(actions)
         if self._filters:
             commands = self._filter(commands, before)
-        delayed_commands = commands
+        self.commands = delayed_commands = commands
         if self._latency:
             delayed_commands = self._recent_commands.delay(commands, before.initial_state.records["command_latency"])
         after = self.simulator.step(delayed_commands, self.task.control_period, inactive)

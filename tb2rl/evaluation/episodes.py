@@ -68,6 +68,7 @@ class EpisodeStep:
     reward: float
     episode_return: float  # sum of the rewards since the reset
     info: Mapping[str, Any]  # as from `TurtleBot2Env.step`; "ended" is empty before the last step
+    command: np.ndarray | None = None  # command after the filters, v [m/s] and w [rad/s], shape (2,)
     intervention: str = ""  # why filters changed the command; empty if they did not, or do not say
 
 
@@ -164,8 +165,8 @@ def run_single(loop: ControlLoop, policy: Policy, start: EpisodeStart) -> Iterat
         finished, reward = step.transition.finished, float(step.transition.reward[0])
         episode_return += reward
         info = {key: column[0] for key, column in (finished.infos if finished else loop.infos()).items()}
-        action, why = step.actions[0], loop.intervention(0)
-        yield EpisodeStep(number, step.before, loop.robot_state, action, reward, episode_return, info, why)
+        values = step.actions[0], reward, episode_return, info, loop.commands[0], loop.intervention(0)
+        yield EpisodeStep(number, step.before, loop.robot_state, *values)
 
 
 def run_episodes(

@@ -146,8 +146,8 @@ def record(
                 for step in steps:
                     if step.number == 1:
                         recorder.reset(step.before)
-                    policy_command = scene.actions.commands(scene.actions.checked(step.action))[0]  # before the filters
-                    recorder.step(policy_command, step.reward, step.after)
+                    assert step.command is not None, "steps of a control loop have commands"
+                    recorder.step(step.command, step.reward, step.after)
     return bags
 
 

@@ -7,7 +7,7 @@ Odometry and scans have a time in the bag that is later than their stamp by the 
 | `/kobuki/laser/scan` | sensor_msgs/LaserScan | the laser; NaN for beams that the task does not use |
 | `/odom` | nav_msgs/Odometry | wheel odometry since the start of the episode |
 | `/ground_truth` | nav_msgs/Odometry | true pose and speeds in the frame `map` of the world |
-| `/cmd_vel` | geometry_msgs/Twist | command of the policy, at the beginning of each step |
+| `/cmd_vel` | geometry_msgs/Twist | command to the base, after the filters, at the beginning of each step |
 | `/tf` | tf2_msgs/TFMessage | `map` to `odom` to `base_footprint` |
 | `/clock` | rosgraph_msgs/Clock | simulated time, as in all stamps |
 | `/bumper` | std_msgs/Bool | whether the base had contact since the last message |
@@ -56,7 +56,7 @@ class Recorder:
         self._write_sensors(robot_state)
 
     def step(self, command: np.ndarray, reward: float, robot_state: RobotState) -> None:
-        """Write a control step: the policy's command v [m/s], w [rad/s], shape (2,), reward, and next robot state."""
+        """Write a control step: the command v [m/s], w [rad/s], shape (2,), the reward, and the next robot state."""
         self._write(self._topics.velocity, msg.Twist(*command.tolist()))
         self._step += 1
         self._messages.seq = self._step
