@@ -126,6 +126,15 @@ def test_velocities_are_described_by_their_values(action, described, make, cruis
     assert caption_values(frames[-1], scene)["ended"] == "time limit"
 
 
+def test_the_caption_says_why_a_filter_changes_the_command(make):
+    settings = {"world": "wall", "start": "fixed", "beams": 37, "collision_range": 0.0}
+    config = make.config("maze", **settings, filters=["safety"])
+    frames, scene = make.frames(make.policy(), config, 60)
+    texts = [caption_values(frame, scene).get("filter") for frame in frames]
+    assert texts[0] is None
+    assert "an obstacle is in the way" in texts
+
+
 @pytest.mark.parametrize(
     ("ended", "failed", "task", "settings"),
     [
