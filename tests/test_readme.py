@@ -21,8 +21,19 @@ SHORTER = {  # arguments appended to a command to shorten it
     "play": "--steps 3",
 }
 RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
-# They take long, or need a terminal, ROS or an optional library.
-ONLY_PARSED = {"mlflow", "ros", "--teleop", "--seeds", "--suite", "report", "tune", "zoo"}
+# They take long, or need a terminal, ROS, a bag or an optional library.
+ONLY_PARSED = {
+    "calibrate",
+    "mlflow",
+    "ros",
+    "task.robot=my_robot.yaml",
+    "--teleop",
+    "--seeds",
+    "--suite",
+    "report",
+    "tune",
+    "zoo",
+}
 SAVED = re.compile(r"(?:Save (?:this|it) as|and this as) `([\w.]+)`")
 
 
