@@ -32,11 +32,11 @@ def run(options: argparse.Namespace) -> None:
     short_training = {"train.n_envs": 2, "train.total_timesteps": 64, "train.eval_episodes": 1, "train.eval_steps": 2}
     with TemporaryDirectory() as folder:
         policy = train("qlearn", simulation="kinematic", folder=Path(folder, "run"), settings=worlds | short_training)
-        film(policy, Path(folder, "film.gif"), settings={"filters": ["safety"]}, options=FilmOptions(steps=2))
         for group in (None, {"people": 1, "boxes": 1}):
             film(policy, Path(folder, "film.gif"), settings={"dynamic_obstacles": group}, options=FilmOptions(steps=2))
     sensors = ["laser", "camera", "free_paths", "visited"]
-    env = make_env("maze", "raw", simulation="kinematic", observe=sensors, dynamic_obstacles={"people": 1})
+    seen = {"observe": sensors, "dynamic_obstacles": {"people": 1}, "filters": ["safety"]}
+    env = make_env("maze", "raw", simulation="kinematic", **seen)
     env.reset()
     env.step(0)
     for agent in ("pursuit", "dwa", "vfh"):
