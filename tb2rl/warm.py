@@ -9,6 +9,7 @@ be read-only afterwards.
 import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from tb2rl.core.command import ArgumentParser, command
 
@@ -35,7 +36,7 @@ def run(options: argparse.Namespace) -> None:
         for group in (None, {"people": 1, "boxes": 1}):
             film(policy, Path(folder, "film.gif"), settings={"dynamic_obstacles": group}, options=FilmOptions(steps=2))
     sensors = ["laser", "camera", "free_paths", "visited"]
-    seen = {"observe": sensors, "dynamic_obstacles": {"people": 1}, "filters": ["safety"]}
+    seen: dict[str, Any] = {"observe": sensors, "dynamic_obstacles": {"people": 1}, "filters": ["safety"]}
     env = make_env("maze", "raw", simulation="kinematic", **seen)
     env.reset()
     env.step(0)
