@@ -79,7 +79,7 @@ class RemoteRobot:
         self._ranges = self._odometry = _LastData()
         self._scan_problem = ""  # why the last scan cannot be used
         self._had_contact = self._closed = False  # contact: since the last robot state
-        self._events: frozenset[str] = frozenset()  # reasons of events of the base that last
+        self._events = set[tuple[str, int]]()  # reasons and parts of events of the base that last
         self._command, self._zero_repeats_left, self._last_publish_time = _ZERO_COMMAND, 0, -math.inf
         self._repeat_until = -math.inf  # ROS time [s] until which the command is repeated; -inf outside steps and waits
         self._watchdog_deadline = math.inf  # wall-clock time [s]
@@ -195,8 +195,9 @@ class RemoteRobot:
 
     def _on_event(self, event: Event) -> None:
         with self._condition:
-            self._events = self._events | {event.why} if event.is_active else self._events - {event.why}
+            self._events.discard((event.why, event.part))
             if event.is_active:
+                self._events.add((event.why, event.part))
                 self._had_contact = True
                 self._send(_ZERO_COMMAND)
 

@@ -67,6 +67,7 @@ class SimulatedRobot:
         self._tick_ns = round(msg.BILLION / (scan_rate * self.ticks_per_scan))
         self.tick_duration = self._tick_ns / msg.BILLION  # [s]
         self._rng, self._time_ns = np.random.default_rng(seed), 0
+        self._bumper: int | None = None  # pressed according to the last event, also across resets
         self._simulator = simulation.open(self._spec)
         self.reset()
 
@@ -101,7 +102,8 @@ class SimulatedRobot:
         if self._time_ns // self._tick_ns % _TICKS_BETWEEN_READS == 0:
             self._simulator.state()  # because PyBullet's simulator stores all commands since the last read
         self.record.add_tick(before, self._robot_state, self.tick_duration)
-        return bumper_events(self._pressed_bumper(before), self._pressed_bumper(self._robot_state))
+        last_bumper, self._bumper = self._bumper, self._pressed_bumper(self._robot_state)
+        return bumper_events(last_bumper, self._bumper)
 
     def close(self) -> None:
         self._simulator.close()

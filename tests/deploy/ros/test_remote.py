@@ -120,7 +120,11 @@ def test_a_contact_stops_the_wheels_and_is_in_the_robot_state(env, rover):
     rover.node.receive[TOPICS.bumper](BumperEvent(1, True))
     assert rover.commands[-1] == STILL
     assert env.step(FORWARD)[4]["bumped"], "while it is pressed"
+    rover.node.receive[TOPICS.bumper](BumperEvent(0, True))
     rover.node.receive[TOPICS.bumper](BumperEvent(1, False))
+    env.step(LEFT)
+    assert env.step(LEFT)[4]["bumped"], "the other bumper is still pressed"
+    rover.node.receive[TOPICS.bumper](BumperEvent(0, False))
     assert not env.step(LEFT)[4]["bumped"]
 
 

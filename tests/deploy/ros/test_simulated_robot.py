@@ -96,6 +96,16 @@ def test_a_wall_presses_the_bumper_once(simulation):
     assert f"touched something {robot.record.contact_count} times" in str(robot.record)
 
 
+def test_a_reset_releases_a_pressed_bumper():
+    robot, events = make_robot(world="wall"), []
+    while not events:
+        robot.command(FORWARD)
+        events = advance(robot, 0.1)
+    robot.reset()
+    assert advance(robot, 0.1) == [BumperEvent(events[-1].part, False)]
+    assert advance(robot, 1.0) == []
+
+
 def test_a_contact_behind_the_robot_presses_no_bumper():
     robot, events = make_robot(), []
     for _ in range(40):
