@@ -157,6 +157,23 @@ class Probe:
         """Call a service; return whether it succeeded, and its message."""
         return self.node.call(service, kind)
 
+    def relay(self, source, target, kind):
+        """Publish the messages of a topic on another one, unless `mute` says otherwise."""
+        self.muted, publish = False, self.node.publisher(target, kind)[0]
+        self.node.subscribe(source, kind, lambda message: None if self.muted else publish(message))
+
+    def mute(self, muted):
+        self.muted = muted
+
+    def send_goal(self, topic, x, y):
+        """Publish a goal in the frame `odom`, as RViz does."""
+        publish, listeners = self.node.publisher(topic, "geometry_msgs/PoseStamped")
+        wait_until(listeners, f"no node subscribes to {topic}")
+        message = find("geometry_msgs/PoseStamped")()
+        message.header.frame_id, message.pose.orientation.w = "odom", 1.0
+        message.pose.position.x, message.pose.position.y = float(x), float(y)
+        publish(message)
+
     def parameter(self, name):
         return self.node.rospy.get_param(name, None)
 

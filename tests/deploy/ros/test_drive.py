@@ -16,6 +16,8 @@ STEPS, REAL_TIME = 300, 8.0  # [control steps], [s]
 LOCKSTEP = ["--rate", "0", "--scan-rate", "5", "--lockstep", "60"]
 POLICY = {1: "zoo:maze-loop-ppo", 2: "zoo:maze-loop-qlearn"}  # by version of ROS
 VELOCITY = {1: "/cmd_vel_mux/input/navi", 2: "/cmd_vel"}
+GOALS = {1: "/move_base_simple/goal", 2: "/goal_pose"}
+START_X, START_Y = -3.75, -3.75  # [m] of the world `loop`
 RECORD = re.compile(r"from .*: ([\d.]+) s, ([\d.]+) m, touched something (\d+) times, nearest range .* m")
 LATENCY = re.compile(r"\d+ scans, .* \(of processor time: ([\d.]+) ms, 99 % within ([\d.]+) ms\)")
 
@@ -126,25 +128,94 @@ def check_services(driven, probe):
     assert (status["name"], status["message"]) == ("tb2rl_driver: policy", "told to stop")
 
 
+def check_diagnostics(probe, why):
+    """Wait until the node reports a reason in its diagnostics, which it does once a second."""
+    for _ in range(10):
+        (status,) = probe.take("/diagnostics")[0]["status"]
+        if status["message"] == why:
+            return
+    raise AssertionError(status)
+
+
+def start_when_over(probe, why):
+    """Start the driver once an event is over, whose message may be on its way."""
+    until, answer = time.monotonic() + 60.0, [False, why]
+    while answer == [False, why]:
+        assert time.monotonic() < until, why
+        answer = probe.call("/tb2rl_driver/start", "std_srvs/Trigger")
+    assert answer == [True, ""]
+
+
 @pytest.mark.flaky(reruns=1)  # in real time
 def test_each_event_of_the_base_stops_it_until_it_has_ended_and_it_is_started_again(graph):
-    with simulate(graph) as _, watching(graph) as probe, drive(graph) as driven:
+    with simulate(graph, "--rate", "2") as _, watching(graph) as probe, drive(graph, "--speed", "0.1") as driven:
+
+        def toggle():
+            assert probe.call(f"/tb2rl_simulation/{name}", "std_srvs/Trigger") == [True, ""]
+
+        def push():
+            """Another program drives the robot into a wall, because this one does not."""
+            until = time.monotonic() + 60.0
+            while stopped not in driven.lines:
+                assert time.monotonic() < until, driven.lines
+                probe.drive(0.6, 0.0, topic=VELOCITY[3 - graph.version])
+
+        probe.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
         wait_for(driven, "driving")
         for name, event_type in EVENTS.items():
-            if name == "bumper":  # a wall presses it, see `test_graphs.py`
-                continue
-            probe.watched(until="move command", seconds=1.0)
-            seen = len(driven.lines)
-            assert probe.call(f"/tb2rl_simulation/{name}", "std_srvs/Trigger") == [True, ""]
-            wait_for(driven, f"stopped: {event_type.why}", seen)
+            probe.watched(until="move command", seconds=0.5)
+            seen, stopped = len(driven.lines), f"stopped: {event_type.why}"
+            begin, end = (push, lambda: probe.call("/gazebo/reset_world")) if name == "bumper" else (toggle, toggle)
+            begin()
+            wait_for(driven, stopped, seen)
+            after = probe.watched(seconds=0.5)
+            assert after["stop command"] > after["move command"]
+            check_diagnostics(probe, event_type.why)
             assert probe.call("/tb2rl_driver/start", "std_srvs/Trigger") == [False, event_type.why]
             seen = len(driven.lines)
-            assert probe.call(f"/tb2rl_simulation/{name}", "std_srvs/Trigger") == [True, ""]
-            answer = probe.call("/tb2rl_driver/start", "std_srvs/Trigger")
-            while answer == [False, event_type.why]:  # the message of its end is on its way
-                answer = probe.call("/tb2rl_driver/start", "std_srvs/Trigger")
-            assert answer == [True, ""]
+            end()
+            start_when_over(probe, event_type.why)
             wait_for(driven, "driving", seen)
+        check_signal(driven, probe, signal.SIGQUIT)
+
+
+def check_signal(driven, probe, sign):
+    """A signal stops a moving robot, and ends the node."""
+    probe.watched(until="move command")
+    assert driven.stop(sign) == 0
+    after = probe.watched(seconds=0.5)
+    assert after["stop command"] > after["move command"]
+    assert "stopped: the node ends" in driven.lines[-3:]
+
+
+@pytest.mark.flaky(reruns=1)  # in real time
+def test_it_stops_at_its_goal_without_odometry_and_while_simulated_time_stands_still(graph):
+    goals = GOALS[graph.version]
+    arguments = ["zoo:navigate-goal-ppo", "--topics", "odometry=/relayed", *sim_time(graph)]
+    with simulate(graph) as _, watching(graph) as probe, graph.start("drive", *arguments) as driven:
+        probe.relay("/odom", "/relayed", "nav_msgs/Odometry")
+        probe.send_goal(goals, START_X + 0.8, START_Y)
+        wait_for(driven, "driving")
+        wait_for(driven, "stopped: the goal is reached")
+        for cause, reason, undo in (
+            (lambda: None, "the goal is reached", lambda: probe.send_goal(goals, START_X + 6.0, START_Y)),
+            (lambda: probe.mute(True), "the last odometry is ", lambda: probe.mute(False)),
+            (
+                lambda: probe.call("/gazebo/pause_physics"),
+                "simulated time is frozen",
+                lambda: probe.call("/gazebo/unpause_physics"),
+            ),
+        ):
+            cause()
+            until = time.monotonic() + 60.0
+            while not driven.lines[-1].startswith(f"stopped: {reason}"):
+                assert time.monotonic() < until, driven.lines
+                time.sleep(0.02)
+            after, seen = probe.watched(seconds=0.5), len(driven.lines)
+            assert after["stop command"] > after["move command"], reason
+            undo()
+            wait_for(driven, "driving", seen)
+        check_signal(driven, probe, signal.SIGHUP)
 
 
 @pytest.mark.flaky(reruns=1)  # in real time
