@@ -158,80 +158,93 @@ def _filter_commands(model, commands, ranges, twists, ages, issued):
         Filtered commands, shape (num_envs, 2), and numbers of `REASONS`, shape (num_envs,).
     """
     filtered, reasons = np.zeros(commands.shape), np.zeros(len(commands), np.int64)
+    distances = _median_of_three(ranges) if model.takes_median else ranges
     for i in range(len(commands)):
-        v, w = float(commands[i, 0]), float(commands[i, 1])
+        v, w = float(commands[i, 0]), float(commands[i, 1])  # without numba, numpy's floats are slow
         states = _predict_states(model, twists[i], ages[i], issued[i])
-        x, y = _near_points(model, ranges[i], v, w, states)
-        limits = _limits(model, states, x, y)
+        points = _near_points(model, distances[i], v, states)
+        limits = _limits(model, states, points)
         is_seen = v > -_MIN_SPEED or model.half_field == math.pi
-        share = _safe_share(model, v, w, states, x, y, limits) if is_seen else 0.0
+        share = _safe_share(model, v, w, states, points, limits) if is_seen else 0.0
         if share < 1.0:
             reasons[i] = OBSTACLE if is_seen else UNSEEN
-            v, w = _slow_down(model, v, w, share, states, x, y, limits)
+            v, w = _slow_down(model, v, w, share, states, points, limits)
         filtered[i, 0], filtered[i, 1] = v, w
     return filtered, reasons
 
 
 @njit(cache=True, error_model="numpy")
-def _slow_down(model, v, w, share, states, x, y, limits):
+def _slow_down(model, v, w, share, states, points, limits):
     """A slower safe command on the arc of a command, or with its turn rate, or else a stop."""
     for _ in range(_ATTEMPTS):
-        if share == 0.0 or _safe_share(model, share * v, share * w, states, x, y, limits) == 1.0:
+        if share == 0.0 or _safe_share(model, share * v, share * w, states, points, limits) == 1.0:
             break
         share *= 0.5
     else:
         share = 0.0
-    if _safe_share(model, share * v, w, states, x, y, limits) == 1.0:
+    if _safe_share(model, share * v, w, states, points, limits) == 1.0:
         return share * v, w
     return share * v, share * w
 
 
 @njit(cache=True, error_model="numpy")
-def _safe_share(model, v, w, states, x, y, limits):
+def _safe_share(model, v, w, states, points, limits):
     """Share of its way that a robot can drive safely, if it holds a command for a period and then brakes.
 
     Args:
         model, v, w: `_Model`, and the command.
-        states: States in which the robot may be, see `_predict_states`.
-        x, y: Points that it must not touch [m], shape (points,).
-        limits: Squares of the smallest distances to them [m^2], shape (cases, points).
+        states, limits: States in which the robot may be, see `_predict_states`, and their `_limits`.
+        points: Points x, y [m] that it must not touch.
     """
-    path_x, path_y = np.empty((2, model.drive_steps + _BRAKE_STEPS))
-    half = 0.5 * model.wheel_separation
+    half, samples = 0.5 * model.wheel_separation, model.drive_steps + _BRAKE_STEPS
+    checks_view = abs(v) >= _MIN_SPEED and model.half_field < _HALF_PLANE
     for case in range(len(states)):
-        state, acceleration = states[case], model.accelerations[case % len(model.accelerations)]
+        start, (keep, free), share = states[case], limits[case], 1.0
+        state, acceleration = start, float(model.accelerations[case % len(model.accelerations)])
         targets, step, change = (v - half * w, v + half * w), model.drive_step, model.drive_step * acceleration
-        for sample in range(len(path_x)):
+        for sample in range(samples):
             if sample == model.drive_steps:  # brake
                 targets, change = (0.0, 0.0), max(abs(state[3]), abs(state[4])) / _BRAKE_STEPS
                 step = change / (model.braking * acceleration)
             state = _advance(state, targets, change, step, model.wheel_separation)
-            path_x[sample], path_y[sample] = state[0], state[1]
-        if abs(v) >= _MIN_SPEED and model.half_field < _HALF_PLANE and _leaves_view(model, path_x, path_y):
-            return 0.0
-        for sample in range(len(path_x)):
-            touches = (x - path_x[sample]) ** 2 + (y - path_y[sample]) ** 2 < limits[case]
-            if touches.any():
-                return max(float(sample), 0.25) / len(path_x)  # some share, so that the robot can creep past
+            if checks_view and abs(state[1]) * model.edge[0] > state[0] * model.edge[1] + _MIN_SPEED:
+                return 0.0  # the centre of the robot leaves the field of view of the laser
+            if share == 1.0 and state[5] > free:  # before, it cannot touch anything
+                distance = _distance(points, state, keep, start)
+                free = state[5] + max(distance - keep - 1e-9, 0.0)  # 1e-9: more than rounding errors
+                if distance < 0.0:
+                    share = max(float(sample), 0.25) / samples  # some share, so that the robot can creep past
+                    if not checks_view:
+                        return share
+        if share < 1.0:
+            return share
     return 1.0
 
 
 @njit(cache=True, error_model="numpy")
-def _leaves_view(model, path_x, path_y):
-    """Whether the centre of the robot leaves the field of view of the laser."""
-    return (np.abs(path_y) * model.edge[0] > path_x * model.edge[1] + _MIN_SPEED).any()
+def _distance(points, state, keep, start):
+    """Distance to the nearest point [m], or -1 if a point is nearer than `keep` [m] and than in the state `start`."""
+    robot_x, robot_y, nearest = state[0], state[1], 1e18
+    for x, y in points:
+        dx, dy = x - robot_x, y - robot_y
+        squared = dx * dx + dy * dy
+        if squared < keep * keep and squared < (x - start[0]) ** 2 + (y - start[1]) ** 2 - 1e-9:
+            return -1.0
+        if squared < nearest:
+            nearest = squared
+    return math.sqrt(nearest)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _advance(state, targets, change, duration, wheel_separation):
-    """The state x, y, yaw, left and right rim speed after a `duration` [s] in which rims change by at most `change`."""
-    x, y, yaw, left, right = state
+    """State (x, y, yaw, left and right rim speed, way) after a `duration` [s]; rims change by at most `change`."""
+    x, y, yaw, left, right, way = state
     next_left = left + min(max(targets[0] - left, -change), change)
     next_right = right + min(max(targets[1] - right, -change), change)
     length = 0.25 * (left + next_left + right + next_right) * duration
     turn = 0.5 * (right + next_right - left - next_left) * duration / wheel_separation
-    heading = yaw + 0.5 * turn
-    return x + length * math.cos(heading), y + length * math.sin(heading), yaw + turn, next_left, next_right
+    cos, sin = math.cos(yaw + 0.5 * turn), math.sin(yaw + 0.5 * turn)
+    return x + length * cos, y + length * sin, yaw + turn, next_left, next_right, way + abs(length)
 
 
 @njit(cache=True, error_model="numpy")
@@ -241,49 +254,47 @@ def _predict_states(model, twist, age, issued):
     states = []
     for delay in model.delays:
         for acceleration in model.accelerations:
-            state = (0.0, 0.0, 0.0, float(twist[0] - half * twist[1]), float(twist[0] + half * twist[1]))
+            state = (0.0, 0.0, 0.0, float(twist[0] - half * twist[1]), float(twist[0] + half * twist[1]), 0.0)
             for index in range(len(issued) - 1, -1, -1):
-                step = 0.5 * min(delay + age - index * period, period)
+                step = 0.5 * min(float(delay + age) - index * period, period)
                 if step > 1e-6:
                     v, w = float(issued[index, 0]), float(issued[index, 1])
                     for _ in range(2):
-                        targets, change = (v - half * w, v + half * w), step * acceleration
+                        targets, change = (v - half * w, v + half * w), step * float(acceleration)
                         state = _advance(state, targets, change, step, model.wheel_separation)
             states.append(state)
     return states
 
 
 @njit(cache=True, error_model="numpy")
-def _near_points(model, ranges, v, w, states):
+def _near_points(model, distances, v, states):
     """Points x, y [m] that the laser hit, and that the robot can reach with a command and while it brakes."""
-    distances = _median_of_three(ranges) if model.takes_median else ranges
     fastest, origin = abs(v), 0.0
     for state in states:
         fastest = max(fastest, 0.5 * abs(state[3] + state[4]))
         origin = max(origin, math.hypot(state[0], state[1]))
     fastest += _OVERSHOOT
-    braking = 0.5 * fastest / (model.braking * model.accelerations[0])
+    braking = 0.5 * fastest / (model.braking * float(model.accelerations[0]))
     reach = model.outer + origin + fastest * (model.drive_step * model.drive_steps + braking)
-    is_near = distances < reach
-    return distances[is_near] * model.cos[is_near], distances[is_near] * model.sin[is_near]
+    beams = zip(distances, model.cos, model.sin)  # noqa: B905 (Python 3.8)
+    return [(float(distance * cos), float(distance * sin)) for distance, cos, sin in beams if distance < reach]
 
 
 @njit(cache=True, error_model="numpy")
-def _limits(model, states, x, y):
-    """Squares of the smallest distances to points that the robot may have [m^2], shape (cases, points)."""
-    limits = np.empty((len(states), len(x)))
-    for case in range(len(states) if len(x) else 0):
-        squared = (x - states[case][0]) ** 2 + (y - states[case][1]) ** 2
-        nearest = math.sqrt(squared.min())
+def _limits(model, states, points):
+    """For each state, the distance [m] to keep from points, and the way [m] up to which the robot surely keeps it."""
+    limits = []
+    for state in states:
+        nearest = _distance(points, state, 0.0, state)
         keep = min(model.outer, nearest - _CREEP * max(nearest - model.inner, 0.0))
-        limits[case] = np.minimum(squared - 1e-9, keep * keep)
+        limits.append((keep, state[5] + max(nearest - keep - 1e-9, 1e-10)))  # 1e-10: no touch, see `_distance`
     return limits
 
 
 @njit(cache=True, error_model="numpy")
 def _median_of_three(ranges):
-    """Median of each range and its two neighbours, shape (beams,); the outermost ranges stay as they are."""
+    """Median of each range and its two neighbours, shape (num_envs, beams); the outermost ranges stay as they are."""
     median = ranges.copy()
-    left, right = ranges[:-2], ranges[2:]
-    median[1:-1] = np.maximum(np.minimum(left, right), np.minimum(np.maximum(left, right), ranges[1:-1]))
+    left, right = ranges[:, :-2], ranges[:, 2:]
+    median[:, 1:-1] = np.maximum(np.minimum(left, right), np.minimum(np.maximum(left, right), ranges[:, 1:-1]))
     return median
