@@ -67,6 +67,7 @@ def solve(
     prior: np.ndarray,
     clusters: np.ndarray,
     centre: np.ndarray | None = None,
+    nuisances: int = 0,
 ) -> Solution:
     """Robust least squares with a weak prior, and the cluster-robust covariance (Liang and Zeger 1986).
 
@@ -75,6 +76,7 @@ def solve(
         start: Parameters at which to start, shape (parameters,).
         prior: Standard deviation of the prior, with the mean `centre` (default: `start`), shape (parameters,).
         clusters: Number of the cluster of each residual, shape (n,); residuals of one cluster depend on each other.
+        nuisances: Number of parameters that do not count as degrees of freedom, because the prior holds them.
     """
     centre = start if centre is None else centre
 
@@ -91,7 +93,7 @@ def solve(
     scores = np.zeros((int(clusters.max(initial=0)) + 1, len(start)))
     np.add.at(scores, clusters, (weights * errors)[:, None] * jacobian)
     count = int((np.bincount(clusters, minlength=1) > 0).sum())
-    freedom = max(1.0, count - len(start))
+    freedom = max(1.0, count - len(start) + nuisances)
     bread = np.linalg.inv((jacobian.T * weights) @ jacobian + np.eye(len(start)))
     meat = scores.T @ scores * count / freedom + np.eye(len(start))
     covariance = bread @ meat @ bread * np.outer(prior, prior)

@@ -23,11 +23,18 @@ MAX_LATENCY = 0.8  # [s]
 _USUAL_ERRORS = np.array([0.01, 0.03])  # [m/s], [rad/s] of the measured speeds
 _BEYOND, _MIN_BEYOND = 1.01, 5  # ratio to a limit, and number, of commands that show the limit
 _BLOCK = 4.0  # [s] the residuals of a block depend on each other
+_JITTER, _MAX_EVENTS = (
+    0.02,
+    40,
+)  # [s] standard deviation of the latency, and most commands with a deviation of their own
+_MIN_CHANGE = 0.1  # of a command, as share of the limits, that shows a deviation
 
 
 @dataclass(frozen=True)
 class Response:
     """The fit of the speeds, by the columns above: s, ratio, ratio, m/s, rad/s, m/s^2, m/s^2 (of the wheels' rims).
+
+    The columns after these are deviations of the latency [s], of the commands that change most.
 
     All of these are in the odometry's units: "forward" is the speed by odometry / commanded speed.
     """
@@ -43,25 +50,37 @@ class Response:
 def fit_response(drive: Drive, robot: Robot) -> Response:
     """Fit the response to the commands of a drive."""
     odometry, commands = drive.odometry, drive.commands
+    events = _events(commands[:, 1:], robot)
     times = odometry[:, 0] - odometry[:, 6]
     measured, half_separation = odometry[:, 4:6], 0.5 * robot.wheel_separation
 
     def predict(parameters: np.ndarray) -> np.ndarray:
-        return respond(times, commands[:, 0], commands[:, 1:], parameters, half_separation)
+        sent = commands[:, 0].copy()
+        sent[events] += parameters[7:]
+        return respond(times, np.maximum.accumulate(sent), commands[:, 1:], parameters[:7], half_separation)
 
     def residuals(parameters: np.ndarray) -> np.ndarray:
         return ((predict(parameters) - measured) / _USUAL_ERRORS).ravel()
 
     acceleration, coupling = robot.wheel_acceleration, robot.wheel_coupling
     limits = robot.max_speed, robot.max_turn_rate
-    nominal = np.array([0.0, 1.0, 1.0, *limits, acceleration + coupling, acceleration - coupling])
+    no_jitter = np.zeros(len(events))
+    nominal = np.array([0.0, 1.0, 1.0, *limits, acceleration + coupling, acceleration - coupling, *no_jitter])
     starts = [np.array([latency, *nominal[1:]]) for latency in np.arange(0.0, MAX_LATENCY, 0.02)]
     start = min(starts, key=lambda each: float(np.minimum(np.abs(residuals(each)), 5.0).sum()))
-    prior = np.array([0.3, 0.1, 0.1, 0.3 * limits[0], 0.3 * limits[1], 0.5 * acceleration, 0.5 * acceleration])
+    prior = np.array([0.3, 0.1, 0.1, 0.3 * limits[0], 0.3 * limits[1], 0.5 * acceleration, 0.5 * acceleration,
+                      *(no_jitter + _JITTER)])  # fmt: skip
     clusters = np.repeat(((times - times[0]) / _BLOCK).astype(int), 2)
-    solution = solve(residuals, start, prior, clusters)
+    solution = solve(residuals, start, prior, clusters, nuisances=len(events))
     latency = _profile(residuals, solution)
     return Response(solution, latency, times, measured, predict(nominal), predict(solution.values))
+
+
+def _events(commands: np.ndarray, robot: Robot) -> np.ndarray:
+    """Indices of the commands (messages, 2) with the largest changes, in order."""
+    changes = np.abs(np.diff(commands, axis=0)) / (robot.max_speed, robot.max_turn_rate)
+    largest = np.argsort(-changes.max(axis=1), kind="stable")[:_MAX_EVENTS]
+    return np.sort(largest[changes[largest].max(axis=1) > _MIN_CHANGE]) + 1
 
 
 def is_limited(commands: np.ndarray, limit: float) -> bool:
@@ -91,7 +110,8 @@ def _profile(residuals: Callable[[np.ndarray], np.ndarray], solution: Solution) 
 
 
 def _cost(residuals: Callable[[np.ndarray], np.ndarray], values: np.ndarray, latency: float, factor: float) -> float:
-    changed = values * np.array([1.0, 1.0, 1.0, 1.0, 1.0, factor, factor])
+    changed = values.copy()
+    changed[[ACCELERATION, TURN_ACCELERATION]] *= factor
     changed[LATENCY] = latency
     return float((2.0 * (np.sqrt(1.0 + residuals(changed) ** 2) - 1.0)).sum())
 
