@@ -5,8 +5,9 @@
 
 The bags have scans, odometry and commands, of ROS 1 or ROS 2; `python -m tb2rl.ros calibrate` drives and records what
 is needed, and bags of `play --bag` work, too. The table shows each quantity with its 95 % interval, and which manoeuvre
-would show the unknown ones. The page beside the file, my_robot.html, compares predicted and measured motions and scans,
-before and after the calibration.
+would show the unknown ones. `--world` takes the map of the drive, and measures the scales of the odometry against its
+walls; the scans find the start in the map. The page beside the file, my_robot.html, compares predicted and measured
+motions and scans, before and after the calibration.
 """
 
 from pathlib import Path
@@ -22,6 +23,7 @@ def main(parser: ArgumentParser) -> None:
     add("bags", nargs="+", type=Path, metavar="BAG", help="bags of drives of one robot")
     add("-o", "--out", type=Path, required=True, metavar="FILE", help="robot file, NAME.yaml; the page is NAME.html")
     add("--robot", default="turtlebot2", help="the nominal robot (turtlebot2)")
+    add("--world", help="map of the drives, a value of task.world: measures the scales of the odometry against it")
     add("--topics", nargs="+", default=[], metavar="KIND=NAME", help=topics)
 
 

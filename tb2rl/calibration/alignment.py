@@ -99,10 +99,10 @@ class Alignment:
     def points(self, numbers: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Readings x, y [m] of scans in one frame, shape (readings, 2)."""
         ranges = self._ranges[numbers] - parameters[BIAS]
-        readings = (ranges[..., None] * _unit(self._angles)).reshape(-1, 2)
+        readings = (ranges[..., None] * unit_vectors(self._angles)).reshape(-1, 2)
         times = np.repeat(self._scan_times[numbers] - parameters[DELAY], len(self._angles))
-        on_robot = _transform(parameters[None, [X, Y, YAW]], readings)
-        found = _transform(self.poses(times, parameters), on_robot)
+        on_robot = transform(parameters[None, [X, Y, YAW]], readings)
+        found = transform(self.poses(times, parameters), on_robot)
         return found[np.isfinite(found[:, 0])]
 
     def _match(self, parameters: np.ndarray, span: float, gate: float, rng: np.random.Generator) -> Matches:
@@ -111,7 +111,7 @@ class Alignment:
         numbers, which = np.unique(references, return_inverse=True)
         lines = self._lines(numbers, parameters[BIAS])
         beams = np.linspace(0, len(self._angles) - 1, min(_READINGS, len(self._angles))).astype(int)
-        directions = _unit(self._angles)
+        directions = unit_vectors(self._angles)
         pair, beam = (each.ravel() for each in np.meshgrid(np.arange(len(partners)), beams, indexing="ij"))
         readings = (self._ranges[partners[pair], beam] - parameters[BIAS])[:, None] * directions[beam]
         times = self._scan_times[references[pair]], self._scan_times[partners[pair]]
@@ -149,7 +149,7 @@ class Alignment:
 
     def _lines(self, numbers: np.ndarray, bias: float) -> Lines:
         """Fit a line to the neighbours of each reading, by principal components."""
-        directions = _unit(self._angles)
+        directions = unit_vectors(self._angles)
         points = (self._ranges[numbers] - bias)[..., None] * directions
         finite = np.isfinite(points[..., 0])
         x, y = np.where(finite, points[..., 0], 0.0), np.where(finite, points[..., 1], 0.0)
@@ -165,7 +165,7 @@ class Alignment:
         spread = np.hypot(0.5 * (xx - yy), xy)
         least = np.sqrt(np.maximum(0.5 * (xx + yy) - spread, 0.0))
         normal_angle = 0.5 * np.arctan2(2.0 * xy, xx - yy) + math.pi / 2
-        normals = _unit(normal_angle)
+        normals = unit_vectors(normal_angle)
         facing = np.abs((normals * directions).sum(axis=-1)) > _MIN_COSINE
         long = 0.5 * (xx + yy) + spread > 9.0 * least**2  # a line, not a cloud
         valid = finite & (count > 0.6 * width) & (least < 1.5 * self._noise + 0.003) & facing & long
@@ -177,8 +177,8 @@ class Alignment:
         """Move readings from the laser's frame at the partner's times into that at the reference's times."""
         mounting, delay = parameters[[X, Y, YAW]], parameters[DELAY]
         poses = self.poses(partner_times - delay, parameters), self.poses(reference_times - delay, parameters)
-        on_floor = _transform(poses[0], _transform(mounting[None], readings))
-        return _inverse(mounting[None], _inverse(poses[1], on_floor))
+        on_floor = transform(poses[0], transform(mounting[None], readings))
+        return inverse(mounting[None], inverse(poses[1], on_floor))
 
     def _distances(self, parameters: np.ndarray, matches: Matches, bias: float) -> np.ndarray:
         """Distances of readings from their lines [m], shape (matches,); both were made with a `bias`."""
@@ -188,18 +188,18 @@ class Alignment:
         return ((seen - matches.points + change * matches.directions) * matches.normals).sum(axis=1)
 
 
-def _unit(angles: np.ndarray) -> np.ndarray:
+def unit_vectors(angles: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
-def _transform(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transform(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (n, 2) in the frames of poses (n, 3), in the frame of the poses."""
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = points.T
     return np.column_stack([poses[:, 0] + cos * x - sin * y, poses[:, 1] + sin * x + cos * y])
 
 
-def _inverse(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
+def inverse(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (n, 2) in the frame of the poses, in the frames of poses (n, 3)."""
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = (points - poses[:, :2]).T

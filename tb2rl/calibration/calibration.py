@@ -12,11 +12,13 @@ from tb2rl.calibration import alignment, response
 from tb2rl.calibration.alignment import Alignment
 from tb2rl.calibration.estimates import UNKNOWN, Estimate, Solution
 from tb2rl.calibration.laser import dropped, noise, used_beams
+from tb2rl.calibration.map_alignment import MapAlignment
 from tb2rl.calibration.response import Response, fit_response, is_limited
 from tb2rl.core import InputError
 from tb2rl.deploy.bags.reading import Drive
 from tb2rl.deploy.bags.scans import Scans
 from tb2rl.robots import Robot
+from tb2rl.worlds import World
 
 _MIN_SCANS, _MIN_BEAMS = 10, 8
 _PER_LATENCY = 4.0  # [1/s] relative error of an acceleration for an error of the latency
@@ -101,18 +103,19 @@ class Calibration:
         return {key: QUANTITIES[key].manoeuvre for key, each in self.estimates.items() if each is UNKNOWN}
 
 
-def calibrate(drives: Sequence[Drive], robot: Robot) -> Calibration:
+def calibrate(drives: Sequence[Drive], robot: Robot, world: World | None = None) -> Calibration:
     """Estimate a robot from drives.
 
     Args:
         drives: Drives of one robot, read with their scans.
         robot: The nominal robot.
+        world: The map of the drives, for the scales of the odometry; None: scans are compared with each other.
 
     Raises:
-        InputError: If a drive has no odometry.
+        InputError: If a drive has no odometry, or was not recorded in the world.
     """
     drives = [_with_useful_scans(drive) for drive in drives]
-    parts = [_calibrate_one(drive, robot) for drive in drives]
+    parts = [_calibrate_one(drive, robot, world) for drive in drives]
     estimates = {key: _useful(key, _combine([part.estimates[key] for part in parts])) for key in QUANTITIES}
     limits = tuple(_combine([part.limits[k] for part in parts]) for k in (0, 1))
     responses, alignments = (
@@ -129,7 +132,7 @@ def calibrate(drives: Sequence[Drive], robot: Robot) -> Calibration:
     )
 
 
-def _calibrate_one(drive: Drive, robot: Robot) -> Calibration:
+def _calibrate_one(drive: Drive, robot: Robot, world: World | None) -> Calibration:
     if not len(drive.odometry):
         raise InputError(f"{drive.name} has no odometry")
     fit = fit_response(drive, robot)
@@ -145,6 +148,9 @@ def _calibrate_one(drive: Drive, robot: Robot) -> Calibration:
         name: scan_solution.estimate(index, _SYSTEMATIC[name] + _SPARSE[name] * spacing)
         for name, index in _ALIGNED.items()
     }
+    if scans and world:
+        mapped = MapAlignment(drive, scans, _noise_level(estimates["laser_noise"]), world).solve()
+        at_scans |= {name: mapped.estimate(_ALIGNED[name], 2.0 * _SYSTEMATIC[name]) for name in _MAPPED}
     limits = tuple(fit.solution.estimate(k, _SYSTEMATIC[name]) for k, name in _LIMITS)
     motion = _motion(fit, at_scans, robot)
     for (_, name), limit, commands in zip(_LIMITS, limits, drive.commands.T[1:], strict=True):
@@ -166,13 +172,14 @@ _ALIGNED = {
     "distance_scale": alignment.DISTANCE, "turn_scale": alignment.TURN, "mount_x": alignment.X, "mount_y": alignment.Y,
     "mount_yaw": alignment.YAW, "bias": alignment.BIAS,
 }  # fmt: skip
+_MAPPED = "distance_scale", "turn_scale"  # a map tells these; how thick it draws walls does not change them
 _LIMITS = ((response.SPEED, "max_speed"), (response.TURN_RATE, "max_turn_rate"))
 
 
 def _read_scans(drive: Drive, scans: Scans) -> tuple[Solution, dict[str, Estimate]]:
     """The solution of the alignment, and what the scans tell beyond it."""
     first = noise(drive, scans, 0.0)
-    aligned = Alignment(drive, scans, first.value if math.isfinite(first.value) else 0.02).solve()
+    aligned = Alignment(drive, scans, _noise_level(first)).solve()
     delay = aligned.estimate(alignment.DELAY, _SYSTEMATIC["scan_age"])
     age, periods = float(np.median(scans.ages)), np.diff(scans.times)
     period = float(np.median(periods))
@@ -183,6 +190,10 @@ def _read_scans(drive: Drive, scans: Scans) -> tuple[Solution, dict[str, Estimat
         "laser_noise": noise(drive, scans, float(aligned.values[alignment.BIAS])),
         "dropped": dropped(scans),
     }
+
+
+def _noise_level(noise: Estimate) -> float:
+    return noise.value if math.isfinite(noise.value) else 0.02
 
 
 def _motion(whole: Response, at_scans: Mapping[str, Estimate], robot: Robot) -> dict[str, Estimate]:

@@ -2,9 +2,11 @@
 
 import argparse
 
+from tb2rl.commands.worlds import only_world
 from tb2rl.core import InputError, check_output, write_text
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.core.errors import install_extra
+from tb2rl.core.files import parse_yaml
 from tb2rl.deploy.bags.reading import parse_topics, read_drive
 from tb2rl.robots.robot import find_robot
 from tb2rl.robots.robot_file import ROBOT_SUFFIXES
@@ -25,8 +27,9 @@ def run(arguments: argparse.Namespace) -> None:
         raise InputError(f"the robot file must end in .yaml, got {out}")
     check_output(out)
     topics = parse_topics(arguments.topics)
+    world = only_world(parse_yaml(arguments.world, "--world"), "--world") if arguments.world else None
     announce_compiling()
-    calibration = calibrate([read_drive(bag, topics, scans=True) for bag in arguments.bags], robot)
+    calibration = calibrate([read_drive(bag, topics, scans=True) for bag in arguments.bags], robot, world)
     write_text(out, robot_file(calibration, arguments.robot))
     write_text(page, calibration_page(calibration))
     table = list(rows(calibration))

@@ -1,5 +1,6 @@
 """Drives of hidden robots in PyBullet: the calibration drive without ROS, recorded as a bag would record it."""
 
+import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 from calibration.robots import TICK, HiddenRobot
+from deploy.ros.conftest import ros1
 
 from tb2rl.deploy.bags.reading import Drive, read_drive
 from tb2rl.deploy.bags.scans import Scans
@@ -150,6 +152,29 @@ def play_drive(hidden: HiddenRobot, seed: int) -> Drive:
         options = FilmOptions(steps=300, seed=seed, simulation="bullet")
         (bag,) = record("zoo:drive-loop-ppo", Path(folder, "drive.bag"), settings=settings, options=options)
         return read_drive(bag, {}, scans=True)
+
+
+def ros_drive(hidden: HiddenRobot, seed: int, rate: float = 4.0) -> Drive:
+    """A bag of `python -m tb2rl.ros calibrate` with the robot of `tb2rl.ros simulate` on ROS 1, read back."""
+    with TemporaryDirectory() as name, ros1(Path(name)) as graph:
+        Path(name, "robot.yaml").write_text(yaml.safe_dump(robot_tree(hidden)))
+        Path(name, "room.yaml").write_text(yaml.safe_dump(shapes(room(seed))))
+        settings = ["robot=robot.yaml", "variation=robot.yaml", "world=room.yaml", f"control_period={TICK}"]
+        options = ["--rate", str(rate), "--seed", str(seed), "--set", *(f"task.{each}" for each in settings)]
+        simulated = graph.start("simulate", *options, "--topics", "scan=/scan")
+        with simulated, graph.start("calibrate", "--free", str(RADIUS)) as driven:
+            assert driven.wait() == 0, driven.errors
+        return read_drive(Path(name, "drive.bag"), {}, scans=True)
+
+
+def shapes(world: World) -> dict[str, Any]:
+    """The content of a world file."""
+    boxes = [
+        {"centre": [x, y], "size": [2.0 * half_length, 2.0 * half_width], "yaw": math.atan2(sin, cos)}
+        for x, y, half_length, half_width, cos, sin in world.boxes.tolist()
+    ]
+    posts = [{"centre": [x, y], "radius": radius} for x, y, radius in world.posts.tolist()]
+    return {"boxes": boxes, "posts": posts, "start": list(world.start)}
 
 
 def robot_tree(hidden: HiddenRobot) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Compares calibrations of hidden robots with the truth: `python tests/calibration/judging.py` prints the figures.
 
-Arguments: `tuning` or `report`, and `drive` (the calibration drive) or `play` (bags of a policy).
+Arguments: `tuning` or `report`, and `drive` (the calibration drive), `ros` (the same over ROS 1) or `play` (bags of a
+policy).
 """
 
 import sys
@@ -12,7 +13,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from calibration.drives import calibration_drive, play_drive
+from calibration.drives import calibration_drive, play_drive, ros_drive
 from calibration.robots import REPORT_SEEDS, TUNING_SEEDS, HiddenRobot, hidden_robot, in_steps
 
 from tb2rl.calibration.calibration import QUANTITIES, Calibration, calibrate
@@ -79,7 +80,8 @@ if __name__ == "__main__":
         hidden = hidden_robot(seed)
         if kind == "play":
             hidden = in_steps(hidden)
-        calibration = calibrate([play_drive(hidden, seed)], ROBOT) if kind == "play" else calibration_of(seed)
+        drive = {"drive": calibration_drive, "ros": ros_drive, "play": play_drive}[kind](hidden, seed)
+        calibration = calibrate([drive], ROBOT)
         results.append(judge(hidden, calibration, 0.2 if kind == "play" else 0.1))
         for name, (known, good, covered) in results[-1].items():
             if (known and not good) or not covered:

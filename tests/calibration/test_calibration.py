@@ -11,6 +11,8 @@ from calibration.robots import REPORT_SEEDS, hidden_robot, in_steps
 
 from tb2rl.calibration.calibration import calibrate
 from tb2rl.calibration.estimates import UNKNOWN
+from tb2rl.core import InputError
+from tb2rl.worlds.registry import find_world
 
 SEED = REPORT_SEEDS[0]
 
@@ -48,6 +50,18 @@ def test_a_straight_drive_shows_no_turns(hidden):
     assert {"latency", "laser_noise", "distance_scale"} <= known(found)
     assert not {"turn_scale", "turn_ratio", "max_speed", "max_turn_rate", "turn_acceleration", "mount_x"} & known(found)
     assert np.mean(list(covers(found, hidden).values())) > 0.8
+
+
+@pytest.mark.slow
+def test_a_map_tells_the_scales_of_the_odometry_and_another_map_is_refused(hidden):
+    commands = [(0.0, 0.0)] * 5 + [(0.0, 0.8)] * 80 + [(0.4, 0.0)] * 25 + [(0.0, -1.0)] * 31 + [(0.3, 0.4)] * 70
+    drive = Recording(hidden, room(0), 0, "kinematic").follow(commands)
+    found, truth = calibrate([drive], ROBOT, room(0)).estimates, true_values(hidden)
+    for name, tolerance in (("distance_scale", 0.005), ("turn_scale", 0.001)):
+        assert found[name].value == pytest.approx(truth[name], rel=tolerance)
+        assert found[name].low <= truth[name] <= found[name].high
+    with pytest.raises(InputError, match=r"drive was not recorded in maze: only \d+% of its readings lie at walls"):
+        calibrate([drive], ROBOT, find_world("maze"))
 
 
 @pytest.mark.slow
