@@ -96,6 +96,7 @@ def test_few_readings_far_apart_are_enough_only_along_the_beams(read, scan_of):
         (60, 0, "covers 60 degrees (-30 to 30), the policy was trained with 180 degrees (-90 to 90); use a scanner"),
         (140, 0, "covers 140 degrees (-70 to 70), the policy was trained with 180 degrees"),
         (180, 90, "covers 180 degrees (0 to 180), the policy was trained with 180 degrees (-90 to 90); check how"),
+        (179, 180, "covers 179 degrees (90 to 270), the policy was trained with 180 degrees (-90 to 90); check how"),
         (180, 1, ""),
         (359, 180, ""),
     ],

@@ -219,7 +219,7 @@ def _coverage_problem(angles: np.ndarray, increment: float, needs: Needs) -> str
     if is_full_circle(angles) or not outside.any():
         return ""
     right = math.remainder(angles[0], math.tau)
-    wide_enough = span >= needs.beams[-1] - needs.beams[0]
+    wide_enough = span + 2.0 * _END_MARGIN >= needs.beams[-1] - needs.beams[0]
     hint = "check how the scanner is mounted" if wide_enough else "use a scanner with a wider field of view"
     training_field = _format_field(needs.beams[0], needs.beams[-1])
     return f"the scan covers {_format_field(right, right + span)}, the policy was trained with {training_field}; {hint}"
