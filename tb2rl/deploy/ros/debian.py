@@ -1,8 +1,9 @@
 """Makes Debian's packages of ROS 1 importable, and generates the message packages that Debian lacks.
 
-The programs of the ROS tutorial import these message packages. `interfaces/` contains their definitions. The order and
-the types of the fields match the original packages `gazebo_msgs`, `controller_manager_msgs` and `openai_ros`, because
-nodes compare checksums of the definitions.
+The programs of the ROS tutorial import these message packages, and the Kobuki sends events of `kobuki_msgs`.
+`interfaces/` contains their definitions. The constants, and the order and the types of the fields, match the original
+packages `gazebo_msgs`, `controller_manager_msgs`, `kobuki_msgs` and `openai_ros`, because nodes compare checksums of
+the definitions.
 """
 
 import argparse

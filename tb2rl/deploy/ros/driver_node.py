@@ -89,7 +89,7 @@ class DriverNode:
         node.create_subscription(topics.scan, LaserScan, self._guarded(self._on_scan))
         node.create_subscription(topics.odometry, Odometry, self._guarded(self._on_odometry))
         if not subscribe_to_events(node, topics, self._guarded(self._on_event)):
-            _print("warning: the messages of the Kobuki are not installed, so events must come as std_msgs/Bool")
+            _print("warning: the messages of the Kobuki are not installed: only events of std_msgs/Bool stop the robot")
         if driver.needs.goal == "goal":
             node.create_subscription(topics.goal, Goal, self._guarded(self._on_goal))
         if driver.needs.goal == "plan":

@@ -2,6 +2,7 @@
 
 import base64
 import math
+import shutil
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.deploy.ros.debian import write_packages
+from tb2rl.deploy.ros.debian import INTERFACES, write_packages
 
 pytestmark = pytest.mark.slow
 SCAN, SCANS = "/kobuki/laser/scan", "sensor_msgs/LaserScan"
@@ -21,9 +22,7 @@ RATE = 2.0  # half the time, on a machine that may be busy
 def connected(graph):
     """A node that receives and publishes, beside a simulation for all tests of this module."""
     if graph.version == 1:
-        definition = graph.folder / "interfaces" / "kobuki_msgs" / "msg" / "BumperEvent.msg"
-        definition.parent.mkdir(parents=True)
-        definition.write_text("uint8 bumper\nuint8 state\n")
+        shutil.copytree(INTERFACES / "kobuki_msgs", graph.folder / "interfaces" / "kobuki_msgs")
         write_packages(graph.folder / "messages", graph.folder / "interfaces")
     with ExitStack() as stack:
         stack.enter_context(graph.start("simulate", "--rate", str(RATE)))
@@ -152,15 +151,23 @@ IMPORTS = """
 from controller_manager_msgs.srv import SwitchController
 from gazebo_msgs.msg import ODEPhysics
 from gazebo_msgs.srv import SetPhysicsProperties
+from kobuki_msgs.msg import BumperEvent, ButtonEvent, CliffEvent, WheelDropEvent
 from openai_ros.msg import RLExperimentInfo
 from openai_ros.robot_gazebo_env import RobotGazeboEnv
 
-print(SetPhysicsProperties._md5sum)
+for each in (SetPhysicsProperties, BumperEvent, ButtonEvent, CliffEvent, WheelDropEvent):
+    print(each._md5sum)
 """
-MD5 = "97e2057080558ce4730434b5fae75c91"  # of gazebo_msgs/SetPhysicsProperties, wherever it was made
+CHECKSUMS = [  # of these interfaces, wherever they were made: nodes with other ones do not connect
+    "97e2057080558ce4730434b5fae75c91",
+    "ffe360cd50f14f9251d9844083e72ac5",
+    "49eca512765dbdec759a79083ffcec8d",
+    "c5b106efbb1427a94f517c5e05f06295",
+    "e102837d89384d67669a0df86b63f33b",
+]
 
 
-def test_the_tutorials_programs_find_their_messages_beside_its_own_package(graph1):
+def test_the_tutorials_programs_find_their_messages_beside_its_own_package_and_the_kobukis(graph1):
     with graph1.command("ros", "messages", "written") as written:  # as FROM_ROS.md says
         assert written.wait() == 0, written.errors
     tutorial = graph1.folder / "src" / "openai_ros"
@@ -170,7 +177,7 @@ def test_the_tutorials_programs_find_their_messages_beside_its_own_package(graph
     path = f"{graph1.folder / 'written'}:{tutorial.parent}"
     with graph1.process(["/usr/bin/python3", "-c", IMPORTS], path) as program:
         assert program.wait() == 0, program.errors
-    assert program.lines == [MD5]
+    assert program.lines == CHECKSUMS
 
 
 CALLBACK = """
