@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -61,8 +61,11 @@ class Process:
     def wait(self) -> int:
         return self._process.wait(PATIENCE)
 
-    def stop(self, sign: signal.Signals = signal.SIGINT) -> int:
+    def send_signal(self, sign: signal.Signals) -> None:
         self._process.send_signal(sign)
+
+    def stop(self, sign: signal.Signals = signal.SIGINT) -> int:
+        self.send_signal(sign)
         return self.wait()
 
     def close(self) -> None:
@@ -104,14 +107,14 @@ class RosGraph:
         finally:
             process.close()
 
-    def command(self, name: str, *arguments: str) -> AbstractContextManager[Process]:
-        """`python -m tb2rl.NAME` with some arguments."""
-        return self.process([self.python, "-m", f"tb2rl.{name}", *arguments], str(CHECKOUT))
+    def command(self, name: str, *arguments: str, under: Sequence[str] = ()) -> AbstractContextManager[Process]:
+        """`python -m tb2rl.NAME` with some arguments, under another program such as `nohup`."""
+        return self.process([*under, self.python, "-m", f"tb2rl.{name}", *arguments], str(CHECKOUT))
 
     @contextmanager
-    def start(self, name: str, *arguments: str) -> Iterator[Process]:
+    def start(self, name: str, *arguments: str, under: Sequence[str] = ()) -> Iterator[Process]:
         """`python -m tb2rl.ros NAME` with some arguments, after its first line."""
-        with self.command("ros", name, "--ros", str(self.version), *arguments) as process:
+        with self.command("ros", name, "--ros", str(self.version), *arguments, under=under) as process:
             process.wait_for_line(0)
             yield process
 

@@ -2,6 +2,7 @@
 
 import math
 import signal
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -140,16 +141,33 @@ def test_a_dry_run_writes_no_bag_and_an_error_of_the_bag_ends_the_drive(node, cl
 
 
 @pytest.mark.slow
-def test_in_lockstep_it_drives_to_its_end_and_a_signal_cuts_it_short(graph):
-    arguments = ["--free", str(FREE), *(["--ros-args", "-p", "use_sim_time:=true"] if graph.version == 2 else [])]
+def test_in_lockstep_it_drives_to_its_end_or_something_cuts_it_short(graph):
     suffix = ".bag" if graph.version == 1 else ""
-    with graph.start("simulate", *LOCKSTEP) as simulated:
-        with graph.start("calibrate", "--out", f"short{suffix}", *arguments) as cut:
-            while "driving" not in cut.lines:
-                cut.wait_for_line(len(cut.lines))
-            assert cut.stop() == 2
-            assert cut.errors[-1].startswith("error: the drive was cut short: a signal ended the program")
-        with graph.start("calibrate", "--out", f"drive{suffix}", *arguments) as driven:
+
+    def calibrate(name, free=FREE):
+        sim_time = ["--ros-args", "-p", "use_sim_time:=true"] if graph.version == 2 else []
+        return graph.start("calibrate", "--out", f"{name}{suffix}", "--free", str(free), *sim_time)
+
+    with graph.start("simulate", *LOCKSTEP) as simulated, graph.probe() as probe:
+        trigger = partial(probe.call, kind="std_srvs/Trigger")
+        for number, (cause, reason) in enumerate(
+            (
+                (lambda cut: cut.send_signal(signal.SIGINT), "a signal ended the program"),
+                (lambda cut: trigger("/tb2rl_driver/stop"), "told to stop"),
+                (lambda cut: trigger("/tb2rl_simulation/button"), "a button was pressed"),
+            )
+        ):
+            with calibrate("short" if number == 0 else f"short{number}") as cut:
+                while "driving" not in cut.lines:
+                    cut.wait_for_line(len(cut.lines))
+                cause(cut)
+                assert cut.wait() == 2
+                assert cut.errors[-1].startswith(f"error: the drive was cut short: {reason}")
+        trigger("/tb2rl_simulation/button")
+        with calibrate("narrow", free=2.0) as cut:
+            assert cut.wait() == 2
+            assert "cut short: the laser sees an obstacle" in cut.errors[-1]
+        with calibrate("drive") as driven:
             assert driven.wait() == 0, driven.errors
         assert simulated.stop() == 0
     assert simulated.lines[-1] == "scans that no command answered: 0"

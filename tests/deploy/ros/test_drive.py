@@ -9,7 +9,9 @@ from contextlib import contextmanager
 import pytest
 
 import tb2rl
+from tb2rl.deploy.ros.debian import write_packages
 from tb2rl.deploy.ros.events import EVENTS
+from tb2rl.envs.safety import REASONS
 
 pytestmark = pytest.mark.slow
 STEPS, REAL_TIME = 300, 8.0  # [control steps], [s]
@@ -26,8 +28,8 @@ def sim_time(graph):
     return ["--ros-args", "-p", "use_sim_time:=true"] if graph.version == 2 else []
 
 
-def drive(graph, *more):
-    return graph.start("drive", POLICY[graph.version], *more, *sim_time(graph))
+def drive(graph, *more, **options):
+    return graph.start("drive", POLICY[graph.version], *more, *sim_time(graph), **options)
 
 
 def evaluate(graph, *more):
@@ -48,10 +50,14 @@ def watching(graph):
         yield probe
 
 
-def wait_for(process, line, after=0):
-    """Wait until a process prints a line, behind so many others."""
-    while process.wait_for_line(after) != line:
+def wait_for(process, beginning, after=0):
+    """Wait until a process prints a line with a beginning, behind so many others."""
+    while not process.wait_for_line(after).startswith(beginning):
         after += 1
+
+
+def trigger(probe, service):
+    assert probe.call(service, "std_srvs/Trigger") == [True, ""]
 
 
 def mean_speed(lines):
@@ -70,7 +76,7 @@ def test_in_lockstep_it_drives_as_in_an_evaluation_and_is_evaluated_as_here(grap
             wait_for(driven, "driving")
             probe.call("/gazebo/reset_world")
             probe.pass_time(seconds=STEPS / 5)
-            assert driven.stop() == 0
+            check_signal(driven, probe, signal.SIGINT)
         assert simulated.stop() == 0
         assert (simulated.errors, driven.errors) == ([], [])
     driven_at = mean_speed(simulated.lines)
@@ -92,10 +98,12 @@ def test_in_real_time_it_drives_and_stops_at_a_service_a_signal_and_when_either_
     with simulate(graph) as first, watching(graph) as probe:
         with drive(graph, "--wait") as driven:
             check_services(driven, probe)
-            assert driven.stop(signal.SIGTERM) == 0
-            assert driven.lines[-2] == "stopped: the node ends"
-        with drive(graph) as driven:
+            check_other_programs_drive(probe, graph.version)
+            trigger(probe, "/tb2rl_driver/start")
+            check_signal(driven, probe, signal.SIGTERM)
+        with drive(graph, under=["nohup"]) as driven:
             wait_for(driven, "driving")
+            driven.send_signal(signal.SIGHUP)
             probe.call("/gazebo/reset_world")
             took = probe.pass_time(seconds=REAL_TIME)
             probe.call("/gazebo/reset_world")  # ends the record
@@ -121,18 +129,29 @@ def check_services(driven, probe):
         assert time.monotonic() < until, "no scan within 300 s"
     assert answer == [True, ""]
     probe.watched(until="move command")
-    assert probe.call("/tb2rl_driver/stop", "std_srvs/Trigger") == [True, ""]
+    trigger(probe, "/tb2rl_driver/stop")
     stopped = probe.watched(seconds=1.0)
     assert stopped["stop command"] > stopped["move command"]
     (status,) = probe.take("/diagnostics")[0]["status"]
     assert (status["name"], status["message"]) == ("tb2rl_driver: policy", "told to stop")
 
 
-def check_diagnostics(probe, why):
+def check_other_programs_drive(probe, version):
+    """A stopped driver soon publishes nothing any more, and obstructs no other program."""
+    probe.subscribe(VELOCITY[version], "geometry_msgs/Twist")
+    until = time.monotonic() + 60.0
+    while probe.count(VELOCITY[version], seconds=0.5):
+        assert time.monotonic() < until, "it still publishes"
+    probe.drive(0.0, 0.5, topic=VELOCITY[3 - version])
+    probe.watched(until="moved")
+
+
+def check_diagnostics(probe, why, filters=None):
     """Wait until the node reports a reason in its diagnostics, which it does once a second."""
-    for _ in range(10):
+    for _ in range(30):
         (status,) = probe.take("/diagnostics")[0]["status"]
-        if status["message"] == why:
+        values = {each["key"]: each["value"] for each in status["values"]}
+        if (status["message"], values.get("filters")) == (why, filters):
             return
     raise AssertionError(status)
 
@@ -148,10 +167,12 @@ def start_when_over(probe, why):
 
 @pytest.mark.flaky(reruns=1)  # in real time
 def test_each_event_of_the_base_stops_it_until_it_has_ended_and_it_is_started_again(graph):
+    if graph.version == 1:
+        write_packages(graph.folder / "messages")  # those of the Kobuki; in ROS 2 std_msgs/Bool takes their place
     with simulate(graph, "--rate", "2") as _, watching(graph) as probe, drive(graph, "--speed", "0.1") as driven:
 
         def toggle():
-            assert probe.call(f"/tb2rl_simulation/{name}", "std_srvs/Trigger") == [True, ""]
+            trigger(probe, f"/tb2rl_simulation/{name}")
 
         def push():
             """Another program drives the robot into a wall, because this one does not."""
@@ -177,6 +198,7 @@ def test_each_event_of_the_base_stops_it_until_it_has_ended_and_it_is_started_ag
             start_when_over(probe, event_type.why)
             wait_for(driven, "driving", seen)
         check_signal(driven, probe, signal.SIGQUIT)
+    assert ("warning: the messages of the Kobuki" in "\n".join(driven.lines)) == (graph.version == 2)
 
 
 def check_signal(driven, probe, sign):
@@ -186,6 +208,30 @@ def check_signal(driven, probe, sign):
     after = probe.watched(seconds=0.5)
     assert after["stop command"] > after["move command"]
     assert "stopped: the node ends" in driven.lines[-3:]
+
+
+@pytest.mark.flaky(reruns=1)  # in real time
+def test_a_dry_run_commands_nothing_and_a_scanner_that_does_not_fit_and_the_safety_filter_stop_it(graph, trained_run):
+    with simulate(graph, "--set", "task.world=wall") as simulated, watching(graph) as probe:
+        with drive(graph, "--dry-run") as driven:
+            assert driven.lines[0].endswith(f" on ROS {graph.version}: scans from /scan, no commands (dry run)")
+            wait_for(driven, "dry run: 0.")
+            trigger(probe, "/tb2rl_simulation/button")
+            wait_for(driven, "stopped: a button was pressed")
+            last = probe.watched(seconds=0.5)
+            assert (last["move command"], last["stop command"]) == (0.0, 0.0)
+        trigger(probe, "/tb2rl_simulation/button")
+        with drive(graph, "--mounting", "0.1,0,3.14159") as driven:
+            wait_for(driven, "error: the scan covers 180 degrees (90 to 270), ")
+            assert probe.watched(seconds=0.5)["move command"] == 0.0
+        probe.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+        with graph.start("drive", str(trained_run), *sim_time(graph)) as driven:  # it has hardly learned anything
+            wait_for(driven, f"slowed: {REASONS[1]}")
+            check_diagnostics(probe, "driving", REASONS[1])
+            assert driven.stop() == 0
+            assert any(re.fullmatch(r"the safety filter changed \d+ of \d+ commands", line) for line in driven.lines)
+        assert simulated.stop() == 0
+        assert ", touched something 0 times, " in simulated.lines[-1]
 
 
 @pytest.mark.flaky(reruns=1)  # in real time
@@ -219,8 +265,15 @@ def test_it_stops_at_its_goal_without_odometry_and_while_simulated_time_stands_s
 
 
 @pytest.mark.flaky(reruns=1)  # in real time
-def test_an_evaluation_in_real_time_stops_the_robot_at_a_signal_and_says_that_it_is_lost(graph):
+def test_an_evaluation_in_real_time_ends_at_an_event_of_the_base_a_signal_and_when_the_robot_is_lost(graph):
     with simulate(graph) as simulated, watching(graph) as probe:
+        with evaluate(graph, "--json", "contact.json") as evaluating:
+            probe.watched(until="moved")
+            trigger(probe, "/tb2rl_simulation/cliff")
+            assert evaluating.wait() == 0
+        (episode,) = json.loads((graph.folder / "contact.json").read_text())["each"]
+        assert episode["ended"] == "collision"
+        trigger(probe, "/tb2rl_simulation/cliff")
         with evaluate(graph) as evaluating:
             probe.watched(until="moved", seconds=1.0)
             assert evaluating.stop({1: signal.SIGINT, 2: signal.SIGTERM}[graph.version]) == 130

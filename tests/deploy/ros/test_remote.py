@@ -11,7 +11,7 @@ import pytest
 import tb2rl
 from tb2rl.core.errors import InputError
 from tb2rl.deploy import Mounting, SpeedLimits
-from tb2rl.deploy.ros.events import BumperEvent
+from tb2rl.deploy.ros.events import EVENTS
 from tb2rl.deploy.ros.messages import BILLION, LaserScan, Odometry
 from tb2rl.deploy.ros.remote import PROMPT
 from tb2rl.deploy.ros.robot import RosRobot, adapt_scene
@@ -114,17 +114,19 @@ def test_steps_have_the_right_mean_duration_however_rare_scans_are(env, rover):
     assert math.hypot(rover.pose[0] - x, rover.pose[1] - y) == pytest.approx(30 * 0.2 * 0.5, abs=0.2)
 
 
-def test_a_contact_stops_the_wheels_and_is_in_the_robot_state(env, rover):
+@pytest.mark.parametrize("name", EVENTS)
+def test_an_event_of_the_base_stops_the_wheels_and_is_a_contact_in_the_robot_state(name, env, rover):
+    event_type, receive = EVENTS[name], rover.node.receive[getattr(TOPICS, name)]
     env.step(FORWARD)
     assert rover.commands[-1][0] > 0.0
-    rover.node.receive[TOPICS.bumper](BumperEvent(1, True))
+    receive(event_type(1, True))
     assert rover.commands[-1] == STILL
-    assert env.step(FORWARD)[4]["bumped"], "while it is pressed"
-    rover.node.receive[TOPICS.bumper](BumperEvent(0, True))
-    rover.node.receive[TOPICS.bumper](BumperEvent(1, False))
+    assert env.step(FORWARD)[4]["bumped"], "while it lasts"
+    receive(event_type(0, True))
+    receive(event_type(1, False))
     env.step(LEFT)
-    assert env.step(LEFT)[4]["bumped"], "the other bumper is still pressed"
-    rover.node.receive[TOPICS.bumper](BumperEvent(0, False))
+    assert env.step(LEFT)[4]["bumped"], "the other part still reports it"
+    receive(event_type(0, False))
     assert not env.step(LEFT)[4]["bumped"]
 
 
