@@ -1,5 +1,6 @@
 """The command `report`: the page's path, the printed line, and one line for arguments that do not fit."""
 
+import re
 import shutil
 from importlib import import_module
 from pathlib import Path
@@ -76,7 +77,8 @@ def test_a_bag_is_compared_with_a_simulation_of_its_robot(workdir, capsys):
     pytest.importorskip("rosbags")
     options = ["--steps", "50", "--simulation", "kinematic", "--set", "task.variation={wheel_radius: 1.02}"]
     import_module("tb2rl.play").main(["zoo:drive-loop-ppo", *options, "--bag", "it.bag"])
-    (workdir / "mine.yaml").write_text("robot: {base: turtlebot2}\nvariation: {wheel_radius: 1.02}\n")
+    mine = "robot: {base: turtlebot2}\nvariation: {wheel_radius: 1.02}\nlatency: [0.004, 0.006]\n"  # not a control step
+    (workdir / "mine.yaml").write_text(mine)
     capsys.readouterr()
     distances = []
     for against in ("mine.yaml", "zoo:drive-loop-ppo"):
@@ -84,9 +86,11 @@ def test_a_bag_is_compared_with_a_simulation_of_its_robot(workdir, capsys):
         line, _ = capsys.readouterr().out.splitlines()
         assert line.startswith(f"it.bag against {against}: 0.")
         assert "ranges 0." in line
-        distances.append(float(line.split(": ")[1].split(" m")[0]))
+        distances.append([float(number) for number in re.findall(r"[0-9.]+(?= m and| degrees)", line)])
         assert f"with the robot of {against}" in " ".join((workdir / "report.html").read_text().split())
-    assert distances[0] < distances[1]  # in another simulator
+    (distance, turn), (other_distance, _) = distances
+    assert distance < other_distance  # in another simulator
+    assert turn < 2.0
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,8 @@ from tb2rl.viz.page import page
 from tb2rl.viz.run_views import display_names, group_runs, read_run_view, run_folders
 from tb2rl.viz.suites import result_files, suite_sections
 
+_LATENCY_STEP = 0.005  # [s] to which the latencies of a robot file are rounded
+
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the page and print its path."""
@@ -83,7 +85,8 @@ def _scene_against(arguments: argparse.Namespace) -> Scene:
     """The scene with the robot and the variation of `--against`: a robot file, or the training of a policy."""
     reference = arguments.against
     if is_robot_file(reference):
-        return resolve("random", "drive", settings={"task.robot": reference, "task.variation": reference}).scene
+        settings = {"task.robot": reference, "task.variation": reference, "task.control_period": _LATENCY_STEP}
+        return resolve("random", "drive", settings=settings).scene
     return config_of(load(reference, arguments.trust)).scene
 
 
