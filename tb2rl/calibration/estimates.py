@@ -86,7 +86,7 @@ def solve(
     def with_prior(steps: np.ndarray) -> np.ndarray:
         return np.concatenate([_huberized(scaled(steps)), steps + (start - centre) / prior])
 
-    found = least_squares(with_prior, np.zeros(len(start)), diff_step=1e-4, max_nfev=30)
+    found = least_squares(with_prior, np.zeros(len(start)), diff_step=1e-4, method="lm", max_nfev=30 * (len(start) + 1))
     steps = found.x
     errors, jacobian = scaled(steps), _jacobian(scaled, steps)
     weights = 1.0 / np.sqrt(1.0 + errors**2)  # of the soft L1 loss
