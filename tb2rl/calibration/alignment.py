@@ -2,8 +2,8 @@
 metric"): the scales of the odometry, the delay of the scans' stamps, and the laser's mounting and bias are those with
 which the scans fit best.
 
-Lines are fitted in reference scans, to neighbouring readings. Readings of partner scans are compared with the line at
-their direction, as seen from the reference. Only relative poses over some seconds count, so that odometry may drift.
+Lines are fitted to neighbouring readings. The middles of lines in partner scans are compared with the line at their
+direction, as seen from a reference scan. Only relative poses over some seconds count, so that odometry may drift.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ DISTANCE, TURN, DELAY, X, Y, YAW, BIAS = range(7)
 START = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 PRIOR = np.array([0.1, 0.1, 0.15, 0.15, 0.15, 0.3, 0.1])  # standard deviations: ratio, ratio, s, m, m, rad, m
 _SPANS, _GATES = (1.5, 4.0, 12.0, 12.0), (0.5, 0.3, 0.2, 0.1)  # [s] between the scans of a pair; [m] largest distances
-_REFERENCES, _PARTNERS, _READINGS = 120, 6, 60  # most reference scans, partners of each, and readings of a partner
+_REFERENCES, _PARTNERS, _LINES = 600, 3, 60  # most reference scans, partners of each, and lines of a partner
 _BLOCK = 3.0  # [s] errors of references in one block depend on each other
 _MAX_RANGE = 12.0  # [m] readings that are used
 _MIN_COSINE = 0.3  # of the angle between a beam and the normal of a wall
+_MIN_AGREEMENT = 0.978  # cosine of the angle between the normals of two lines on the same wall
 _MIN_ERROR = 0.004  # [m] of a distance, without noise
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines in reference scans, shape (references, beams): a point, its beam's direction, and the normal (…, 2)."""
+    """A line for each beam of some scans, shape (scans, beams, 2): its middle and its normal."""
 
     points: np.ndarray
-    directions: np.ndarray
     normals: np.ndarray
     valid: np.ndarray
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Readings of partner scans, and the lines with which they are compared; all of shape (matches, ...)."""
+    """Middles of lines in partner scans, and the lines with which they are compared; all of shape (matches, ...)."""
 
     reference_times: np.ndarray  # [s]
     partner_times: np.ndarray  # [s]
@@ -67,8 +67,9 @@ class Alignment:
         self._times = self._odometry[:, 0] - self._odometry[:, 6]
         self._scan_times, (self._ranges, self._angles) = scans.times, used_beams(scans)
         self._ranges[~(self._ranges < _MAX_RANGE)] = np.nan
-        self._noise, self._error = noise, max(_MIN_ERROR, 1.2 * noise)
         self._window = max(1, round((0.03 + 2.5 * noise) / float(np.median(np.diff(self._angles)))))
+        self._noise = noise
+        self._error = max(_MIN_ERROR, 1.2 * noise * math.sqrt(2.0 / (2 * self._window + 1)))  # between two means
         yaw = np.unwrap(self._odometry[:, 3])
         steps = np.diff(self._odometry[:, 1:3], axis=0)
         heading = yaw[:-1] + 0.5 * np.diff(yaw)
@@ -107,45 +108,40 @@ class Alignment:
 
     def _match(self, parameters: np.ndarray, span: float, gate: float, rng: np.random.Generator) -> Matches:
         """Pair scans up to `span` [s] apart, and readings with lines up to `gate` [m] apart."""
-        references, partners = self._pairs(span, rng)
-        numbers, which = np.unique(references, return_inverse=True)
-        lines = self._lines(numbers, parameters[BIAS])
-        beams = np.linspace(0, len(self._angles) - 1, min(_READINGS, len(self._angles))).astype(int)
-        directions = unit_vectors(self._angles)
+        pairs = self._pairs(span, rng)
+        numbers, pairs = np.unique(pairs, return_inverse=True)
+        references, partners = pairs.reshape(2, -1)
+        lines, scan_times = self._lines(numbers, parameters[BIAS]), self._scan_times[numbers]
+        beams, directions = spread(len(self._angles), _LINES), unit_vectors(self._angles)
         pair, beam = (each.ravel() for each in np.meshgrid(np.arange(len(partners)), beams, indexing="ij"))
-        readings = (self._ranges[partners[pair], beam] - parameters[BIAS])[:, None] * directions[beam]
-        times = self._scan_times[references[pair]], self._scan_times[partners[pair]]
-        seen = self._into_reference(readings, *times, parameters)
+        partner = partners[pair], beam
+        times = scan_times[references[pair]], scan_times[partners[pair]]
+        seen = self._into_reference(lines.points[partner], *times, parameters)
         step = float(np.median(np.diff(self._angles)))
         with np.errstate(invalid="ignore"):
             position = (np.arctan2(seen[:, 1], seen[:, 0]) - self._angles[0]) / step
         inside = (position > -0.5) & (position < len(self._angles) - 0.5)
-        index = which[pair], np.where(inside, np.round(np.nan_to_num(position)), 0).astype(int)
-        points, normals = lines.points[index], lines.normals[index]
-        difference = seen - points
+        reference = references[pair], np.where(inside, np.round(np.nan_to_num(position)), 0).astype(int)
+        points, normals = lines.points[reference], lines.normals[reference]
+        difference, partner_normals = seen - points, lines.points[partner] + lines.normals[partner]
+        partner_normals = self._into_reference(partner_normals, *times, parameters) - seen
         with np.errstate(invalid="ignore"):
             near = (np.abs((difference * normals).sum(axis=1)) < gate) & (np.hypot(*difference.T) < 2.0 * gate + 0.1)
             near &= np.abs((seen * normals).sum(axis=1)) > _MIN_COSINE * np.hypot(*seen.T)
-        keep = inside & near & lines.valid[index]
-        columns = (
-            *times,
-            readings,
-            directions[beam],
-            points,
-            lines.directions[index],
-            normals,
-            (times[0] // _BLOCK).astype(int),
-        )
+            near &= np.abs((partner_normals * normals).sum(axis=1)) > _MIN_AGREEMENT
+        keep = inside & near & lines.valid[reference] & lines.valid[partner]
+        blocks = (times[0] // _BLOCK).astype(int)
+        columns = *times, lines.points[partner], directions[beam], points, directions[reference[1]], normals, blocks
         return Matches(*(column[keep] for column in columns))
 
-    def _pairs(self, span: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def _pairs(self, span: float, rng: np.random.Generator) -> np.ndarray:
+        """Numbers of reference scans and of their partners, up to `span` [s] apart, shape (2, pairs)."""
         count = len(self._scan_times)
-        references = np.unique(np.linspace(0, count - 1, min(count, _REFERENCES)).astype(int))
+        references = spread(count, _REFERENCES)
         targets = self._scan_times[references, None] + rng.uniform(-span, span, (len(references), _PARTNERS))
         partners = np.clip(np.searchsorted(self._scan_times, targets), 0, count - 1)
-        references = np.repeat(references, _PARTNERS)
-        different = partners.ravel() != references
-        return references[different], partners.ravel()[different]
+        pairs = np.stack([np.repeat(references, _PARTNERS), partners.ravel()])
+        return pairs[:, pairs[0] != pairs[1]]
 
     def _lines(self, numbers: np.ndarray, bias: float) -> Lines:
         """Fit a line to the neighbours of each reading, by principal components."""
@@ -162,14 +158,14 @@ class Alignment:
         mean = np.stack([x / count, y / count], axis=-1)
         mean_x, mean_y = mean[..., 0], mean[..., 1]
         xx, xy, yy = xx / count - mean_x**2, xy / count - mean_x * mean_y, yy / count - mean_y**2
-        spread = np.hypot(0.5 * (xx - yy), xy)
-        least = np.sqrt(np.maximum(0.5 * (xx + yy) - spread, 0.0))
+        half_difference = np.hypot(0.5 * (xx - yy), xy)
+        least = np.sqrt(np.maximum(0.5 * (xx + yy) - half_difference, 0.0))
         normal_angle = 0.5 * np.arctan2(2.0 * xy, xx - yy) + math.pi / 2
         normals = unit_vectors(normal_angle)
         facing = np.abs((normals * directions).sum(axis=-1)) > _MIN_COSINE
-        long = 0.5 * (xx + yy) + spread > 9.0 * least**2  # a line, not a cloud
-        valid = finite & (count > 0.6 * width) & (least < 1.5 * self._noise + 0.003) & facing & long
-        return Lines(mean, np.broadcast_to(directions, mean.shape), normals, valid)
+        long = 0.5 * (xx + yy) + half_difference > 9.0 * least**2  # a line, not a cloud
+        valid = finite & (count > 0.6 * width) & (least < 1.15 * self._noise + 0.003) & facing & long
+        return Lines(mean, normals, valid)
 
     def _into_reference(
         self, readings: np.ndarray, reference_times: np.ndarray, partner_times: np.ndarray, parameters: np.ndarray
@@ -186,6 +182,11 @@ class Alignment:
         readings = matches.readings - change * matches.reading_directions
         seen = self._into_reference(readings, matches.reference_times, matches.partner_times, parameters)
         return ((seen - matches.points + change * matches.directions) * matches.normals).sum(axis=1)
+
+
+def spread(count: int, most: int) -> np.ndarray:
+    """At most so many indices, evenly spread over `count` ones."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
 def unit_vectors(angles: np.ndarray) -> np.ndarray:

@@ -66,9 +66,9 @@ QUANTITIES: Mapping[str, Quantity] = {
 # Standard errors that the residuals do not show, from hidden robots in PyBullet: slip, the shape of its accelerations,
 # and the lines' ends.
 _SYSTEMATIC = {
-    "latency": 0.0001, "scan_age": 0.00015, "max_speed": 0.0002, "max_turn_rate": 0.0001, "acceleration": 0.0015,
-    "turn_acceleration": 0.006, "distance_scale": 0.00025, "turn_scale": 0.00005, "forward": 0.00015, "turn": 0.0001,
-    "bias": 0.001, "mount_x": 0.0004, "mount_y": 0.0001, "mount_yaw": 0.0003,
+    "latency": 0.00005, "scan_age": 0.00015, "max_speed": 0.0001, "max_turn_rate": 0.00003, "acceleration": 0.001,
+    "turn_acceleration": 0.006, "distance_scale": 0.0002, "turn_scale": 0.00002, "forward": 0.00015, "turn": 0.00003,
+    "bias": 0.0014, "mount_x": 0.0002, "mount_y": 0.0, "mount_yaw": 0.0003,
 }  # fmt: skip
 _SPARSE = {  # added for each radian between two beams, as the lines of sparse beams cut corners
     "bias": 0.03, "mount_x": 0.04, "mount_y": 0.025, "mount_yaw": 0.01, "distance_scale": 0.008, "turn_scale": 0.006,
