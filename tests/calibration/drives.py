@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from calibration.robots import TICK, HiddenRobot
+from calibration.robots import ROS_STEP, TICK, HiddenRobot
 from deploy.ros.conftest import ros1
 
 from tb2rl.deploy.bags.reading import Drive, read_drive
@@ -159,7 +159,7 @@ def ros_drive(hidden: HiddenRobot, seed: int, rate: float = 4.0) -> Drive:
     with TemporaryDirectory() as name, ros1(Path(name)) as graph:
         Path(name, "robot.yaml").write_text(yaml.safe_dump(robot_tree(hidden)))
         Path(name, "room.yaml").write_text(yaml.safe_dump(shapes(room(seed))))
-        settings = ["robot=robot.yaml", "variation=robot.yaml", "world=room.yaml", f"control_period={TICK}"]
+        settings = ["robot=robot.yaml", "variation=robot.yaml", "world=room.yaml", f"control_period={ROS_STEP}"]
         options = ["--rate", str(rate), "--seed", str(seed), "--set", *(f"task.{each}" for each in settings)]
         simulated = graph.start("simulate", *options, "--topics", "scan=/scan")
         with simulated, graph.start("calibrate", "--free", str(RADIUS)) as driven:

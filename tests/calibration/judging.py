@@ -14,7 +14,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from calibration.drives import calibration_drive, play_drive, ros_drive
-from calibration.robots import REPORT_SEEDS, TUNING_SEEDS, HiddenRobot, hidden_robot, in_steps
+from calibration.robots import REPORT_SEEDS, ROS_STEP, TUNING_SEEDS, HiddenRobot, hidden_robot, in_steps
 
 from tb2rl.calibration.calibration import QUANTITIES, Calibration, calibrate
 from tb2rl.calibration.estimates import UNKNOWN
@@ -78,8 +78,8 @@ if __name__ == "__main__":
     results = []
     for seed in seeds:
         hidden = hidden_robot(seed)
-        if kind == "play":
-            hidden = in_steps(hidden)
+        if kind != "drive":
+            hidden = in_steps(hidden, *((0.2, 0.2) if kind == "play" else (ROS_STEP, 0.1)))
         drive = {"drive": calibration_drive, "ros": ros_drive, "play": play_drive}[kind](hidden, seed)
         calibration = calibrate([drive], ROBOT)
         results.append(judge(hidden, calibration, 0.2 if kind == "play" else 0.1))

@@ -41,7 +41,7 @@ def trained(folder: Path, setting: object) -> Path:
 
 def successes(run: Path, seed: int) -> np.ndarray:
     """Whether each episode with a hidden robot reaches its goal, shape (EPISODES,)."""
-    hidden = in_steps(hidden_robot(seed), PERIOD)
+    hidden = in_steps(hidden_robot(seed), PERIOD, PERIOD)
     latencies = {"latency": round(hidden.latency / PERIOD), "observation_latency": round(hidden.scan_age / PERIOD)}
     settings = {"variation": {**variation(hidden), **latencies}}
     found = evaluate(str(run), settings=settings, simulation="bullet", episodes=EPISODES, steps=300, seed=seed)

@@ -6,6 +6,7 @@ import numpy as np
 
 TUNING_SEEDS, REPORT_SEEDS = range(3500, 3520), range(3520, 3540)
 TICK = 0.025  # [s] of the simulated robot, which quantizes its latencies
+ROS_STEP = 0.05  # [s] of the task of the simulated robot over ROS, whose latencies are at most ten steps
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def hidden_robot(seed: int) -> HiddenRobot:
     return HiddenRobot(**values)
 
 
-def in_steps(hidden: HiddenRobot, period: float = 0.2) -> HiddenRobot:
-    """The robot with latencies in whole control steps, for environments."""
+def in_steps(hidden: HiddenRobot, period: float, scan_period: float) -> HiddenRobot:
+    """The robot with latencies in whole control steps, for tasks."""
     latency, age = (round(seconds / period) * period for seconds in (hidden.latency, hidden.scan_age))
-    return replace(hidden, latency=latency, scan_age=age, scan_period=period)
+    return replace(hidden, latency=latency, scan_age=age, scan_period=scan_period)

@@ -90,7 +90,7 @@ def test_the_calibration_drive_shows_everything():
 @pytest.mark.slow
 @pytest.mark.bullet
 def test_a_recorded_policy_shows_what_it_does():
-    hidden = in_steps(hidden_robot(SEED))
+    hidden = in_steps(hidden_robot(SEED), 0.2, 0.2)
     found = calibrate([play_drive(hidden, SEED)], ROBOT)
     _, (share_known, good, covered) = table([judge(hidden, found, 0.2)])
     assert share_known > 0.6
