@@ -112,7 +112,7 @@ def calibrate(drives: Sequence[Drive], robot: Robot, world: World | None = None)
         world: The map of the drives, for the scales of the odometry; None: scans are compared with each other.
 
     Raises:
-        InputError: If a drive has no odometry, or was not recorded in the world.
+        InputError: If a drive has no odometry, or the world does not fit it.
     """
     drives = [_with_useful_scans(drive) for drive in drives]
     parts = [_calibrate_one(drive, robot, world) for drive in drives]
@@ -150,7 +150,10 @@ def _calibrate_one(drive: Drive, robot: Robot, world: World | None) -> Calibrati
     }
     if scans and world:
         mapped = MapAlignment(drive, scans, _noise_level(estimates["laser_noise"]), world).solve()
-        at_scans |= {name: mapped.estimate(_ALIGNED[name], 2.0 * _SYSTEMATIC[name]) for name in _MAPPED}
+        at_walls = {name: mapped.estimate(_ALIGNED[name], 2.0 * _SYSTEMATIC[name]) for name in _MAPPED}
+        for name, at_wall in at_walls.items():
+            _check_map(drive, world, QUANTITIES[name].label, at_wall, at_scans[name])
+        at_scans |= at_walls
     limits = tuple(fit.solution.estimate(k, _SYSTEMATIC[name]) for k, name in _LIMITS)
     motion = _motion(fit, at_scans, robot)
     for (_, name), limit, commands in zip(_LIMITS, limits, drive.commands.T[1:], strict=True):
@@ -190,6 +193,14 @@ def _read_scans(drive: Drive, scans: Scans) -> tuple[Solution, dict[str, Estimat
         "laser_noise": noise(drive, scans, float(aligned.values[alignment.BIAS])),
         "dropped": dropped(scans),
     }
+
+
+def _check_map(drive: Drive, world: World, label: str, by_map: Estimate, by_scans: Estimate) -> None:
+    """Raise an `InputError` if a map contradicts the scans: readings lie at walls of other maps, too."""
+    if abs(by_map.value - by_scans.value) > 2.0 * math.hypot(by_map.half_width, by_scans.half_width):
+        texts = (f"{each.low:.4f} to {each.high:.4f}" for each in (by_map, by_scans))
+        values = "{} by the map, {} by the scans alone".format(*texts)
+        raise InputError(f"{drive.name} was not recorded in {world.name}, or its scale is wrong: {label} is {values}")
 
 
 def _noise_level(noise: Estimate) -> float:

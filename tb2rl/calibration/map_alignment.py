@@ -36,7 +36,7 @@ from tb2rl.worlds import World
 _WINDOW, _BLOCK = 12.0, 3.0  # [s] over which the odometry does not drift; errors in a block depend on each other
 _SCANS, _BEAMS = 250, 60  # most scans, and beams of each
 _GATES = 0.5, 0.3, 0.1, 0.1, 0.1  # [m] largest distances from a reading to its wall
-_MIN_SHARE = 0.5  # of the readings that lie at walls, if the map is that of the drive
+_MIN_SHARE = 0.6  # of the readings that lie at walls, if the map is that of the drive
 _ANCHOR_PRIOR = 0.5  # [m], [rad] standard deviation of a window's pose, for directions in which no wall tells it
 _SETTLING = 3  # steps to the best poses of the windows
 _CELL, _YAWS, _FAR = 0.1, 48, 0.5  # the search of the first pose: [m], directions, [m] largest distance that counts

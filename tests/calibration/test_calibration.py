@@ -60,7 +60,7 @@ def test_a_map_tells_the_scales_of_the_odometry_and_another_map_is_refused(hidde
     for name, tolerance in (("distance_scale", 0.005), ("turn_scale", 0.001)):
         assert found[name].value == pytest.approx(truth[name], rel=tolerance)
         assert found[name].low <= truth[name] <= found[name].high
-    with pytest.raises(InputError, match=r"drive was not recorded in maze: only \d+% of its readings lie at walls"):
+    with pytest.raises(InputError, match=r"drive was not recorded in maze"):
         calibrate([drive], ROBOT, find_world("maze"))
 
 
