@@ -8,6 +8,7 @@ import matplotlib
 import yaml
 from markupsafe import Markup
 from matplotlib import pyplot as plt
+from matplotlib.ticker import MaxNLocator
 from optuna import Study, importance
 from optuna.trial import FrozenTrial
 from optuna.visualization.matplotlib import plot_optimization_history, plot_parallel_coordinate, plot_param_importances
@@ -21,6 +22,7 @@ from tb2rl.viz.charts import STYLE, WIDTH, svg
 from tb2rl.viz.page import template
 
 _LISTED_TRIALS = 20  # number of trials in the table of the page
+_MIN_TRIALS = 10  # complete trials for importances, because those of fewer trials are chance
 
 
 def write_preset(folder: StudyFolder, trial: FrozenTrial, evaluation: TrialEvaluation, num_trials: int) -> Path:
@@ -60,10 +62,11 @@ def write_page(
         folder=folder,
         default=config.to_dict(),
         shares=importances,
+        min_trials=_MIN_TRIALS,
         evaluations=evaluations,
         best=best,
         comparisons=comparisons,
-        charts=_draw_charts(study, len(importances)),
+        charts=_draw_charts(study, bool(importances)),
         trials=best_trials(study, _LISTED_TRIALS),
         value_at=_value_at,
         short=_format,
@@ -89,17 +92,20 @@ def _importances(study: Study) -> dict[str, float]:
 
     The result is empty if there are too few trials, or all scores are equal.
     """
-    if len({trial.value for trial in best_trials(study)}) < 2:
-        return {}
-    return importance.get_param_importances(study)
+    has_enough_trials = len(best_trials(study)) >= _MIN_TRIALS and _scores_differ(study)
+    return importance.get_param_importances(study) if has_enough_trials else {}
 
 
-def _draw_charts(study: Study, num_importances: int) -> dict[str, Markup]:
-    """Draw Optuna's charts as SVG, by title; charts of parameters need enough trials and parameters."""
+def _scores_differ(study: Study) -> bool:
+    return len({trial.value for trial in best_trials(study)}) > 1
+
+
+def _draw_charts(study: Study, has_importances: bool) -> dict[str, Markup]:
+    """Draw Optuna's charts as SVG, by title; the chart of each trial's settings needs several scores and settings."""
     plots: dict[str, Any] = {"Scores": plot_optimization_history}
-    if num_importances:
+    if has_importances:
         plots["Importance of the settings"] = plot_param_importances
-    if num_importances > 1:
+    if _scores_differ(study) and len(study.best_trial.params) > 1:
         plots["Settings of each trial"] = plot_parallel_coordinate
     matplotlib.use("agg")  # because Optuna uses pyplot, which would open a window
     charts = {}
@@ -108,7 +114,12 @@ def _draw_charts(study: Study, num_importances: int) -> dict[str, Markup]:
             axes = plot(study, target_name="score")
             axes.set_title("", loc="left")
             axes.set_title("")
-            axes.figure.set_size_inches(2.2 * WIDTH if plot is plot_parallel_coordinate else WIDTH, 0.8 * WIDTH)
+            if plot is plot_optimization_history:
+                axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+                # Above the axes, because beside them it takes half of the width.
+                axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+            # Larger than other charts, because Optuna's text is larger.
+            axes.figure.set_size_inches((2.8 if plot is plot_parallel_coordinate else 1.25) * WIDTH, WIDTH)
             charts[title] = svg(axes.figure)
             plt.close(axes.figure)
     return charts

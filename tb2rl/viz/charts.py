@@ -98,6 +98,7 @@ def chart(label_x: str, label_y: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(WIDTH, 0.62 * WIDTH), layout="constrained")
     axes = figure.add_subplot(xlabel=label_x, ylabel=label_y)
     axes.grid(axis="y")
+    axes.locator_params(axis="x", nbins=6)  # else labels such as 1.25M touch
     return figure, axes
 
 

@@ -62,7 +62,7 @@ def _row(group: RunGroup, view: RunView) -> dict[str, Any]:
 def learning_curves(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
     """The charts of all quantities for which at least one group has curves."""
     rates = [metric for metric in shown_metrics(goal_task=True) if metric.statistic == "rate"]
-    evaluation_curves = {rate.key: (f"Evaluations during training: {rate.label}", "episodes", True) for rate in rates}
+    evaluation_curves = {rate.key: (f"Evaluations (greedy policy): {rate.label}", "episodes", True) for rate in rates}
     drawn_charts = []
     for key, (title, label, is_rate) in {**TRAINING_CURVES, **evaluation_curves}.items():
         by_group = [(group, [view.curves[key] for view in group.views if key in view.curves]) for group in groups]

@@ -25,9 +25,9 @@ from tb2rl.viz.charts import GROUP_COLOURS, Curve, distinct_colours
 
 _EPISODES = 20  # number of episodes of an evaluation for the report
 TRAINING_CURVES = {  # by TensorBoard tag: title, label of the y axis, whether the values are rates
-    "rollout/ep_rew_mean": ("Return in training", "return of an episode", False),
-    "rollout/ep_len_mean": ("Length in training", "steps of an episode", False),
-    "rollout/failure_rate": ("Failures in training", "failed episodes", True),
+    "rollout/ep_rew_mean": ("Return in training (exploring policy)", "return of an episode", False),
+    "rollout/ep_len_mean": ("Length in training (exploring policy)", "steps of an episode", False),
+    "rollout/failure_rate": ("Failures in training (exploring policy)", "failed episodes", True),
 }
 
 

@@ -37,10 +37,10 @@ def is_linear(values: np.ndarray, positions: np.ndarray) -> bool:
 
 def test_curves_show_the_numbers_of_the_runs(views):
     keys = {
-        "Return in training": "rollout/ep_rew_mean",
-        "Length in training": "rollout/ep_len_mean",
-        "Failures in training": "rollout/failure_rate",
-        "Evaluations during training: failure-free": "failure_free_rate",
+        "Return in training (exploring policy)": "rollout/ep_rew_mean",
+        "Length in training (exploring policy)": "rollout/ep_len_mean",
+        "Failures in training (exploring policy)": "rollout/failure_rate",
+        "Evaluations (greedy policy): failure-free": "failure_free_rate",
     }
     charts = learning_curves(group_runs(views))
     assert [chart["title"] for chart in charts] == list(keys)
