@@ -21,7 +21,9 @@ def without_display(workdir, monkeypatch) -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
-def test_without_a_display_there_is_a_film_named_after_the_policy(workdir, trained_run, capsys):
+def test_without_a_display_there_is_a_film_named_after_the_policy(workdir, trained_run, capsys, monkeypatch):
+    header = Mock(wraps=film.add_header)
+    monkeypatch.setattr(film, "add_header", header)
     play.main([str(trained_run), "--steps", "2", "--episodes", "2", "--seed", "1"])
     out, err = capsys.readouterr()
     driving, first, second, written = out.splitlines()
@@ -30,6 +32,7 @@ def test_without_a_display_there_is_a_film_named_after_the_policy(workdir, train
     assert first.startswith("episode 1: time limit after 2 steps (0.4 s), 0.")
     assert "m/s, return" in second
     assert written == f"wrote run.mp4 ({(workdir / 'run.mp4').stat().st_size / 1e6:.1f} MB)"
+    assert header.call_args.args[1] == "run (qlearn), task maze, world loop, turtlebot2"
     assert len(list(workdir.iterdir())) == 1
     assert err == "", "no bar where there is no terminal"
 

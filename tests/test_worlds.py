@@ -51,6 +51,7 @@ def test_the_picture_of_a_generator_has_every_family(folder, monkeypatch):
     monkeypatch.setattr(worlds, "draw_floor_plan", lambda *_: np.zeros((2, 2, 3), np.uint8))
     drawn: list[str] = []
     main(["draw", "mixed", "-o", "mixed.png"])
+    assert drawn[1].endswith(" 0 (training), difficulty 0.25, 8.2 x 8.2 m")
     assert {title.split()[0] for title in drawn} == {maker.__name__ for maker in FAMILIES}
 
 

@@ -42,8 +42,8 @@ def run(arguments: argparse.Namespace) -> None:
         if arguments.bag:
             _report_files(record(policy, arguments.bag, config, options=options))
         elif arguments.video or not has_display():
-            path = arguments.video or f"{_film_name(arguments)}.mp4"
-            _report_files([film(policy, path, config, options=options)])
+            path, name = arguments.video or f"{_film_name(arguments)}.mp4", arguments.policy and _film_name(arguments)
+            _report_files([film(policy, path, config, options=replace(options, name=name))])
         else:
             _watch(policy, config, replace(options, progress=False))
 

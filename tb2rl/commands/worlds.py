@@ -12,7 +12,7 @@ from tb2rl.core import InputError, one_line
 from tb2rl.core.files import atomic_write, parse_yaml
 from tb2rl.core.values import Worlds, checked
 from tb2rl.envs.worlds import find_worlds, paths_in
-from tb2rl.rendering.above import draw_floor_plan, make_grid
+from tb2rl.rendering.above import add_header, draw_floor_plan, floor_plan_legend, make_grid
 from tb2rl.robots import Robot
 from tb2rl.robots.robot import find_robot
 from tb2rl.worlds import World
@@ -52,7 +52,10 @@ def _draw(options: argparse.Namespace) -> None:
     if len(worlds) > _MAX_DRAWN:
         print(f"{len(worlds)} worlds; the first {_MAX_DRAWN} are drawn")
         del worlds[_MAX_DRAWN:]
-    picture = make_grid([draw_floor_plan(world, robot) for world in worlds], [world.name for world in worlds], columns)
+    titles = [f"{world.name}, {_size(world)}" for world in worlds]
+    grid = make_grid([draw_floor_plan(world, robot) for world in worlds], titles, columns)
+    title = titles[0] if len(worlds) == 1 else f"{len(worlds)} worlds: {', '.join(map(str, settings))}"
+    picture = add_header(grid, one_line(title), floor_plan_legend(worlds, robot))
     with atomic_write(options.out) as temporary:
         Image.fromarray(picture).save(temporary, format=Image.registered_extensions()[suffix])
     print(f"wrote {options.out}")
@@ -85,8 +88,7 @@ def _sources(file: Path) -> list[Path]:
 def _check(options: argparse.Namespace) -> None:
     (setting,), robot = _settings(options), find_robot(options.robot)
     world = only_world(setting, "check")
-    x0, y0, x1, y1 = world.bounds
-    print(f"{world.name}: {x1 - x0:.4g} x {y1 - y0:.4g} m, {len(world.boxes)} boxes, {len(world.posts)} posts")
+    print(f"{world.name}: {_size(world)}, {len(world.boxes)} boxes, {len(world.posts)} posts")
     print(*_describe_reachability(find_reachability(world, robot.radius), world, robot), sep="\n")
 
 
@@ -104,6 +106,11 @@ def _describe_reachability(found: Reachability, world: World, robot: Robot) -> I
             yield f"unreachable floor, {reason}: {_join(regions)}"
     if world.goal is not None:
         yield f"the goal {_at(world.goal)} can{'' if found.goal_is_reachable else 'not'} be reached"
+
+
+def _size(world: World) -> str:
+    x0, y0, x1, y1 = world.bounds
+    return f"{x1 - x0:.4g} x {y1 - y0:.4g} m"
 
 
 def _join(items: list[str]) -> str:
@@ -139,5 +146,5 @@ def _worlds_by_difficulty(name: str) -> list[World]:
     columns = []
     for difficulty in _DIFFICULTIES:
         worlds = find_worlds({"generator": name, "worlds": rows, "difficulty": difficulty})
-        columns.append([replace(world, name=f"{world.name}, {difficulty:g}") for world in worlds])
+        columns.append([replace(world, name=f"{world.name}, difficulty {difficulty:g}") for world in worlds])
     return [world for row in zip(*columns, strict=True) for world in row]

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from copy import copy
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import shapely
-from PIL import Image, ImageDraw, ImageOps
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from tb2rl.rendering import colours
 from tb2rl.robots import Laser, Robot
@@ -20,7 +22,10 @@ _SUPERSAMPLING = 2  # drawn pixels along each side of a final pixel, for smooth 
 _MARGIN = 0.3  # [m] margin around the world
 GOAL_RADIUS = 0.2  # [m] radius of the ring that marks a goal
 _NOSE = ((150 / 178, 0.0), (50 / 178, 60 / 178), (50 / 178, -60 / 178))  # triangle in the robot's frame [robot radii]
-_TILE_SIDE, _TITLE_HEIGHT = 320, 18  # [px] side of a picture and height of its title in a grid
+_TILE_SIDE, _TITLE_HEIGHT = 320, 22  # [px] side of a picture and height of its title in a grid
+HEADER_HEIGHT, _MIN_HEADER_WIDTH = 50, 560  # [px] a title and a legend above a picture
+_SCALE_BARS = 1, 2, 5, 10, 20, 50, 100, 200, 500  # [m]
+_MIN_SCALE_BAR = 25  # [px]
 
 Point = Sequence[float] | np.ndarray  # x, y [m], and optional numbers that are ignored
 Points = Iterable[Point]
@@ -33,7 +38,7 @@ class Canvas:
         x0, y0, x1, y1 = world.bounds
         self._left, self._top = x0 - _MARGIN, y1 + _MARGIN
         sides = np.array([x1 - x0, y1 - y0]) + 2 * _MARGIN
-        self._scale = SIDE * _SUPERSAMPLING / sides.max()  # [px/m]
+        self._scale = _SUPERSAMPLING * _scale(world)  # [px/m]
         # Even width and height, because video encoders need them.
         size = 2 * np.maximum(1, np.round(sides * self._scale / _SUPERSAMPLING / 2)).astype(int)
         self._image = Image.new("RGB", tuple((size * _SUPERSAMPLING).tolist()), colours.FLOOR)
@@ -139,6 +144,79 @@ def _draw_dynamic_obstacle(canvas: Canvas, row: Sequence[float]) -> None:
         canvas.disc(x, y, half_length, colours.DYNAMIC_OBSTACLE)
 
 
+@dataclass(frozen=True)
+class Mark:
+    """An entry of a legend."""
+
+    label: str
+    colour: str
+    shape: str = "line"  # "line", "ring", "disc", "area" or "bar"
+    width: int = 14  # [px]
+
+
+def _scale(world: World) -> float:
+    """Pixels per metre in the picture of a world."""
+    x0, y0, x1, y1 = world.bounds
+    return float(SIDE / (max(x1 - x0, y1 - y0) + 2 * _MARGIN))
+
+
+def scale_bar(world: World) -> Mark:
+    """A bar of 1 m, or of more in the picture of a large world."""
+    scale = _scale(world)
+    metres = next((length for length in _SCALE_BARS if length * scale >= _MIN_SCALE_BAR), _SCALE_BARS[-1])
+    return Mark(f"{metres} m", colours.BODY, "bar", round(metres * scale))
+
+
+def add_header(picture: np.ndarray, title: str, legend: Sequence[Mark]) -> np.ndarray:
+    """Add a title and a legend above a picture (height, width, 3), uint8, and centre a narrow picture below them."""
+    missing = max(0, _MIN_HEADER_WIDTH - picture.shape[1])
+    sides = Image.fromarray(picture), (missing // 2, 0, missing - missing // 2, 0)
+    picture = np.array(ImageOps.expand(*sides, fill=colours.FLOOR)) if missing else picture
+    return np.vstack([_draw_header(picture.shape[1], title, tuple(legend)), picture])
+
+
+@lru_cache(maxsize=16)
+def _draw_header(width: int, title: str, legend: tuple[Mark, ...]) -> np.ndarray:
+    image = Image.new("RGB", (width, HEADER_HEIGHT), colours.STRIP)
+    draw, x, y = ImageDraw.Draw(image), 12, 36
+    draw.text((x, 15), title, colours.BODY, fitted_font(title, 16, width - x), anchor="lm")
+    for mark in legend:
+        end = x + mark.width
+        if mark.shape in ("ring", "disc"):
+            fill = mark.colour if mark.shape == "disc" else None
+            draw.ellipse((x, y - 7, end, y + 7), fill, outline=mark.colour, width=2)
+        elif mark.shape == "area":
+            draw.rectangle((x, y - 5, end, y + 5), mark.colour)
+        else:
+            draw.line((x, y, end, y), mark.colour, 3)
+            for tick in (x, end) if mark.shape == "bar" else ():
+                draw.line((tick, y - 4, tick, y + 5), mark.colour, 2)
+        draw.text((end + 6, y), mark.label, colours.LABEL, fitted_font(mark.label, 13), anchor="lm")
+        x = round(end + 6 + fitted_font(mark.label, 13).getlength(mark.label) + 18)
+    return np.array(image)
+
+
+@lru_cache(maxsize=256)
+def fitted_font(text: str, size: int, max_width: float = math.inf) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The font of a size [px], or a smaller one if the text would exceed `max_width` [px]."""
+    width = ImageFont.load_default(size).getlength(text) + 12
+    return ImageFont.load_default(min(size, size * max_width / width))
+
+
+def floor_plan_legend(worlds: Sequence[World], robot: Robot) -> list[Mark]:
+    """The legend of one or several pictures of `draw_floor_plan`; only a single one has a scale."""
+    marks = [
+        Mark(f"{robot.name} at the start", colours.BODY, "disc"),
+        Mark("reachable by its centre", colours.FREE, "area"),
+        Mark("wall", colours.WALL, "area"),
+    ]
+    if any(world.goal is not None for world in worlds):
+        marks.append(Mark("goal", colours.GOAL, "ring"))
+    if any(world.dynamic_obstacles for world in worlds):
+        marks.append(Mark("route", colours.ROUTE))
+    return [*marks, scale_bar(worlds[0])] if len(worlds) == 1 else marks
+
+
 def draw_floor_plan(world: World, robot: Robot) -> np.ndarray:
     """Draw a world, the robot at the start, and the space that its centre can reach; shape (height, width, 3), uint8.
 
@@ -172,5 +250,5 @@ def make_grid(
         left, top = i % columns * side, i // columns * (side + _TITLE_HEIGHT)
         tile = ImageOps.pad(Image.fromarray(picture), (side - 8, side - 8), color=colours.STRIP)
         grid.paste(tile, (left + 4, top + 4))
-        draw.text((left + side // 2, top + side), title, colours.LABEL, anchor="mt")
+        draw.text((left + side // 2, top + side + 1), title, colours.BODY, fitted_font(title, 14, side), anchor="mt")
     return np.array(grid)

@@ -3,23 +3,24 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import EpisodeStep
-from tb2rl.rendering.above import WorldPicture
-from tb2rl.rendering.colours import BODY, FAILED, FLOOR, LABEL, STRIP
+from tb2rl.rendering.above import Mark, WorldPicture, fitted_font, scale_bar
+from tb2rl.rendering.colours import BEAM, BODY, DYNAMIC_OBSTACLE, FAILED, FLOOR, GOAL, LABEL, PATH, STRIP, WALL
 from tb2rl.simulation import InitialState
 from tb2rl.simulation.bullet import SIMULATOR
 from tb2rl.simulation.obstacles.outlines import X, Y, cast_at_outlines
 from tb2rl.tasks import Task
+from tb2rl.worlds import World
 from tb2rl.worlds.geometry import cast_many
 
 _LAST_FRAME_DURATION = 1.0  # [s] in the film, at any playback speed
 _CHASE_SIZE = (640, 360)  # [px] width and height of a chase picture
+_TILE_COLOUR = "#d2cfc8"  # of the floor's dark tiles in a chase picture
 CAPTION_HEIGHT = 48  # [px]
 _MIN_CAPTION_WIDTH = 560  # [px]
 _LABEL_SIZE, _VALUE_SIZE = 13, 19  # [px] font sizes of a caption
@@ -86,7 +87,7 @@ def goal_of(task: Task, initial_state: InitialState) -> np.ndarray:
 class AboveCamera:
     """Draws the world from above, with the robot, its laser beams and its path."""
 
-    max_rate = 15  # pictures per second
+    max_rate = 25  # pictures per second
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -112,6 +113,11 @@ class AboveCamera:
             cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], ranges)
         return ranges[0]
 
+    def legend(self, frame: FilmFrame, scene: Scene) -> list[Mark]:
+        """What the lines and colours mean, and a scale."""
+        lines = [Mark("path", PATH), Mark("laser", BEAM)]
+        return [*lines, *_marks(frame, scene, "ring"), scale_bar(world_of(frame, scene))]
+
     def close(self) -> None:
         pass
 
@@ -134,11 +140,27 @@ class ChaseCamera:
         self._view.show(int(initial_state.world[0]), goal, frame.pose, frame.dynamic_obstacles)
         return self._view.chase_picture(*_CHASE_SIZE)
 
+    def legend(self, frame: FilmFrame, scene: Scene) -> list[Mark]:
+        """What the colours mean, and a scale."""
+        return [*_marks(frame, scene, "disc"), Mark("tiles of 1 m", _TILE_COLOUR, "area")]
+
     def close(self) -> None:
         self._view.close()
 
 
 CAMERAS: dict[str, type[AboveCamera] | type[ChaseCamera]] = {"above": AboveCamera, "chase": ChaseCamera}
+
+
+def world_of(frame: FilmFrame, scene: Scene) -> World:
+    """The world of a frame's episode."""
+    return scene.spec.worlds[int(frame.step.after.initial_state.world[0])]
+
+
+def _marks(frame: FilmFrame, scene: Scene, goal_shape: str) -> list[Mark]:
+    marks = [Mark("wall", WALL, "area")]
+    if frame.dynamic_obstacles is not None:
+        marks.append(Mark("moving obstacle", DYNAMIC_OBSTACLE, "area"))
+    return [*marks, Mark("goal", GOAL, goal_shape)] if scene.task.goal_task else marks
 
 
 def add_caption(picture: np.ndarray, frame: FilmFrame, scene: Scene) -> np.ndarray:
@@ -159,8 +181,13 @@ def caption_values(frame: FilmFrame, scene: Scene) -> dict[str, str]:
     if step.intervention:
         status = {**status, "filter": step.intervention}
     speeds = {"v [m/s]": f"{v:z.2f}", "w [rad/s]": f"{w:+z.2f}"}
-    reward = {"reward": f"{step.reward:+g}", "return": f"{step.episode_return:g}"}
+    reward = {"reward": _rounded(step.reward, "+"), "return": _rounded(step.episode_return)}
     return {"time [s]": f"{frame.time:.1f}", **speeds, **status, **reward}
+
+
+def _rounded(number: float, sign: str = "-") -> str:
+    """A number with three digits, or all digits before the point."""
+    return f"{number:{sign}z{'.3g' if abs(number) < 100 else '.0f'}}"
 
 
 def draw_caption(width: int, values: Mapping[str, str], failed: bool = False) -> Image.Image:
@@ -169,13 +196,6 @@ def draw_caption(width: int, values: Mapping[str, str], failed: bool = False) ->
     draw = ImageDraw.Draw(image)
     for column, (label, value) in enumerate(values.items()):
         x, colour = (column + 0.5) * column_width, FAILED if failed and label == "ended" else BODY
-        draw.text((x, 13), label, LABEL, _font(label, _LABEL_SIZE, column_width), anchor="mm")
-        draw.text((x, 33), value, colour, _font(value, _VALUE_SIZE, column_width), anchor="mm")
+        draw.text((x, 13), label, LABEL, fitted_font(label, _LABEL_SIZE, column_width), anchor="mm")
+        draw.text((x, 33), value, colour, fitted_font(value, _VALUE_SIZE, column_width), anchor="mm")
     return image
-
-
-@lru_cache(maxsize=256)
-def _font(text: str, size: int, max_width: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The font of a size [px], or a smaller one if the text would exceed `max_width` [px]."""
-    width = ImageFont.load_default(size).getlength(text) + 6
-    return ImageFont.load_default(min(size, size * max_width / width))

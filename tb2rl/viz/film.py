@@ -20,10 +20,11 @@ from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import LARGEST_SEED, EpisodeStep, Policy, check_spaces, roll_out
 from tb2rl.evaluation.evaluate import time_limit
 from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.rendering.above import add_header
 from tb2rl.rendering.colours import FILM_PALETTE
 from tb2rl.runs import Config, config_of, load
 from tb2rl.simulation.simulator import SimulatorType, default_simulator, find_simulator
-from tb2rl.viz.cameras import CAMERAS, add_caption, film_frames
+from tb2rl.viz.cameras import CAMERAS, AboveCamera, ChaseCamera, FilmFrame, add_caption, film_frames, world_of
 from tb2rl.viz.pictures import extend_bounds
 
 FILM_STEPS = 300  # default time limit of a filmed episode [control steps]
@@ -45,6 +46,7 @@ class FilmOptions:
             by its odometry and its laser.
         on_episode_end: Function that is called with a line of text about each finished episode.
         progress: Whether to show a progress bar if there is a terminal.
+        name: Name of the policy in the title of a film; None: only its agent is named.
 
     Raises:
         InputError: If a number is out of range, or the camera is unknown.
@@ -58,6 +60,7 @@ class FilmOptions:
     simulation: Any = None
     on_episode_end: Callable[[str], None] | None = None
     progress: bool = False
+    name: str | None = None
 
     def __post_init__(self) -> None:
         if self.episodes < 1 or (self.steps is not None and self.steps < 1) or not 0 <= self.seed <= LARGEST_SEED:
@@ -105,14 +108,18 @@ def film(
     if path.suffix.lower() not in WRITERS:
         raise InputError(f"a film must end in {' or '.join(WRITERS)}, got {str(path)!r}")
     check_output(path)
+    policy = load(policy) if isinstance(policy, str | Path) else policy
+    config = config or config_of(policy)
+    name = f"{options.name} ({config.agent_name})" if options.name else config.agent_name
+    subject = f"{name}, task {config.task_name}, "
     with open_episodes(policy, config, settings, options, "filming") as (scene, episodes):
         if not options.simulator.is_external:
-            write_film(path, episodes, scene, options.camera, options.speed)
+            write_film(path, episodes, scene, options.camera, options.speed, subject)
             return path
         recorded_episodes = [list(steps) for steps in episodes]  # drawn later, because a real robot does not wait
     points = np.array([step.after.pose[0, :2] for steps in recorded_episodes for step in steps])
     world = extend_bounds(scene.world, points)  # because the bounds of a real robot's surroundings are unknown
-    write_film(path, recorded_episodes, scene.in_worlds((world,)), options.camera, options.speed)
+    write_film(path, recorded_episodes, scene.in_worlds((world,)), options.camera, options.speed, subject)
     return path
 
 
@@ -187,9 +194,14 @@ def _steps_of(loop: ControlLoop, policy: Policy, options: FilmOptions, index: in
 
 
 def write_film(
-    path: Path, episodes: Iterable[Iterable[EpisodeStep]], scene: Scene, camera: str = "above", speed: float = 1.0
+    path: Path,
+    episodes: Iterable[Iterable[EpisodeStep]],
+    scene: Scene,
+    camera: str = "above",
+    speed: float = 1.0,
+    subject: str = "",
 ) -> None:
-    """Write a film of several episodes.
+    """Write a film of several episodes; their title is `subject`, the world and the robot.
 
     Raises:
         InputError: If the file cannot be written.
@@ -198,7 +210,7 @@ def write_film(
     with closing(CAMERAS[camera](scene)) as view:
         rate, period = min(max_rate, view.max_rate), scene.task.control_period
         frames = (frame for steps in episodes for frame in film_frames(steps, period, rate, speed))
-        pictures = (add_caption(view.picture(frame), frame, scene) for frame in frames)
+        pictures = (_film_picture(view, frame, scene, subject, speed) for frame in frames)
         try:
             with atomic_write(path) as temporary:
                 write(temporary, pictures, rate)
@@ -206,6 +218,14 @@ def write_film(
             raise
         except (OSError, av.error.FFmpegError) as error:
             raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
+
+
+def _film_picture(
+    view: AboveCamera | ChaseCamera, frame: FilmFrame, scene: Scene, subject: str, speed: float
+) -> np.ndarray:
+    title = f"{subject}world {world_of(frame, scene).name}, {scene.robot.name}"
+    title += "" if speed == 1.0 else f", speed x{speed:.3g}"
+    return add_header(add_caption(view.picture(frame), frame, scene), title, view.legend(frame, scene))
 
 
 def write_mp4(path: Path, pictures: Iterator[np.ndarray], rate: int) -> None:

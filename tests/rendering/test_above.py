@@ -7,7 +7,18 @@ import numpy as np
 import pytest
 from PIL import ImageColor
 
-from tb2rl.rendering.above import GOAL_RADIUS, SIDE, Canvas, WorldPicture, draw_floor_plan, make_grid
+from tb2rl.rendering.above import (
+    GOAL_RADIUS,
+    HEADER_HEIGHT,
+    SIDE,
+    Canvas,
+    Mark,
+    WorldPicture,
+    add_header,
+    draw_floor_plan,
+    make_grid,
+    scale_bar,
+)
 from tb2rl.rendering.colours import BEAM, BODY, FLOOR, FREE, GOAL, NOSE, PATH, WALL, WHEEL
 from tb2rl.robots import Laser
 from tb2rl.robots.turtlebot2 import ROBOT
@@ -126,3 +137,14 @@ def test_a_grid_holds_all_plans_and_a_single_one_is_unchanged():
     grid = make_grid([plan] * 5, list("abcde"), columns=5)
     assert grid.shape[1] == pytest.approx(5 * grid.shape[0], rel=0.1)
     assert all(has(tile, BODY).any() for tile in np.split(grid, 5, axis=1))
+
+
+def test_the_scale_bar_is_as_long_as_in_the_picture_and_a_narrow_picture_is_centred_below_its_header():
+    assert (scale_bar(SQUARE).label, scale_bar(SQUARE).width) == ("1 m", round(SCALE))
+    hall = World.from_shapes("hall", [], start=(0, 0, 0), bounds=(0, 0, 99.4, 99.4))
+    assert (scale_bar(hall).label, scale_bar(hall).width) == ("5 m", 32)
+    headed = add_header(np.zeros((10, 100, 3), np.uint8), "a title", [Mark("goal", GOAL, "ring")])
+    assert headed.shape == (HEADER_HEIGHT + 10, 560, 3)
+    assert has(headed[:HEADER_HEIGHT], GOAL).any()
+    assert not headed[HEADER_HEIGHT:, 230:330].any()
+    assert headed[HEADER_HEIGHT:, :230].min() > 200

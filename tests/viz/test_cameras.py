@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tb2rl.evaluation.episodes import EpisodeStep
+from tb2rl.rendering.above import HEADER_HEIGHT
 from tb2rl.rendering.colours import FAILED
 from tb2rl.simulation import RobotState
 from tb2rl.viz.cameras import (
@@ -81,6 +82,7 @@ def test_a_film_from_above_shows_the_robot_where_it_is(make, read_film, tmp_path
     x, y, _ = world.start
     moved = 0.5 * 0.2 * STEPS - 0.04  # less the acceleration
     for picture, here, elsewhere in ((shown[0], x, x + moved), (shown[-1], x + moved, x)):
+        picture = picture[HEADER_HEIGHT:]
         beside = -0.09, y + 0.09  # a spot of the body alone, off its wheels, its nose, its path and its beam
         assert picture[pixel(world, picture, here + beside[0], beside[1])].max() < 90
         assert picture[pixel(world, picture, elsewhere + beside[0], beside[1])].min() > 190
@@ -117,6 +119,19 @@ def test_a_robot_is_shown_in_its_size(make):
 
 
 # ---- captions
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_the_legend_names_what_a_picture_shows(camera, make):
+    for task, settings, shown in (
+        ("maze", {}, set()),
+        ("wall", {}, {"goal"}),
+        ("wall", {"dynamic_obstacles": {"posts": 1}}, {"goal", "moving obstacle"}),
+    ):
+        frames, scene = make.frames(make.policy(), make.config(task, **settings))
+        with closing(CAMERAS[camera](scene)) as view:
+            labels = {mark.label for mark in view.legend(frames[0], scene)}
+        assert labels == shown | {"wall"} | ({"path", "laser", "1 m"} if camera == "above" else {"tiles of 1 m"})
 
 
 @pytest.mark.parametrize(("action", "described"), [([1.0, 0.0], "0.50, +0.00"), ([0.0, -0.5], "0.25, -0.50")])
@@ -163,3 +178,6 @@ def test_narrow_pictures_are_centred_and_long_values_stay_in_their_columns(make)
     assert picture[:10, :230].min() > 200
     strip = np.array(draw_caption(300, {"action": "straight on and then to the left", "": "", "return": "1"}))
     assert strip[:, 100:200].min() == 255, "the column in the middle is empty"
+    for number, text in ((0.0877799, "+0.0878"), (-1.61075, "-1.61"), (1234.5, "+1234"), (-0.0, "+0")):
+        frame = replace(frames[0], step=replace(frames[0].step, reward=number))
+        assert caption_values(frame, scene)["reward"] == text
