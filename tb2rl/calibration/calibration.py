@@ -150,7 +150,7 @@ def _calibrate_one(drive: Drive, robot: Robot, world: World | None) -> Calibrati
     }
     if scans and world:
         mapped = MapAlignment(drive, scans, _noise_level(estimates["laser_noise"]), world).solve()
-        at_walls = {name: mapped.estimate(_ALIGNED[name], 2.0 * _SYSTEMATIC[name]) for name in _MAPPED}
+        at_walls = {name: mapped.estimate(_ALIGNED[name], error) for name, error in _MAPPED.items()}
         for name, at_wall in at_walls.items():
             _check_map(drive, world, QUANTITIES[name].label, at_wall, at_scans[name])
         at_scans |= at_walls
@@ -175,7 +175,7 @@ _ALIGNED = {
     "distance_scale": alignment.DISTANCE, "turn_scale": alignment.TURN, "mount_x": alignment.X, "mount_y": alignment.Y,
     "mount_yaw": alignment.YAW, "bias": alignment.BIAS,
 }  # fmt: skip
-_MAPPED = "distance_scale", "turn_scale"  # a map tells these; how thick it draws walls does not change them
+_MAPPED = {"distance_scale": 0.0005, "turn_scale": 0.00015}  # what a map tells, and systematic standard errors
 _LIMITS = ((response.SPEED, "max_speed"), (response.TURN_RATE, "max_turn_rate"))
 
 
