@@ -112,7 +112,7 @@ class Alignment:
         numbers, pairs = np.unique(pairs, return_inverse=True)
         references, partners = pairs.reshape(2, -1)
         lines, scan_times = self._lines(numbers, parameters[BIAS]), self._scan_times[numbers]
-        beams, directions = spread(len(self._angles), _LINES), unit_vectors(self._angles)
+        beams, directions = spread_indices(len(self._angles), _LINES), unit_vectors(self._angles)
         pair, beam = (each.ravel() for each in np.meshgrid(np.arange(len(partners)), beams, indexing="ij"))
         partner = partners[pair], beam
         times = scan_times[references[pair]], scan_times[partners[pair]]
@@ -123,8 +123,8 @@ class Alignment:
         inside = (position > -0.5) & (position < len(self._angles) - 0.5)
         reference = references[pair], np.where(inside, np.round(np.nan_to_num(position)), 0).astype(int)
         points, normals = lines.points[reference], lines.normals[reference]
-        difference, partner_normals = seen - points, lines.points[partner] + lines.normals[partner]
-        partner_normals = self._into_reference(partner_normals, *times, parameters) - seen
+        difference, tips = seen - points, lines.points[partner] + lines.normals[partner]
+        partner_normals = self._into_reference(tips, *times, parameters) - seen
         with np.errstate(invalid="ignore"):
             near = (np.abs((difference * normals).sum(axis=1)) < gate) & (np.hypot(*difference.T) < 2.0 * gate + 0.1)
             near &= np.abs((seen * normals).sum(axis=1)) > _MIN_COSINE * np.hypot(*seen.T)
@@ -137,7 +137,7 @@ class Alignment:
     def _pairs(self, span: float, rng: np.random.Generator) -> np.ndarray:
         """Numbers of reference scans and of their partners, up to `span` [s] apart, shape (2, pairs)."""
         count = len(self._scan_times)
-        references = spread(count, _REFERENCES)
+        references = spread_indices(count, _REFERENCES)
         targets = self._scan_times[references, None] + rng.uniform(-span, span, (len(references), _PARTNERS))
         partners = np.clip(np.searchsorted(self._scan_times, targets), 0, count - 1)
         pairs = np.stack([np.repeat(references, _PARTNERS), partners.ravel()])
@@ -184,7 +184,7 @@ class Alignment:
         return ((seen - matches.points + change * matches.directions) * matches.normals).sum(axis=1)
 
 
-def spread(count: int, most: int) -> np.ndarray:
+def spread_indices(count: int, most: int) -> np.ndarray:
     """At most so many indices, evenly spread over `count` ones."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 

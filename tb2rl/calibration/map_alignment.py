@@ -23,7 +23,7 @@ from tb2rl.calibration.alignment import (
     X,
     Y,
     inverse,
-    spread,
+    spread_indices,
     transform,
     unit_vectors,
 )
@@ -82,7 +82,7 @@ class MapAlignment(Alignment):
         self._corners, along = corners[:-1][is_wall], np.diff(corners, axis=0)[is_wall]
         self._normals = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
         self._tree = shapely.STRtree(shapely.linestrings(np.stack([self._corners, self._corners + along], axis=1)))
-        numbers, beams = spread(len(scans.times), _SCANS), spread(len(self._angles), _BEAMS)
+        numbers, beams = spread_indices(len(scans.times), _SCANS), spread_indices(len(self._angles), _BEAMS)
         times, ranges = np.repeat(scans.times[numbers], len(beams)), self._ranges[np.ix_(numbers, beams)].ravel()
         directions = np.tile(unit_vectors(self._angles[beams]), (len(numbers), 1))
         windows = (times - times[0]) // _WINDOW
@@ -129,7 +129,7 @@ class MapAlignment(Alignment):
     def _search(self) -> np.ndarray:
         """The pose in the map at the start of the first window, shape (3,)."""
         readings = np.flatnonzero(self._readings.windows == 0)
-        readings = readings[spread(len(readings), _SEARCH_READINGS)]
+        readings = readings[spread_indices(len(readings), _SEARCH_READINGS)]
         (x0, y0, x1, y1), far = self._world.bounds, _FAR
         x, y = np.arange(x0 - far, x1 + far, _CELL), np.arange(y0 - far, y1 + far, _CELL)
         cells = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -139,7 +139,7 @@ class MapAlignment(Alignment):
         field = np.full(len(cells), far)
         field[near[0]] = distances
         free = cells[(field > 0.15) & ~shapely.contains_xy(self._world.obstacles, *cells.T)]
-        free = free[spread(len(free), _POSITIONS)]
+        free = free[spread_indices(len(free), _POSITIONS)]
         local, poses, scores = self._local(START)[readings], [], []
         for yaw in np.linspace(-np.pi, np.pi, _YAWS, endpoint=False):
             seen = free[:, None] + transform(np.array([[0.0, 0.0, yaw]]), local)

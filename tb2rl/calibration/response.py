@@ -23,10 +23,9 @@ MAX_LATENCY = 0.8  # [s]
 _USUAL_ERRORS = np.array([0.01, 0.03])  # [m/s], [rad/s] of the measured speeds
 _BEYOND, _MIN_BEYOND = 1.01, 5  # ratio to a limit, and number, of commands that show the limit
 _BLOCK = 4.0  # [s] the residuals of a block depend on each other
-_JITTER, _MAX_EVENTS = (
-    0.02,
-    40,
-)  # [s] standard deviation of the latency, and most commands with a deviation of their own
+_COLUMNS = 7  # the parameters above; the others are deviations of the latency
+_JITTER = 0.02  # [s] standard deviation of the latency of a command
+_MAX_EVENTS = 40  # most commands whose latency has a deviation of its own
 _MIN_CHANGE = 0.1  # of a command, as share of the limits, that shows a deviation
 
 
@@ -34,7 +33,7 @@ _MIN_CHANGE = 0.1  # of a command, as share of the limits, that shows a deviatio
 class Response:
     """The fit of the speeds, by the columns above: s, ratio, ratio, m/s, rad/s, m/s^2, m/s^2 (of the wheels' rims).
 
-    The columns after these are deviations of the latency [s], of the commands that change most.
+    The columns after these are deviations from the latency [s], one for each of the largest changes of the commands.
 
     All of these are in the odometry's units: "forward" is the speed by odometry / commanded speed.
     """
@@ -56,8 +55,8 @@ def fit_response(drive: Drive, robot: Robot) -> Response:
 
     def predict(parameters: np.ndarray) -> np.ndarray:
         sent = commands[:, 0].copy()
-        sent[events] += parameters[7:]
-        return respond(times, np.maximum.accumulate(sent), commands[:, 1:], parameters[:7], half_separation)
+        sent[events] += parameters[_COLUMNS:]
+        return respond(times, np.maximum.accumulate(sent), commands[:, 1:], parameters[:_COLUMNS], half_separation)
 
     def residuals(parameters: np.ndarray) -> np.ndarray:
         return ((predict(parameters) - measured) / _USUAL_ERRORS).ravel()

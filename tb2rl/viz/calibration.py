@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tb2rl.calibration import alignment
-from tb2rl.calibration.alignment import START, Alignment
+from tb2rl.calibration.alignment import START, Alignment, spread_indices
 from tb2rl.calibration.calibration import Calibration
 from tb2rl.calibration.output import rows
 from tb2rl.rendering.colours import BEAM, FAILED, PATH
@@ -83,7 +83,7 @@ def _draw_lines(label_x: str, label_y: str, x: list[np.ndarray], y: list[np.ndar
 @matplotlib.rc_context(STYLE)
 def _draw_scans(aligned: Alignment, scan_count: int, parameters: np.ndarray) -> Markup:
     """All readings of some scans in one frame; walls are thin where the parameters are right."""
-    points = aligned.points(np.linspace(0, scan_count - 1, _SCANS).astype(int), parameters)
+    points = aligned.points(spread_indices(scan_count, _SCANS), parameters)
     figure, axes = chart("x [m]", "y [m]")
     axes.plot(*points[::7].T, ".", color=PATH, markersize=0.8, rasterized=True, gid="readings")
     axes.set_aspect("equal", adjustable="datalim")
