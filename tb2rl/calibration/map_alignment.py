@@ -85,10 +85,12 @@ class MapAlignment(Alignment):
         numbers, beams = spread_indices(len(scans.times), _SCANS), spread_indices(len(self._angles), _BEAMS)
         times, ranges = np.repeat(scans.times[numbers], len(beams)), self._ranges[np.ix_(numbers, beams)].ravel()
         directions = np.tile(unit_vectors(self._angles[beams]), (len(numbers), 1))
-        windows = (times - times[0]) // _WINDOW
-        self._starts = times[0] + _WINDOW * np.arange(windows[-1] + 1)
-        columns = times, windows.astype(int), ranges, directions
-        self._readings = _Readings(*(each[np.isfinite(ranges)] for each in columns))
+        seen = np.isfinite(ranges)
+        times, ranges, directions = times[seen], ranges[seen], directions[seen]
+        first = float(times.min(initial=scans.times[-1]))  # windows begin where the laser sees something
+        windows = ((times - first) // _WINDOW).astype(int)
+        self._starts = first + _WINDOW * np.arange(windows.max(initial=0) + 1)
+        self._readings = _Readings(times, windows, ranges, directions)
 
     def solve(self) -> Solution:
         """Fit the parameters of `Alignment`.
@@ -147,7 +149,7 @@ class MapAlignment(Alignment):
             inside = ((index >= 0) & (index < (len(x), len(y)))).all(axis=-1)
             found = np.where(inside, field[np.where(inside, index[..., 0] * len(y) + index[..., 1], 0)], far)
             poses.append(np.column_stack([free, np.full(len(free), yaw)]))
-            scores.append(found.mean(axis=1))
+            scores.append(found.sum(axis=1))
         best = np.concatenate(poses)[np.argsort(np.concatenate(scores), kind="stable")[:_CANDIDATES]]
         tried = [self._refine(readings, pose[None]) for pose in best]
         anchors, _ = max(tried, key=lambda each: each[1])
