@@ -1,8 +1,8 @@
 """Trains for one minute with a calibration, with the preset `strong` and without variation, and drives hidden robots.
 
 `python tests/calibration/payoff.py FOLDER` trains into a folder and prints success rates in PyBullet on the five robots
-of the report with the longest latencies: 93.4 % of 500 episodes calibrated, 75.6 % without variation, 87.8 % with
-`strong`; paired differences 17.8 points (13.8 to 21.8) and 5.6 points (2.5 to 8.7). The task takes the
+of the report with the longest latencies: 94.6 % of 500 episodes calibrated, 75.6 % without variation, 90.2 % with
+`strong`; paired differences 19.0 points (15.2 to 22.8) and 4.4 points (1.7 to 7.1). The task takes the
 nominal limits of speed, which a policy's spaces contain.
 """
 
