@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from tb2rl.evaluation.evaluate import evaluate
     from tb2rl.runs.loading import load
     from tb2rl.training.training import train
+    from tb2rl.viz.viewer.environment import view
 
     __version__: str
 
-__all__ = ["Agent", "InputError", "evaluate", "load", "make_env", "train"]
+__all__ = ["Agent", "InputError", "evaluate", "load", "make_env", "train", "view"]
 
 _TASKS = {
     "TurtleBot2Maze": "maze",
@@ -56,6 +57,7 @@ _MODULES = {  # the module that defines each public name
     "load": "runs.loading",
     "make_env": "envs.make",
     "train": "training.training",
+    "view": "viz.viewer.environment",
 }
 
 

@@ -12,6 +12,7 @@ _PLAIN_MODULES = [
     "benchmark",
     "calibrate",
     "convert",
+    "demo",
     "evaluate",
     "export",
     "play",

@@ -4,6 +4,7 @@
     python -m tb2rl.train --agent dqn --set task.world=circuit agent.gamma=0.97 --name mine
     python -m tb2rl.train --agent ppo --simulation kinematic --seeds 0..4
     python -m tb2rl.train --agent ppo --simulation kinematic --seeds 0..31 --on ray:10.0.0.1:6379
+    python -m tb2rl.train --agent dqn --viewer
     python -m tb2rl.train --resume runs/maze/dqn/mine
 
 Several seeds are trained in parallel, with one thread each: in processes, or with `--on ray` by Ray on this machine or
@@ -13,7 +14,7 @@ changes any setting.
 
 from pathlib import Path
 
-from tb2rl.commands.arguments import add_safe, add_simulation
+from tb2rl.commands.arguments import add_page_arguments, add_safe, add_simulation
 from tb2rl.core.command import ArgumentParser, command
 from tb2rl.core.plugins import agent_names, task_names
 from tb2rl.execution.arguments import add_executor_arguments
@@ -43,6 +44,8 @@ def main(parser: ArgumentParser) -> None:
     add("--track", nargs="+", action="extend", metavar="NAME", help="send metrics to mlflow, wandb or module:Class")
     add("--resume", type=Path, metavar="FOLDER", help="continue a run, optionally with a larger --total-timesteps")
     add("--no-evaluation", action="store_true", help="skip the standard evaluation at the end")
+    add("--viewer", action="store_true", help="show the environments that train, on a page in the browser")
+    add_page_arguments(parser)
     add("--no-progress", action="store_true", help="no progress bar")
     add("-v", "--verbose", action="count", default=0, help="print a line for each episode")
 

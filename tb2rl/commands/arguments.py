@@ -60,6 +60,13 @@ def add_safe(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--safe", nargs="?", const="usual", choices=("usual", "guaranteed"), help=help_text)
 
 
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add host and port of the viewer's page."""
+    add = parser.add_argument
+    add("--host", help="address of the viewer's page (127.0.0.1); 0.0.0.0: everybody can open it and drive")
+    add("--port", type=int, help="port of the viewer's page (8080, or the next free one)")
+
+
 def add_trust(parser: argparse.ArgumentParser) -> None:
     """Add `--trust`, without which a shared policy may import only some modules, see `tb2rl.core.trust`."""
     parser.add_argument("--trust", action="store_true", help="allow a shared policy to import any module")

@@ -1,8 +1,6 @@
-"""Implementation of `python -m tb2rl.play`: a window, a film, bags, or teleoperation."""
+"""Implementation of `python -m tb2rl.play`: a live drive, a film, or bags."""
 
 import argparse
-import sys
-from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,28 +9,26 @@ from tb2rl.commands.arguments import refuse
 from tb2rl.commands.evaluate import chosen_policy, chosen_robot, chosen_time_limit, parse_goal
 from tb2rl.core import InputError, exit_by_signal, handle_termination_signals
 from tb2rl.core.compiled import announce_compiling
+from tb2rl.deploy.ros.robot import RosRobot
 from tb2rl.evaluation.episodes import Policy
 from tb2rl.evaluation.progress import say
 from tb2rl.evaluation.sim_to_sim import explain_place
-from tb2rl.runs import HUB, SUFFIX, Config, parse_settings, resolve
-from tb2rl.viz.film import FILM_STEPS, FilmOptions, film, open_episodes, record
-from tb2rl.viz.window import Teleop, Window, has_display, steer_in_terminal
+from tb2rl.runs import HUB, SUFFIX, Config, parse_settings
+from tb2rl.viz.film import FILM_STEPS, FilmOptions, film, record
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Play, and print how the episodes ended."""
+    """Drive on a page, or write films or bags and print how the episodes ended."""
     announce_compiling()
-    steps, robot = chosen_time_limit(arguments, FILM_STEPS), chosen_robot(arguments)
-    if robot and not arguments.teleop and not arguments.video:
+    robot = chosen_robot(arguments)
+    if robot and not arguments.video:
         raise InputError("--simulation ros needs --video FILE; to record a bag of a robot with ROS, use rosbag")
     if arguments.video:
         refuse(arguments, "cannot be combined with --video; for the bag, run again with the same --seed", "bag")
-    others = {name: getattr(arguments, name) for name in ("episodes", "seed", "camera", "speed")}
-    simulation = robot or arguments.simulation
-    options = FilmOptions(steps=steps, simulation=simulation, on_episode_end=say, progress=True, **others)
     if arguments.teleop:
-        _teleoperate(arguments, options)
-        return
+        refuse(arguments, "cannot be combined with --teleop", "agent", "policy", "video", "bag")
+        arguments.agent = "random"  # its task decides the rewards, and the user drives
+    options = _options(arguments, robot)
     policy, config = chosen_policy(arguments)
     if arguments.goal is not None and robot is None:
         config = config.with_task(_goal_settings(config, arguments))
@@ -41,11 +37,39 @@ def run(arguments: argparse.Namespace) -> None:
     with handle_termination_signals(exit_by_signal):  # exit by an exception, which removes a half-written file
         if arguments.bag:
             _report_files(record(policy, arguments.bag, config, options=options))
-        elif arguments.video or not has_display():
-            path, name = arguments.video or f"{_film_name(arguments)}.mp4", arguments.policy and _film_name(arguments)
-            _report_files([film(policy, path, config, options=replace(options, name=name))])
+        elif arguments.video:
+            name = arguments.policy and _policy_name(arguments)
+            _report_files([film(policy, arguments.video, config, options=replace(options, name=name))])
         else:
-            _watch(policy, config, replace(options, progress=False))
+            _drive_live(arguments, policy, config, options)
+
+
+def _options(arguments: argparse.Namespace, robot: RosRobot | None) -> FilmOptions:
+    """The options of a film, a bag or a live drive."""
+    is_recorded = arguments.video or arguments.bag
+    refuse(arguments, "needs --video or --bag", *([] if is_recorded else ["episodes"]))
+    refuse(arguments, "cannot be combined with --video or --bag", *(["viewer", "port"] if is_recorded else []))
+    others = {name: getattr(arguments, name) for name in ("seed", "camera", "speed")}
+    return FilmOptions(
+        episodes=1 if arguments.episodes is None else arguments.episodes,
+        steps=chosen_time_limit(arguments, FILM_STEPS),
+        simulation=robot or arguments.simulation,
+        on_episode_end=say,
+        progress=True,
+        **others,
+    )
+
+
+def _drive_live(arguments: argparse.Namespace, policy: Policy, config: Config, options: FilmOptions) -> None:
+    """Drive on a page until the user ends the program."""
+    from tb2rl.viz.viewer.drive import Selection
+    from tb2rl.viz.viewer.live import drive_live  # imported here, because films and bags need no page
+
+    if arguments.steps is not None:
+        config = config.with_task({"episode_steps": arguments.steps})
+    selection = Selection(policy, config, options.simulator, arguments.policy or arguments.agent)
+    view = {"speed": options.speed, "follow": options.camera == "chase", "is_manual": arguments.teleop}
+    drive_live(selection, options.seed, host=arguments.host, port=arguments.port, **view)
 
 
 def _goal_settings(config: Config, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -56,8 +80,8 @@ def _goal_settings(config: Config, arguments: argparse.Namespace) -> dict[str, A
     return {"goal": list(parse_goal(arguments.goal)), **start}
 
 
-def _film_name(arguments: argparse.Namespace) -> str:
-    """The default name of a film: that of the policy or the agent."""
+def _policy_name(arguments: argparse.Namespace) -> str:
+    """Name of the policy or the agent."""
     policy = arguments.agent or arguments.policy.removeprefix("zoo:").removeprefix(HUB)
     return Path(policy).resolve().name.removesuffix(SUFFIX).replace(":", ".")
 
@@ -67,22 +91,3 @@ def _report_files(paths: list[Path]) -> None:
     for path in paths:
         size = sum(file.stat().st_size for file in [path, *path.glob("*")] if file.is_file())
         print(f"wrote {path} ({size / 1e6:.1f} MB)")
-
-
-def _watch(policy: Policy, config: Config, options: FilmOptions) -> None:
-    opening = open_episodes(policy, config, settings=None, options=options, title="playing")
-    with opening as (scene, episodes), closing(Window(scene, options.camera)) as window, suppress(KeyboardInterrupt):
-        window.watch(episodes, options.speed)
-
-
-def _teleoperate(arguments: argparse.Namespace, options: FilmOptions) -> None:
-    """Let the user drive in the terminal, with a window if there is a display; closing it makes `show` return False."""
-    refuse(arguments, "cannot be combined with --teleop", "agent", "video", "bag")
-    if arguments.policy or not (options.simulation is None or isinstance(options.simulation, str)):
-        raise InputError("--teleop drives a simulated robot without a policy; omit the policy and --simulation ros")
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise InputError("--teleop needs a terminal, but stdin or stdout is redirected")
-    scene = resolve("random", arguments.task, settings=parse_settings(arguments.set)).scene
-    with closing(Teleop(scene, options.seed, options.simulation)) as teleop, ExitStack() as display:
-        show = display.enter_context(closing(Window(scene, options.camera))).show if has_display() else lambda *_: True
-        steer_in_terminal(teleop, show)

@@ -11,6 +11,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from stable_baselines3.common.callbacks import BaseCallback
+
 from tb2rl.commands.arguments import refuse
 from tb2rl.commands.evaluate import with_safety
 from tb2rl.core import InputError, handle_termination_signals, write_json, write_text
@@ -31,7 +33,16 @@ from tb2rl.training.training import FinishedTraining, default_folder, describe_e
 from tb2rl.viz.table import print_evaluation
 
 LOG = "log.txt"  # file in the run folder: output of a training with --seeds
-_RESUME_OPTIONS = {"resume", "total_timesteps", "no_evaluation", "no_progress", "verbose"}  # valid with --resume
+_RESUME_OPTIONS = {
+    "resume",
+    "total_timesteps",
+    "no_evaluation",
+    "no_progress",
+    "verbose",
+    "viewer",
+    "host",
+    "port",
+}  # valid with --resume
 _MAX_SEEDS = 1000
 
 
@@ -39,11 +50,14 @@ def run(options: argparse.Namespace) -> None:
     """Train, print the result, evaluate."""
     announce_compiling()
     progress = not options.no_progress and not options.verbose and sys.stderr.isatty()
+    if not options.viewer:
+        refuse(options, "needs --viewer", "host", "port")
     if options.resume:
         others = sorted(vars(options).keys() - _RESUME_OPTIONS)
         refuse(options, "cannot be combined with --resume, which can only raise --total-timesteps", *others)
         on_start = partial(print, "resuming", flush=True)
-        training = resume(options.resume, options.total_timesteps, progress, options.verbose, on_start)
+        watchers = _watchers(options)
+        training = resume(options.resume, options.total_timesteps, progress, options.verbose, on_start, watchers)
         _finish(training, options.no_evaluation)
         return
     config = requested_config(options)
@@ -51,15 +65,26 @@ def run(options: argparse.Namespace) -> None:
     executor = make_executor(options)
     if options.seeds is None:
         refuse(options, "needs --seeds, because a single training runs in one process", "on", "workers")
-        training = train_config(config, folder, progress, options.verbose, partial(_print_single_start, config))
+        on_start, watchers = partial(_print_single_start, config), _watchers(options)
+        training = train_config(config, folder, progress, options.verbose, on_start, watchers=watchers)
         _finish(training, options.no_evaluation)
         return
-    refuse(options, "cannot be combined with --seeds", "seed", "no_evaluation")
+    refuse(options, "cannot be combined with --seeds", "seed", "no_evaluation", "viewer")
     seeds = parse_seeds(options.seeds)
     if folder.exists():
         raise InputError(f"{folder} exists already; choose another --name")
     with executor:
         train_seeds(config, seeds, folder, executor, options.verbose)
+
+
+def _watchers(options: argparse.Namespace) -> list[BaseCallback]:
+    """The viewer of a training, if it is to be watched."""
+    if not options.viewer:
+        return []
+    from tb2rl.viz.viewer.live import open_page  # imported here, because a training needs no page
+    from tb2rl.viz.viewer.training import TrainingViewer
+
+    return [TrainingViewer(open_page(options.host, options.port))]
 
 
 def requested_config(options: argparse.Namespace) -> Config:

@@ -65,16 +65,13 @@ class ControlLoop:
         self.is_filtered, self.commands = np.zeros(self.num_envs, dtype=bool), np.zeros((self.num_envs, 2))
 
     @classmethod
-    def open(
-        cls, scene: Scene, simulation: Any, num_envs: int = 1, window: bool = False, processes: int | None = None
-    ) -> Self:
+    def open(cls, scene: Scene, simulation: Any, num_envs: int = 1, processes: int | None = None) -> Self:
         """Open a simulator, and make a loop around it.
 
         Args:
             scene: The task, the robot, the worlds and the observation; the simulator may adapt the scene.
             simulation: Name, type or object of a simulator, see `find_simulator`.
             num_envs: Number of environments.
-            window: Whether to open the simulator's window.
             processes: Number of processes; None: the simulator's default.
 
         Raises:
@@ -83,7 +80,7 @@ class ControlLoop:
         simulator_type = find_simulator(simulation)
         scene = simulator_type.prepare(scene)
         scene.check(simulator_type)
-        return cls(scene, simulator_type.open(scene.spec, num_envs, window, processes))
+        return cls(scene, simulator_type.open(scene.spec, num_envs, processes))
 
     @property
     def robot_state(self) -> RobotState:

@@ -9,7 +9,6 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import EnvSpec, registry
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
-from gymnasium.wrappers import HumanRendering
 
 from tb2rl.core import InputError, UnknownArgumentError, reference_to
 from tb2rl.core.plugins import TASKS
@@ -18,7 +17,7 @@ from tb2rl.envs.scene import Scene, make_scene, with_robot_settings
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 from tb2rl.envs.vector_env import TurtleBot2VectorEnv, find_autoreset_mode
 from tb2rl.envs.worlds import absolute_worlds
-from tb2rl.simulation.simulator import check_display, default_physics, find_simulator
+from tb2rl.simulation.simulator import default_physics, find_simulator
 from tb2rl.tasks import Task
 from tb2rl.tasks.task import find_task
 
@@ -114,15 +113,11 @@ def _task_reference(task_class: type[Task]) -> str | type[Task]:
 
 
 def make_for_gymnasium(task: str, **arguments: Any) -> gymnasium.Env:
-    """Entry point for `gymnasium.make`, see `make_env`. Mode "human": Gymnasium's window if the simulator has none."""
+    """Entry point for `gymnasium.make`, see `make_env`."""
     # Frame 1 is that of `gymnasium.make`. No variable stores the current frame: a frame in its own variables is a
     # reference cycle, which would keep the environment alive.
     arguments = _with_time_limit(arguments, _requested_time_limit(sys._getframe(1).f_locals))
-    simulator_type = find_simulator(arguments.get("simulation") or default_physics())
-    if arguments.get("render_mode") != "human" or simulator_type.has_window:
-        return make_env(task, **arguments)
-    check_display()
-    return HumanRendering(make_env(task, **{**arguments, "render_mode": "rgb_array"}))
+    return make_env(task, **arguments)
 
 
 make_for_gymnasium.metadata = TurtleBot2Env.metadata  # type: ignore[attr-defined]  # Gymnasium reads the render modes

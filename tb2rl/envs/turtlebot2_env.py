@@ -10,7 +10,7 @@ from annotated_types import Ge, Lt
 from gymnasium.envs.registration import EnvSpec
 
 from tb2rl.core.errors import InputError, unknown
-from tb2rl.core.plugins import simulator_names
+from tb2rl.core.plugins import HUMAN_VIEWER, import_object, simulator_names
 from tb2rl.core.values import Pose, checked
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.encodings import take_rows
@@ -48,15 +48,15 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     Args:
         scene: The task, the robot, the worlds and the observation; `make_env` makes it from names.
-        render_mode: None, "rgb_array" (top-down image, no window) or "human" (the simulator's own window).
+        render_mode: None, "rgb_array" (top-down image, no window) or "human" (a page in the browser, in real time).
         simulation: The simulator: a registered name, "module:Class", a `SimulatorType`, or an object with a method
             `simulator_type`. None: `default_physics`.
 
-    A copy (`copy.deepcopy`, `pickle`) starts in the state of the original, and is independent afterwards. An
-    environment with a window cannot be copied.
+    A copy (`copy.deepcopy`, `pickle`) starts in the state of the original, and is independent afterwards. Its page is
+    not copied.
 
     Raises:
-        InputError: If the render mode or the simulator is unknown, or a window cannot be opened.
+        InputError: If the render mode or the simulator is unknown, or a page cannot be opened.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(_RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (as Gymnasium declares it)
@@ -65,12 +65,12 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         if render_mode is not None and render_mode not in _RENDER_MODES:
             raise unknown("render_mode", render_mode, _RENDER_MODES)
         simulator_type = default_physics() if simulation is None else find_simulator(simulation)
-        self.loop = ControlLoop.open(scene, simulator_type, window=render_mode == "human")
+        self.loop = ControlLoop.open(scene, simulator_type)
         self.scene, self.task, self.render_mode = self.loop.scene, self.loop.task, render_mode
-        modes = [mode for mode in _RENDER_MODES if mode != "human" or simulator_type.has_window]
-        self.metadata = {"render_modes": modes, "render_fps": max(1, round(1 / self.task.control_period))}
+        self.metadata = {"render_modes": list(_RENDER_MODES), "render_fps": max(1, round(1 / self.task.control_period))}
         self.observation_space, self.action_space = self.scene.observation_space, self.scene.action_space
         self._gym_spec: EnvSpec | None = None
+        self.viewer: Any = import_object(HUMAN_VIEWER)() if render_mode == "human" else None  # shows each state
         self.path: list[np.ndarray] = []  # poses since the reset, for images; only the first one if render_mode is None
 
     @property
@@ -97,6 +97,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         super().reset(seed=seed)
         observations = self.loop.reset(self._initial_state(options or {}), self.np_random)
         self.path = [self.loop.robot_state.pose[0]]
+        if self.viewer:
+            self.viewer.show(self)
         return take_rows(observations, 0), self._info()
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -108,6 +110,8 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         transition = self.loop.step(self.scene.actions.checked(action))
         if self.render_mode is not None:
             self.path.append(self.loop.robot_state.pose[0])
+        if self.viewer:
+            self.viewer.show(self)
         info = self._info()
         if transition.finished is not None:
             info |= {name: transition.finished.infos[name].item() for name in ("is_success", "ended", "failed")}
@@ -178,6 +182,12 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         """Release the resources of the simulator; a reset acquires them again."""
         self.loop.close()
         self.path = []
+        if self.viewer:
+            self.viewer.close()
+            self.viewer = None
+
+    def __getstate__(self) -> dict[str, Any]:  # without the page, which has a thread
+        return {**self.__dict__, "viewer": None}
 
     def _initial_state(self, options: dict[str, Any]) -> InitialState:
         spec = self.scene.spec

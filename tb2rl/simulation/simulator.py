@@ -5,8 +5,6 @@ group `tb2rl.simulators`.
 """
 
 import math
-import os
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -73,11 +71,9 @@ class SimulatorType:
 
     name: str  # name in the registry, or "module:Class"
     title: str  # for tables, captions and messages
-    # `make(spec, num_envs)` makes a simulator. It must also accept `make(spec, 1, window=True)` if `has_window`, and
-    # `make(spec, num_envs, processes=1)` if `needs_processes`.
+    # `make(spec, num_envs)` makes a simulator. If `needs_processes`, it must also accept the argument `processes=1`.
     make: Callable[..., Simulator]
     is_physics: bool = False  # simulates forces and contacts, so that it is suitable for evaluations
-    has_window: bool = False  # has a window for render mode "human"
     has_colours: bool = False  # its cameras return colours; all cameras return depth
     needs_processes: bool = False  # needs several processes for many environments; others step thousands in one process
     max_camera_height: float = math.inf  # [m] it cannot render cameras that are mounted higher
@@ -100,21 +96,18 @@ class SimulatorType:
             remedy = f": {self.install}" if self.install and reason == NOT_INSTALLED else ""
             raise InputError(f"{use} needs {self.title}, which {reason}{remedy}")
 
-    def open(self, spec: SimulationSpec, num_envs: int = 1, window: bool = False, processes: int | None = None) -> Any:
+    def open(self, spec: SimulationSpec, num_envs: int = 1, processes: int | None = None) -> Any:
         """Make a simulator of this type.
 
         Raises:
             InputError: If the simulator cannot run here, or lacks a capability that the arguments need.
         """
         self.check()
-        if window and not self.has_window:
-            raise InputError(f"render_mode 'human': simulation {self.name!r} has no window; use 'rgb_array'")
         if self.is_external and num_envs > 1:
             raise InputError(f"simulation {self.name!r} drives one robot, not {num_envs}")
-        options: dict[str, Any] = {"window": True} if window else {}
         if processes is not None and self.needs_processes:
-            options["processes"] = processes
-        return self.make(spec, num_envs, **options)
+            return self.make(spec, num_envs, processes=processes)
+        return self.make(spec, num_envs)
 
 
 NOT_INSTALLED = "is not installed"  # the result of `SimulatorType.unavailable` for a missing package
@@ -171,9 +164,3 @@ def default_simulator() -> SimulatorType:
     """Simulator for evaluations and films: the default physics, or else the first simulator that can run here."""
     others = (simulator for simulator in map(find_simulator, simulator_names()) if not simulator.is_external)
     return next(simulator for simulator in (default_physics(), *others) if simulator.unavailable() is None)
-
-
-def check_display() -> None:
-    """Raise an `InputError` if there is no display for a window; other systems than Linux are not checked."""
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise InputError("render_mode 'human' opens a window, but there is no display; use 'rgb_array'")

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from tb2rl.core import InputError, handle_termination_signals
@@ -92,6 +93,7 @@ def train_config(
     on_evaluation: Callable[[Evaluation], object] | None = None,
     final_folder: Path | None = None,
     checkpoint: Mapping[str, Any] | None = None,
+    watchers: Sequence[BaseCallback] = (),
 ) -> FinishedTraining:
     """Train with a config, and write the run folder.
 
@@ -104,6 +106,7 @@ def train_config(
         on_evaluation: Callback that gets each evaluation during training; its exceptions end the training.
         final_folder: Path to which the run folder will be moved, for the run's name in trackers; None: `folder`.
         checkpoint: Content of the checkpoint to resume from; None: a new training.
+        watchers: Further callbacks, which have no state to resume, such as the viewer of the training.
     """
     folder, settings = Path(folder), config.train
     check_trainable(config)
@@ -126,7 +129,7 @@ def train_config(
         if not checkpoint:
             cleanup_on_failure.callback(shutil.rmtree, folder, ignore_errors=True)
         resources.enter_context(run.lock())
-        learner = _Learner(run, algorithm, TrainingCallbacks(run, evaluator, on_evaluation, verbose))
+        learner = _Learner(run, algorithm, TrainingCallbacks(run, evaluator, on_evaluation, verbose), watchers)
         if checkpoint:
             learner.restore(checkpoint)
         resources.enter_context(learner.logging(trackers, final_folder or folder))
@@ -143,6 +146,7 @@ class _Learner:
     run: Run
     algorithm: BaseAlgorithm
     callbacks: TrainingCallbacks
+    watchers: Sequence[BaseCallback]
 
     def restore(self, content: Mapping[str, Any]) -> None:
         """Restore a checkpoint into the new algorithm and callbacks."""
@@ -180,7 +184,8 @@ class _Learner:
         with handle_termination_signals(checkpoints.handle_signal):
             with translate_learning_errors(algorithm, run):
                 remaining = run.config.train.total_timesteps - start_timesteps
-                algorithm.learn(remaining, self.callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
+                callbacks = [self.callbacks, *self.watchers] if self.watchers else self.callbacks
+                algorithm.learn(remaining, callbacks, reset_num_timesteps=is_new, progress_bar=progress_bar)
             run.save(algorithm, "final/policy")
             if not checkpoints.stopped_training:  # else a signal stopped learning, after a checkpoint was saved
                 if evaluations and not evaluations.stopped_training:
@@ -216,6 +221,7 @@ def resume(
     progress_bar: bool = False,
     verbose: int = 0,
     on_start: Callable[[Path], object] | None = None,
+    watchers: Sequence[BaseCallback] = (),
 ) -> FinishedTraining:
     """Resume the training of a run folder from its last checkpoint, as if it had not been interrupted.
 
@@ -225,6 +231,7 @@ def resume(
         progress_bar: See `train_config`.
         verbose: See `train_config`.
         on_start: See `train_config`.
+        watchers: See `train_config`.
     """
     run = Run.open(Path(folder))
     if not run.checkpoints:
@@ -240,7 +247,7 @@ def resume(
     if content["timesteps"] >= new_total:
         raise InputError(f"{folder} has all its {new_total} steps; {_EXTEND_HINT}")
     config = _with_total(run.config, new_total)
-    return train_config(config, run.folder, progress_bar, verbose, on_start, checkpoint=content)
+    return train_config(config, run.folder, progress_bar, verbose, on_start, checkpoint=content, watchers=watchers)
 
 
 def _with_total(config: Config, total_timesteps: int) -> Config:

@@ -50,16 +50,19 @@ def film_frames(steps: Iterable[EpisodeStep], period: float, rate: float, speed:
     index = 0  # index of the next frame
     path: tuple[np.ndarray, ...] = ()
     for step in steps:
-        before, after = step.before.pose[0], step.after.pose[0]
-        path, ended, end_time = (*path, before), step.info["ended"], step.number * period
-        end_frame = FilmFrame(step, end_time, after, path, ended, _interpolate_outlines(step, 1.0))
+        path, ended, end_time = (*path, step.before.pose[0]), step.info["ended"], step.number * period
         while (time := index * speed / rate) < end_time - 1e-9:
-            fraction = time / period - (step.number - 1)
-            pose, outlines = interpolate_pose(before, after, fraction), _interpolate_outlines(step, fraction)
-            yield replace(end_frame, time=time, pose=pose, ended=None, dynamic_obstacles=outlines)
+            yield replace(interpolate_frame(step, path, period, time), ended=None)
             index += 1
         if ended:
-            yield from [end_frame] * round(_LAST_FRAME_DURATION * rate)
+            yield from [interpolate_frame(step, path, period, end_time)] * round(_LAST_FRAME_DURATION * rate)
+
+
+def interpolate_frame(step: EpisodeStep, path: Sequence[np.ndarray], period: float, time: float) -> FilmFrame:
+    """The frame of a control step at a time [s] since the reset; `path` and `period` as in `film_frames`."""
+    fraction = min(max(time / period - (step.number - 1), 0.0), 1.0)
+    pose = interpolate_pose(step.before.pose[0], step.after.pose[0], fraction)
+    return FilmFrame(step, time, pose, path, step.info["ended"], _interpolate_outlines(step, fraction))
 
 
 def interpolate_pose(before: np.ndarray, after: np.ndarray, fraction: float) -> np.ndarray:
@@ -91,7 +94,6 @@ class AboveCamera:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._beams = np.cos(scene.laser.angles), np.sin(scene.laser.angles)
         self._initial_state: InitialState | None = None
 
     def picture(self, frame: FilmFrame) -> np.ndarray:
@@ -100,18 +102,8 @@ class AboveCamera:
         if initial_state is not self._initial_state:  # a new episode
             self._initial_state, self._world = initial_state, scene.spec.worlds[int(initial_state.world[0])]
             self._picture = WorldPicture(self._world, scene.robot, scene.laser, goal_of(scene.task, initial_state))
-        return self._picture.draw(frame.pose, self.ranges(frame), [*frame.path, frame.pose], frame.dynamic_obstacles)
-
-    def ranges(self, frame: FilmFrame) -> np.ndarray:
-        """Exact ranges [m], shape (beams,), or the measured ones if no obstacles are known, as for a real robot."""
-        if frame.dynamic_obstacles is None and len(self._world.boxes) + len(self._world.posts) == 0:
-            return frame.step.after.ranges[0]
-        ranges = np.empty((1, len(self._beams[0])))  # written by the functions below
-        world_ids = np.zeros(1)  # the spatial index of a world has only this world
-        cast_many(frame.pose[None], world_ids, self._beams, self._world.spatial_index, ranges)
-        if frame.dynamic_obstacles is not None:
-            cast_at_outlines(frame.pose[None], self._beams, frame.dynamic_obstacles[None], ranges)
-        return ranges[0]
+        ranges = beam_ranges(frame, self._world, scene)
+        return self._picture.draw(frame.pose, ranges, [*frame.path, frame.pose], frame.dynamic_obstacles)
 
     def legend(self, frame: FilmFrame, scene: Scene) -> list[Mark]:
         """What the lines and colours mean, and a scale."""
@@ -120,6 +112,19 @@ class AboveCamera:
 
     def close(self) -> None:
         pass
+
+
+def beam_ranges(frame: FilmFrame, world: World, scene: Scene) -> np.ndarray:
+    """Exact ranges [m], shape (beams,), or the measured ones if no obstacles are known, as for a real robot."""
+    if frame.dynamic_obstacles is None and len(world.boxes) + len(world.posts) == 0:
+        return frame.step.after.ranges[0]
+    directions = np.cos(scene.laser.angles), np.sin(scene.laser.angles)
+    ranges = np.empty((1, len(directions[0])))  # written by the functions below
+    world_ids = np.zeros(1)  # the spatial index of a world has only this world
+    cast_many(frame.pose[None], world_ids, directions, world.spatial_index, ranges)
+    if frame.dynamic_obstacles is not None:
+        cast_at_outlines(frame.pose[None], directions, frame.dynamic_obstacles[None], ranges)
+    return ranges[0]
 
 
 class ChaseCamera:

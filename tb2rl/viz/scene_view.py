@@ -1,21 +1,14 @@
-"""A view of a world and a robot in PyBullet, without physics.
-
-This module imports neither torch nor Stable-Baselines3, so that the window's process starts within a second.
-"""
+"""Pictures of a world and a robot in PyBullet, without physics."""
 
 import math
-import signal
 from collections.abc import Sequence
-from contextlib import closing, suppress
-from multiprocessing.connection import Connection
-from typing import Any
 
 import numpy as np
 
 from tb2rl.rendering.above import GOAL_RADIUS
 from tb2rl.robots import Camera
 from tb2rl.simulation import SimulationSpec
-from tb2rl.simulation.bullet.bodies import RobotBody, add_floor, add_robot, add_walls, connect, take_picture
+from tb2rl.simulation.bullet.bodies import add_robot, add_walls, connect, take_picture
 from tb2rl.simulation.bullet.client import pybullet, quiet
 from tb2rl.simulation.bullet.obstacle_bodies import ObstacleBodies
 
@@ -25,7 +18,6 @@ _FLOOR_COLOUR, _SKY_COLOUR = np.array((244, 241, 234)), (255, 255, 255)  # RGB, 
 _TILE_CONTRAST = 34.0  # difference between light and dark tiles, of 255
 _GOAL_COLOUR = (0.42, 0.75, 0.29, 1.0)  # RGBA
 _HIDDEN_POSITION = (0.0, 0.0, -100.0)  # [m] position of the goal's disc if there is no goal
-_INVISIBLE_COLOUR = (0.0, 0.0, 0.0, 0.0)  # RGBA
 
 
 class SceneView:
@@ -33,34 +25,18 @@ class SceneView:
 
     Args:
         spec: The robot and the worlds.
-        window: Whether to open PyBullet's window; without a window, `chase_picture` renders pictures.
-
-    Raises:
-        InputError: If there is no display for a window.
     """
 
-    def __init__(self, spec: SimulationSpec, window: bool = False) -> None:
+    def __init__(self, spec: SimulationSpec) -> None:
         self._worlds, self._world = spec.worlds, 0
         with quiet():
-            self._client = connect(window)
+            self._client = connect()
             self._walls = add_walls(self._client, self._worlds[0])
             self._robot = add_robot(self._client, spec.robot)
             self._dynamic_obstacles = ObstacleBodies(self._client)
             appearance = {"radius": GOAL_RADIUS, "length": 0.01, "rgbaColor": _GOAL_COLOUR}
             disc = pybullet.createVisualShape(pybullet.GEOM_CYLINDER, **appearance, physicsClientId=self._client)
             self._goal = pybullet.createMultiBody(0.0, -1, disc, _HIDDEN_POSITION, physicsClientId=self._client)
-        self._parts = _add_coloured_parts(self._client, self._robot) if window else []
-        if window:
-            add_floor(self._client)  # pictures use `draw_floor` instead, which is ten times as fast as PyBullet
-            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client)
-            x0, y0, x1, y1 = spec.worlds[0].bounds
-            centre, distance = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), 0.8 * max(x1 - x0, y1 - y0)
-            pybullet.resetDebugVisualizerCamera(distance, 0.0, -60.0, centre, physicsClientId=self._client)
-
-    @property
-    def is_open(self) -> bool:
-        """False once the user has closed the window."""
-        return bool(pybullet.isConnected(self._client))
 
     def show(self, world: int, goal: np.ndarray, pose: np.ndarray, dynamic_obstacles: np.ndarray | None = None) -> None:
         """Show a world by its index, a goal (2,) unless it is NaN, the robot's pose (3,), outlines (obstacles, 6)."""
@@ -71,21 +47,7 @@ class SceneView:
         goal_position = (*goal, 0.005) if np.isfinite(goal).all() else _HIDDEN_POSITION
         pybullet.resetBasePositionAndOrientation(self._goal, goal_position, (0.0, 0.0, 0.0, 1.0), self._client)
         self._robot.place(pose)
-        x, y, yaw = map(float, pose)
-        robot_frame = (x, y, 0.0), pybullet.getQuaternionFromEuler((0.0, 0.0, yaw))
-        for body, *frame_in_robot in self._parts:
-            frame = pybullet.multiplyTransforms(*robot_frame, *frame_in_robot)
-            pybullet.resetBasePositionAndOrientation(body, *frame, self._client)
         self._dynamic_obstacles.place(np.empty((0, 6)) if dynamic_obstacles is None else dynamic_obstacles)
-
-    def follow(self) -> None:
-        """Move the window's camera to the chase camera's pose behind the robot."""
-        pose = self._robot.pose()
-        position, target = _chase_camera_pose(pose)
-        distance = math.dist(position, target)
-        pitch = math.degrees(math.asin((target[2] - position[2]) / distance))
-        yaw = math.degrees(pose[2]) - 90.0  # at yaw 0, the camera of PyBullet's window looks along the y axis
-        pybullet.resetDebugVisualizerCamera(distance, yaw, pitch, target, physicsClientId=self._client)
 
     def chase_picture(self, width: int, height: int) -> np.ndarray:
         """The picture of the chase camera behind the robot, shape (height, width, 3), uint8."""
@@ -94,36 +56,7 @@ class SceneView:
         return np.where(np.isfinite(depth)[..., None], colours, draw_floor(pose, width, height))
 
     def close(self) -> None:
-        if self.is_open:
-            pybullet.disconnect(self._client)
-
-
-def _add_coloured_parts(client: int, robot: RobotBody) -> list[tuple[Any, ...]]:
-    """Add a body for each visual shape of the robot, and hide the robot.
-
-    This is necessary because PyBullet merges links at fixed joints, and its window shows all shapes of a link in the
-    colour of the last shape.
-
-    Returns:
-        Bodies, each with its position and orientation in the robot's frame. Empty if the robot has shapes such as
-        meshes; such a robot is not hidden.
-    """
-    robot.place(np.zeros(3))
-    parts: list[tuple[Any, ...]] = []
-    shapes = pybullet.getVisualShapeData(robot.body, physicsClientId=client)
-    supported_types = pybullet.GEOM_BOX, pybullet.GEOM_CYLINDER, pybullet.GEOM_SPHERE
-    if any(shape_type not in supported_types for _, _, shape_type, *_ in shapes):
-        return parts
-    for _, link, shape_type, sizes, _, position, orientation, colour, *_ in shapes:
-        if link >= 0:
-            link_frame = pybullet.getLinkState(robot.body, link, physicsClientId=client)[4:6]
-            position, orientation = pybullet.multiplyTransforms(*link_frame, position, orientation)
-        radius = sizes[1] if shape_type == pybullet.GEOM_CYLINDER else sizes[0]  # a cylinder has (length, radius)
-        shape = {"halfExtents": [side / 2 for side in sizes], "radius": radius, "length": sizes[0], "rgbaColor": colour}
-        copy = pybullet.createVisualShape(shape_type, physicsClientId=client, **shape)
-        parts.append((pybullet.createMultiBody(0.0, -1, copy, physicsClientId=client), position, orientation))
-        pybullet.changeVisualShape(robot.body, link, rgbaColor=_INVISIBLE_COLOUR, physicsClientId=client)
-    return parts
+        pybullet.disconnect(self._client)
 
 
 def _chase_camera_pose(pose: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -151,23 +84,3 @@ def draw_floor(pose: Sequence[float], width: int, height: int) -> np.ndarray:
     colours = (_FLOOR_COLOUR - darkness[..., None]).astype(np.uint8)
     colours[rays[:, 2] > -1e-3] = _SKY_COLOUR
     return colours
-
-
-def run_window(connection: Connection, spec: SimulationSpec, follow: bool) -> None:
-    """Show a `SceneView` in a window, until the user or the parent process closes it. Main function of a process.
-
-    Args:
-        connection: A True is sent when the window is open. Arguments of `SceneView.show` are received, and None to
-            close the window.
-        spec: The robot and the worlds.
-        follow: Whether to look at the robot from behind instead of at the whole world.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches this process, too, but the parent closes the window
-    with quiet(), suppress(EOFError, OSError, pybullet.error), closing(SceneView(spec, window=True)) as view:
-        connection.send(True)
-        while view.is_open and (message := connection.recv()) is not None:
-            if connection.poll():
-                continue  # skip to the latest pose, because the window may be slower than the sender
-            view.show(*message)
-            if follow:
-                view.follow()

@@ -13,12 +13,12 @@ def unavailable() -> str | None:
     return import_problem("tb2rl.simulation.bullet.client", "pybullet")
 
 
-def make(spec: SimulationSpec, num_envs: int, window: bool = False, processes: int | None = None) -> Any:
+def make(spec: SimulationSpec, num_envs: int, processes: int | None = None) -> Any:
     """Make a simulator of one environment in this process, or of many in several processes."""
     if num_envs == 1 and processes is None:
         from tb2rl.simulation.bullet.simulator import BulletSimulator
 
-        return BulletSimulator(spec, window)
+        return BulletSimulator(spec)
     from tb2rl.simulation.bullet.batch import BulletBatch
 
     return BulletBatch(spec, num_envs, processes)
@@ -29,7 +29,6 @@ SIMULATOR = SimulatorType(
     title="PyBullet",
     make=make,
     is_physics=True,
-    has_window=True,
     has_colours=True,
     needs_processes=True,
     unavailable=unavailable,

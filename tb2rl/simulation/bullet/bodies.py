@@ -12,7 +12,6 @@ import numpy as np
 from tb2rl.core.errors import InputError
 from tb2rl.robots import Camera, Robot
 from tb2rl.simulation.bullet.client import pybullet
-from tb2rl.simulation.simulator import check_display
 from tb2rl.worlds.world import WALL_HEIGHT, World
 
 GRAVITY = 9.81  # [m/s^2]
@@ -26,15 +25,9 @@ _MAX_SHAPES = 16  # maximum number of shapes of a body; PyBullet ignores others 
 _CFM = 1.0e-6  # constraint force mixing; with 0, the matrix of the direct solver is singular
 
 
-def connect(window: bool) -> int:
-    """Connect to a new PyBullet client, with or without its window, and `clear` it.
-
-    Raises:
-        InputError: If there is no display for a window.
-    """
-    if window:
-        check_display()
-    client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
+def connect() -> int:
+    """Connect to a new PyBullet client, and `clear` it."""
+    client = pybullet.connect(pybullet.DIRECT)
     clear(client)
     return client
 

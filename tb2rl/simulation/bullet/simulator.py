@@ -26,13 +26,13 @@ class BulletSimulator:
     """One robot in one world. The laser ranges come from the world's geometry, not from PyBullet's ray tests.
 
     Raises:
-        InputError: If there is no display for a window, or PyBullet cannot load the robot.
+        InputError: If PyBullet cannot load the robot.
     """
 
     num_envs = 1
 
-    def __init__(self, spec: SimulationSpec, window: bool = False) -> None:
-        self.spec, self._window = spec, window
+    def __init__(self, spec: SimulationSpec) -> None:
+        self.spec = spec
         self._directions = np.cos(spec.laser.angles), np.sin(spec.laser.angles)
         self._scratch = np.empty(len(spec.laser.angles)), np.empty(len(spec.laser.angles))
         self._world_id, self.world = 0, spec.worlds[0]
@@ -47,7 +47,7 @@ class BulletSimulator:
     def _open(self) -> None:
         """Build the world and the robot in a new PyBullet client."""
         with quiet():
-            self._client = connect(self._window)
+            self._client = connect()
             self._disconnect = disconnector(self, self._client)
             try:
                 self._build()
@@ -64,8 +64,6 @@ class BulletSimulator:
         self._obstacles.connect(self._client)
 
     def __getstate__(self) -> dict[str, Any]:
-        if self._window:
-            raise InputError("an environment with PyBullet's window cannot be copied")
         return {name: value for name, value in vars(self).items() if name != "_disconnect"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

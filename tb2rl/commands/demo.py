@@ -1,0 +1,49 @@
+"""Implementation of `python -m tb2rl.demo`: a tour of the zoo in the viewer."""
+
+import argparse
+
+from tb2rl.core.compiled import announce_compiling
+from tb2rl.simulation.simulator import default_simulator
+from tb2rl.viz.viewer.choices import make_selection
+from tb2rl.viz.viewer.live import drive_live
+from tb2rl.viz.viewer.page import TourStop
+
+_ROOMS = {"world": {"generator": "rooms", "worlds": 1, "seed": 1, "difficulty": (0.5, 0.5)}}
+TOUR = (
+    TourStop(
+        "A table",
+        "Q-learning learned this table in seconds. The robot sees nine distances, each in one of four classes, and "
+        "chooses the action with the largest value in the row of what it sees: watch the bars on the left.",
+        "zoo:maze-loop-qlearn",
+        {},
+    ),
+    TourStop(
+        "A network",
+        "SAC learned a network that maps the laser's ranges to a speed and a turn rate, so the robot drives smoothly.",
+        "zoo:drive-loop-sac",
+        {},
+    ),
+    TourStop(
+        "Anywhere",
+        "This policy was trained in 512 generated worlds. It has never seen this one: choose other worlds, "
+        "make them more difficult, let people walk in them.",
+        "zoo:anywhere-ppo",
+        _ROOMS,
+    ),
+    TourStop(
+        "To a goal",
+        "Drag the green disc, or click on the floor, and the robot drives there. Choose *Add wall* and put a wall "
+        "in its way: it plans another path.",
+        "zoo:navigate-plan-ppo",
+        _ROOMS,
+    ),
+)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Open the page of the tour, until Ctrl-C."""
+    announce_compiling()
+    first = TOUR[0]
+    simulation = arguments.simulation or default_simulator()
+    selection = make_selection(first.policy, "maze", first.settings, simulation)
+    drive_live(selection, host=arguments.host, port=arguments.port, tour=TOUR)

@@ -1,0 +1,219 @@
+"""The controls of the viewer's page: playback, policy, task, world, mouse and keys."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from tb2rl.core.errors import InputError
+from tb2rl.core.values import Point
+from tb2rl.viz.viewer import choices
+from tb2rl.viz.viewer.choices import AS_TRAINED
+from tb2rl.viz.viewer.drive import Drive
+from tb2rl.viz.viewer.edits import add_post, add_wall, hit_floor, remove_obstacle
+from tb2rl.viz.viewer.live_scene import LiveScene
+from tb2rl.viz.viewer.server import ViewerServer
+
+_MIN_SPEED, _MAX_SPEED = 0.25, 20.0  # simulated seconds per second
+_MAX_PEOPLE, _MAX_SEED = 8, 100_000
+_MOVE_GOAL, _MOVE_ROBOT, _ADD_WALL, _ADD_POST, _REMOVE = (
+    "move the goal",
+    "move the robot",
+    "add a wall",
+    "add a post",
+    "remove",
+)
+_CLICKS = (_MOVE_GOAL, _MOVE_ROBOT, _ADD_WALL, _ADD_POST, _REMOVE, "do nothing")
+_STEERING = {"faster": "W", "slower": "S", "left": "A", "right": "D", "stop": ""}
+_HOTKEYS = {"W": "arrowup", "S": "arrowdown", "A": "arrowleft", "D": "arrowright", "": "space"}
+
+
+class Controls:
+    """Controls of a `Drive`. Pages can send any values, so all of them are checked in the thread of the drive.
+
+    Args:
+        server: The server of the page.
+        drive: The drive.
+        follow: Whether the camera follows the robot.
+    """
+
+    def __init__(self, server: ViewerServer, drive: Drive, follow: bool) -> None:
+        self._server, self._drive = server, drive
+        self._gui: Any = server.gui
+        self._wall_start: Point | None = None
+        self._add_playback(follow)
+        self._add_policy()
+        self._add_world()
+        self._add_mouse()
+        self._add_steering()
+
+    @property
+    def follows(self) -> bool:
+        """Whether the camera follows the robot."""
+        return bool(self._follow.value)
+
+    def attach(self, live: LiveScene) -> None:
+        """Let the user drag the goal and the robot of a scene."""
+        for handle, move in ((live.goals, self._drive.move_goal), (live.robots, self._drive.move_robot)):
+            handle.on_drag("left")(partial(self._on_drag, move))
+
+    def visit(self, policy: str, settings: dict[str, Any]) -> None:
+        """Select a policy and settings of its task, and nothing else."""
+        for handle in (self._robot, self._world, self._variation):
+            handle.value = AS_TRAINED
+        self._people.value, self._policy.value = 0, policy
+        self._drive.select(choices.make_selection(policy, self._task.value, settings, self._simulation.value))
+        self._task.value = self._drive.selection.config.task_name
+
+    def request(self, change: Callable[..., object], *arguments: Any) -> None:
+        """Call a function in the thread of the drive."""
+        self._drive.request(partial(change, *arguments))
+
+    # ---- playback
+
+    def _add_playback(self, follow: bool) -> None:
+        drive = self._drive
+        changes: dict[str, Callable[[], object]] = {
+            "Pause / go on": drive.toggle_pause,
+            "One step": drive.step_once,
+            "New episode": drive.next_episode,
+        }
+        with self._gui.add_folder("Time"):
+            buttons = self._gui.add_button_group("Playback", list(changes))
+            limits = {"min": _MIN_SPEED, "max": _MAX_SPEED, "step": 0.25}
+            speed = self._gui.add_slider("Speed (1: real time)", initial_value=drive.speed, **limits)
+            self._follow = self._gui.add_checkbox("Follow the robot", initial_value=follow)
+        buttons.on_click(lambda _: self.request(changes[buttons.value]))
+        speed.on_update(lambda _: setattr(drive, "speed", float(np.clip(speed.value, _MIN_SPEED, _MAX_SPEED))))
+
+    # ---- policy, task and world
+
+    def _add_policy(self) -> None:
+        selection = self._drive.selection
+        names = list(dict.fromkeys([selection.label, *choices.policy_names()]))
+        with self._gui.add_folder("Policy and task"):
+            self._policy = self._gui.add_dropdown("Policy", names, initial_value=selection.label)
+            self._hub = self._gui.add_text("or from Hugging Face", initial_value="", hint="hf:USER/REPOSITORY")
+            self._task = self._add_choice("Task", choices.tasks(), selection.config.task_name)
+            self._robot = self._add_choice("Robot", choices.robots())
+            self._simulation = self._add_choice("Simulator", choices.simulators(), selection.simulator.name)
+        self._policy.on_update(lambda _: self.request(self._select))
+        self._hub.on_update(lambda _: self.request(self._select_from_hub))
+        self._task.on_update(lambda _: self.request(self._select_task))
+        for handle in (self._robot, self._simulation):
+            handle.on_update(lambda _: self.request(self._select))
+
+    def _add_world(self) -> None:
+        gui = self._gui
+        with gui.add_folder("World: make it harder or easier"):
+            self._world = self._add_choice("World", choices.worlds())
+            self._difficulty = gui.add_slider("Difficulty", min=0.0, max=1.0, step=0.05, initial_value=0.5)
+            self._number = gui.add_number("Number of the world", initial_value=0, min=0, max=_MAX_SEED, step=1)
+            self._people = gui.add_slider("People who walk", min=0, max=_MAX_PEOPLE, step=1, initial_value=0)
+            self._variation = self._add_choice("Variation of the robot", choices.variations())
+            undo = gui.add_button("Undo walls, posts and goal")
+        for handle in (self._world, self._difficulty, self._people, self._variation):
+            handle.on_update(lambda _: self.request(self._select))
+        self._number.on_update(lambda _: self.request(self._select_number))
+        undo.on_click(lambda _: self.request(lambda: self._drive.select(self._drive.selection)))
+
+    def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
+        options = list(dict.fromkeys([*names, value]))
+        return self._gui.add_dropdown(label, options, initial_value=value)
+
+    def _select(self, policy: str | None = None) -> None:
+        """Drive what the controls say; if that is impossible, an `InputError` leaves the drive as it is."""
+        for handle in (self._policy, self._task, self._robot, self._simulation, self._world, self._variation):
+            if handle.value not in handle.options:
+                raise InputError(f"there is no {handle.label} {handle.value!r}")
+        settings: dict[str, Any] = {}
+        for key, handle in (("robot", self._robot), ("variation", self._variation)):
+            settings |= {} if handle.value == AS_TRAINED else {key: handle.value}
+        if self._world.value != AS_TRAINED:
+            difficulty, seed = float(np.clip(self._difficulty.value, 0.0, 1.0)), int(self._number.value)
+            settings["world"] = choices.world_setting(self._world.value, difficulty, max(0, min(seed, _MAX_SEED)))
+        if self._people.value:
+            settings["dynamic_obstacles"] = {"people": max(1, min(int(self._people.value), _MAX_PEOPLE))}
+        name = policy or self._policy.value
+        with self._loading(name):
+            self._drive.select(choices.make_selection(name, self._task.value, settings, self._simulation.value))
+        self._task.value = self._drive.selection.config.task_name
+
+    def _select_task(self) -> None:
+        """Drive a policy of the chosen task, unless the present one can do it."""
+        if self._task.value != self._drive.selection.config.task_name and not choices.is_baseline(self._policy.value):
+            self._policy.value = choices.policy_of_task(self._task.value)
+        self._select()
+
+    def _select_from_hub(self) -> None:
+        if self._hub.value and not choices.is_hub_reference(self._hub.value):
+            raise InputError("a policy on the hub is hf:USER/REPOSITORY")
+        self._select(self._hub.value)
+
+    def _select_number(self) -> None:
+        if choices.is_generated(self._world.value):
+            self._select()
+        else:
+            self._drive.choose_world(int(self._number.value))
+
+    @contextmanager
+    def _loading(self, name: str) -> Iterator[None]:
+        """Show that a policy is being loaded, which can take seconds."""
+        clients = self._server.get_clients().values()
+        notes = [client.add_notification("Loading", name, loading=True, with_close_button=False) for client in clients]
+        try:
+            yield
+        finally:
+            for note in notes:
+                note.remove()
+
+    # ---- mouse and keys
+
+    def _add_mouse(self) -> None:
+        with self._gui.add_folder("Goal, walls and posts: click on the floor"):
+            self._click = self._gui.add_dropdown("A click will", _CLICKS, initial_value=_MOVE_GOAL)
+            text = "Drag the green disc to move the goal; drag the robot to lift it. A wall needs two clicks."
+            self._gui.add_markdown(text)
+        on_click: Any = self._server.scene.on_click()
+        on_click(lambda event: self.request(self._on_click, event.ray_origin, event.ray_direction))
+
+    def _on_click(self, origin: Any, direction: Any) -> None:
+        point, world, drive = hit_floor(origin, direction), self._drive.world, self._drive
+        start, self._wall_start = self._wall_start, None
+        if point is None:
+            return
+        match self._click.value:
+            case "move the goal":
+                drive.move_goal(*point)
+            case "move the robot":
+                drive.move_robot(*point)
+            case "add a post":
+                drive.change_world(add_post(world, point))
+            case "remove":
+                drive.change_world(remove_obstacle(world, origin, direction))
+            case "add a wall":
+                if start is None:
+                    self._wall_start = point
+                else:
+                    drive.change_world(add_wall(world, start, point))
+
+    def _on_drag(self, move: Callable[[float, float], None], event: Any) -> None:
+        camera = np.array(event.client.camera.position)
+        point = hit_floor(camera, np.array(event.end_position) - camera)
+        if event.phase == "end" and point and math.isfinite(sum(point)):
+            self.request(move, *point)
+
+    def _add_steering(self) -> None:
+        gui, drive = self._gui, self._drive
+        with gui.add_folder("Drive yourself (W A S D, arrows, space stops)"):
+            steering = gui.add_button_group("Steer", list(_STEERING))
+            back = gui.add_button("Let the policy drive")
+        steering.on_click(lambda _: self.request(drive.press, _STEERING[steering.value]))
+        back.on_click(lambda _: self.request(drive.drive_manually, False))
+        for label, key in _STEERING.items():
+            for hotkey in filter(None, (key, _HOTKEYS[key])):
+                command = gui.add_command(f"{label} ({hotkey})", hotkey=hotkey)
+                command.on_trigger(lambda _, key=key: self.request(drive.press, key))

@@ -1,0 +1,55 @@
+"""Live drives on a page, until the user ends the program."""
+
+import os
+import sys
+import webbrowser
+from contextlib import closing, suppress
+
+from tb2rl.evaluation.progress import say
+from tb2rl.viz.viewer.drive import Drive, Selection
+from tb2rl.viz.viewer.page import Page, TourStop
+from tb2rl.viz.viewer.server import ViewerServer
+
+
+def drive_live(
+    selection: Selection,
+    seed: int = 0,
+    speed: float = 1.0,
+    follow: bool = False,
+    is_manual: bool = False,
+    host: str | None = None,
+    port: int | None = None,
+    tour: tuple[TourStop, ...] = (),
+) -> None:
+    """Open a page, and drive until Ctrl-C.
+
+    Args:
+        selection: The policy, the task and the simulator.
+        seed: Seed of the first episode; each further episode adds 1.
+        speed: Simulated seconds per second.
+        follow: Whether the camera follows the robot.
+        is_manual: Whether the user drives at the start.
+        host, port: See `ViewerServer`.
+        tour: Stops of a tour; empty: no tour.
+
+    Raises:
+        InputError: If the policy does not fit the task, or the page cannot be opened.
+    """
+    server = open_page(host, port)
+    with closing(Drive(selection, seed)) as drive, suppress(KeyboardInterrupt):
+        drive.speed = speed
+        if is_manual:
+            drive.drive_manually(True)
+        page = Page(server, drive, follow, tour)
+        drive.run(page.show, page.report, lambda: True)
+
+
+def open_page(host: str | None, port: int | None) -> ViewerServer:
+    """Open a server, say where its page is, and open it in the browser if there is a display."""
+    server = ViewerServer(host, port)
+    say(f"open {server.url} in a browser; Ctrl-C ends")
+    if server.warning:
+        print(f"warning: {server.warning}", file=sys.stderr, flush=True)
+    if sys.stdout.isatty() and (not sys.platform.startswith("linux") or os.environ.get("DISPLAY")):
+        webbrowser.open(server.url)
+    return server

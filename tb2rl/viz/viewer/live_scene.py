@@ -1,0 +1,216 @@
+"""The 3D scene of the viewer's page: worlds, robots, goals, beams, paths and dynamic obstacles."""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import trimesh
+import yourdfpy
+from PIL import ImageColor
+
+from tb2rl.rendering.above import GOAL_RADIUS
+from tb2rl.rendering.colours import BEAM, DYNAMIC_OBSTACLE, FLOOR, GOAL, PATH, START, WALL
+from tb2rl.robots import Robot
+from tb2rl.worlds import World
+from tb2rl.worlds.world import WALL_HEIGHT
+
+_UNIT_BOX, _UNIT_CYLINDER = trimesh.creation.box((1, 1, 1)), trimesh.creation.cylinder(1.0, 1.0, sections=32)
+_LINE_HEIGHT = 0.02  # [m] of the path above the floor
+_GAP = 1.0  # [m] between worlds side by side
+_GOAL_HEIGHT, _FLOOR_THICKNESS = 0.02, 0.02  # [m]
+_HIDDEN = 1e-6  # scale of a shape that is not shown
+
+
+class LiveScene:
+    """Draws robots in worlds that stand side by side.
+
+    Args:
+        server: A `ViserServer`.
+        robot: The robot.
+        worlds: The world of each robot.
+        shared: Whether all robots are in the same world, which is drawn once.
+    """
+
+    def __init__(self, server: Any, robot: Robot, worlds: Sequence[World], shared: bool = True) -> None:
+        self._server, self._worlds = server, list(worlds)
+        server.scene.reset()
+        drawn = worlds[:1] if shared else worlds
+        offsets = _grid_offsets(drawn)
+        self._offsets = np.broadcast_to(offsets, (len(worlds), 2))  # x, y [m]
+        for index, (world, offset) in enumerate(zip(drawn, offsets, strict=True)):
+            self._add_world(f"/worlds/{index}", world, offset)
+        self._bounds = _outer_bounds(drawn, offsets)
+        self.robots = server.scene.add_batched_glb("/robots", _model(robot), *_frames(np.zeros((len(worlds), 3))))
+        self._laser_height = _height(robot)
+        self.goals = self._add_shapes("/goals", _UNIT_CYLINDER, len(worlds), GOAL, 0.9)
+        self._beams, self._path = self._add_lines("/beams", BEAM), self._add_lines("/path", PATH)
+        self._label = server.scene.add_label("/filter", "", anchor="bottom-center", visible=False)
+        self._goal_label = server.scene.add_label("/goal", "goal", anchor="bottom-center", visible=False)
+        self._moving: tuple[Any, ...] = ()
+
+    @property
+    def worlds(self) -> Sequence[World]:
+        """The world of each robot."""
+        return self._worlds
+
+    def set_cameras(self) -> None:
+        """Let all cameras, also those of pages that will be opened, see all worlds."""
+        x0, y0, x1, y1 = self._bounds
+        target, distance = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]), max(x1 - x0, y1 - y0, 2.0)
+        position = target + distance * np.array([0.0, -0.55, 0.95])
+        for owner in (self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())):
+            owner.position, owner.look_at = position, target
+
+    def show_robots(self, poses: np.ndarray, goals: np.ndarray, outlines: np.ndarray | None = None) -> None:
+        """Move robots, goals and dynamic obstacles.
+
+        Args:
+            poses: x [m], y [m], yaw [rad], shape (robots, 3).
+            goals: x, y [m], shape (robots, 2); NaN without a goal.
+            outlines: As `RobotState.dynamic_obstacles`, shape (robots, obstacles, 6); None: no obstacles.
+        """
+        shown = np.array(poses)
+        shown[:, :2] += self._offsets
+        self.robots.batched_wxyzs, self.robots.batched_positions = _frames(shown)
+        has_goal = np.isfinite(goals).all(axis=1)
+        positions = np.zeros((len(goals), 3))
+        positions[has_goal, :2] = goals[has_goal] + self._offsets[has_goal]
+        sizes = np.where(has_goal[:, None], (GOAL_RADIUS, GOAL_RADIUS, _GOAL_HEIGHT), _HIDDEN)
+        if not np.array_equal(positions, self.goals.batched_positions):
+            self.goals.batched_positions, self.goals.batched_scales = positions, sizes
+            self._goal_label.position, self._goal_label.visible = (*positions[0, :2], 0.1), bool(has_goal[0])
+        if outlines is not None:
+            self._show_moving(outlines)
+
+    def show_beams(self, pose: np.ndarray, angles: np.ndarray, ranges: np.ndarray) -> None:
+        """Draw the laser beams of the first robot.
+
+        Args:
+            pose: x [m], y [m], yaw [rad], shape (3,).
+            angles: Directions of the beams in the robot's frame [rad], shape (beams,).
+            ranges: Lengths [m], shape (beams,); inf: not drawn.
+        """
+        start, directions = pose[:2] + self._offsets[0], pose[2] + angles
+        ends = start + np.where(np.isfinite(ranges), ranges, 0.0)[:, None] * np.stack(
+            [np.cos(directions), np.sin(directions)], 1
+        )
+        self._beams.points = _segments(np.broadcast_to(start, ends.shape), ends, self._laser_height)
+
+    def show_path(self, positions: np.ndarray) -> None:
+        """Draw the path of the first robot through positions x, y [m], shape (n, 2)."""
+        shown = positions + self._offsets[0]
+        self._path.points = _segments(shown[:-1], shown[1:], _LINE_HEIGHT)
+
+    def show_label(self, text: str, pose: np.ndarray) -> None:
+        """Show a text above the first robot at a pose (3,), such as the reason of a filter; empty: no text."""
+        if text != self._label.text:
+            self._label.text, self._label.visible = text, bool(text)
+        if text:
+            self._label.position = (*(pose[:2] + self._offsets[0]), self._laser_height + 0.3)
+
+    def _show_moving(self, outlines: np.ndarray) -> None:
+        rows, robots, offsets = outlines.reshape(-1, 6), len(outlines), self._offsets
+        x, y, cos, sin, length, width = rows.T
+        if not self._moving:
+            shapes = (("/moving/round", _UNIT_CYLINDER), ("/moving/boxes", _UNIT_BOX))
+            self._moving = tuple(self._add_shapes(name, mesh, len(rows), DYNAMIC_OBSTACLE) for name, mesh in shapes)
+        shown_offsets = np.repeat(offsets, len(rows) // robots, axis=0)
+        poses = np.column_stack([x + shown_offsets[:, 0], y + shown_offsets[:, 1], np.arctan2(sin, cos)])
+        wxyzs, positions = _frames(poses)
+        positions[:, 2] = WALL_HEIGHT / 2
+        is_round, is_box = (length > 0) & (width == 0), width > 0
+        for handle, mask, sizes in zip(
+            self._moving, (is_round, is_box), ((length, length), (2 * length, 2 * width)), strict=True
+        ):
+            scales = np.column_stack([*sizes, np.full(len(rows), WALL_HEIGHT)])
+            handle.batched_wxyzs, handle.batched_positions = wxyzs, positions
+            handle.batched_scales = np.where(mask[:, None], scales, _HIDDEN)
+
+    def _add_world(self, name: str, world: World, offset: np.ndarray) -> None:
+        x0, y0, x1, y1 = np.array(world.bounds) + np.tile(offset, 2)
+        centre, add = ((x0 + x1) / 2, (y0 + y1) / 2), self._server.scene
+        size = (x1 - x0, y1 - y0, _FLOOR_THICKNESS)
+        add.add_box(f"{name}/floor", _rgb(FLOOR), size, position=(*centre, -_FLOOR_THICKNESS), cast_shadow=False)
+        grid = {"cell_size": 1.0, "section_size": 1.0, "section_color": (205, 198, 186), "section_thickness": 1.0}
+        add.add_grid(f"{name}/grid", x1 - x0, y1 - y0, position=(*centre, 0.0), **grid)
+        start = world.start[0] + offset[0], world.start[1] + offset[1], 0.0
+        add.add_label(f"{name}/start", "start", position=start, anchor="bottom-center", font_screen_scale=0.8)
+        add.add_cylinder(f"{name}/start/disc", 0.1, 0.01, color=_rgb(START))
+        if len(world.boxes):
+            x, y, half_length, half_width, cos, sin = world.boxes.T
+            sizes = np.column_stack([2 * half_length, 2 * half_width])
+            self._add_walls(f"{name}/walls", _UNIT_BOX, np.column_stack([x, y, np.arctan2(sin, cos)]), sizes, offset)
+        if len(world.posts):
+            x, y, radius = world.posts.T
+            poses, sizes = np.column_stack([x, y, np.zeros(len(x))]), np.column_stack([radius, radius])
+            self._add_walls(f"{name}/posts", _UNIT_CYLINDER, poses, sizes, offset)
+
+    def _add_walls(self, name: str, mesh: Any, poses: np.ndarray, sizes: np.ndarray, offset: np.ndarray) -> None:
+        poses[:, :2] += offset
+        handle, (wxyzs, positions) = self._add_shapes(name, mesh, len(poses), WALL), _frames(poses)
+        positions[:, 2] = WALL_HEIGHT / 2
+        handle.batched_wxyzs, handle.batched_positions = wxyzs, positions
+        handle.batched_scales = np.column_stack([sizes, np.full(len(sizes), WALL_HEIGHT)])
+
+    def _add_shapes(self, name: str, mesh: Any, count: int, colour: str, opacity: float | None = None) -> Any:
+        scales = np.full((count, 3), _HIDDEN)
+        options: dict[str, Any] = {"batched_colors": _rgb(colour), "batched_scales": scales, "opacity": opacity}
+        frames = _frames(np.zeros((count, 3)))
+        add = self._server.scene.add_batched_meshes_simple
+        return add(name, mesh.vertices, mesh.faces, *frames, flat_shading=True, lod="off", **options)
+
+    def _add_lines(self, name: str, colour: str) -> Any:
+        points = np.zeros((1, 2, 3), dtype=np.float32)
+        return self._server.scene.add_line_segments(name, points, _rgb(colour), line_width=2.0)
+
+
+def _grid_offsets(worlds: Sequence[World]) -> np.ndarray:
+    """Offsets x, y [m] that place worlds side by side in a square grid, shape (worlds, 2)."""
+    sizes = [(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (world.bounds for world in worlds)]
+    columns, (width, height) = math.ceil(math.sqrt(len(worlds))), np.max(sizes, axis=0) + _GAP
+    cells = np.array([divmod(index, columns) for index in range(len(worlds))])
+    corners = np.array([world.bounds[:2] for world in worlds])
+    places = cells[:, ::-1] * np.array([width, -height])
+    return places - (corners - corners[0])
+
+
+def _outer_bounds(worlds: Sequence[World], offsets: np.ndarray) -> np.ndarray:
+    """Rectangle around all worlds: min x, min y, max x, max y [m], shape (4,)."""
+    bounds = np.array([world.bounds for world in worlds]) + np.tile(offsets, 2)
+    return np.concatenate([bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)])
+
+
+def _frames(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternions w, x, y, z, shape (n, 4), and positions on the floor [m], shape (n, 3), of poses (n, 3)."""
+    half, zeros = poses[:, 2] / 2, np.zeros(len(poses))
+    return np.column_stack([np.cos(half), zeros, zeros, np.sin(half)]), np.column_stack([poses[:, :2], zeros])
+
+
+def _segments(starts: np.ndarray, ends: np.ndarray, height: float) -> np.ndarray:
+    """Line segments at a height [m] between points (n, 2), shape (n, 2, 3); one of length 0 if there are none."""
+    segments = np.full((max(len(starts), 1), 2, 3), height, dtype=np.float32)
+    if len(starts):
+        segments[:, 0, :2], segments[:, 1, :2] = starts, ends
+    return segments
+
+
+def _rgb(colour: str) -> tuple[int, ...]:
+    return ImageColor.getrgb(colour)
+
+
+@cache
+def _description(robot: Robot) -> Any:
+    return yourdfpy.URDF.load(str(robot.urdf), load_collision_meshes=False).scene
+
+
+@cache
+def _model(robot: Robot) -> bytes:
+    """The visual shapes of a robot's URDF file as a binary glTF file."""
+    return _description(robot).to_mesh().export(file_type="glb")
+
+
+def _height(robot: Robot) -> float:
+    """Height of the robot [m]."""
+    return float(_description(robot).bounds[1, 2])

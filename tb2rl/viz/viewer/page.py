@@ -1,0 +1,123 @@
+"""The viewer's page of a live drive: the 3D scene, the state of the robot, and the controls."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tb2rl.robots import Robot
+from tb2rl.viz.cameras import beam_ranges, goal_of
+from tb2rl.viz.viewer.controls import Controls
+from tb2rl.viz.viewer.drive import Drive
+from tb2rl.viz.viewer.live_scene import LiveScene
+from tb2rl.viz.viewer.server import ViewerServer, has_clients
+from tb2rl.viz.viewer.status import status, values
+
+_TEXT_PERIOD, _PICTURE_PERIOD = 0.2, 0.5  # [s] between updates of texts, and of the camera's picture
+_PICTURE_SIZE = (160, 120)  # [px] width and height
+_MAX_DEPTH = 5.0  # [m] depth that is black in a picture without colours
+_MESSAGE_DURATION = 8.0  # [s]
+
+
+@dataclass(frozen=True)
+class TourStop:
+    """One stop of a tour: a text, a policy, and settings of its task."""
+
+    title: str
+    text: str
+    policy: str
+    settings: dict[str, Any]
+
+
+class Page:
+    """Shows a `Drive`, and has its controls.
+
+    Args:
+        server: The server of the page.
+        drive: The drive.
+        follow: Whether the camera follows the robot.
+        tour: Stops of a tour; empty: no tour.
+    """
+
+    def __init__(self, server: ViewerServer, drive: Drive, follow: bool = False, tour: Sequence[TourStop] = ()) -> None:
+        self._server, self._live = server, LiveScene(server, drive.scene.robot, [drive.episode_world])
+        self._robot: Robot = drive.scene.robot
+        self._next_text = self._next_picture = 0.0
+        server.gui.main_panel.dock_right()
+        if tour:
+            self._add_tour(tour)
+        self._controls = Controls(server, drive, follow)
+        self._controls.attach(self._live)
+        panel = server.gui.add_panel()
+        panel.dock_left()
+        with panel.add_tab("Robot"):
+            self._status = server.gui.add_markdown("")
+            with server.gui.add_folder("What the policy computes"):
+                self._values = server.gui.add_html("")
+            with server.gui.add_folder("Camera of the robot"):
+                self._picture_shown = server.gui.add_checkbox("Show its picture", drive.scene.has_images)
+                self._picture = server.gui.add_image(np.zeros((*_PICTURE_SIZE[::-1], 3), np.uint8), visible=False)
+        self._live.set_cameras()
+
+    def show(self, drive: Drive) -> None:
+        """Show the present frame; called 60 times a second."""
+        if not has_clients(self._server):
+            return
+        frame, scene, now, live = drive.frame, drive.scene, time.monotonic(), self._scene_of(drive)
+        outlines = None if frame.dynamic_obstacles is None else frame.dynamic_obstacles[None]
+        with self._server.atomic():
+            live.show_robots(frame.pose[None], goal_of(scene.task, frame.step.after.initial_state)[None], outlines)
+            live.show_beams(frame.pose, scene.laser.angles, beam_ranges(frame, drive.episode_world, scene))
+            live.show_label(frame.step.intervention, frame.pose)
+            if self._controls.follows:
+                self._follow(frame.pose)
+            if now >= self._next_text:
+                self._next_text = now + _TEXT_PERIOD
+                live.show_path(np.array([pose[:2] for pose in [*frame.path, frame.pose]]))
+                self._status.content, self._values.content = status(drive), values(drive)
+        if self._picture_shown.value and now >= self._next_picture:
+            self._next_picture = now + _PICTURE_PERIOD
+            self._show_picture(drive)
+
+    def report(self, message: str) -> None:
+        """Show a message to everybody who has opened the page."""
+        for client in self._server.get_clients().values():
+            client.add_notification("Not possible", message, auto_close_seconds=_MESSAGE_DURATION, color="red")
+
+    def _scene_of(self, drive: Drive) -> LiveScene:
+        """The 3D scene of the episode's world, drawn again if the world or the robot is another one."""
+        world, robot, old_world = drive.episode_world, drive.scene.robot, self._live.worlds[0]
+        if world is not old_world or robot is not self._robot:
+            self._live, self._robot = LiveScene(self._server, robot, [world]), robot
+            self._controls.attach(self._live)
+            if world.bounds != old_world.bounds:
+                self._live.set_cameras()
+        return self._live
+
+    def _follow(self, pose: np.ndarray) -> None:
+        position, forward = np.array([*pose[:2], 0.0]), np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
+        for client in self._server.get_clients().values():
+            client.camera.position = position - 1.4 * forward + np.array([0.0, 0.0, 1.3])
+            client.camera.look_at = position + 0.5 * forward
+
+    def _show_picture(self, drive: Drive) -> None:
+        colours, depth = drive.step.after.render_camera(*_PICTURE_SIZE)
+        near = np.clip(1.0 - depth[0] / _MAX_DEPTH, 0.0, 1.0) * 255
+        self._picture.image = near.astype(np.uint8)[..., None].repeat(3, -1) if colours is None else colours[0]
+        self._picture.visible = True
+
+    def _add_tour(self, tour: Sequence[TourStop]) -> None:
+        with self._server.gui.add_folder("Tour"):
+            text = self._server.gui.add_markdown("")
+            buttons = [self._server.gui.add_button(f"{number}. {stop.title}") for number, stop in enumerate(tour, 1)]
+
+        def visit(stop: TourStop) -> None:
+            text.content = f"**{stop.title}.** {stop.text}"
+            self._controls.visit(stop.policy, stop.settings)
+
+        text.content = f"**{tour[0].title}.** {tour[0].text}"
+        for button, stop in zip(buttons, tour, strict=True):
+            button.on_click(lambda _, stop=stop: self._controls.request(visit, stop))  # type: ignore[misc]

@@ -1,0 +1,85 @@
+"""Texts of the viewer's page: what the robot does, where it is to go, what it sees, and what its policy computes."""
+
+import html
+import math
+from typing import Any
+
+import numpy as np
+
+from tb2rl.envs.scene import Scene
+from tb2rl.rendering.colours import PATH
+from tb2rl.simulation import RobotState
+from tb2rl.viz.cameras import goal_of
+from tb2rl.viz.viewer.drive import Drive
+from tb2rl.viz.viewer.policy_values import policy_values
+
+_MAX_NUMBERS = 12  # numbers of an observation that are shown
+
+
+def status(drive: Drive) -> str:
+    """What the robot does, where it is to go, and what it sees, as Markdown."""
+    step, scene = drive.step, drive.scene
+    v, w = step.after.twist[0].tolist()
+    paused = " (paused)" if drive.is_paused else ""
+    who = "You drive" if drive.is_manual else f"{drive.selection.label} drives"
+    doing = f"{step.info['ended']}: a new episode begins" if step.info["ended"] else scene.actions.describe(step.action)
+    lines = [
+        f"**{who}** {scene.robot.name}, task {drive.selection.config.task_name}, in {drive.episode_world.name}, "
+        f"{drive.selection.simulator.title}",
+        f"**Doing:** {doing}{paused} (v {v:z.2f} m/s, w {w:+z.2f} rad/s)",
+        f"**Goal:** {_goal_text(step.after, scene)}",
+        f"**Sees:** {_nearest_text(step.after, scene)} (orange beams)",
+        f"**Reward** {step.reward:+.3g}, **return** {step.episode_return:.4g}, **time** {drive.frame.time:.1f} s",
+    ]
+    return "\n\n".join(lines)
+
+
+def _goal_text(state: RobotState, scene: Scene) -> str:
+    goal, (x, y, yaw) = goal_of(scene.task, state.initial_state), state.pose[0].tolist()
+    if not np.isfinite(goal).all():
+        return "none; this task is to drive on without a collision"
+    angle = math.remainder(math.atan2(goal[1] - y, goal[0] - x) - yaw, math.tau)
+    return f"{math.hypot(goal[0] - x, goal[1] - y):.1f} m away, {_side(angle)} (green disc)"
+
+
+def _nearest_text(state: RobotState, scene: Scene) -> str:
+    ranges = state.ranges[0]
+    if not np.isfinite(ranges).any():
+        return "nothing in range"
+    nearest = int(np.argmin(ranges))
+    return f"nearest obstacle {ranges[nearest]:.2f} m, {_side(scene.laser.angles[nearest])}"
+
+
+def _side(angle: float) -> str:
+    """A direction in the robot's frame [rad] in words."""
+    names = ("ahead", "ahead on the left", "on the left", "behind on the left", "behind")
+    name = names[round(abs(angle) / (math.pi / 4))]
+    return name if angle >= 0 else name.replace("left", "right")
+
+
+def values(drive: Drive) -> str:
+    """The numbers from which the policy chooses, as bars in HTML."""
+    observation = drive.observation
+    found = None if observation is None else policy_values(drive.policy, observation, drive.scene.actions)
+    if found is None:
+        return "<p>This policy computes no values for its actions.</p>"
+    low, high = min(0.0, *found.scores.values()), max(0.0, *found.scores.values())
+    span = max(high - low, 1e-9)
+    rows = "".join(_bar(name, score, (score - low) / span) for name, score in found.scores.items())
+    value = "" if found.value is None else f"<p>Expected return (critic): <b>{found.value:.3g}</b></p>"
+    text = html.escape(found.meaning[0].upper() + found.meaning[1:])
+    return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {_describe(observation)}</p></div>"
+
+
+def _bar(name: str, score: float, share: float) -> str:
+    label = f"<span>{html.escape(name)}</span><span>{score:.3g}</span>"
+    bar = f"<div style='width:{100 * share:.0f}%;height:0.6em;background:{PATH}'></div>"
+    return f"<div style='display:flex;justify-content:space-between'>{label}</div>{bar}"
+
+
+def _describe(observation: Any) -> str:
+    if isinstance(observation, dict):
+        return ", ".join(f"{html.escape(key)} {np.shape(value)}" for key, value in observation.items())
+    numbers = np.ravel(observation)
+    shown = " ".join(f"{number:.3g}" for number in numbers[:_MAX_NUMBERS])
+    return f"{shown}{' ...' if numbers.size > _MAX_NUMBERS else ''} ({numbers.size} numbers)"
