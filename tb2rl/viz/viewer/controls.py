@@ -67,6 +67,7 @@ class Controls:
         self._people.value, self._policy.value = 0, policy
         self._drive.select(choices.make_selection(policy, self._task.value, settings, self._simulation.value))
         self._task.value = self._drive.selection.config.task_name
+        self._selected = self._values()
 
     def request(self, change: Callable[..., object], *arguments: Any) -> None:
         """Call a function in the thread of the drive."""
@@ -100,11 +101,10 @@ class Controls:
             self._task = self._add_choice("Task", choices.tasks(), selection.config.task_name)
             self._robot = self._add_choice("Robot", choices.robots())
             self._simulation = self._add_choice("Simulator", choices.simulators(), selection.simulator.name)
-        self._policy.on_update(lambda _: self.request(self._select))
-        self._hub.on_update(lambda _: self.request(self._select_from_hub))
-        self._task.on_update(lambda _: self.request(self._select_task))
-        for handle in (self._robot, self._simulation):
-            handle.on_update(lambda _: self.request(self._select))
+        for handle in (self._policy, self._robot, self._simulation):
+            self._on_update(handle, self._select)
+        self._on_update(self._hub, self._select_from_hub)
+        self._on_update(self._task, self._select_task)
 
     def _add_world(self) -> None:
         gui = self._gui
@@ -116,16 +116,37 @@ class Controls:
             self._variation = self._add_choice("Variation of the robot", choices.variations())
             undo = gui.add_button("Undo walls, posts and goal")
         for handle in (self._world, self._difficulty, self._people, self._variation):
-            handle.on_update(lambda _: self.request(self._select))
-        self._number.on_update(lambda _: self.request(self._select_number))
+            self._on_update(handle, self._select)
+        self._on_update(self._number, self._select_number)
+        self._selected = self._values()
         undo.on_click(lambda _: self.request(lambda: self._drive.select(self._drive.selection)))
 
     def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
         options = list(dict.fromkeys([*names, value]))
         return self._gui.add_dropdown(label, options, initial_value=value)
 
+    def _on_update(self, handle: Any, select: Callable[[], None]) -> None:
+        """Select when a page, not this program, has changed a control; the controls follow what is possible."""
+
+        def change() -> None:
+            try:
+                select()
+            except InputError:
+                for each, value in self._selected:
+                    each.value = value
+                raise
+            self._selected = self._values()
+
+        handle.on_update(lambda event: self.request(change) if event.client is not None else None)
+
+    def _values(self) -> list[tuple[Any, Any]]:
+        """The controls that select, each with its value."""
+        handles = [self._policy, self._hub, self._task, self._robot, self._simulation]
+        handles += [self._world, self._difficulty, self._number, self._people, self._variation]
+        return [(handle, handle.value) for handle in handles]
+
     def _select(self, policy: str | None = None) -> None:
-        """Drive what the controls say; if that is impossible, an `InputError` leaves the drive as it is."""
+        """Drive what the controls say; after an `InputError`, the drive is as it was."""
         for handle in (self._policy, self._task, self._robot, self._simulation, self._world, self._variation):
             if handle.value not in handle.options:
                 raise InputError(f"there is no {handle.label} {handle.value!r}")

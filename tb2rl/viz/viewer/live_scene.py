@@ -19,7 +19,7 @@ from tb2rl.worlds.world import WALL_HEIGHT
 _UNIT_BOX, _UNIT_CYLINDER = trimesh.creation.box((1, 1, 1)), trimesh.creation.cylinder(1.0, 1.0, sections=32)
 _LINE_HEIGHT = 0.02  # [m] of the path above the floor
 _GAP = 1.0  # [m] between worlds side by side
-_GOAL_HEIGHT, _FLOOR_THICKNESS = 0.02, 0.02  # [m]
+_GOAL_HEIGHT, _FLOOR_THICKNESS = 0.06, 0.02  # [m]
 _HIDDEN = 1e-6  # scale of a shape that is not shown
 
 
@@ -44,7 +44,7 @@ class LiveScene:
         self._bounds = _outer_bounds(drawn, offsets)
         self.robots = server.scene.add_batched_glb("/robots", _model(robot), *_frames(np.zeros((len(worlds), 3))))
         self._laser_height = _height(robot)
-        self.goals = self._add_shapes("/goals", _UNIT_CYLINDER, len(worlds), GOAL, 0.9)
+        self.goals = self._add_shapes("/goals", _UNIT_CYLINDER, len(worlds), GOAL)
         self._beams, self._path = self._add_lines("/beams", BEAM), self._add_lines("/path", PATH)
         self._label = server.scene.add_label("/filter", "", anchor="bottom-center", visible=False)
         self._goal_label = server.scene.add_label("/goal", "goal", anchor="bottom-center", visible=False)
@@ -156,14 +156,18 @@ class LiveScene:
 
     def _add_shapes(self, name: str, mesh: Any, count: int, colour: str, opacity: float | None = None) -> Any:
         scales = np.full((count, 3), _HIDDEN)
-        options: dict[str, Any] = {"batched_colors": _rgb(colour), "batched_scales": scales, "opacity": opacity}
+        options: dict[str, Any] = {
+            "batched_colors": _linear(_rgb(colour)),
+            "batched_scales": scales,
+            "opacity": opacity,
+        }
         frames = _frames(np.zeros((count, 3)))
         add = self._server.scene.add_batched_meshes_simple
         return add(name, mesh.vertices, mesh.faces, *frames, flat_shading=True, lod="off", **options)
 
     def _add_lines(self, name: str, colour: str) -> Any:
         points = np.zeros((1, 2, 3), dtype=np.float32)
-        return self._server.scene.add_line_segments(name, points, _rgb(colour), line_width=2.0)
+        return self._server.scene.add_line_segments(name, points, _rgb(colour), thickness=1.5, thickness_units="screen")
 
 
 def _grid_offsets(worlds: Sequence[World]) -> np.ndarray:
@@ -198,6 +202,11 @@ def _segments(starts: np.ndarray, ends: np.ndarray, height: float) -> np.ndarray
 
 def _rgb(colour: str) -> tuple[int, ...]:
     return ImageColor.getrgb(colour)
+
+
+def _linear(rgb: tuple[int, ...]) -> tuple[int, ...]:
+    """A colour without the gamma of sRGB (IEC 61966-2-1), which the page adds to batched shapes once more."""
+    return tuple(round(255 * (((value / 255) + 0.055) / 1.055) ** 2.4) for value in rgb)
 
 
 @cache

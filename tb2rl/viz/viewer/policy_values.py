@@ -11,6 +11,8 @@ from stable_baselines3.common.policies import ActorCriticPolicy, ContinuousCriti
 
 from tb2rl.tasks import Actions
 
+COMMAND = "command"  # meaning of scores that are a speed and a turn rate
+
 
 @dataclass(frozen=True)
 class PolicyValues:
@@ -49,7 +51,7 @@ def policy_values(policy: Any, observation: Any, actions: Actions) -> PolicyValu
         if isinstance(getattr(policy, "critic", None), ContinuousCritic):
             action = policy.actor(tensor)
             value = min(float(q) for q in policy.critic(tensor, action))
-            return PolicyValues(_command(action[0], actions), "command", value)
+            return PolicyValues(_command(action[0], actions), COMMAND, value)
     return None
 
 
@@ -63,7 +65,7 @@ def _actor_critic_values(policy: ActorCriticPolicy, tensor: th.Tensor, actions: 
     if isinstance(distribution, CategoricalDistribution):
         probabilities = distribution.distribution.probs[0].tolist()
         return PolicyValues(dict(zip(actions.names, probabilities, strict=True)), "probability of each action", value)
-    return PolicyValues(_command(distribution.mode()[0], actions), "command", value)
+    return PolicyValues(_command(distribution.mode()[0], actions), COMMAND, value)
 
 
 def _command(action: th.Tensor, actions: Actions) -> dict[str, float]:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from tb2rl.envs.scene import Scene
-from tb2rl.rendering.colours import PATH
+from tb2rl.rendering.colours import GOAL, PATH
 from tb2rl.simulation import RobotState
 from tb2rl.viz.cameras import goal_of
 from tb2rl.viz.viewer.drive import Drive
-from tb2rl.viz.viewer.policy_values import policy_values
+from tb2rl.viz.viewer.policy_values import COMMAND, policy_values
 
 _MAX_NUMBERS = 12  # numbers of an observation that are shown
 
@@ -20,9 +20,10 @@ def status(drive: Drive) -> str:
     """What the robot does, where it is to go, and what it sees, as Markdown."""
     step, scene = drive.step, drive.scene
     v, w = step.after.twist[0].tolist()
+    kind = scene.actions.names[int(scene.actions.kinds(np.asarray([step.action]))[0])]
     paused = " (paused)" if drive.is_paused else ""
     who = "You drive" if drive.is_manual else f"{drive.selection.label} drives"
-    doing = f"{step.info['ended']}: a new episode begins" if step.info["ended"] else scene.actions.describe(step.action)
+    doing = f"{step.info['ended']}: a new episode begins" if step.info["ended"] else kind
     lines = [
         f"**{who}** {scene.robot.name}, task {drive.selection.config.task_name}, in {drive.episode_world.name}, "
         f"{drive.selection.simulator.title}",
@@ -63,17 +64,20 @@ def values(drive: Drive) -> str:
     found = None if observation is None else policy_values(drive.policy, observation, drive.scene.actions)
     if found is None:
         return "<p>This policy computes no values for its actions.</p>"
-    low, high = min(0.0, *found.scores.values()), max(0.0, *found.scores.values())
-    span = max(high - low, 1e-9)
-    rows = "".join(_bar(name, score, (score - low) / span) for name, score in found.scores.items())
+    largest, best = max(map(abs, found.scores.values())), max(found.scores, key=found.scores.__getitem__)
+    is_choice = found.meaning != COMMAND
+    rows = "".join(
+        _bar(name, score, abs(score) / max(largest, 1e-9), GOAL if is_choice and name == best else PATH)
+        for name, score in found.scores.items()
+    )
     value = "" if found.value is None else f"<p>Expected return (critic): <b>{found.value:.3g}</b></p>"
     text = html.escape(found.meaning[0].upper() + found.meaning[1:])
     return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {_describe(observation)}</p></div>"
 
 
-def _bar(name: str, score: float, share: float) -> str:
+def _bar(name: str, score: float, share: float, colour: str) -> str:
     label = f"<span>{html.escape(name)}</span><span>{score:.3g}</span>"
-    bar = f"<div style='width:{100 * share:.0f}%;height:0.6em;background:{PATH}'></div>"
+    bar = f"<div style='width:{100 * share:.0f}%;height:0.6em;background:{colour}'></div>"
     return f"<div style='display:flex;justify-content:space-between'>{label}</div>{bar}"
 
 

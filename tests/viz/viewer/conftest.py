@@ -1,0 +1,144 @@
+"""A viewer's page in a real Chromium, beside the drive that it shows."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from selenium import webdriver
+from selenium.webdriver import ActionChains
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from viser.transforms import SO3
+
+from tb2rl.viz.viewer.choices import make_selection
+from tb2rl.viz.viewer.drive import Drive
+from tb2rl.viz.viewer.page import Page
+from tb2rl.viz.viewer.server import ViewerServer
+
+CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
+CANVAS = "canvas[data-engine]"
+FLAGS = """headless=new no-sandbox disable-background-networking disable-component-update disable-sync no-first-run
+use-gl=angle use-angle=swiftshader enable-unsafe-swiftshader window-size=1280,900"""
+OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE localhost, EXCLUDE 127.0.0.1"
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory) -> Iterator[webdriver.Chrome]:
+    if not (CHROMIUM.exists() and DRIVER.exists()):
+        pytest.skip("needs Debian's chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for flag in [*FLAGS.split(), f"user-data-dir={tmp_path_factory.mktemp('chromium')}"]:
+        options.add_argument(f"--{flag}")
+    options.add_argument(OFFLINE)
+    driver = webdriver.Chrome(options, Service(str(DRIVER)))
+    yield driver
+    driver.quit()
+
+
+def eventually(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+    """Wait until a condition holds, and return its value."""
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < end, "the condition did not come true"
+        time.sleep(0.05)
+    return value
+
+
+class Watched:
+    """A drive in a thread, and its page in a browser."""
+
+    def __init__(self, browser: webdriver.Chrome, policy: str, **settings: Any) -> None:
+        self.browser, self.frames = browser, 0
+        self.messages: list[str] = []
+        self.server = ViewerServer(port=0)
+        self.drive = Drive(make_selection(policy, "maze", settings, "kinematic"))
+        self.page = Page(self.server, self.drive)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self.drive.run, args=(self._show, self._report, self._is_open))
+        self._thread.start()
+
+    def _show(self, drive: Drive) -> None:
+        self.frames += 1
+        self.page.show(drive)
+
+    def _report(self, message: str) -> None:
+        self.messages.append(message)
+        self.page.report(message)
+
+    def _is_open(self) -> bool:
+        return not self._ended.is_set()
+
+    def open(self) -> None:
+        """Open the page, or reload it, and wait for the picture."""
+        known = self.server.get_clients().keys()
+        self.browser.get(self.server.url)
+        eventually(lambda: self.server.get_clients().keys() - known)
+        eventually(lambda: "drive" in self.browser.find_element(By.TAG_NAME, "body").text)
+        eventually(lambda: self.picture().std() > 10)
+
+    def picture(self) -> np.ndarray:
+        """Pixels of the 3D scene, shape (height, width, 3)."""
+        canvas = self.browser.find_element(By.CSS_SELECTOR, CANVAS)
+        return np.asarray(Image.open(BytesIO(canvas.screenshot_as_png)).convert("RGB")).astype(float)
+
+    def pixel(self, x: float, y: float, z: float = 0.0) -> tuple[int, int]:
+        """Offset [px] of a point [m] from the centre of the scene's canvas."""
+        camera = list(self.server.get_clients().values())[-1].camera
+        right, down, ahead = SO3(camera.wxyz).inverse() @ (np.array([x, y, z]) - camera.position)
+        height = self.browser.find_element(By.CSS_SELECTOR, CANVAS).rect["height"]
+        scale = height / 2 / np.tan(camera.fov / 2) / ahead
+        return round(right * scale), round(down * scale)
+
+    def click(self, x: float, y: float) -> None:
+        """Click on a point [m] of the floor."""
+        canvas = self.browser.find_element(By.CSS_SELECTOR, CANVAS)
+        ActionChains(self.browser).move_to_element_with_offset(canvas, *self.pixel(x, y)).click().perform()
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag from one point [m] of the floor to another."""
+        canvas, actions = self.browser.find_element(By.CSS_SELECTOR, CANVAS), ActionChains(self.browser)
+        actions.move_to_element_with_offset(canvas, *self.pixel(*start)).click_and_hold().pause(0.2)
+        actions.move_to_element_with_offset(canvas, *self.pixel(*np.mean([start, end], axis=0))).pause(0.2)
+        actions.move_to_element_with_offset(canvas, *self.pixel(*end)).pause(0.3).release().perform()
+
+    def press(self, label: str) -> None:
+        """Press the button with a label."""
+        self.browser.find_element(By.XPATH, f"//button[normalize-space()='{label}']").click()
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose an option of the list with a label."""
+        path = f"//label[normalize-space()='{label}']/following::input[1]"
+        self.browser.find_element(By.XPATH, path).click()
+        path = f"//div[@role='option'][normalize-space()='{option}']"
+        eventually(lambda: self.browser.find_elements(By.XPATH, path))
+        self.browser.find_element(By.XPATH, path).click()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self.drive.close()
+        self.server.stop()
+
+
+@pytest.fixture
+def watch(browser) -> Iterator[Callable[..., Watched]]:
+    """A function that drives a policy, and opens its page."""
+    watched: list[Watched] = []
+
+    def start(policy: str, **settings: Any) -> Watched:
+        watched.append(Watched(browser, policy, **settings))
+        watched[-1].open()
+        return watched[-1]
+
+    yield start
+    for each in watched:
+        with closing(each):
+            browser.get("about:blank")

@@ -1,0 +1,138 @@
+"""Everything that a user does on the viewer's page, in a real Chromium."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from selenium.webdriver import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+pytestmark = pytest.mark.slow
+POLICY, CANVAS = "zoo:navigate-plan-ppo", "canvas[data-engine]"
+
+
+def eventually(condition, seconds: float = 60.0):
+    """Wait until a condition holds, and return its value."""
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < end, "the condition did not come true"
+        time.sleep(0.05)
+    return value
+
+
+def distance(drive, point) -> float:
+    return math.dist(drive.pose[:2], point)
+
+
+def test_the_robot_moves_pauses_and_steps(watch):
+    page = watch("zoo:maze-loop-qlearn")
+    first = page.picture()
+    eventually(lambda: np.abs(page.picture() - first).max() > 50)
+    page.press("Pause / go on")
+    eventually(lambda: page.drive.is_paused)
+    number, seed = page.drive.step.number, page.drive.seed
+    page.press("One step")
+    eventually(lambda: page.drive.step.number == number + 1)
+    page.press("Pause / go on")
+    eventually(lambda: page.drive.step.number > number + 3)
+    page.press("New episode")
+    eventually(lambda: page.drive.seed == seed + 1)
+
+
+def test_the_robot_drives_to_a_dragged_goal_and_around_a_new_wall(watch):
+    page = watch(POLICY, world="loop")
+    page.drive.is_paused = True
+    goal = page.drive.world.goal[:2]
+    page.drag(goal, (1.0, -2.0))
+    eventually(lambda: math.dist(page.drive.world.goal[:2], (1.0, -2.0)) < 0.2)
+    x, y = page.drive.pose[:2]
+    boxes = len(page.drive.world.boxes)
+    middle = (x + 1.0) / 2, (y - 2.0) / 2
+    page.choose("A click will", "add a wall")
+    across = np.array([2.0 + y, 1.0 - x]) / math.hypot(2.0 + y, 1.0 - x)  # to the left of the way
+    for side in (-0.6, 0.6):
+        page.click(*(np.array(middle) + side * across))
+    eventually(lambda: len(page.drive.world.boxes) == boxes + 1)
+    page.drive.speed, page.drive.is_paused = 20.0, False
+    ended = eventually(lambda: page.drive.step.info["ended"])
+    assert ended == "goal"
+    assert page.messages == []
+
+
+def test_clicks_move_the_goal_and_the_robot_and_remove_a_post(watch):
+    page = watch(POLICY, world="loop")
+    page.drive.is_paused = True
+    page.click(1.0, -2.0)
+    eventually(lambda: math.dist(page.drive.world.goal[:2], (1.0, -2.0)) < 0.2)
+    page.choose("A click will", "move the robot")
+    page.click(-1.5, 1.5)
+    eventually(lambda: distance(page.drive, (-1.5, 1.5)) < 0.2)
+    page.choose("A click will", "add a post")
+    page.click(0.0, -3.0)
+    eventually(lambda: len(page.drive.world.posts) == 1)
+    page.choose("A click will", "remove")
+    page.click(0.0, -3.0)
+    eventually(lambda: len(page.drive.world.posts) == 0)
+
+
+def test_policy_world_robot_and_simulator_are_swapped(watch):
+    page = watch("zoo:maze-loop-qlearn")
+    page.choose("Policy", "zoo:anywhere-ppo")
+    eventually(lambda: page.drive.selection.label == "zoo:anywhere-ppo")
+    page.choose("World", "circuit")
+    eventually(lambda: page.drive.episode_world.name == "circuit")
+    page.choose("Robot", "turtlebot3")
+    eventually(lambda: "observation space" in "".join(page.messages))
+    assert page.drive.scene.robot.name == "turtlebot2", "the policy does not fit the robot"
+    page.choose("Policy", "wallfollower")
+    eventually(lambda: page.drive.selection.label == "wallfollower")
+    page.choose("Robot", "turtlebot3")
+    eventually(lambda: page.drive.scene.robot.name == "turtlebot3")
+    page.choose("Simulator", "mujoco")
+    eventually(lambda: page.drive.selection.simulator.name == "mujoco")
+    page.choose("World", "generated: rooms")
+    eventually(lambda: page.drive.episode_world.name.startswith("rooms"))
+    page.choose("Robot", "as trained")
+    eventually(lambda: page.drive.scene.robot.name == "turtlebot2")
+    page.choose("Policy", "zoo:maze-loop-qlearn")
+    eventually(lambda: page.drive.selection.label == "zoo:maze-loop-qlearn")
+    page.choose("Task", "drive")
+    eventually(lambda: page.drive.selection.config.task_name == "drive")
+    assert page.drive.selection.label.startswith("zoo:"), "a policy that was trained at this task"
+    assert len(page.messages) == 1
+
+
+def test_the_user_drives_by_keys_and_buttons(watch):
+    page = watch("zoo:maze-loop-qlearn", start="fixed")
+    keys = ActionChains(page.browser)
+    page.browser.find_element(By.CSS_SELECTOR, CANVAS).click()
+    keys.send_keys("w", Keys.ARROW_UP, "d").perform()
+    eventually(lambda: page.drive.is_manual and page.drive.step.command.tolist() == [0.2, -0.5])
+    page.press("stop")
+    eventually(lambda: page.drive.step.command.tolist() == [0.0, 0.0])
+    page.press("Let the policy drive")
+    eventually(lambda: not page.drive.is_manual and page.drive.step.command[0] > 0.0)
+
+
+def test_several_pages_a_reload_and_no_page(watch):
+    page = watch("zoo:maze-loop-qlearn")
+    first = page.browser.current_window_handle
+    page.browser.switch_to.new_window("tab")
+    page.open()
+    assert len(page.server.get_clients()) == 2
+    page.press("Pause / go on")
+    page.browser.switch_to.window(first)
+    eventually(lambda: "(paused)" in page.browser.find_element(By.TAG_NAME, "body").text)
+    page.press("Pause / go on")
+    page.open()  # reload
+    eventually(lambda: len(page.server.get_clients()) == 2)
+    for handle in page.browser.window_handles:
+        page.browser.switch_to.window(handle)
+        page.browser.get("about:blank")
+    eventually(lambda: not page.server.get_clients())
+    frames, number = page.frames, page.drive.step.number
+    eventually(lambda: page.frames > frames + 30 and page.drive.step.number != number)
+    page.browser.close()
+    page.browser.switch_to.window(first)
