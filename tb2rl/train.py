@@ -29,7 +29,7 @@ def main(parser: ArgumentParser) -> None:
     add("--preset", help="a file in configs/, such as tutorial, or a path")
     add("--set", nargs="+", default=[], action="extend", metavar="KEY=VALUE", help="e.g. agent.gamma=0.9")
     add_safe(parser)
-    add("--name", help="name of the run folder runs/TASK/AGENT/NAME (default: date and time)")
+    add("--name", help="name of the run folder runs/TASK/AGENT/NAME (default: seed, settings, date and time)")
     add("--total-timesteps", type=int, help="control steps, over all environments")
     add("--episodes", type=int, help="stop after this number of episodes, or earlier at --total-timesteps")
     add("--seed", type=int, help="random seed")

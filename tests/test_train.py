@@ -50,6 +50,13 @@ def test_verbose_prints_the_tutorials_lines_and_scores(folder, capsys):
     assert not (folder / "evaluation.json").exists()
 
 
+def test_a_run_without_a_name_is_called_by_its_options(workdir):
+    options = "--preset tutorial --total-timesteps 16 --set agent.learning_rate=0.5 agent.gamma=0.5 --no-evaluation"
+    command.main([*options.split(), *BARE])
+    (folder,) = (workdir / "runs/maze/qlearn").iterdir()
+    assert folder.name.startswith("seed=0-preset=tutorial-learning_rate=0.5-gamma=0.5-")
+
+
 def test_a_run_is_resumed_with_nothing_but_more_steps(folder, capsys, refused):
     command.main(["--name", "it", "--total-timesteps", "64", "--no-evaluation", *BARE])
     command.main(["--resume", str(folder), "--total-timesteps", "128", "--no-evaluation"])

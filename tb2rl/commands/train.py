@@ -61,7 +61,9 @@ def run(options: argparse.Namespace) -> None:
         _finish(training, options.no_evaluation)
         return
     config = requested_config(options)
-    folder = default_folder(config, options.name)
+    seed = {} if options.seeds else {"seed": config.train.seed}
+    chosen = {**seed, "preset": options.preset, "safe": options.safe, **_requested_settings(options)}
+    folder = default_folder(config, options.name, chosen)
     executor = make_executor(options)
     if options.seeds is None:
         refuse(options, "needs --seeds, because a single training runs in one process", "on", "workers")
@@ -89,10 +91,15 @@ def _watchers(options: argparse.Namespace) -> list[BaseCallback]:
 
 def requested_config(options: argparse.Namespace) -> Config:
     """The config of a command line."""
-    settings = TrainSettings.__dataclass_fields__
-    flags = {f"train.{name}": value for name, value in vars(options).items() if name in settings and value is not None}
-    config = resolve(options.agent, options.task, options.preset, {**parse_settings(options.set), **flags})
+    config = resolve(options.agent, options.task, options.preset, _requested_settings(options))
     return with_safety(config, getattr(options, "safe", None))
+
+
+def _requested_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Settings of --set and other options, by dotted key."""
+    fields = TrainSettings.__dataclass_fields__
+    flags = {f"train.{name}": value for name, value in vars(options).items() if name in fields and value is not None}
+    return {**parse_settings(options.set), **flags}
 
 
 def parse_seeds(text: str) -> list[int]:

@@ -56,8 +56,9 @@ class Metric:
         """The statistic as text, rates in percent."""
         if self.statistic == "rate":
             return f"{100 * figure:.1f} %"
-        style = {"mean": ".1f", "per second": ".3f"}.get(self.statistic, "g")
-        return f"{figure:{style}}"
+        if self.statistic == "median":  # of counts: usually an integer, but not its mean over seeds
+            return f"{figure:.1f}".removesuffix(".0")
+        return f"{figure:{'.3f' if self.statistic == 'per second' else '.1f'}}"
 
     def spread(self, figures: Mapping[str, Any]) -> str:
         """The 95 % interval of a rate or the standard deviation of a mean as text, else ""."""

@@ -1,5 +1,6 @@
 """One training, from a config to a run folder."""
 
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -8,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import chain, count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch as th
@@ -32,6 +34,7 @@ from tb2rl.training.statistics import TensorBoard
 from tb2rl.training.trackers import TrackedRun, Tracker, attach_trackers, find_trackers, run_name
 
 _FAST_EPISODES, _SLOW_EPISODES = 1000, 20  # default number of episodes of an evaluation; slow: with images or physics
+_MAX_SETTINGS = 60  # characters of the settings in the name of a run folder, because Windows limits paths
 _EXTEND_HINT = "raise --total-timesteps to continue"
 
 
@@ -55,7 +58,7 @@ def train(
         preset: Name of a file in `configs`, or a path.
         settings: Single settings by dotted key, such as {"task.world": "circuit"}.
         folder: Path of the run folder; None: `runs/<task>/<agent>/<name>`.
-        name: Name of the run folder in `runs/<task>/<agent>`; None: the date and time.
+        name: Name of the run folder in `runs/<task>/<agent>`; None: seed, settings, date and time.
         progress_bar: Whether to show the rate and the remaining time.
         train_settings: Fields of `tb2rl.runs.config.TrainSettings`, such as total_timesteps, seed or n_envs.
 
@@ -67,9 +70,10 @@ def train(
     """
     if folder is not None and name is not None:
         raise InputError("folder= and name= exclude each other; give only one of them")
-    dotted_settings = {f"train.{key}": value for key, value in train_settings.items()}
-    config = resolve(agent, task, preset, {**(settings or {}), **dotted_settings})
-    return load(train_config(config, folder or default_folder(config, name), progress_bar).run.folder)
+    chosen = {**(settings or {}), **{f"train.{key}": value for key, value in train_settings.items()}}
+    config = resolve(agent, task, preset, chosen)
+    folder = folder or default_folder(config, name, {"seed": config.train.seed, "preset": preset, **chosen})
+    return load(train_config(config, folder, progress_bar).run.folder)
 
 
 @dataclass(frozen=True)
@@ -262,16 +266,22 @@ def describe_early_stop(settings: TrainSettings, timesteps: int) -> str:
     )
 
 
-def default_folder(config: Config, name: str | None = None) -> Path:
+def default_folder(config: Config, name: str | None = None, chosen: Mapping[str, Any] = MappingProxyType({})) -> Path:
     """The path `runs/<task>/<agent>/<name>`.
 
-    Without a name, the date and time are used, and a number is appended if that folder exists.
+    Args:
+        config: The config of the run.
+        name: Name of the folder. None: chosen settings, date and time, and a number if that folder exists.
+        chosen: Values by key, whose last part is shown; not those that are None.
     """
     parent = Path("runs", config.task_name.rpartition(":")[2], config.agent_name.rpartition(":")[2])
     if name:
         if Path(name).name != name or name == ".." or not name.isprintable():
             raise InputError(f"--name (name=) is {name!r}; give a folder name of printable characters, without a path")
         return parent / name
-    timestamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    names = chain([timestamp], (f"{timestamp}-{number}" for number in count(2)))
+    values = {key.rpartition(".")[2]: value for key, value in chosen.items() if value is not None}
+    texts = {key: re.sub(r"[^\w.+-]+", "_", str(value), flags=re.ASCII).strip("_") for key, value in values.items()}
+    settings = "-".join(f"{key}={text}" for key, text in texts.items())[:_MAX_SETTINGS]
+    stem = f"{settings}-{datetime.now():%Y%m%d-%H%M%S}".lstrip("-")
+    names = chain([stem], (f"{stem}-{number}" for number in count(2)))
     return next(parent / name for name in names if not (parent / name).exists())

@@ -45,3 +45,8 @@ def test_cards_of_the_zoo_show_a_new_metric(turning, monkeypatch):
     monkeypatch.setitem(entry.summary, "mean_turns", 4.0)
     monkeypatch.setitem(entry.summary, "std_turns", 1.0)
     assert ("turns taken", "4.0", "± 1.0 steps") in entry.metric_rows
+
+
+def test_a_mean_of_counts_is_short():
+    (visited,) = (metric for metric in METRICS if metric.label == "visited")
+    assert [visited.format(figure) for figure in (48.0, 19 / 3)] == ["48", "6.3"]

@@ -1,5 +1,8 @@
 """A training from its config to its run folder, and the policies that load from it."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch as th
@@ -146,6 +149,17 @@ def test_a_run_has_a_name_of_its_own(tmp_path, monkeypatch):
         folders.add(folder)
     assert len(folders) == 3
     assert {str(folder.parent) for folder in folders} == {"runs/wall/A2C"}
+
+
+def test_the_name_of_a_run_tells_what_was_chosen_on_every_file_system(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    train("qlearn", settings={"task.beams": 5, "train.seed": 3}, **BARE)
+    (folder,) = Path("runs/maze/qlearn").iterdir()
+    assert re.fullmatch(r"seed=3-beams=5-.*-\d{8}-\d{6}", folder.name)
+    world = {"generator": "rooms", "file": 'a/b\\c: *?"<>|' + "x" * 300}
+    name = training.default_folder(resolve(), chosen={"task.world": world, "preset": None}).name
+    assert re.fullmatch(r"world=generator_rooms_file_a_b_c_[\w.+-]+", name)
+    assert len(name) < 100
 
 
 @pytest.mark.slow
