@@ -1,5 +1,6 @@
 """Classes of a script or a notebook's cell are trained with, and loaded where they are still defined."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -91,8 +92,9 @@ def test_the_quickstart_runs_from_top_to_bottom_and_trains_with_the_task_of_its_
         from nbclient import NotebookClient
 
         NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    shown = [set(output.get("data", ())) for cell in notebook.cells for output in cell.get("outputs", ())]
+    shown = [output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", ())]
     assert sum("image/png" in kinds for kinds in shown) == 3, "the robot, the curve, the paths of one's own task"
+    assert any(re.match(r"'trained in \d+ s; .* \d+ % of", kinds.get("text/plain", "")) for kinds in shown)
     assert (tmp_path / "drive.mp4").stat().st_size > 50_000
     assert len(list(tmp_path.glob("runs/quickstart/*/best/policy.safetensors"))) == 2
 
