@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not IS_THERE, reason="needs D
 FLAGS = """headless=new no-sandbox disable-gpu disable-background-networking disable-component-update disable-sync
 no-first-run hide-scrollbars"""
 OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
-WIDTHS = [400, 1400]  # [px] a phone, a desk
+WIDTHS = [390, 1400]  # [px] a phone, a desk
 A4 = 688  # [px] between the margins of a sheet
 SMALLEST = 9  # [px] of text in a chart
 LARGEST = 3_000_000  # bytes of a page
@@ -47,6 +47,21 @@ return [...document.querySelectorAll("figure svg text")].map((text) => {
   const scale = text.getScreenCTM();
   return parseFloat(getComputedStyle(text).fontSize) * Math.hypot(scale.a, scale.b);
 });
+"""
+CONTRASTS = """
+const canvas = new OffscreenCanvas(1, 1).getContext("2d");
+const luminance = (colour) => {
+  canvas.fillStyle = colour;
+  canvas.fillRect(0, 0, 1, 1);
+  const [r, g, b] = [...canvas.getImageData(0, 0, 1, 1).data].map((v) => ((v / 255 + 0.055) / 1.055) ** 2.4);
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const paper = luminance(getComputedStyle(document.body).backgroundColor);
+const colours = (selector, property) =>
+  [...document.querySelectorAll(selector)].map((element) => getComputedStyle(element)[property]);
+const all = [...colours("h1, p, th, td, small, figcaption, summary, output", "color"),
+  ...colours("figure svg text, #needle", "fill"), ...colours("figure svg [id*='tick'] use", "stroke")];
+return all.map(luminance).map((ink) => (Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05));
 """
 BLOCKS = "h1, h2, h3, p, figure, figcaption, figure > :is(svg, img), .scroll, .bar, .chooser > *, details, .together"
 LINES = "[id*='mean-'] > path, [id*='seed-'] > path"
@@ -122,6 +137,19 @@ def test_the_report_is_drawn_without_overlaps_and_fits_its_window(width, page, o
     assert all(line.rect["width"] > width / 20 for each in lines for line in each)
     assert len(browser.find_elements(By.CSS_SELECTOR, STAR)) == 1
     assert_figures_are_drawn(browser)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_and_axes_are_readable_in_both_colour_schemes(scheme, page, open_page):
+    browser = open_page(page, 390)
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    try:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+        paper = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+        assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
+        assert min(browser.execute_script(CONTRASTS)) > 4.5, "the ratio that WCAG asks for"
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
 def test_the_heading_changes_what_the_maps_show(page, open_page):

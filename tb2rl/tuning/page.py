@@ -1,28 +1,31 @@
-"""Writes the results of a study: a preset with the best settings, and a page with Optuna's charts."""
+"""Writes the results of a study: a preset with the best settings, and a page with charts of the scores."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 import yaml
 from markupsafe import Markup
-from matplotlib import pyplot as plt
-from matplotlib.ticker import MaxNLocator
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from optuna import Study, importance
 from optuna.trial import FrozenTrial
-from optuna.visualization.matplotlib import plot_optimization_history, plot_parallel_coordinate, plot_param_importances
 from pydantic_core import to_jsonable_python
 
 from tb2rl.core.files import write_text
+from tb2rl.rendering.colours import BEAM, PATH
 from tb2rl.tuning.selection import Comparison, TrialEvaluation
-from tb2rl.tuning.study import BEST, PAGE, StudyFolder
+from tb2rl.tuning.study import BEST, PAGE, Choices, Range, StudyFolder
 from tb2rl.tuning.trials import best_trials, count_trials
-from tb2rl.viz.charts import STYLE, WIDTH, svg
+from tb2rl.viz.charts import STYLE, chart, svg
 from tb2rl.viz.page import template
 
 _LISTED_TRIALS = 20  # number of trials in the table of the page
 _MIN_TRIALS = 10  # complete trials for importances, because those of fewer trials are chance
+_MAX_LETTERS, _AXIS_LETTERS = 12, 48  # of a choice and of all choices below a chart
+_MAX_MARKERS = 500  # charts of more trials have them as pixels
 
 
 def write_preset(folder: StudyFolder, trial: FrozenTrial, evaluation: TrialEvaluation, num_trials: int) -> Path:
@@ -55,19 +58,21 @@ def write_page(
         best: The trial with the best evaluation.
         comparisons: Trainings with the best and with the default settings.
     """
-    config, importances = folder.default, _importances(study)
+    config, trials = folder.default, best_trials(study)
+    by_setting = {key: _draw_setting(trials, best, key, entry) for key, entry in folder.space.items()}
     text = template("study.html", Path(__file__).parent).render(
         title=f"Search: {config.agent_name} at {config.task_name} in {config.scene.worlds_title}",
         counts=count_trials(study),
         folder=folder,
         default=config.to_dict(),
-        shares=importances,
+        shares=_importances(study),
         min_trials=_MIN_TRIALS,
         evaluations=evaluations,
         best=best,
         comparisons=comparisons,
-        charts=_draw_charts(study, bool(importances)),
-        trials=best_trials(study, _LISTED_TRIALS),
+        charts={"Scores": _draw_history(trials, best), **by_setting},
+        colours={"trial": PATH, f"trial {best.number}, the best": BEAM},
+        trials=trials[:_LISTED_TRIALS],
         value_at=_value_at,
         short=_format,
     )
@@ -92,34 +97,43 @@ def _importances(study: Study) -> dict[str, float]:
 
     The result is empty if there are too few trials, or all scores are equal.
     """
-    has_enough_trials = len(best_trials(study)) >= _MIN_TRIALS and _scores_differ(study)
+    trials = best_trials(study)
+    has_enough_trials = len(trials) >= _MIN_TRIALS and len({trial.value for trial in trials}) > 1
     return importance.get_param_importances(study) if has_enough_trials else {}
 
 
-def _scores_differ(study: Study) -> bool:
-    return len({trial.value for trial in best_trials(study)}) > 1
+@matplotlib.rc_context(STYLE)
+def _draw_history(trials: Sequence[FrozenTrial], best: FrozenTrial) -> Markup:
+    """Scores over the numbers of the trials, and the best score so far."""
+    figure, axes = chart("trial", "score")
+    numbers, scores = np.array(sorted((trial.number, trial.value) for trial in trials)).T
+    axes.step(numbers, np.maximum.accumulate(scores), where="post", color=PATH, linewidth=1)
+    _scatter(axes, trials, best, {trial.number: trial.number for trial in trials})
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    return svg(figure)
 
 
-def _draw_charts(study: Study, has_importances: bool) -> dict[str, Markup]:
-    """Draw Optuna's charts as SVG, by title; the chart of each trial's settings needs several scores and settings."""
-    plots: dict[str, Any] = {"Scores": plot_optimization_history}
-    if has_importances:
-        plots["Importance of the settings"] = plot_param_importances
-    if _scores_differ(study) and len(study.best_trial.params) > 1:
-        plots["Settings of each trial"] = plot_parallel_coordinate
-    matplotlib.use("agg")  # because Optuna uses pyplot, which would open a window
-    charts = {}
-    with matplotlib.rc_context(STYLE | {"savefig.bbox": "tight", "text.parse_math": True}):
-        for title, plot in plots.items():
-            axes = plot(study, target_name="score")
-            axes.set_title("", loc="left")
-            axes.set_title("")
-            if plot is plot_optimization_history:
-                axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-                # Above the axes, because beside them it takes half of the width.
-                axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-            # Larger than other charts, because Optuna's text is larger.
-            axes.figure.set_size_inches((2.8 if plot is plot_parallel_coordinate else 1.25) * WIDTH, WIDTH)
-            charts[title] = svg(axes.figure)
-            plt.close(axes.figure)
-    return charts
+@matplotlib.rc_context(STYLE)
+def _draw_setting(trials: Sequence[FrozenTrial], best: FrozenTrial, key: str, entry: Range | Choices) -> Markup:
+    """Scores over the values of a setting; choices have equal distances."""
+    figure, axes = chart("value", "score")
+    values = {trial.number: trial.params[key] for trial in trials}
+    if isinstance(entry, Choices):
+        choices = entry.distribution.choices
+        labels = [str(choice)[:_MAX_LETTERS] for choice in choices]
+        step = 1 + len(labels) * max(map(len, labels)) // _AXIS_LETTERS  # else labels overlap
+        axes.set_xticks(range(0, len(labels), step), labels[::step])
+        values = {number: choices.index(value) for number, value in values.items()}
+    elif entry.log:
+        decades = (1.0,) if entry.high > 100 * entry.low else (1.0, 2.0, 5.0)
+        axes.set_xscale("log")
+        axes.xaxis.set(major_locator=LogLocator(subs=decades), major_formatter="{x:g}", minor_formatter=NullFormatter())
+    _scatter(axes, trials, best, values)
+    return svg(figure)
+
+
+def _scatter(axes: Axes, trials: Sequence[FrozenTrial], best: FrozenTrial, x: Mapping[int, float]) -> None:
+    """Draw a point for the score of each trial at x, by its number."""
+    for shown, colour, size in ((trials, PATH, 20), ([best], BEAM, 45)):
+        places, scores = [x[trial.number] for trial in shown], [trial.value or 0.0 for trial in shown]
+        axes.scatter(places, scores, size, color=colour, linewidths=0, rasterized=len(shown) > _MAX_MARKERS)

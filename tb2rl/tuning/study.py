@@ -81,7 +81,7 @@ class Choices:
         return {choice if isinstance(choice, plain_types) else json.dumps(choice): choice for choice in self.choices}
 
     @property
-    def distribution(self) -> BaseDistribution:
+    def distribution(self) -> CategoricalDistribution:
         """Optuna's distribution."""
         return CategoricalDistribution(list(self._by_param))
 

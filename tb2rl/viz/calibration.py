@@ -16,6 +16,7 @@ from tb2rl.viz.page import template
 
 _SECONDS = 40.0  # of the charts of speeds
 _SCANS = 60  # that are drawn
+_LINE_WIDTHS = 4.0, 2.4, 1.0  # descending, because lines may be the same and the last one is on top
 COLOURS = {"measured": PATH, "nominal robot": BEAM, "calibrated robot": FAILED}
 
 
@@ -72,9 +73,9 @@ def integrate(times: np.ndarray, speeds: np.ndarray) -> np.ndarray:
 @matplotlib.rc_context(STYLE)
 def _draw_lines(label_x: str, label_y: str, x: list[np.ndarray], y: list[np.ndarray], equal: bool = False) -> Markup:
     figure, axes = chart(label_x, label_y)
-    for (name, colour), each_x, each_y in zip(COLOURS.items(), x, y, strict=True):
+    for (name, colour), each_x, each_y, width in zip(COLOURS.items(), x, y, _LINE_WIDTHS, strict=True):
         step = max(1, len(each_x) // 1500)
-        axes.plot(each_x[::step], each_y[::step], color=colour, linewidth=1.2, gid=f"line-{name.replace(' ', '-')}")
+        axes.plot(each_x[::step], each_y[::step], color=colour, linewidth=width, gid=f"line-{name.replace(' ', '-')}")
     if equal:
         axes.set_aspect("equal", adjustable="datalim")
     return svg(figure)
@@ -85,6 +86,6 @@ def _draw_scans(aligned: Alignment, scan_count: int, parameters: np.ndarray) -> 
     """All readings of some scans in one frame; walls are thin where the parameters are right."""
     points = aligned.points(spread_indices(scan_count, _SCANS), parameters)
     figure, axes = chart("x [m]", "y [m]")
-    axes.plot(*points[::7].T, ".", color=PATH, markersize=0.8, rasterized=True, gid="readings")
+    axes.plot(*points[::7].T, ".", color=PATH, markersize=1.5, rasterized=True, gid="readings")
     axes.set_aspect("equal", adjustable="datalim")
     return svg(figure)

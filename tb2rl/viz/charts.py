@@ -25,7 +25,7 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 
 from tb2rl.evaluation.evaluation import Evaluation
 from tb2rl.evaluation.statistics import bootstrap_interval
-from tb2rl.rendering.colours import DYNAMIC_OBSTACLE, FAILED, FLOOR, GOAL, PATH, START, WALL
+from tb2rl.rendering.colours import BODY, DYNAMIC_OBSTACLE, FAILED, FLOOR, GOAL, PATH, START, WALL
 from tb2rl.tasks.task import DYNAMIC_COLLISION
 from tb2rl.viz.pictures import goals_in, group_by_world
 from tb2rl.worlds import World
@@ -189,12 +189,13 @@ def mark(axes: Axes, points: Sequence[Any] | np.ndarray, **style: Any) -> None:
 
 
 def mark_goals(axes: Axes, points: Sequence[Any] | np.ndarray, gid: str) -> None:
-    mark(axes, points, s=90, color=GOAL, marker="*", edgecolors="black", linewidths=0.5, zorder=5, gid=gid)
+    mark(axes, points, s=90, color=GOAL, marker="*", edgecolors=BODY, linewidths=0.5, zorder=5, gid=gid)
 
 
 def svg(figure: Figure) -> Markup:
-    """The figure as an SVG element, without an XML header."""
+    """The figure as an SVG element, without an XML header; black becomes the text colour of the page."""
     buffer = io.StringIO()
     no_metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(buffer, format="svg", metadata=no_metadata)
-    return Markup(buffer.getvalue()[buffer.getvalue().index("<svg") :])
+    text = buffer.getvalue()
+    return Markup(text[text.index("<svg") :].replace("#000000", "currentColor"))

@@ -16,6 +16,7 @@ from tb2rl.worlds import World
 
 EMPTY: Mapping[str, Replay] = {}
 _MAX_POINTS = 600  # maximum number of points of a line; a phone has no more pixels
+_MIN_HEIGHT = 0.01  # of the y axis: below, differences are rounding errors
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,9 @@ def _draw_path(drive: Drive, world: World | None, simulated: Sequence[np.ndarray
     path = drive.trajectory[:, 1:3] if world is None or len(drive.truth) else drive.path_from(world.start)
     world = world or World.from_shapes("", start=(0.0, 0.0, 0.0), bounds=(*path.min(axis=0) - 1, *path.max(axis=0) + 1))
     figure, (axes,) = world_figure([extend_bounds(world, path)])
+    for each in simulated:  # wider and below, because both lines may be the same
+        axes.plot(*each.T, color=BEAM, linewidth=3, gid="simulated")
     axes.plot(*_downsample(path).T, color=PATH, linewidth=1.2, gid="drive")
-    for each in simulated:
-        axes.plot(*each.T, color=BEAM, linewidth=1.2, zorder=2, gid="simulated")
     mark(axes, [path[0]], s=22, color=START, linewidths=0, zorder=3, gid="start")
     contact_times = drive.bumper[np.diff(drive.bumper[:, 1], prepend=0.0) > 0.0, 0]  # times at which contacts begin
     contacts = np.column_stack([np.interp(contact_times, drive.trajectory[:, 0], column) for column in path.T])
@@ -90,8 +91,10 @@ def _draw_lines(label: str, measured: np.ndarray, commanded: np.ndarray | None =
     """Lines over time, from rows of time [s] and value."""
     figure, axes = chart("time [s]", label)
     if commanded is not None:
-        axes.step(*_downsample(commanded).T, where="post", color=BEAM, linewidth=1.4, gid="line-commanded")
-    axes.plot(*_downsample(measured).T, color=PATH, linewidth=1.4, gid="line-measured")
+        axes.step(*_downsample(commanded).T, where="post", color=BEAM, linewidth=3, gid="line-commanded")
+    axes.plot(*_downsample(measured).T, color=PATH, linewidth=1.2, gid="line-measured")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, max(high, low + _MIN_HEIGHT))
     return svg(figure)
 
 

@@ -87,7 +87,7 @@ def template(name: str, *folders: Path) -> jinja2.Template:
     chart_numbers = itertools.count()
     environment.filters.update(
         spaced=_format_spaced,
-        percent=lambda share: f"{100 * share:.1f}\u202f%",
+        percent=lambda share: f"{100 * share:z.1f}\u202f%",
         plain=lambda number: _format_spaced(number) if abs(number) >= 1000 else f"{number:.1f}",
         place=describe_place,
         unique_ids=lambda picture: _make_ids_unique(picture, next(chart_numbers)),

@@ -20,9 +20,11 @@ def test_a_page_has_importances_only_if_trials_suffice_and_numbers_of_trials_are
             file = write_page(folder, study, [TrialEvaluation(best.number, 3, 4, 1.0, "bullet")], best)
             pages.append(file.read_text(encoding="utf-8"))
     few, enough = pages
-    titles = ["Scores", "Importance of the settings", "Settings of each trial"]
-    assert re.findall("<h3>(.*?)</h3>", enough) == titles
-    assert re.findall("<h3>(.*?)</h3>", few) == [titles[0], titles[2]]
+    shares = [re.findall(rf"<th>{key}</th>.*?</td>\n<td>([^<]*)</td></tr>", enough) for key in folder.space]
+    assert all(re.fullmatch(r"[\d.]+\u202f%", share) for (share,) in shares)
+    for page in pages:
+        assert re.findall("<h3>(.*?)</h3>", page) == ["Scores", *folder.space]
+        assert page.count("<svg") == 1 + len(folder.space)
     assert "need at least 10 complete trials" in few
     assert "need at least 10 complete trials" not in enough
     ticks = re.findall(r'id="chart-0-xtick_\d+".*?<text[^>]*>(.*?)</text>', few, re.DOTALL)
