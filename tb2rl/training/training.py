@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import chain, count
 from pathlib import Path
+from textwrap import shorten
 from types import MappingProxyType
 from typing import Any
 
@@ -34,7 +35,8 @@ from tb2rl.training.statistics import TensorBoard
 from tb2rl.training.trackers import TrackedRun, Tracker, attach_trackers, find_trackers, run_name
 
 _FAST_EPISODES, _SLOW_EPISODES = 1000, 20  # default number of episodes of an evaluation; slow: with images or physics
-_MAX_SETTINGS = 60  # characters of the settings in the name of a run folder, because Windows limits paths
+# Characters of a value and of all settings in the name of a run folder, because Windows limits the length of paths.
+_MAX_VALUE, _MAX_SETTINGS = 30, 60
 _EXTEND_HINT = "raise --total-timesteps to continue"
 
 
@@ -271,7 +273,7 @@ def default_folder(config: Config, name: str | None = None, chosen: Mapping[str,
 
     Args:
         config: The config of the run.
-        name: Name of the folder. None: chosen settings, date and time, and a number if that folder exists.
+        name: Name of the folder. None: the first chosen settings, date and time, and a number if that folder exists.
         chosen: Values by key, whose last part is shown; not those that are None.
     """
     parent = Path("runs", config.task_name.rpartition(":")[2], config.agent_name.rpartition(":")[2])
@@ -279,9 +281,10 @@ def default_folder(config: Config, name: str | None = None, chosen: Mapping[str,
         if Path(name).name != name or name == ".." or not name.isprintable():
             raise InputError(f"--name (name=) is {name!r}; give a folder name of printable characters, without a path")
         return parent / name
-    values = {key.rpartition(".")[2]: value for key, value in chosen.items() if value is not None}
-    texts = {key: re.sub(r"[^\w.+-]+", "_", str(value), flags=re.ASCII).strip("_") for key, value in values.items()}
-    settings = "-".join(f"{key}={text}" for key, text in texts.items())[:_MAX_SETTINGS]
-    stem = f"{settings}-{datetime.now():%Y%m%d-%H%M%S}".lstrip("-")
+    values = {key.rpartition(".")[2]: str(value) for key, value in chosen.items() if value is not None}
+    texts = {key: re.sub(r"[^\w.+-]+", "_", value, flags=re.ASCII).strip("_") for key, value in values.items()}
+    settings = " ".join(f"{key}={text[:_MAX_VALUE]}" for key, text in texts.items())
+    shortened = shorten(settings, _MAX_SETTINGS, placeholder="", break_on_hyphens=False).replace(" ", "-")
+    stem = f"{shortened}-{datetime.now():%Y%m%d-%H%M%S}".lstrip("-")
     names = chain([stem], (f"{stem}-{number}" for number in count(2)))
     return next(parent / name for name in names if not (parent / name).exists())
