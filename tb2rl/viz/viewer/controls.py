@@ -13,7 +13,7 @@ from tb2rl.core.values import Point
 from tb2rl.viz.viewer import choices
 from tb2rl.viz.viewer.choices import AS_TRAINED
 from tb2rl.viz.viewer.drive import Drive
-from tb2rl.viz.viewer.edits import add_post, add_wall, hit_floor, remove_obstacle
+from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
 from tb2rl.viz.viewer.live_scene import LiveScene
 from tb2rl.viz.viewer.server import ViewerServer
 

@@ -25,7 +25,7 @@ from tb2rl.viz.viewer.server import ViewerServer
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
 CANVAS = "canvas[data-engine]"
 FLAGS = """headless=new no-sandbox disable-background-networking disable-component-update disable-sync no-first-run
-use-gl=angle use-angle=swiftshader enable-unsafe-swiftshader window-size=1280,900"""
+use-gl=angle use-angle=swiftshader enable-unsafe-swiftshader window-size=1000,560"""
 OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE localhost, EXCLUDE 127.0.0.1"
 
 

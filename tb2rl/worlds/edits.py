@@ -1,4 +1,4 @@
-"""Changes of a world by clicks: walls and posts."""
+"""Changed copies of a world: walls and posts that a user adds or removes."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import Point
-from tb2rl.worlds import World
+from tb2rl.worlds.world import World
 from tb2rl.worlds.world import WALL_HEIGHT, BoxShape, PostShape
 
 _WALL_WIDTH, _POST_RADIUS = 0.1, 0.12  # [m]

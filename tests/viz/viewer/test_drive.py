@@ -1,0 +1,128 @@
+"""Live drives: what the user changes while the robot drives."""
+
+import numpy as np
+import pytest
+
+from tb2rl import InputError, make_env
+from tb2rl.viz.film import FilmOptions, open_episodes
+from tb2rl.viz.viewer.choices import make_selection
+from tb2rl.viz.viewer.drive import Drive
+from tb2rl.worlds import edits
+
+
+@pytest.fixture
+def drive():
+    """A function that starts a drive of an agent that does not learn."""
+    drives = []
+
+    def start(policy: str = "wallfollower", task: str = "maze", simulation: str = "kinematic", **settings) -> Drive:
+        drives.append(Drive(make_selection(policy, task, {"start": "fixed", **settings}, simulation)))
+        return drives[-1]
+
+    yield start
+    for each in drives:
+        each.close()
+
+
+def run_until(drive: Drive, condition, frames: int = 2000) -> None:
+    """Show frames, at the drive's speed, until a condition holds."""
+    shown = iter(range(frames))
+    drive.run(lambda _: next(shown), pytest.fail, lambda: not condition())
+
+
+def test_the_drive_is_that_of_a_film_with_the_same_seed(drive):
+    live = drive("random", world="mixed", start="random")
+    options = FilmOptions(steps=live.scene.task.episode_steps, simulation="kinematic")
+    with open_episodes(live.policy, live.selection.config, None, options, "") as (_, episodes):
+        filmed = [step.after.pose for _, step in zip(range(3), next(episodes), strict=False)]
+    for pose in filmed:
+        assert live.step.after.pose == pytest.approx(pose, abs=0)
+        live.step_once()
+
+
+def test_frames_are_in_real_time_at_any_speed(drive):
+    live = drive()
+    for speed in (0.25, 20.0):
+        live.speed, live.is_paused = speed, False
+        time = live.frame.time
+        run_until(live, lambda: live.frame.time > time)
+        assert live.frame.time - time == pytest.approx(speed / 60, rel=1e-6)
+        live.restart()
+
+
+def test_the_goal_moves_while_the_robot_stays(drive):
+    live = drive("pursuit", "navigate", world="wall", guide="plan")
+    live.step_once()
+    pose = live.pose.copy()
+    live.move_goal(1.0, -1.0)
+    assert live.world.goal[:2] == (1.0, -1.0)
+    assert live.step.before.pose[0] == pytest.approx(pose, abs=0.02)
+    live.speed = 20.0
+    run_until(live, lambda: live.step.info["ended"])
+    assert live.step.info["ended"] == "goal"
+
+
+@pytest.mark.parametrize("simulation", ["kinematic", "mujoco", pytest.param("bullet", marks=pytest.mark.bullet)])
+def test_a_wall_stops_the_robot_that_ran_ahead(drive, simulation):
+    live = drive("random", world="wall", simulation=simulation)
+    x, y, yaw = live.pose
+    ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+    middle = np.array([x, y]) + 0.7 * ahead
+    live.change_world(edits.add_wall(live.world, tuple(middle - left), tuple(middle + left)))
+    assert live.step.after.nearest_range[0] < 0.8
+
+
+def test_a_wall_is_not_put_on_the_robot_and_the_drive_goes_on(drive):
+    live = drive()
+    world, (x, y) = live.episode_world, live.pose[:2]
+    with pytest.raises(InputError, match="no room for the robot"):
+        live.change_world(edits.add_post(live.world, (x, y)))
+    with pytest.raises(InputError, match="no room for the robot"):
+        live.move_robot(100.0, 0.0)
+    with pytest.raises(InputError, match="has no goal; choose the task navigate"):
+        live.move_goal(0.0, 0.0)
+    live.step_once()
+    assert live.episode_world is world
+
+
+def test_the_user_drives_and_the_task_judges_the_nearest_action(drive):
+    live = drive()
+    live.press("W")
+    live.press("A")
+    live.step_once()
+    assert live.step.command.tolist() == [0.1, 0.5]
+    assert live.step.action == 1  # left
+    live.press(" ")
+    live.step_once()
+    assert live.step.command.tolist() == [0.0, 0.0]
+    live.drive_manually(False)
+    live.step_once()
+    assert live.step.command[0] >= 0.05
+
+
+def test_a_request_that_is_impossible_is_reported_and_the_drive_goes_on(drive):
+    live, messages, shown = drive(), [], iter(range(10_000))
+    live.request(lambda: live.move_goal(0.0, 0.0))
+    live.request(lambda: live.move_robot(100.0, 0.0))
+    live.run(lambda _: next(shown), messages.append, lambda: len(messages) < 2)
+    assert len(messages) == 2
+
+
+def test_another_policy_that_does_not_fit_leaves_the_drive_as_it_is(drive):
+    live = drive()
+    step, selection = live.step, live.selection
+    with pytest.raises(InputError, match="observation space"):
+        live.select(make_selection("zoo:maze-loop-ppo", "maze", {"beams": 5}, "kinematic"))
+    assert (live.step, live.selection) == (step, selection)
+
+
+def test_a_world_of_many_is_chosen_by_number(drive):
+    live = drive("random", world={"generator": "rooms", "worlds": 3})
+    for number in (4, 2):
+        live.choose_world(number)
+        assert live.episode_world.name == f"rooms {number % 3} (test)"
+
+
+def test_the_observation_is_that_of_the_policys_latest_decision(drive):
+    live = drive()
+    assert live.observation in make_env(live.scene.task).observation_space
