@@ -7,14 +7,15 @@
     python -m tb2rl.report drive.bag --world my_map.yaml
 
 RUN may be a folder of runs, such as one from `train --seeds`. Runs that differ only in their seed are drawn together.
-The page shows learning curves, the standard evaluation, the paths of its episodes, and a map of the policy's actions.
+The page shows learning curves, the standard evaluation, replays in 3D of its first three episodes for at most 300
+steps each, the paths of all, and a map of the policy's actions. Of many runs, the best three have replays.
 The page is a single file for a browser, without external resources.
 
 `--compare` compares two folders of runs: interquartile means, probability of improvement and performance profiles, with
 intervals over seeds. A verdict says which is better, or that there are too few seeds.
 
 The page of a run includes the suite results in the run folder. A file from `evaluate --suite ... --json dwa.json` has a
-page of its own: metrics, the worlds without success, and films of the first six of these worlds.
+page of its own: metrics, the worlds without success, and 3D replays of the first six of these worlds.
 
 The page of a bag shows the path by odometry, or the true path if a simulator recorded the bag. It also shows speed,
 turn rate and nearest range over time. `--world` draws the path in a world. The path begins at the start of the world,

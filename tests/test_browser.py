@@ -2,22 +2,30 @@
 
 import io
 import json
+import re
+import subprocess
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageColor
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
 
 from tb2rl import evaluate, report, train
+from tb2rl.rendering.colours import WALL
 from tb2rl.runs.folder import Run
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
+FIREFOX = Path("/usr/bin/firefox-esr")
 IS_THERE = CHROMIUM.exists() and DRIVER.exists()
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not IS_THERE, reason="needs Debian's chromium and chromedriver")]
 FLAGS = """headless=new no-sandbox disable-gpu disable-background-networking disable-component-update disable-sync
@@ -168,6 +176,52 @@ def test_the_heading_changes_what_the_maps_show(page, open_page):
         chooser.send_keys(Keys.ARROW_RIGHT)
     chooser.send_keys(Keys.HOME)
     assert shown() == actions[0].tolist()
+
+
+def test_a_replay_plays_orbits_zooms_and_scrubs(page, open_page):
+    browser = open_page(page, 1400)
+    figure = browser.find_element(By.CSS_SELECTOR, ".replay")
+    canvas, slider, play = (figure.find_element(By.CSS_SELECTOR, name) for name in ("canvas", "input", "button"))
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
+
+    def picture() -> str:
+        return browser.execute_script("return arguments[0].toDataURL()", canvas)
+
+    def assert_changes(action: Callable[[], object], time: float | None = None) -> None:
+        before, was = picture(), float(slider.get_property("value"))
+        action()
+        WebDriverWait(browser, 5).until(lambda _: picture() != before)
+        if time is not None:
+            assert float(slider.get_property("value")) - was == pytest.approx(time, abs=0.1)
+
+    sleep(0.3)  # because a wheel that turns while the page scrolls does not zoom
+    assert_changes(ActionChains(browser).drag_and_drop_by_offset(canvas, 80, 30).perform, time=0)
+    wheel = ScrollOrigin.from_element(canvas)
+    assert_changes(ActionChains(browser).scroll_from_origin(wheel, 0, -200).perform, time=0)
+    assert_changes(lambda: canvas.send_keys(Keys.ARROW_RIGHT), time=0.2)
+    assert_changes(lambda: canvas.send_keys(Keys.ARROW_LEFT), time=-0.2)
+    assert_changes(lambda: slider.click(), time=float(slider.get_attribute("max")) / 2)
+    assert_changes(play.click)
+    assert play.text == "Pause"
+    assert_changes(lambda: None)
+    canvas.send_keys(" ")
+    assert play.text == "Play"
+    assert_changes(lambda: slider.send_keys(Keys.END))
+
+
+@pytest.mark.skipif(not FIREFOX.exists(), reason="needs Debian's firefox-esr")
+def test_firefox_draws_replays_from_a_file(page, tmp_path):
+    text = re.sub(r"<h1>.*?(?=<section id=.replays)", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    (tmp_path / "it.html").write_text(text, encoding="utf-8")
+    profile = tmp_path / "profile"
+    profile.mkdir()
+    command = [FIREFOX, "--headless", "--no-remote", "--profile", profile, "--window-size", "1280,1000", "--screenshot"]
+    uri = (tmp_path / "it.html").as_uri()
+    subprocess.run([*command, tmp_path / "it.png", uri], check=True, capture_output=True, timeout=60)
+    with Image.open(tmp_path / "it.png") as screenshot:
+        pixels = np.asarray(screenshot.convert("RGB")).astype(int)
+    tops = np.abs(pixels - np.minimum(255, 1.18 * np.array(ImageColor.getrgb(WALL)))).max(axis=2) < 3
+    assert tops.sum() > 10_000, "the tops of walls, whose colour nothing else has"
 
 
 def test_it_prints_without_its_controls_and_within_the_sheet(page, open_page):

@@ -17,8 +17,11 @@ from tb2rl.rendering import colours
 from tb2rl.viz import charts
 from tb2rl.viz.action_map import HEADINGS, action_map
 from tb2rl.viz.drives import DriveSection
+from tb2rl.viz.replay import RUN_STEPS, run_replays
 from tb2rl.viz.run_views import TRAINING_CURVES, RunGroup, RunView, differences
 from tb2rl.viz.suites import SuiteSection
+
+_MAX_REPLAYED_RUNS = 3  # maximum number of runs with replays, because each takes 0.2 MB
 
 
 def page(
@@ -43,6 +46,8 @@ def page(
         views=views,
         charts=learning_curves(groups),
         differences=differences(groups),
+        replays=_replays_of_best(groups),
+        replay_steps=RUN_STEPS,
         action_colours=charts.distinct_colours(max_actions, charts.ACTION_COLOURS),
         colours=colours,
         headings=HEADINGS,
@@ -57,6 +62,13 @@ def _row(group: RunGroup, view: RunView) -> dict[str, Any]:
     paths, map_of_actions = charts.draw_episodes(view.evaluation), action_map(view.policy, view.config.scene)
     heat_map = charts.draw_heat_map(view.evaluation) if len(view.evaluation.scene.spec.worlds) == 1 else None
     return {"group": group, "view": view, "paths": paths, "heat_map": heat_map, "map": map_of_actions}
+
+
+def _replays_of_best(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
+    """Replays of a few runs: the best run of each group, then the second of each, and so on."""
+    ranked = (sorted(group.views, key=lambda view: view.evaluation.score, reverse=True) for group in groups)
+    views = [view for views in itertools.zip_longest(*ranked) for view in views if view]
+    return [run_replays(view) for view in views[:_MAX_REPLAYED_RUNS]]
 
 
 def learning_curves(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
@@ -84,6 +96,7 @@ def template(name: str, *folders: Path) -> jinja2.Template:
     loader = jinja2.FileSystemLoader([Path(__file__).parent, *folders])
     options: dict[str, Any] = {"undefined": jinja2.StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
     environment = jinja2.Environment(loader=loader, autoescape=True, **options)
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     chart_numbers = itertools.count()
     environment.filters.update(
         spaced=_format_spaced,

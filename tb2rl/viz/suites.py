@@ -1,34 +1,28 @@
-"""Sections of the report for suite results, with films of some episodes."""
+"""Sections of the report for suite results, with replays of some episodes."""
 
 import math
-from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from tb2rl.core.errors import InputError
-from tb2rl.evaluation.episodes import Policy
-from tb2rl.evaluation.evaluate import Evaluator
 from tb2rl.evaluation.progress import progress as progress_bar
 from tb2rl.evaluation.suite_comparison import suite_sentences
 from tb2rl.evaluation.suites import SuiteEpisode, SuiteResult, restore_evaluation
 from tb2rl.runs.folder import suite_files
-from tb2rl.viz.film import write_film
+from tb2rl.viz.replay import make_replay
 
-MAX_FILMS = 6  # maximum number of films of a result
-_MIN_SPEED = 4.0  # minimum playback speed of a film; 1 is real time
-_MAX_SECONDS = 6.0  # [s] duration of a film without its last frame: about a megabyte
+MAX_REPLAYS = 6  # maximum number of replays of a result
 
 
 @dataclass(frozen=True)
 class SuiteSection:
-    """A suite result and films of some of its episodes."""
+    """A suite result and replays of some of its episodes."""
 
     result: SuiteResult
-    episodes: Sequence[tuple[SuiteEpisode, dict[str, Any] | None]]  # each with its film ("ended", "speed", data "url")
-    error: str = ""  # the reason why there are no films
+    episodes: Sequence[tuple[SuiteEpisode, dict[str, Any] | None]]  # each with its replay
+    error: str = ""  # the reason why there are no replays
     comparison: Sequence[str] = ()  # sentences about the differences between simulators
 
 
@@ -39,18 +33,20 @@ def result_files(files: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
 
 
 def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> SuiteSection:
-    """Make the section of a result, which was read from `file`, by repeating and filming some episodes."""
+    """Make the section of a result, which was read from `file`, by repeating some episodes."""
     selected = select_episodes(result)
     if not selected:  # a summary has no episodes
         return SuiteSection(result, [])
     try:
         evaluator, policy = restore_evaluation(result, file.parent)
         with evaluator:
-            bar = progress_bar(selected, "filming", "world", shown=progress)
-            filmed_episodes = [(episode, _film(evaluator, policy, episode.world)) for episode in bar]
+            bar = progress_bar(selected, "replaying", "world", shown=progress)
+            # The number of an episode is the index of its world.
+            steps = ((episode, evaluator.replay(policy, episode.world)) for episode in bar)
+            replays = [(episode, make_replay(each, evaluator.scene)) for episode, each in steps]
     except InputError as error:
         return SuiteSection(result, [(episode, None) for episode in selected], error=str(error))
-    return SuiteSection(result, filmed_episodes)
+    return SuiteSection(result, replays)
 
 
 def suite_sections(file: Path, results: Sequence[SuiteResult], progress: bool = False) -> list[SuiteSection]:
@@ -65,14 +61,4 @@ def select_episodes(result: SuiteResult) -> Sequence[SuiteEpisode]:
     def rank(episode: SuiteEpisode) -> tuple[float, float]:
         return math.inf if episode.min_clearance is None else episode.min_clearance, -episode.distance
 
-    return result.unsuccessful_episodes[:MAX_FILMS] or sorted(result.episodes, key=rank)[:1]
-
-
-def _film(evaluator: Evaluator, policy: Policy, world: int) -> dict[str, Any]:
-    steps = evaluator.replay(policy, world)  # the number of an episode is the index of its world
-    speed = max(_MIN_SPEED, len(steps) * evaluator.scene.task.control_period / _MAX_SECONDS)
-    with TemporaryDirectory() as folder:
-        file = Path(folder, "episode.gif")
-        write_film(file, [steps], evaluator.scene, speed=speed)
-        content = b64encode(file.read_bytes()).decode()
-    return {"ended": steps[-1].info["ended"], "speed": speed, "url": f"data:image/gif;base64,{content}"}
+    return result.unsuccessful_episodes[:MAX_REPLAYS] or sorted(result.episodes, key=rank)[:1]

@@ -15,15 +15,17 @@ from tb2rl.viz.charts import Curve
 from tb2rl.viz.page import page
 from tb2rl.viz.run_views import group_runs, read_run_view
 
-SECTIONS = ["runs", "curves", "evaluation", "paths", "actions", "map"]
+SECTIONS = ["runs", "curves", "evaluation", "replays", "paths", "actions", "map"]
 
 
 @pytest.fixture
 def without_pictures(monkeypatch) -> None:
-    """Pages without charts and maps, which take most of the time."""
+    """Pages without charts, maps and replays, which take most of the time."""
     for name in ("draw_curves", "draw_episodes"):
         monkeypatch.setattr(page_module.charts, name, lambda *_: "<svg></svg>")
     monkeypatch.setattr(page_module, "action_map", lambda *_: None)
+    no_replays = {"replays": [], "simulator": "", "error": ""}
+    monkeypatch.setattr(page_module, "run_replays", lambda view: {"view": view, **no_replays})
 
 
 @pytest.fixture(scope="module")
@@ -138,4 +140,4 @@ def test_names_are_text_whatever_they_contain(seeds, make, pages, tmp_path, with
     (named / "config.yaml").write_text(yaml.safe_dump(tree))
     page = pages.of(named, seeds, out=tmp_path / "it.html")
     assert '<img src=x onerror=alert(1)>"$x_{' in page.text
-    assert [page.count(tag) for tag in ("img", "b", "script")] == [0, 0, 1]
+    assert [page.count(tag) for tag in ("img", "b", "script")] == [0, 0, 2]
