@@ -14,7 +14,6 @@ const mixAngles = (a, b, share) => a + share * Math.atan2(Math.sin(b - a), Math.
 const mixPoses = (one, other, share) => one.map((a, k) => (k < 2 ? mix : mixAngles)(a, other[k], share));
 const mixPoints = ([p, q], share) => p.map((a, k) => mix(a, q[k], share));
 const thousandths = (value) => (Array.isArray(value) ? value.map(thousandths) : value && value / 1000);
-const pairs = (flat) => flat.flatMap((x, i) => (i % 2 ? [] : [[x, flat[i + 1]]]));
 const raised = (points, z) => points.map(([x, y]) => [x, y, z]);
 const edges = (ring) => ring.map((p, i) => [p, ring[(i + 1) % ring.length]]);
 const length = ([p, q]) => Math.hypot(q[0] - p[0], q[1] - p[1]);
@@ -46,15 +45,14 @@ function perspective({ target, azimuth, elevation, distance }, width, height) {
 
 function show(figure) {
   const data = JSON.parse(figure.querySelector("script").textContent), { times, texts } = data, end = times.at(-1);
-  const { poses, angles, shapes, obstacles, bounds, radius, goal, posts } =
+  const { poses, angles, shapes, obstacles, bounds, radius, goal, posts, walls: boxes } =
     Object.fromEntries(Object.entries(data).map(([name, value]) => [name, thousandths(value)]));
-  const walls = data.walls.map((rings) => rings.map((ring) => thousandths(pairs(ring))));
-  walls.push(...posts.map((post) => [circle(post, post[2], 16)]));
-  const sides = walls.flat().flatMap(edges).flatMap(pieces), style = getComputedStyle(figure);
+  const walls = [...boxes, ...posts.map((post) => [circle(post, post[2], 16)])], style = getComputedStyle(figure);
+  const sides = walls.flat().flatMap(edges).flatMap(pieces);
   const canvas = figure.querySelector("canvas"), context = canvas.getContext("2d"), pointers = new Map();
   const [button, slider, speed, view] = figure.querySelector(".replay-controls").children;
-  const colour = (name) => style.getPropertyValue(`--replay-${name}`).trim();
-  let time = 0, isPlaying = false, camera = { ...VIEWS.overview }, scene; // `scene` is the perspective of the camera
+  const colour = (name) => (colours[name] ??= style.getPropertyValue(`--replay-${name}`).trim());
+  let time = 0, isPlaying = false, camera = { ...VIEWS.overview }, colours, scene; // `scene` is the perspective
 
   function trace(rings) {
     context.beginPath();
@@ -139,7 +137,7 @@ function show(figure) {
     const beams = angles.map((angle, k) => polar(mix(data.ranges[i][k], data.ranges[next][k], share) / 100, angle));
     [canvas.width, canvas.height] = [width * devicePixelRatio, height * devicePixelRatio]; // clears it, too
     context.scale(devicePixelRatio, devicePixelRatio);
-    scene = look(pose, width, height);
+    [scene, colours] = [look(pose, width, height), {}]; // dark mode changes the colours
     drawFloor(pose, poses.slice(0, i + 1), placed(beams, pose));
     const moving = shapes.map(([a, b], k) => {
       const at = mixPoses(obstacles[i][k], obstacles[next][k], share);

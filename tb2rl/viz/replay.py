@@ -26,10 +26,10 @@ _MAX_STATES, _MAX_BEAMS = 400, 36  # of a replay
 def make_replay(steps: Sequence[EpisodeStep], scene: Scene) -> dict[str, Any]:
     """The values of an episode for `replay.js`; of a long episode, only every n-th state.
 
-    Lengths and angles are integers in mm and mrad, but "ranges" in cm. "walls" are polygons, each a list of rings
-    x, y, x, y, ... "times" [s], "poses", "ranges" and "obstacles" (x, y, yaw of the dynamic ones) have a row for
-    each state. "shapes" are half length and half width, or radius and 0, of the dynamic obstacles. "rows" are v, w,
-    reward, return, and indices in "texts" of action and filter's reason, for the steps to the second and later states.
+    Lengths and angles are integers in mm and mrad, but "ranges" in cm. "walls" are polygons, each a list of rings of
+    x, y. "times" [s], "poses", "ranges" and "obstacles" (x, y, yaw of the dynamic ones) have a row for each state.
+    "shapes" are half length and half width, or radius and 0, of the dynamic obstacles. "rows" are v, w, reward, return,
+    and indices in "texts" of action and filter's reason, for the steps that lead to the second and later states.
     """
     stride = math.ceil(len(steps) / _MAX_STATES)
     kept, control_period = [*steps[stride - 1 : -1 : stride], steps[-1]], scene.task.control_period
@@ -97,12 +97,11 @@ def _cast(poses: np.ndarray, angles: np.ndarray, world: World, outlines: np.ndar
     return ranges
 
 
-def _walls(world: World) -> list[list[list[int]]]:
+def _walls(world: World) -> list[list[list[list[int]]]]:
     """The union of the boxes, because inner faces would be drawn; walls lie to the left of each ring."""
     union = shapely.union_all(box_polygons(world.boxes)).simplify(0.01)  # [m]; worlds from maps have many corners
     polygons = shapely.orient_polygons(shapely.get_parts(union))
-    rings = ([polygon.exterior, *polygon.interiors] for polygon in polygons)
-    return [[_thousandths(np.ravel(ring.coords[:-1])) for ring in each] for each in rings]
+    return [[_thousandths(ring.coords[:-1]) for ring in (each.exterior, *each.interiors)] for each in polygons]
 
 
 def _thousandths(values: Any) -> Any:
