@@ -100,7 +100,7 @@ def test_a_wheel_has_everything_that_the_checkout_has(installed, tmp_path):
     assert package.is_relative_to(Path(installed).parent.parent)
     assert names == from_checkout(USE)[1:]
     there = {file.relative_to(package).as_posix() for file in package.rglob("*")}
-    data = {"py.typed", "robots/turtlebot2.urdf", "viz/page.html", "deploy/folder.md", "configs/worlds/loop.yaml"}
+    data = {"py.typed", "robots/turtlebot2.urdf", "viz/replay.js", "deploy/folder.md", "configs/worlds/loop.yaml"}
     zoo = {file.relative_to(CHECKOUT) for file in (CHECKOUT / "zoo").rglob("*")}
     alone = {"__pycache__", "pictures"}  # the pictures are the README's
     assert data | {file.as_posix() for file in zoo if not alone & set(file.parts)} <= there
