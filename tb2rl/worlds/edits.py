@@ -7,8 +7,7 @@ import numpy as np
 
 from tb2rl.core.errors import InputError
 from tb2rl.core.values import Point
-from tb2rl.worlds.world import World
-from tb2rl.worlds.world import WALL_HEIGHT, BoxShape, PostShape
+from tb2rl.worlds.world import WALL_HEIGHT, BoxShape, PostShape, World
 
 _WALL_WIDTH, _POST_RADIUS = 0.1, 0.12  # [m]
 _HEIGHTS = np.linspace(WALL_HEIGHT, 0.0, 11)  # [m] at which a ray is tested for an obstacle

@@ -14,7 +14,9 @@ START, BOUNDS = (0.0, 0.0, 0.0), (-5.0, -5.0, 5.0, 5.0)
 def world() -> World:
     shapes = {"boxes": [(2.0, 0.0, 1.0, 0.2, 0.7)], "posts": [(-2.0, 0.0, 0.3)]}
     people = [{"people": 1}]
-    return World.from_shapes("own", **shapes, start=START, goal=(0.0, 3.0, 0.0), bounds=BOUNDS, dynamic_obstacles=people)
+    return World.from_shapes(
+        "own", **shapes, start=START, goal=(0.0, 3.0, 0.0), bounds=BOUNDS, dynamic_obstacles=people
+    )
 
 
 def test_a_wall_lies_between_its_two_ends(world):

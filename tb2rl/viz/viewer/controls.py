@@ -13,9 +13,9 @@ from tb2rl.core.values import Point
 from tb2rl.viz.viewer import choices
 from tb2rl.viz.viewer.choices import AS_TRAINED
 from tb2rl.viz.viewer.drive import Drive
-from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
 from tb2rl.viz.viewer.live_scene import LiveScene
 from tb2rl.viz.viewer.server import ViewerServer
+from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
 
 _MIN_SPEED, _MAX_SPEED = 0.25, 20.0  # simulated seconds per second
 _MAX_PEOPLE, _MAX_SEED = 8, 100_000

@@ -49,7 +49,7 @@ def policy_values(policy: Any, observation: Any, actions: Actions) -> PolicyValu
         if isinstance(policy, ActorCriticPolicy) and not hasattr(policy, "lstm_actor"):
             return _actor_critic_values(policy, tensor, actions)
         if isinstance(getattr(policy, "critic", None), ContinuousCritic):
-            action = policy.actor(tensor)
+            action = policy._predict(tensor, deterministic=True)
             value = min(float(q) for q in policy.critic(tensor, action))
             return PolicyValues(_command(action[0], actions), COMMAND, value)
     return None

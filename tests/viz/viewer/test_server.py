@@ -1,10 +1,11 @@
 """The server of the page: this computer only, one port, nothing published, and one line for what is wrong."""
 
 import socket
+from importlib import import_module
 
 import pytest
 
-from tb2rl import InputError, demo, play, train
+from tb2rl import InputError
 from tb2rl.viz.viewer import server as server_module
 from tb2rl.viz.viewer.server import ViewerServer
 
@@ -49,12 +50,12 @@ def test_without_a_port_the_next_free_one_is_taken(open_server, monkeypatch):
 
 
 @pytest.mark.parametrize("line", ["--port {}", "--port 70000", "--host 203.0.113.7"])
-@pytest.mark.parametrize("command", [demo.main, play.main, train.main])
-def test_a_page_that_cannot_be_opened_is_one_line(command, line, refused, workdir):
-    arguments = {play.main: "--agent random", train.main: "--agent random --viewer", demo.main: ""}[command]
-    arguments = arguments.replace("--agent random --viewer", "--agent qlearn --viewer --total-timesteps 100")
+@pytest.mark.parametrize("command", ["demo", "play --agent random", "train --viewer --total-timesteps 100"])
+def test_a_page_that_cannot_be_opened_is_one_line(command, line, refused):
+    name, *arguments = command.split()
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        refused(command, f"{arguments} {line.format(taken.getsockname()[1])}", [line.split()[0][2:]])
+        option, value = line.format(taken.getsockname()[1]).split()
+        refused(import_module(f"tb2rl.{name}").main, [*arguments, option, value], [value])
 
 
 def test_an_unknown_host_is_named():
