@@ -31,8 +31,7 @@ SIMULATORS = {  # in the order of preference for evaluations
     "kinematic": "tb2rl.simulation.kinematic:SIMULATOR",
     "ros": "tb2rl.deploy.ros.robot:SIMULATOR",
 }
-# The function that makes the viewer of an environment with `render_mode="human"`.
-HUMAN_VIEWER = "tb2rl.viz.viewer.environment:human_viewer"
+HUMAN_VIEWER = "tb2rl.viz.viewer.environment:EnvViewer"  # of environments with `render_mode="human"`
 TASKS = {
     "drive": "tb2rl.tasks.drive:Drive",
     "maze": "tb2rl.tasks.wander:Wander",

@@ -5,13 +5,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tb2rl.core import InputError, agent_names, find_agent, robot_names, simulator_names, task_names
+from tb2rl.core import InputError, agent_names, find_agent, simulator_names
 from tb2rl.core.files import top_folder
-from tb2rl.runs import HUB, config_of, load, resolve
+from tb2rl.runs import config_of, load, resolve
 from tb2rl.runs.algorithm import make_baseline
 from tb2rl.runs.folder import CONFIG, read_config
 from tb2rl.simulation.simulator import find_simulator
-from tb2rl.simulation.variation import PRESETS
 from tb2rl.viz.viewer.drive import Selection
 from tb2rl.worlds.generators import GENERATORS
 from tb2rl.worlds.registry import world_extensions, world_names
@@ -35,30 +34,15 @@ def is_baseline(name: str) -> bool:
         return False
 
 
-def tasks() -> list[str]:
-    """Tasks that agents that do not learn can be given; a trained policy has its own."""
-    return task_names()
-
-
 def worlds() -> list[str]:
     """Generators, built-in worlds, and files of worlds in the working directory."""
     files = sorted(file.name for file in Path().iterdir() if file.suffix in world_extensions() and file.is_file())
-    return [AS_TRAINED, *(f"{_GENERATED}{name}" for name in GENERATORS), *world_names(), *files]
-
-
-def robots() -> list[str]:
-    """Robots by name."""
-    return [AS_TRAINED, *robot_names()]
+    return [*(f"{_GENERATED}{name}" for name in GENERATORS), *world_names(), *files]
 
 
 def simulators() -> list[str]:
     """Simulators that can run here."""
     return [name for name in simulator_names() if _can_run(name)]
-
-
-def variations() -> list[str]:
-    """Presets of domain randomisation."""
-    return [AS_TRAINED, *PRESETS]
 
 
 def _can_run(name: str) -> bool:
@@ -105,8 +89,3 @@ def policy_of_task(task: str) -> str:
     """The first policy of the zoo that was trained at a task, or else an agent that can drive at any task."""
     entries = sorted(folder for folder in top_folder("zoo").iterdir() if (folder / CONFIG).is_file())
     return next((f"zoo:{entry.name}" for entry in entries if read_config(entry)["task"]["name"] == task), "random")
-
-
-def is_hub_reference(text: str) -> bool:
-    """Whether a text names a policy on the hub, not a file."""
-    return text.startswith(HUB)

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tb2rl.core.errors import InputError
+from tb2rl.core import InputError, robot_names, task_names
 from tb2rl.core.values import Point
+from tb2rl.runs import HUB
+from tb2rl.simulation.variation import PRESETS
 from tb2rl.viz.viewer import choices
 from tb2rl.viz.viewer.choices import AS_TRAINED
 from tb2rl.viz.viewer.drive import Drive
@@ -94,12 +96,11 @@ class Controls:
 
     def _add_policy(self) -> None:
         selection = self._drive.selection
-        names = list(dict.fromkeys([selection.label, *choices.policy_names()]))
         with self._gui.add_folder("Policy and task"):
-            self._policy = self._gui.add_dropdown("Policy", names, initial_value=selection.label)
+            self._policy = self._add_choice("Policy", choices.policy_names(), selection.label)
             self._hub = self._gui.add_text("or from Hugging Face", initial_value="", hint="hf:USER/REPOSITORY")
-            self._task = self._add_choice("Task", choices.tasks(), selection.config.task_name)
-            self._robot = self._add_choice("Robot", choices.robots())
+            self._task = self._add_choice("Task", task_names(), selection.config.task_name)
+            self._robot = self._add_choice("Robot", robot_names())
             self._simulation = self._add_choice("Simulator", choices.simulators(), selection.simulator.name)
         for handle in (self._policy, self._robot, self._simulation):
             self._on_update(handle, self._select)
@@ -113,7 +114,7 @@ class Controls:
             self._difficulty = gui.add_slider("Difficulty", min=0.0, max=1.0, step=0.05, initial_value=0.5)
             self._number = gui.add_number("Number of the world", initial_value=0, min=0, max=_MAX_SEED, step=1)
             self._people = gui.add_slider("People who walk", min=0, max=_MAX_PEOPLE, step=1, initial_value=0)
-            self._variation = self._add_choice("Variation of the robot", choices.variations())
+            self._variation = self._add_choice("Variation of the robot", [*PRESETS])
             undo = gui.add_button("Undo walls, posts and goal")
         for handle in (self._world, self._difficulty, self._people, self._variation):
             self._on_update(handle, self._select)
@@ -122,7 +123,7 @@ class Controls:
         undo.on_click(lambda _: self.request(lambda: self._drive.select(self._drive.selection)))
 
     def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
-        options = list(dict.fromkeys([*names, value]))
+        options = list(dict.fromkeys([value, *names]))
         return self._gui.add_dropdown(label, options, initial_value=value)
 
     def _on_update(self, handle: Any, select: Callable[[], None]) -> None:
@@ -170,7 +171,7 @@ class Controls:
         self._select()
 
     def _select_from_hub(self) -> None:
-        if self._hub.value and not choices.is_hub_reference(self._hub.value):
+        if self._hub.value and not self._hub.value.startswith(HUB):
             raise InputError("a policy on the hub is hf:USER/REPOSITORY")
         self._select(self._hub.value)
 

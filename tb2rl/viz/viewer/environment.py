@@ -21,15 +21,17 @@ from tb2rl.viz.viewer.training import LoopView
 
 
 class EnvViewer:
-    """Shows an environment; its `show` is called after each reset and step.
+    """Shows an environment with `render_mode="human"`; its `show` is called after each reset and step.
 
     Args:
-        is_paced: Whether `show` waits, so that control steps take as long as on a robot.
+        is_paced: Whether to print the page's address, and to wait in `show`, so that steps take as long as on a robot.
     """
 
     def __init__(self, is_paced: bool = True) -> None:
         self.server, self._is_paced = ViewerServer(), is_paced
         self._view, self._next_time = LoopView(self.server), 0.0
+        if is_paced:
+            print(f"watch the robot at {self.server.url}", flush=True)
         self._text = self.server.gui.add_markdown("")
 
     def show(self, env: TurtleBot2Env) -> None:
@@ -45,13 +47,6 @@ class EnvViewer:
     def close(self) -> None:
         """Close the page."""
         self.server.stop()
-
-
-def human_viewer() -> EnvViewer:
-    """The viewer of an environment with `render_mode="human"`; prints the address of its page."""
-    viewer = EnvViewer()
-    print(f"watch the robot at {viewer.server.url}", flush=True)
-    return viewer
 
 
 @dataclass

@@ -1,7 +1,6 @@
 """The server of the viewer's page."""
 
 import io
-import ipaddress
 import socket
 from contextlib import redirect_stdout
 from typing import Any
@@ -11,6 +10,7 @@ import viser
 from tb2rl.core.errors import InputError
 
 LOOPBACK, PORT = "127.0.0.1", 8080
+_PRIVATE = (LOOPBACK, "localhost", "::1")
 _MAX_PORT = 65_535
 
 
@@ -46,22 +46,13 @@ class ViewerServer(viser.ViserServer):
     @property
     def warning(self) -> str:
         """A warning if other computers can open the page; else empty."""
-        host = self.get_host()
-        is_private = host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
+        is_private = self.get_host() in _PRIVATE
         return "" if is_private else "everybody who can reach this computer can open the page and drive the robot"
 
 
 def has_clients(server: Any) -> bool:
     """Whether anybody has opened the page; faster than `get_clients`, which copies."""
     return bool(server._connected_clients)
-
-
-def _is_address(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
 
 
 def _check_address(host: str, port: int) -> None:

@@ -4,13 +4,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 from selenium import webdriver
 from selenium.webdriver import ActionChains
 from selenium.webdriver.chrome.service import Service
@@ -82,12 +80,6 @@ class Watched:
         self.browser.get(self.server.url)
         eventually(lambda: self.server.get_clients().keys() - known)
         eventually(lambda: "drive" in self.browser.find_element(By.TAG_NAME, "body").text)
-        eventually(lambda: self.picture().std() > 10)
-
-    def picture(self) -> np.ndarray:
-        """Pixels of the 3D scene, shape (height, width, 3)."""
-        canvas = self.browser.find_element(By.CSS_SELECTOR, CANVAS)
-        return np.asarray(Image.open(BytesIO(canvas.screenshot_as_png)).convert("RGB")).astype(float)
 
     def pixel(self, x: float, y: float, z: float = 0.0) -> tuple[int, int]:
         """Offset [px] of a point [m] from the centre of the scene's canvas."""

@@ -1,13 +1,22 @@
 """Everything that a user does on the viewer's page, in a real Chromium."""
 
+import io
 import math
 import time
+from threading import Thread
 
 import numpy as np
 import pytest
+from PIL import Image
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
+
+from tb2rl import make_env, view
+from tb2rl.runs import Run, resolve
+from tb2rl.training.training import train_config
+from tb2rl.viz.viewer.server import ViewerServer, has_clients
+from tb2rl.viz.viewer.training import TrainingViewer
 
 pytestmark = pytest.mark.slow
 POLICY, CANVAS = "zoo:navigate-plan-ppo", "canvas[data-engine]"
@@ -22,14 +31,20 @@ def eventually(condition, seconds: float = 60.0):
     return value
 
 
+def picture_of(browser) -> np.ndarray:
+    """Pixels of the 3D scene, shape (height, width, 3)."""
+    canvas = browser.find_element(By.CSS_SELECTOR, CANVAS)
+    return np.asarray(Image.open(io.BytesIO(canvas.screenshot_as_png)).convert("RGB")).astype(float)
+
+
 def distance(drive, point) -> float:
     return math.dist(drive.pose[:2], point)
 
 
 def test_the_robot_moves_pauses_and_steps(watch):
     page = watch("zoo:maze-loop-qlearn")
-    first = page.picture()
-    eventually(lambda: np.abs(page.picture() - first).max() > 50)
+    first = picture_of(page.browser)
+    eventually(lambda: np.abs(picture_of(page.browser) - first).max() > 50)
     page.press("Pause / go on")
     eventually(lambda: page.drive.is_paused)
     number, seed = page.drive.step.number, page.drive.seed
@@ -120,14 +135,13 @@ def test_several_pages_a_reload_and_no_page(watch):
     page = watch("zoo:maze-loop-qlearn")
     first = page.browser.current_window_handle
     page.browser.switch_to.new_window("tab")
-    page.open()
-    assert len(page.server.get_clients()) == 2
+    page.browser.get(page.server.url)
+    eventually(lambda: len(page.server.get_clients()) == 2)
     page.press("Pause / go on")
     page.browser.switch_to.window(first)
     eventually(lambda: "(paused)" in page.browser.find_element(By.TAG_NAME, "body").text)
     page.press("Pause / go on")
     page.open()  # reload
-    eventually(lambda: len(page.server.get_clients()) == 2)
     for handle in page.browser.window_handles:
         page.browser.switch_to.window(handle)
         page.browser.get("about:blank")
@@ -136,3 +150,40 @@ def test_several_pages_a_reload_and_no_page(watch):
     eventually(lambda: page.frames > frames + 30 and page.drive.step.number != number)
     page.browser.close()
     page.browser.switch_to.window(first)
+
+
+def test_environments_that_train_and_their_curves(browser, tmp_path):
+    """The page is open from the start; the training goes on when it closes."""
+    server = ViewerServer(port=0)
+    viewer = TrainingViewer(server)
+    config = resolve("ppo", "drive", settings={"train.simulation": "kinematic", "train.total_timesteps": 150_000})
+    browser.get(server.url)
+    eventually(lambda: has_clients(server))
+    training = Thread(target=train_config, args=(config, tmp_path / "run"), kwargs={"watchers": [viewer]})
+    training.start()
+    try:
+        eventually(lambda: "control steps" in browser.find_element(By.TAG_NAME, "body").text)
+        first = picture_of(browser)
+        eventually(lambda: np.abs(picture_of(browser) - first).max() > 50)
+        eventually(lambda: "success" in browser.find_element(By.TAG_NAME, "body").text)
+        browser.get("about:blank")
+    finally:
+        training.join()
+        server.stop()
+    assert Run.open(tmp_path / "run").checkpoints
+
+
+def test_an_environment_that_other_code_steps(browser):
+    env = make_env("maze", simulation="kinematic")
+    page = view(env)
+    browser.get(page.url)
+    eventually(lambda: has_clients(page.server))
+    env.reset(seed=0)
+    env.step(0)
+    eventually(lambda: "Step 1" in browser.find_element(By.TAG_NAME, "body").text)
+    first = picture_of(browser)
+    for _ in range(5):
+        env.step(0)
+    eventually(lambda: np.abs(picture_of(browser) - first).max() > 50)
+    browser.get("about:blank")
+    page.close()
