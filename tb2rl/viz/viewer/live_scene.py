@@ -17,7 +17,7 @@ from tb2rl.worlds import World
 from tb2rl.worlds.world import WALL_HEIGHT
 
 _UNIT_BOX, _UNIT_CYLINDER = trimesh.creation.box((1, 1, 1)), trimesh.creation.cylinder(1.0, 1.0, sections=32)
-_LINE_HEIGHT = 0.02  # [m] of the path above the floor
+_LINE_HEIGHT = 0.02  # [m] of beams and path above the floor, where they do not hide the robot
 _GAP = 1.0  # [m] between worlds side by side
 _GOAL_HEIGHT, _FLOOR_THICKNESS = 0.06, 0.02  # [m]
 _HIDDEN = 1e-6  # scale of a shape that is not shown
@@ -43,7 +43,7 @@ class LiveScene:
             self._add_world(f"/worlds/{index}", world, offset)
         self._bounds = _outer_bounds(drawn, offsets)
         self.robots = server.scene.add_batched_glb("/robots", _model(robot), *_frames(np.zeros((len(worlds), 3))))
-        self._laser_height = _height(robot)
+        self._label_height = _height(robot) + 0.3  # [m]
         self.goals = self._add_shapes("/goals", _UNIT_CYLINDER, len(worlds), GOAL)
         self._beams, self._path = self._add_lines("/beams", BEAM), self._add_lines("/path", PATH)
         self._label = server.scene.add_label("/filter", "", anchor="bottom-center", visible=False)
@@ -58,7 +58,7 @@ class LiveScene:
     def set_cameras(self) -> None:
         """Let all cameras, also those of pages that will be opened, see all worlds."""
         x0, y0, x1, y1 = self._bounds
-        target, distance = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]), max(x1 - x0, y1 - y0, 2.0)
+        target, distance = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]), 0.9 * max(x1 - x0, y1 - y0, 2.0)
         position = target + distance * np.array([0.0, -0.55, 0.95])
         for owner in (self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())):
             owner.position, owner.look_at = position, target
@@ -96,7 +96,7 @@ class LiveScene:
         ends = start + np.where(np.isfinite(ranges), ranges, 0.0)[:, None] * np.stack(
             [np.cos(directions), np.sin(directions)], 1
         )
-        self._beams.points = _segments(np.broadcast_to(start, ends.shape), ends, self._laser_height)
+        self._beams.points = _segments(np.broadcast_to(start, ends.shape), ends, _LINE_HEIGHT)
 
     def show_path(self, positions: np.ndarray) -> None:
         """Draw the path of the first robot through positions x, y [m], shape (n, 2)."""
@@ -108,7 +108,7 @@ class LiveScene:
         if text != self._label.text:
             self._label.text, self._label.visible = text, bool(text)
         if text:
-            self._label.position = (*(pose[:2] + self._offsets[0]), self._laser_height + 0.3)
+            self._label.position = (*(pose[:2] + self._offsets[0]), self._label_height)
 
     def _show_moving(self, outlines: np.ndarray) -> None:
         rows, robots, offsets = outlines.reshape(-1, 6), len(outlines), self._offsets
