@@ -1,4 +1,4 @@
-"""Watch trained robots in the browser, and steer them: a tour from a table to goals that one drags.
+"""Watch trained robots in the browser, and steer them.
 
 python -m tb2rl.demo
 """

@@ -1,4 +1,4 @@
-"""Watch a policy drive, live in the browser or in a film, or drive yourself.
+"""Watch a policy drive, live or in a film, or drive yourself.
 
     python -m tb2rl.play runs/maze/dqn/NAME
     python -m tb2rl.play zoo:maze-loop-ppo --video drive.mp4 --camera chase

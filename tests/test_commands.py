@@ -29,12 +29,17 @@ QUICK = "--n-envs 1 --total-timesteps 1 --eval-freq 0 --no-evaluation"
         ("--resume runs/maze/qlearn/none", ["runs/maze/qlearn/none"]),
         ("--on ray", ["--on needs --seeds"]),
         ("--seeds 0..1 --seed 1", ["--seed cannot be combined with --seeds"]),
+        ("--port 8080", ["--port needs --viewer"]),
     ],
 )
 def test_train_refuses_wrong_input(line, named, workdir, refused):
     (workdir / "runs/maze/qlearn/taken").mkdir(parents=True)
     (workdir / "runs/maze/qlearn/taken/config.yaml").touch()
     refused(main, f"train {'--no-evaluation' if '--resume' in line else QUICK} {line}", named)
+
+
+def test_trainings_with_several_seeds_have_no_page(refused):
+    refused(main, "train --seeds 0..1 --viewer", ["--viewer cannot be combined with --seeds"])
 
 
 @pytest.mark.parametrize(
@@ -83,7 +88,7 @@ def test_every_command_is_listed_in_a_line(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     main([])
     lines = capsys.readouterr().out.splitlines()
-    names = "benchmark calibrate convert evaluate export play report ros train tune warm worlds zoo"
+    names = "benchmark calibrate convert demo evaluate export play report ros train tune warm worlds zoo"
     assert " ".join(COMMANDS) == names
     for name, module in COMMANDS.items():
         (line,) = [line for line in lines if line.split()[:1] == [name]]
@@ -98,6 +103,6 @@ def test_the_version_is_printed(capsys):
 
 
 def test_an_unknown_command_is_refused(refused):
-    message = "error: unknown command 'trian'; did you mean 'train'? known: benchmark, calibrate, convert"
+    message = "error: unknown command 'trian'; did you mean 'train'? known: benchmark, calibrate, convert, demo"
     assert refused(main, "trian").startswith(message)
     assert refused(main, "--agent qlearn").startswith("error: unrecognized arguments: --agent")

@@ -63,7 +63,8 @@ def test_one_module_imports_pybullet_and_one_compiles():
 
 # ---- imports
 
-HEAVY = "torch numba stable_baselines3 pybullet mujoco tensorboard pydantic shapely matplotlib optuna"
+VIEWER = "viser yourdfpy trimesh"
+HEAVY = f"torch numba stable_baselines3 pybullet mujoco tensorboard pydantic shapely matplotlib optuna {VIEWER}"
 SHOWN = f"print('heavy:', *[name for name in {HEAVY!r}.split() if name in sys.modules])"
 HELP = f"""
 import sys
@@ -91,6 +92,25 @@ def last_line(code: str) -> str:
 @pytest.mark.parametrize("code", [HELP, NAMES], ids=["help", "names"])
 def test_nothing_heavy_is_imported(code):
     assert last_line(code + SHOWN) == "heavy:"
+
+
+WITHOUT_A_PAGE = f"""
+import sys
+from importlib import import_module
+for line in (
+    "train --total-timesteps 64 --eval-freq 0 --no-evaluation --name it",
+    "evaluate runs/maze/qlearn/it --episodes 1 --steps 2",
+    "play runs/maze/qlearn/it --steps 2 --video it.gif",
+):
+    name, *arguments = line.split()
+    import_module(f"tb2rl.{{name}}").main([*arguments, "--simulation", "kinematic"])
+print(*[name for name in {VIEWER!r}.split() if name in sys.modules])
+"""
+
+
+@pytest.mark.slow
+def test_only_a_page_imports_the_viewer(workdir):
+    assert last_line(WITHOUT_A_PAGE) == ""
 
 
 @pytest.mark.slow

@@ -1,8 +1,7 @@
-"""The command `play`: a film without a display, a line for each episode, and one line for arguments that do not fit."""
+"""The command `play`: a page, films and bags as its arguments say, and one line for arguments that do not fit."""
 
 import shlex
 import signal
-import sys
 from unittest.mock import Mock
 
 import pytest
@@ -11,27 +10,52 @@ from tb2rl import play
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.simulation.simulator import default_physics
 from tb2rl.viz import film
+from tb2rl.viz.viewer import live
 
-pytestmark = pytest.mark.usefixtures("without_display")
+pytestmark = pytest.mark.usefixtures("workdir")
 
 
 @pytest.fixture
-def without_display(workdir, monkeypatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
+def drive_live(monkeypatch) -> Mock:
+    """Stands in for the page, and has the arguments with which it would be opened."""
+    called = Mock()
+    monkeypatch.setattr(live, "drive_live", called)
+    return called
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
-def test_without_a_display_there_is_a_film_named_after_the_policy(workdir, trained_run, capsys, monkeypatch):
+def test_a_page_shows_the_policy_as_the_options_say(drive_live, trained_run, capsys):
+    line = "--viewer --host ::1 --port 9000 --steps 7 --seed 3 --speed 2 --camera chase --simulation kinematic"
+    play.main([str(trained_run), *line.split()])
+    (selection, seed), view = drive_live.call_args
+    assert (selection.label, selection.simulator.name) == (str(trained_run), "kinematic")
+    assert (type(selection.policy).__name__, selection.config.task.episode_steps, seed) == ("QLearning", 7, 3)
+    assert view == {"speed": 2.0, "follow": True, "is_manual": False, "host": "::1", "port": 9000}
+    assert capsys.readouterr().out == "driving in the kinematic simulator\n"
+
+
+def test_the_user_drives_at_a_task_from_the_start(drive_live):
+    play.main(shlex.split("--teleop --task navigate --goal 3,0 --set task.world=loop"))
+    (selection, seed), view = drive_live.call_args
+    assert (selection.config.task_name, selection.config.task.goal, selection.config.task.start) == (
+        "navigate",
+        (3.0, 0.0),
+        "fixed",
+    )
+    assert (seed, selection.simulator) == (0, default_physics())
+    assert view == {"speed": 1.0, "follow": False, "is_manual": True, "host": None, "port": None}
+
+
+def test_a_film_is_titled_after_the_policy(workdir, trained_run, capsys, monkeypatch):
     header = Mock(wraps=film.add_header)
     monkeypatch.setattr(film, "add_header", header)
-    play.main([str(trained_run), "--steps", "2", "--episodes", "2", "--seed", "1"])
+    play.main([str(trained_run), "--steps", "2", "--episodes", "2", "--seed", "1", "--video", "it.mp4"])
     out, err = capsys.readouterr()
     driving, first, second, written = out.splitlines()
     reason = "" if default_physics().name == "bullet" else ", because PyBullet is not installed"
     assert driving == f"driving in {default_physics().title}{reason}"
     assert first.startswith("episode 1: time limit after 2 steps (0.4 s), 0.")
     assert "m/s, return" in second
-    assert written == f"wrote run.mp4 ({(workdir / 'run.mp4').stat().st_size / 1e6:.1f} MB)"
+    assert written == f"wrote it.mp4 ({(workdir / 'it.mp4').stat().st_size / 1e6:.1f} MB)"
     assert header.call_args.args[1] == "run (qlearn), task maze, world loop, turtlebot2"
     assert len(list(workdir.iterdir())) == 1
     assert err == "", "no bar where there is no terminal"
@@ -76,7 +100,12 @@ def test_each_episode_is_a_bag_of_its_own(name, bags, workdir, trained_run, caps
         ("--agent random --simulation ros", ["--video", "rosbag"]),
         ("--agent random --simulation ros --video it.mp4 --mounting 1,2", ["--mounting", "x,y,yaw", "'1,2'"]),
         ("--teleop --video it.mp4", ["--video", "--teleop"]),
-        ("--teleop", ["terminal"]),
+        ("--teleop --agent random", ["--agent", "--teleop"]),
+        ("--agent random --episodes 2", ["--episodes", "--video or --bag"]),
+        ("--agent random --viewer --video it.mp4", ["--viewer", "--video or --bag"]),
+        ("--agent random --port 9000 --bag it", ["--port", "--video or --bag"]),
+        ("--agent random --port 65536", ["--port", "65535"]),
+        ("--agent random --host 203.0.113.1", ["203.0.113.1", "cannot open"]),
     ],
 )
 def test_play_says_what_is_wrong(line, named, workdir, refused):

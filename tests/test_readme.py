@@ -3,6 +3,9 @@
 import re
 import runpy
 import shlex
+import signal
+import subprocess
+import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -21,13 +24,12 @@ SHORTER = {  # arguments appended to a command to shorten it
     "play": "--steps 3",
 }
 RESUMED = "--total-timesteps 4096 --no-evaluation --no-progress"
-# They take long, or need a terminal, ROS, a bag or an optional library.
+# They take long, or need ROS, a bag or an optional library.
 ONLY_PARSED = {
     "calibrate",
     "mlflow",
     "ros",
     "task.robot=my_robot.yaml",
-    "--teleop",
     "--seeds",
     "--suite",
     "report",
@@ -73,11 +75,24 @@ def run(command: list[str], number: int) -> None:
     if ONLY_PARSED & {name, *arguments}:
         return
     more = RESUMED if "--resume" in arguments else SHORTER.get(name, "")
-    if name == "play" and "--bag" not in arguments:
-        more += " --video film.gif"
+    if name == "demo" or (name == "play" and not {"--bag", "--video"} & set(arguments)):
+        open_page([*command[1:], *more.split()])
+        return
     if name == "train" and not {"--name", "--resume"} & set(arguments):
         more += f" --name number-{number}"
     import_module(COMMANDS[name]).main([*arguments, *more.split()])
+
+
+def open_page(arguments: list[str]) -> None:
+    """Run a command that opens a page, in a process, and end it as a user does."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen([sys.executable, *arguments], text=True, **pipes) as process:
+        printed = []
+        for line in process.stdout:
+            printed.append(line)
+            if line.startswith("open http://"):
+                process.send_signal(signal.SIGINT)
+    assert process.returncode == 0, "".join(printed)
 
 
 def save_files(page: str, folder: Path) -> None:
@@ -89,7 +104,7 @@ def save_files(page: str, folder: Path) -> None:
 def test_the_training_of_the_readme_runs_and_its_policy_drives(module_folder):
     train = next(words for words in commands("README.md") if words[:3] == ["python", "-m", "tb2rl.train"])
     run(train, 0)
-    run(["python", "-m", "tb2rl.play", "runs/maze/qlearn/first"], 1)
+    run(["python", "-m", "tb2rl.play", "runs/maze/qlearn/first", "--video", "film.gif"], 1)
     assert (module_folder / "film.gif").is_file()
 
 

@@ -48,7 +48,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
 
     Args:
         scene: The task, the robot, the worlds and the observation; `make_env` makes it from names.
-        render_mode: None, "rgb_array" (top-down image, no window) or "human" (a page in the browser, in real time).
+        render_mode: None, "rgb_array" (top-down image) or "human" (a page in the browser, in real time).
         simulation: The simulator: a registered name, "module:Class", a `SimulatorType`, or an object with a method
             `simulator_type`. None: `default_physics`.
 

@@ -1,4 +1,4 @@
-"""Pictures, films, PyBullet's window, teleoperation, charts, tables and the report.
+"""Pictures, films, the live viewer in the browser, charts, tables and the report.
 
 No code in this package is specific to a robot, task or world.
 """

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import tb2rl
-from tb2rl.core.errors import InputError
 
 ACTIONS, OTHERS = np.random.default_rng(0).integers(3, size=(2, 60))
 
@@ -79,12 +78,14 @@ def test_a_closed_environment_does_not_close_its_copy(simulation):
     np.testing.assert_array_equal(run(copied, ACTIONS), expected)
 
 
-@pytest.mark.bullet
-def test_an_environment_with_a_window_is_not_copied(make):
-    env = make("maze")
-    env.simulator._window = True
-    with pytest.raises(InputError, match="window cannot be copied"):
-        copy.deepcopy(env)
+@pytest.mark.parametrize("make_copy", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_of_an_environment_with_a_page_has_none(make_copy, make):
+    env = make("maze", render_mode="human", simulation="kinematic", control_period=0.01)
+    env.reset(seed=3)
+    copied = make_copy(env)
+    assert env.viewer
+    assert copied.viewer is None
+    np.testing.assert_array_equal(run(copied, ACTIONS), run(env, ACTIONS))
 
 
 @pytest.mark.bullet

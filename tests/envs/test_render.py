@@ -1,11 +1,13 @@
-"""The top-down image of `render`."""
+"""The top-down image of `render`, and the page of mode "human"."""
 
-import sys
+import re
+import time
+from socket import create_connection
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
 
-from tb2rl.core.errors import InputError
 from tb2rl.envs.turtlebot2_env import TurtleBot2Env
 
 CORNER = (-3.75, -3.75, 0.0)  # the start of the world "loop"
@@ -64,12 +66,28 @@ def test_an_image_shows_the_world_that_the_episode_is_in(make):
     assert pixel(circuit, env.render(), circuit.start[0] - 0.12, circuit.start[1]).max() < 80
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a display is an environment variable")
-@pytest.mark.bullet
-def test_a_window_without_a_display_is_refused_with_the_way_out(make, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(InputError, match="no display; use 'rgb_array'"):
-        make(render_mode="human")
+@pytest.mark.parametrize("simulation", ["bullet", "mujoco", "kinematic"])
+def test_mode_human_shows_every_state_on_a_page_until_the_environment_is_closed(simulation, make, drive, capsys):
+    env = make(render_mode="human", simulation=simulation, control_period=0.01)
+    printed = re.fullmatch(r"watch the robot at http://localhost:(\d+)\n", capsys.readouterr().out)
+    address = ("localhost", int(printed[1]))
+    env.viewer.show = Mock(wraps=env.viewer.show)
+    env.reset()
+    drive(env, [0, 1])
+    assert env.viewer.show.call_args_list == [call(env)] * 3
+    assert env.render() is None
+    create_connection(address).close()
+    env.close()
+    with pytest.raises(ConnectionRefusedError):
+        create_connection(address)
+
+
+def test_mode_human_takes_as_long_as_a_robot(make, drive):
+    env = make(render_mode="human", simulation="kinematic", control_period=0.1)
+    env.reset()
+    began = time.monotonic()
+    drive(env, [1] * 5)
+    assert 0.49 < time.monotonic() - began < 2.0
 
 
 def test_the_frame_rate_is_that_of_the_control_steps(make):
