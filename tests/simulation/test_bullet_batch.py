@@ -26,7 +26,7 @@ PERIOD = 0.2  # [s]
 @pytest.fixture
 def make(open_simulator):
     """A function from the numbers of environments and of processes to a `BulletBatch`, closed after the test."""
-    return lambda num_envs, processes=2: open_simulator("bullet", SPEC, num_envs, False, processes)
+    return lambda num_envs, processes=2: open_simulator("bullet", SPEC, num_envs, processes)
 
 
 def initial_states(num_envs, seed=0) -> InitialState:
