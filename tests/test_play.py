@@ -96,6 +96,7 @@ def test_each_episode_is_a_bag_of_its_own(name, bags, workdir, trained_run, caps
         ("--agent random --video it.avi", [".mp4 or .gif", "it.avi"]),
         ("--agent random --video missing/it.mp4", ["missing/it.mp4", "folder"]),
         ("--agent random --bag folder.bag", ["folder.bag"]),
+        ("--agent random --host 0.0.0.0 --video it.mp4", ["--host", "--video"]),
         ("--agent random --bag it --video it.mp4", ["--video", "--bag", "--seed"]),
         ("--agent random --simulation ros", ["--video", "rosbag"]),
         ("--agent random --simulation ros --video it.mp4 --mounting 1,2", ["--mounting", "x,y,yaw", "'1,2'"]),

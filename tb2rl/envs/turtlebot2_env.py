@@ -179,7 +179,7 @@ class TurtleBot2Env(gym.Env[Any, Any]):
         self._gym_spec = spec
 
     def close(self) -> None:
-        """Release the resources of the simulator; a reset acquires them again."""
+        """Close the page, and release the resources of the simulator; a reset acquires only these again."""
         self.loop.close()
         self.path = []
         if self.viewer:

@@ -55,7 +55,12 @@ class View:
 
     server: ViewerServer
     height: int = 600  # [px]
-    _closed: threading.Event = field(default_factory=threading.Event, repr=False)
+    drive: Drive | None = None  # None: an environment that other code steps
+    _closed: threading.Event = field(default_factory=threading.Event, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
     @property
     def url(self) -> str:
@@ -68,7 +73,14 @@ class View:
     def close(self) -> None:
         """Close the page, and stop driving."""
         self._closed.set()
+        self._thread.join()
         self.server.stop()
+
+    def _run(self) -> None:
+        if self.drive:
+            page = Page(self.server, self.drive)
+            self.drive.run(page.show, page.report, lambda: not self._closed.is_set())
+            self.drive.close()
 
 
 def view(policy_or_env: Any, height: int = 600, **settings: Any) -> View:
@@ -91,18 +103,10 @@ def view(policy_or_env: Any, height: int = 600, **settings: Any) -> View:
         env = policy_or_env.unwrapped
         if not isinstance(env, TurtleBot2Env) or settings:
             raise InputError("view takes an environment of tb2rl without settings; give them to make_env")
-        env.viewer = viewer = EnvViewer(is_paced=False)
-        return View(viewer.server, height)
+        env.viewer = env.viewer or EnvViewer(is_paced=False)
+        return View(env.viewer.server, height)
     name = str(policy_or_env) if isinstance(policy_or_env, str | Path) else type(policy_or_env).__name__
     policy: Policy = load(policy_or_env) if isinstance(policy_or_env, str | Path) else policy_or_env
     selection = Selection(policy, config_of(policy).with_task(settings), default_simulator(), name)
-    page = View(ViewerServer(), height)
-    threading.Thread(target=_drive, args=(page, selection), daemon=True).start()
-    return page
-
-
-def _drive(view: View, selection: Selection) -> None:
     drive = Drive(selection)
-    page = Page(view.server, drive)
-    drive.run(page.show, page.report, lambda: not view._closed.is_set())
-    drive.close()
+    return View(ViewerServer(), height, drive)

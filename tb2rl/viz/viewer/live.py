@@ -3,7 +3,7 @@
 import os
 import sys
 import webbrowser
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 
 from tb2rl.evaluation.progress import say
 from tb2rl.viz.viewer.drive import Drive, Selection
@@ -35,8 +35,10 @@ def drive_live(
     Raises:
         InputError: If the policy does not fit the task, or the page cannot be opened.
     """
-    server = open_page(host, port)
-    with closing(Drive(selection, seed)) as drive, suppress(KeyboardInterrupt):
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        server = open_page(host, port)
+        stack.callback(server.stop)
+        drive = stack.enter_context(closing(Drive(selection, seed)))
         drive.speed = speed
         if is_manual:
             drive.drive_manually(True)

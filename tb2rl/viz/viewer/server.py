@@ -37,6 +37,11 @@ class ViewerServer(viser.ViserServer):
     def request_share_url(self, verbose: bool = True) -> None:
         """Refuse the request, because a page can send it, and it would publish the page on the internet."""
 
+    def stop(self) -> None:
+        """Close all pages."""
+        with redirect_stdout(io.StringIO()):  # it prints that it has stopped
+            super().stop()
+
     @property
     def url(self) -> str:
         """Address of the page on this computer."""
