@@ -80,7 +80,7 @@ class LiveScene:
         sizes = np.where(has_goal[:, None], (GOAL_RADIUS, GOAL_RADIUS, _GOAL_HEIGHT), _HIDDEN)
         if not np.array_equal(positions, self.goals.batched_positions):
             self.goals.batched_positions, self.goals.batched_scales = positions, sizes
-            self._goal_label.position, self._goal_label.visible = (*positions[0, :2], 0.1), bool(has_goal[0])
+            self._goal_label.position, self._goal_label.visible = (*positions[0, :2], 0.3), bool(has_goal[0])
         if outlines is not None:
             self._show_moving(outlines)
 
