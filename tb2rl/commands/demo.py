@@ -8,20 +8,18 @@ from tb2rl.viz.viewer.choices import make_selection
 from tb2rl.viz.viewer.live import drive_live
 from tb2rl.viz.viewer.page import TourStop
 
-_ROOMS = {"world": {"generator": "rooms", "worlds": 1, "seed": 1, "difficulty": (0.5, 0.5)}}
+_ROOMS = "generated: rooms"
 TOUR = (
     TourStop(
         "A table",
         "Q-learning learned this table in seconds. The robot sees nine distances, each in one of four classes, and "
-        "chooses the action with the largest value in the row of what it sees: watch the bars on the left.",
+        "chooses the action with the largest value in the row of what it sees: watch the bars of the values.",
         "zoo:maze-loop-qlearn",
-        {},
     ),
     TourStop(
         "A network",
         "SAC learned a network that maps the laser's ranges to a speed and a turn rate, so the robot drives smoothly.",
         "zoo:drive-loop-sac",
-        {},
     ),
     TourStop(
         "Anywhere",
@@ -32,8 +30,8 @@ TOUR = (
     ),
     TourStop(
         "To a goal",
-        "Drag the green disc, or click on the floor, and the robot drives there. Choose *Add wall* and put a wall "
-        "in its way: it plans another path.",
+        "Drag the green disc, or click on the floor, and the robot drives there along the green line. Let a click "
+        "*add a wall*, and put one in its way with two clicks: it takes another way.",
         "zoo:navigate-plan-ppo",
         _ROOMS,
     ),
@@ -45,5 +43,5 @@ def run(arguments: argparse.Namespace) -> None:
     announce_compiling()
     first = TOUR[0]
     simulation = arguments.simulation or default_simulator()
-    selection = make_selection(first.policy, "maze", first.settings, simulation)
+    selection = make_selection(first.policy, "maze", {}, simulation)
     drive_live(selection, host=arguments.host, port=arguments.port, tour=TOUR)

@@ -43,7 +43,7 @@ def hit_floor(origin: np.ndarray, direction: np.ndarray, height: float = 0.0) ->
     if not dz < 0.0 or not z > height:
         return None
     way = (height - z) / dz
-    return x + way * dx, y + way * dy
+    return round(x + way * dx, 3), round(y + way * dy, 3)
 
 
 def _with_shapes(world: World, boxes: list[BoxShape], posts: list[PostShape]) -> World:

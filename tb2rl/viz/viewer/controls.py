@@ -19,7 +19,7 @@ from tb2rl.viz.viewer.live_scene import LiveScene
 from tb2rl.viz.viewer.server import ViewerServer
 from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
 
-_MIN_SPEED, _MAX_SPEED = 0.25, 20.0  # simulated seconds per second
+_SPEEDS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)  # simulated seconds per second
 _MAX_PEOPLE, _MAX_SEED = 8, 100_000
 _MOVE_GOAL, _MOVE_ROBOT, _ADD_WALL, _ADD_POST, _REMOVE = (
     "move the goal",
@@ -47,10 +47,10 @@ class Controls:
         self._gui: Any = server.gui
         self._wall_start: Point | None = None
         self._add_playback(follow)
-        self._add_policy()
-        self._add_world()
         self._add_mouse()
         self._add_steering()
+        self._add_policy()
+        self._add_world()
 
     @property
     def follows(self) -> bool:
@@ -62,13 +62,12 @@ class Controls:
         for handle, move in ((live.goals, self._drive.move_goal), (live.robots, self._drive.move_robot)):
             handle.on_drag("left")(partial(self._on_drag, move))
 
-    def visit(self, policy: str, settings: dict[str, Any]) -> None:
-        """Select a policy and settings of its task, and nothing else."""
-        for handle in (self._robot, self._world, self._variation):
-            handle.value = AS_TRAINED
-        self._people.value, self._policy.value = 0, policy
-        self._drive.select(choices.make_selection(policy, self._task.value, settings, self._simulation.value))
-        self._task.value = self._drive.selection.config.task_name
+    def visit(self, policy: str, world: str) -> None:
+        """Select a policy and a world, and everything else as at the start."""
+        for handle, value in self._defaults:
+            handle.value = value
+        self._policy.value, self._world.value, self._click.value = policy, world, _MOVE_GOAL
+        self._select()
         self._selected = self._values()
 
     def request(self, change: Callable[..., object], *arguments: Any) -> None:
@@ -86,11 +85,12 @@ class Controls:
         }
         with self._gui.add_folder("Time"):
             buttons = self._gui.add_button_group("Playback", list(changes))
-            limits = {"min": _MIN_SPEED, "max": _MAX_SPEED, "step": 0.25}
-            speed = self._gui.add_slider("Speed (1: real time)", initial_value=drive.speed, **limits)
+            names = {speed: f"{speed:g} x" for speed in sorted({*_SPEEDS, drive.speed})}
+            speed = self._gui.add_dropdown("Speed", list(names.values()), initial_value=names[drive.speed])
             self._follow = self._gui.add_checkbox("Follow the robot", initial_value=follow)
         buttons.on_click(lambda _: self.request(changes[buttons.value]))
-        speed.on_update(lambda _: setattr(drive, "speed", float(np.clip(speed.value, _MIN_SPEED, _MAX_SPEED))))
+        speeds = {name: number for number, name in names.items()}
+        speed.on_update(lambda _: setattr(drive, "speed", speeds.get(speed.value, drive.speed)))
 
     # ---- policy, task and world
 
@@ -98,13 +98,14 @@ class Controls:
         selection = self._drive.selection
         with self._gui.add_folder("Policy and task"):
             self._policy = self._add_choice("Policy", choices.policy_names(), selection.label)
-            self._hub = self._gui.add_text("or from Hugging Face", initial_value="", hint="hf:USER/REPOSITORY")
+            self._hub = self._gui.add_text("hf:USER/REPOSITORY", initial_value="")
+            load = self._gui.add_button("Load this policy from Hugging Face")
             self._task = self._add_choice("Task", task_names(), selection.config.task_name)
             self._robot = self._add_choice("Robot", robot_names())
             self._simulation = self._add_choice("Simulator", choices.simulators(), selection.simulator.name)
         for handle in (self._policy, self._robot, self._simulation):
             self._on_update(handle, self._select)
-        self._on_update(self._hub, self._select_from_hub)
+        load.on_click(lambda _: self.request(self._select_from_hub))
         self._on_update(self._task, self._select_task)
 
     def _add_world(self) -> None:
@@ -112,15 +113,22 @@ class Controls:
         with gui.add_folder("World: make it harder or easier"):
             self._world = self._add_choice("World", choices.worlds())
             self._difficulty = gui.add_slider("Difficulty", min=0.0, max=1.0, step=0.05, initial_value=0.5)
-            self._number = gui.add_number("Number of the world", initial_value=0, min=0, max=_MAX_SEED, step=1)
+            self._number = gui.add_number("World number (seed)", initial_value=0, min=0, max=_MAX_SEED, step=1)
             self._people = gui.add_slider("People who walk", min=0, max=_MAX_PEOPLE, step=1, initial_value=0)
-            self._variation = self._add_choice("Variation of the robot", [*PRESETS])
+            self._variation = self._add_choice("Variation (noise, wear)", [*PRESETS])
             undo = gui.add_button("Undo walls, posts and goal")
         for handle in (self._world, self._difficulty, self._people, self._variation):
             self._on_update(handle, self._select)
         self._on_update(self._number, self._select_number)
         self._selected = self._values()
+        self._defaults: list[tuple[Any, Any]] = [pair for pair in self._selected if pair[0] is not self._simulation]
         undo.on_click(lambda _: self.request(lambda: self._drive.select(self._drive.selection)))
+        self._disable_controls()
+
+    def _disable_controls(self) -> None:
+        """Disable the controls that the world does not have."""
+        self._difficulty.disabled = not choices.is_generated(self._world.value)
+        self._number.disabled = self._difficulty.disabled and len(self._drive.scene.spec.worlds) == 1
 
     def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
         options = list(dict.fromkeys([value, *names]))
@@ -142,7 +150,7 @@ class Controls:
 
     def _values(self) -> list[tuple[Any, Any]]:
         """The controls that select, each with its value."""
-        handles = [self._policy, self._hub, self._task, self._robot, self._simulation]
+        handles = [self._policy, self._task, self._robot, self._simulation]
         handles += [self._world, self._difficulty, self._number, self._people, self._variation]
         return [(handle, handle.value) for handle in handles]
 
@@ -163,6 +171,7 @@ class Controls:
         with self._loading(name):
             self._drive.select(choices.make_selection(name, self._task.value, settings, self._simulation.value))
         self._task.value = self._drive.selection.config.task_name
+        self._disable_controls()
 
     def _select_task(self) -> None:
         """Drive a policy of the chosen task, unless the present one can do it."""
@@ -171,7 +180,7 @@ class Controls:
         self._select()
 
     def _select_from_hub(self) -> None:
-        if self._hub.value and not self._hub.value.startswith(HUB):
+        if not self._hub.value.startswith(HUB):
             raise InputError("a policy on the hub is hf:USER/REPOSITORY")
         self._select(self._hub.value)
 
@@ -195,7 +204,7 @@ class Controls:
     # ---- mouse and keys
 
     def _add_mouse(self) -> None:
-        with self._gui.add_folder("Goal, walls and posts: click on the floor"):
+        with self._gui.add_folder("Goal, walls and posts"):
             self._click = self._gui.add_dropdown("A click will", _CLICKS, initial_value=_MOVE_GOAL)
             text = "Drag the green disc to move the goal; drag the robot to lift it. A wall needs two clicks."
             self._gui.add_markdown(text)
@@ -219,6 +228,7 @@ class Controls:
             case "add a wall":
                 if start is None:
                     self._wall_start = point
+                    self._server.scene.add_icosphere("/wall", 0.08, color=(200, 60, 40), position=(*point, 0.1))
                 else:
                     drive.change_world(add_wall(world, start, point))
 

@@ -21,6 +21,7 @@ from tb2rl.worlds import World
 from tb2rl.worlds.goal_paths import OWN_GOAL
 
 FRAME_RATE = 60.0  # frames per second
+_PLAN_STEP, _MAX_PLAN = 0.2, 300  # [m] between points of a plan, and most points
 _REST = 1.0  # [s] for which the end of an episode is shown
 KEYS = {"W": (0.1, 0.0), "S": (-0.1, 0.0), "A": (0.0, 0.5), "D": (0.0, -0.5)}  # changes of v [m/s], w [rad/s]
 
@@ -100,7 +101,11 @@ class Drive:
     def select(self, selection: Selection) -> None:
         """Drive another policy, task or simulator; after an `InputError`, the drive is as it was."""
         scene = selection.config.scene.for_purpose("test")
-        check_spaces(selection.policy, scene)
+        try:
+            check_spaces(selection.policy, scene)
+        except InputError:
+            message = f"{selection.label} was trained with other observations or actions"
+            raise InputError(f"{message}; take the robot as trained, or another policy") from None
         self._open(scene, selection)
         self.selection = selection
         self.world_index: int | None = None
@@ -190,6 +195,16 @@ class Drive:
         """A copy of the world, with the goal of the episode."""
         world, goal = self.episode_world, goal_of(self.scene.task, self.step.after.initial_state)
         return world.with_changes(None, (*goal.tolist(), 0.0)) if np.isfinite(goal).all() else world
+
+    def plan(self) -> np.ndarray:
+        """The planned path, if the robot follows one on a known map: x, y [m], shape (n, 2)."""
+        task, state, spec = self.scene.task, self.step.after, self.scene.spec
+        points = [self.pose[None, :2]]
+        if getattr(task, "guide", "") == "plan" and not task.maps_online:
+            goal = state.initial_state.world.astype(int), state.initial_state.records["goal_path"].astype(int)
+            while len(points) < _MAX_PLAN and np.abs(points[-1] - state.goal).max() > 1e-3:
+                points.append(spec.goal_paths.lookahead_point(*goal, points[-1], _PLAN_STEP))
+        return np.concatenate(points)
 
     @property
     def observation(self) -> Any:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import cache
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ _UNIT_BOX, _UNIT_CYLINDER = trimesh.creation.box((1, 1, 1)), trimesh.creation.cy
 _LINE_HEIGHT = 0.02  # [m] of beams and path above the floor, where they do not hide the robot
 _GAP = 1.0  # [m] between worlds side by side
 _GOAL_HEIGHT, _FLOOR_THICKNESS = 0.06, 0.02  # [m]
+_START_COLOUR = (90, 95, 105)  # RGB, unlike the goal's
+_NUMBERS = count()  # of scenes
 _HIDDEN = 1e-6  # scale of a shape that is not shown
 
 
@@ -36,18 +39,25 @@ class LiveScene:
     def __init__(self, server: Any, robot: Robot, worlds: Sequence[World], shared: bool = True) -> None:
         self._server, self._worlds = server, list(worlds)
         server.scene.reset()
+        self._root = f"/{next(_NUMBERS)}"  # new names, because pages keep the size of a grid with an old name
         drawn = worlds[:1] if shared else worlds
         offsets = _grid_offsets(drawn)
         self._offsets = np.broadcast_to(offsets, (len(worlds), 2))  # x, y [m]
         for index, (world, offset) in enumerate(zip(drawn, offsets, strict=True)):
-            self._add_world(f"/worlds/{index}", world, offset)
+            self._add_world(f"{self._root}/worlds/{index}", world, offset)
         self._bounds = _outer_bounds(drawn, offsets)
-        self.robots = server.scene.add_batched_glb("/robots", _model(robot), *_frames(np.zeros((len(worlds), 3))))
+        self.robots = server.scene.add_batched_glb(
+            f"{self._root}/robots", _model(robot), *_frames(np.zeros((len(worlds), 3)))
+        )
         self._label_height = _height(robot) + 0.3  # [m]
-        self.goals = self._add_shapes("/goals", _UNIT_CYLINDER, len(worlds), GOAL)
-        self._beams, self._path = self._add_lines("/beams", BEAM), self._add_lines("/path", PATH)
-        self._label = server.scene.add_label("/filter", "", anchor="bottom-center", visible=False)
-        self._goal_label = server.scene.add_label("/goal", "goal", anchor="bottom-center", visible=False)
+        self.goals = self._add_shapes(f"{self._root}/goals", _UNIT_CYLINDER, len(worlds), GOAL)
+        self._beams, self._path = (
+            self._add_lines(f"{self._root}/beams", BEAM),
+            self._add_lines(f"{self._root}/path", PATH),
+        )
+        self._plan = self._add_lines(f"{self._root}/plan", START)
+        self._label = server.scene.add_label(f"{self._root}/filter", "", anchor="bottom-center", visible=False)
+        self._goal_label = server.scene.add_label(f"{self._root}/goal", "goal", anchor="bottom-center", visible=False)
         self._moving: tuple[Any, ...] = ()
 
     @property
@@ -58,7 +68,7 @@ class LiveScene:
     def set_cameras(self) -> None:
         """Let all cameras, also those of pages that will be opened, see all worlds."""
         x0, y0, x1, y1 = self._bounds
-        target, distance = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]), 0.9 * max(x1 - x0, y1 - y0, 2.0)
+        target, distance = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]), max(x1 - x0, y1 - y0, 2.0)
         position = target + distance * np.array([0.0, -0.55, 0.95])
         for owner in (self._server.initial_camera, *(each.camera for each in self._server.get_clients().values())):
             owner.position, owner.look_at = position, target
@@ -98,10 +108,11 @@ class LiveScene:
         )
         self._beams.points = _segments(np.broadcast_to(start, ends.shape), ends, _LINE_HEIGHT)
 
-    def show_path(self, positions: np.ndarray) -> None:
-        """Draw the path of the first robot through positions x, y [m], shape (n, 2)."""
-        shown = positions + self._offsets[0]
-        self._path.points = _segments(shown[:-1], shown[1:], _LINE_HEIGHT)
+    def show_path(self, positions: np.ndarray, plan: np.ndarray) -> None:
+        """Draw the path of the first robot, and its plan, through positions x, y [m], each of shape (n, 2)."""
+        for lines, points in ((self._path, positions), (self._plan, plan)):
+            shown = points + self._offsets[0]
+            lines.points = _segments(shown[:-1], shown[1:], 2 * _LINE_HEIGHT)  # above the beams
 
     def show_label(self, text: str, pose: np.ndarray) -> None:
         """Show a text above the first robot at a pose (3,), such as the reason of a filter; empty: no text."""
@@ -114,7 +125,7 @@ class LiveScene:
         rows, robots, offsets = outlines.reshape(-1, 6), len(outlines), self._offsets
         x, y, cos, sin, length, width = rows.T
         if not self._moving:
-            shapes = (("/moving/round", _UNIT_CYLINDER), ("/moving/boxes", _UNIT_BOX))
+            shapes = ((f"{self._root}/moving/round", _UNIT_CYLINDER), (f"{self._root}/moving/boxes", _UNIT_BOX))
             self._moving = tuple(self._add_shapes(name, mesh, len(rows), DYNAMIC_OBSTACLE) for name, mesh in shapes)
         shown_offsets = np.repeat(offsets, len(rows) // robots, axis=0)
         poses = np.column_stack([x + shown_offsets[:, 0], y + shown_offsets[:, 1], np.arctan2(sin, cos)])
@@ -137,7 +148,7 @@ class LiveScene:
         add.add_grid(f"{name}/grid", x1 - x0, y1 - y0, position=(*centre, 0.0), **grid)
         start = world.start[0] + offset[0], world.start[1] + offset[1], 0.0
         add.add_label(f"{name}/start", "start", position=start, anchor="bottom-center", font_screen_scale=0.8)
-        add.add_cylinder(f"{name}/start/disc", 0.1, 0.01, color=_rgb(START))
+        add.add_cylinder(f"{name}/start/disc", 0.1, 0.01, color=_START_COLOUR)
         if len(world.boxes):
             x, y, half_length, half_width, cos, sin = world.boxes.T
             sizes = np.column_stack([2 * half_length, 2 * half_width])

@@ -4,12 +4,12 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from tb2rl.robots import Robot
 from tb2rl.viz.cameras import beam_ranges, goal_of
+from tb2rl.viz.viewer.choices import AS_TRAINED
 from tb2rl.viz.viewer.controls import Controls
 from tb2rl.viz.viewer.drive import Drive
 from tb2rl.viz.viewer.live_scene import LiveScene
@@ -24,12 +24,12 @@ _MESSAGE_DURATION = 8.0  # [s]
 
 @dataclass(frozen=True)
 class TourStop:
-    """One stop of a tour: a text, a policy, and settings of its task."""
+    """One stop of a tour."""
 
     title: str
     text: str
     policy: str
-    settings: dict[str, Any]
+    world: str = AS_TRAINED  # an option of the page
 
 
 class Page:
@@ -46,12 +46,13 @@ class Page:
         self._server, self._live = server, LiveScene(server, drive.scene.robot, [drive.episode_world])
         self._robot: Robot = drive.scene.robot
         self._next_text = self._next_picture = 0.0
+        self._followed = follow
         server.gui.main_panel.dock_right()
         if tour:
             self._add_tour(tour)
         self._controls = Controls(server, drive, follow)
         self._controls.attach(self._live)
-        panel = server.gui.add_panel()
+        panel = server.gui.add_panel(order=-1.0)  # the first one on a phone
         panel.dock_left()
         with panel.add_tab("Robot"):
             self._status = server.gui.add_markdown("")
@@ -74,11 +75,15 @@ class Page:
             live.show_label(frame.step.intervention, frame.pose)
             if self._controls.follows:
                 self._follow(frame.pose)
+            elif self._followed:
+                live.set_cameras()
+            self._followed = self._controls.follows
             if now >= self._next_text:
                 self._next_text = now + _TEXT_PERIOD
-                live.show_path(np.array([pose[:2] for pose in [*frame.path, frame.pose]]))
+                live.show_path(np.array([pose[:2] for pose in [*frame.path, frame.pose]]), drive.plan())
                 self._status.content, self._values.content = status(drive), values(drive)
-        if self._picture_shown.value and now >= self._next_picture:
+        self._picture.visible = bool(self._picture_shown.value)
+        if self._picture.visible and now >= self._next_picture:
             self._next_picture = now + _PICTURE_PERIOD
             self._show_picture(drive)
 
@@ -107,7 +112,6 @@ class Page:
         colours, depth = drive.step.after.render_camera(*_PICTURE_SIZE)
         near = np.clip(1.0 - depth[0] / _MAX_DEPTH, 0.0, 1.0) * 255
         self._picture.image = near.astype(np.uint8)[..., None].repeat(3, -1) if colours is None else colours[0]
-        self._picture.visible = True
 
     def _add_tour(self, tour: Sequence[TourStop]) -> None:
         with self._server.gui.add_folder("Tour"):
@@ -116,7 +120,7 @@ class Page:
 
         def visit(stop: TourStop) -> None:
             text.content = f"**{stop.title}.** {stop.text}"
-            self._controls.visit(stop.policy, stop.settings)
+            self._controls.visit(stop.policy, stop.world)
 
         text.content = f"**{tour[0].title}.** {tour[0].text}"
         for button, stop in zip(buttons, tour, strict=True):

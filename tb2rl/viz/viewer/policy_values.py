@@ -20,7 +20,12 @@ class PolicyValues:
 
     scores: dict[str, float]  # by action, or by component of the command
     meaning: str  # of the scores, such as "probability of each action"
-    value: float | None = None  # expected return from the critic; None: the policy has no critic
+    limits: dict[str, tuple[float, float]]  # least and largest value of each score, for bars
+    value: float  # expected return
+
+    def is_chosen(self, name: str) -> bool:
+        """Whether a score is that of the chosen action."""
+        return self.meaning != COMMAND and self.scores[name] == max(self.scores.values())
 
 
 def policy_values(policy: Any, observation: Any, actions: Actions) -> PolicyValues | None:
@@ -51,23 +56,27 @@ def policy_values(policy: Any, observation: Any, actions: Actions) -> PolicyValu
         if isinstance(getattr(policy, "critic", None), ContinuousCritic):
             action = policy._predict(tensor, deterministic=True)
             value = min(float(q) for q in policy.critic(tensor, action))
-            return PolicyValues(_command(action[0], actions), COMMAND, value)
+            return _command_values(action[0], value, actions)
     return None
 
 
 def _action_values(row: Sequence[float], actions: Actions) -> PolicyValues:
     scores = dict(zip(actions.names, map(float, row), strict=True))
-    return PolicyValues(scores, "expected return of each action", max(scores.values()))
+    low, high = min(scores.values()), max(scores.values())
+    limits = dict.fromkeys(scores, (low - 0.2 * (high - low) - 1e-9, high))  # because differences matter
+    return PolicyValues(scores, "expected return of each action", limits, high)
 
 
 def _actor_critic_values(policy: ActorCriticPolicy, tensor: th.Tensor, actions: Actions) -> PolicyValues:
     distribution, value = policy.get_distribution(tensor), float(policy.predict_values(tensor))
     if isinstance(distribution, CategoricalDistribution):
-        probabilities = distribution.distribution.probs[0].tolist()
-        return PolicyValues(dict(zip(actions.names, probabilities, strict=True)), "probability of each action", value)
-    return PolicyValues(_command(distribution.mode()[0], actions), COMMAND, value)
+        scores = dict(zip(actions.names, distribution.distribution.probs[0].tolist(), strict=True))
+        return PolicyValues(scores, "probability of each action", dict.fromkeys(scores, (0.0, 1.0)), value)
+    return _command_values(distribution.mode()[0], value, actions)
 
 
-def _command(action: th.Tensor, actions: Actions) -> dict[str, float]:
-    v, w = actions.commands(action.cpu().numpy()[None])[0].tolist()
-    return {"v [m/s]": v, "w [rad/s]": w}
+def _command_values(action: th.Tensor, value: float, actions: Actions) -> PolicyValues:
+    names, largest = ("v [m/s]", "w [rad/s]"), np.abs(actions.table).max(axis=0).tolist()
+    command = actions.commands(action.cpu().numpy()[None])[0].tolist()
+    limits = {name: (-high, high) for name, high in zip(names, largest, strict=True)}
+    return PolicyValues(dict(zip(names, command, strict=True)), COMMAND, limits, value)

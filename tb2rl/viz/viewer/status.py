@@ -11,7 +11,7 @@ from tb2rl.rendering.colours import GOAL, PATH
 from tb2rl.simulation import RobotState
 from tb2rl.viz.cameras import goal_of
 from tb2rl.viz.viewer.drive import Drive
-from tb2rl.viz.viewer.policy_values import COMMAND, policy_values
+from tb2rl.viz.viewer.policy_values import PolicyValues, policy_values
 
 _MAX_NUMBERS = 12  # numbers of an observation that are shown
 
@@ -27,7 +27,7 @@ def status(drive: Drive) -> str:
     lines = [
         f"**{who}** {scene.robot.name}, task {drive.selection.config.task_name}, in {drive.episode_world.name}, "
         f"{drive.selection.simulator.title}",
-        f"**Doing:** {doing}{paused} (v {v:z.2f} m/s, w {w:+z.2f} rad/s)",
+        f"**Doing:** {doing}{paused}, at {v:z.2f} m/s, turning {w:+z.2f} rad/s",
         f"**Goal:** {_goal_text(step.after, scene)}",
         f"**Sees:** {_nearest_text(step.after, scene)} (orange beams)",
         f"**Reward** {step.reward:+.3g}, **return** {step.episode_return:.4g}, **time** {drive.frame.time:.1f} s",
@@ -60,25 +60,32 @@ def _side(angle: float) -> str:
 
 def values(drive: Drive) -> str:
     """The numbers from which the policy chooses, as bars in HTML."""
+    if drive.is_manual:
+        return "<p>You drive, so no policy computes anything.</p>"
     observation = drive.observation
     found = None if observation is None else policy_values(drive.policy, observation, drive.scene.actions)
     if found is None:
         return "<p>This policy computes no values for its actions.</p>"
-    largest, best = max(map(abs, found.scores.values())), max(found.scores, key=found.scores.__getitem__)
-    is_choice = found.meaning != COMMAND
     rows = "".join(
-        _bar(name, score, abs(score) / max(largest, 1e-9), GOAL if is_choice and name == best else PATH)
+        _bar(name, score, *_extent(found, name), GOAL if found.is_chosen(name) else PATH)
         for name, score in found.scores.items()
     )
-    value = "" if found.value is None else f"<p>Expected return (critic): <b>{found.value:.3g}</b></p>"
+    value = f"<p>Expected return: <b>{found.value:.3g}</b></p>"
     text = html.escape(found.meaning[0].upper() + found.meaning[1:])
     return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {_describe(observation)}</p></div>"
 
 
-def _bar(name: str, score: float, share: float, colour: str) -> str:
+def _extent(found: PolicyValues, name: str) -> tuple[float, float]:
+    """Where the bar of a score starts and ends, from 0 to 1: at the middle for a signed one."""
+    low, high = found.limits[name]
+    zero, end = (np.clip((value - low) / max(high - low, 1e-9), 0.0, 1.0) for value in (0.0, found.scores[name]))
+    return float(min(zero, end)), float(max(zero, end))
+
+
+def _bar(name: str, score: float, start: float, end: float, colour: str) -> str:
     label = f"<span>{html.escape(name)}</span><span>{score:.3g}</span>"
-    bar = f"<div style='width:{100 * share:.0f}%;height:0.6em;background:{colour}'></div>"
-    return f"<div style='display:flex;justify-content:space-between'>{label}</div>{bar}"
+    style = f"margin-left:{100 * start:.0f}%;width:{100 * (end - start):.0f}%;height:0.6em;background:{colour}"
+    return f"<div style='display:flex;justify-content:space-between'>{label}</div><div style='{style}'></div>"
 
 
 def _describe(observation: Any) -> str:

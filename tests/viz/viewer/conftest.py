@@ -13,6 +13,7 @@ from selenium import webdriver
 from selenium.webdriver import ActionChains
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
 from viser.transforms import SO3
 
 from tb2rl.viz.viewer.choices import make_selection
@@ -105,10 +106,16 @@ class Watched:
         """Press the button with a label."""
         self.browser.find_element(By.XPATH, f"//button[normalize-space()='{label}']").click()
 
+    def _input(self, label: str) -> WebElement:
+        return self.browser.find_element(By.XPATH, f"//label[normalize-space()='{label}']/following::input[1]")
+
+    def chosen(self, label: str) -> str | None:
+        """The chosen option of the list with a label."""
+        return self._input(label).get_attribute("value")
+
     def choose(self, label: str, option: str) -> None:
         """Choose an option of the list with a label."""
-        path = f"//label[normalize-space()='{label}']/following::input[1]"
-        self.browser.find_element(By.XPATH, path).click()
+        self._input(label).click()
         path = f"//div[@role='option'][normalize-space()='{option}']"
         eventually(lambda: self.browser.find_elements(By.XPATH, path))
         self.browser.find_element(By.XPATH, path).click()

@@ -109,7 +109,7 @@ def test_a_request_that_is_impossible_is_reported_and_the_drive_goes_on(drive):
 def test_another_policy_that_does_not_fit_leaves_the_drive_as_it_is(drive):
     live = drive()
     step, selection = live.step, live.selection
-    with pytest.raises(InputError, match="observation space"):
+    with pytest.raises(InputError, match="trained with other observations or actions"):
         live.select(make_selection("zoo:maze-loop-ppo", "maze", {"beams": 5}, "kinematic"))
     assert (live.step, live.selection) == (step, selection)
 

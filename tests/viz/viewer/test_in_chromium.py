@@ -19,6 +19,7 @@ from tb2rl.viz.viewer.server import ViewerServer, has_clients
 from tb2rl.viz.viewer.training import TrainingViewer
 
 pytestmark = pytest.mark.slow
+SHORT = {"train.simulation": "kinematic", "train.total_timesteps": 200_000, "train.n_envs": 4, "train.eval_freq": 0}
 POLICY, CANVAS = "zoo:navigate-plan-ppo", "canvas[data-engine]"
 
 
@@ -99,8 +100,9 @@ def test_policy_world_robot_and_simulator_are_swapped(watch):
     page.choose("World", "circuit")
     eventually(lambda: page.drive.episode_world.name == "circuit")
     page.choose("Robot", "turtlebot3")
-    eventually(lambda: "observation space" in "".join(page.messages))
+    eventually(lambda: "other observations" in "".join(page.messages))
     assert page.drive.scene.robot.name == "turtlebot2", "the policy does not fit the robot"
+    eventually(lambda: page.chosen("Robot") == "as trained")
     page.choose("Policy", "wallfollower")
     eventually(lambda: page.drive.selection.label == "wallfollower")
     page.choose("Robot", "turtlebot3")
@@ -142,21 +144,23 @@ def test_several_pages_a_reload_and_no_page(watch):
     eventually(lambda: "(paused)" in page.browser.find_element(By.TAG_NAME, "body").text)
     page.press("Pause / go on")
     page.open()  # reload
-    for handle in page.browser.window_handles:
+    pages = page.browser.window_handles
+    page.browser.switch_to.new_window("tab")
+    last = page.browser.current_window_handle
+    for handle in pages:
         page.browser.switch_to.window(handle)
-        page.browser.get("about:blank")
+        page.browser.close()
+    page.browser.switch_to.window(last)
     eventually(lambda: not page.server.get_clients())
     frames, number = page.frames, page.drive.step.number
     eventually(lambda: page.frames > frames + 30 and page.drive.step.number != number)
-    page.browser.close()
-    page.browser.switch_to.window(first)
 
 
 def test_environments_that_train_and_their_curves(browser, tmp_path):
     """The page is open from the start; the training goes on when it closes."""
     server = ViewerServer(port=0)
     viewer = TrainingViewer(server)
-    config = resolve("ppo", "drive", settings={"train.simulation": "kinematic", "train.total_timesteps": 150_000})
+    config = resolve("qlearn", "maze", settings=SHORT)
     browser.get(server.url)
     eventually(lambda: has_clients(server))
     training = Thread(target=train_config, args=(config, tmp_path / "run"), kwargs={"watchers": [viewer]})

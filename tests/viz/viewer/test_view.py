@@ -31,7 +31,7 @@ def test_a_policy_drives_on_a_page_in_the_cell(is_loaded, shown):
 
 
 def test_settings_that_do_not_fit_are_named(shown):
-    with pytest.raises(InputError, match="observation space"):
+    with pytest.raises(InputError, match="trained with other observations or actions"):
         shown("zoo:maze-loop-ppo", beams=7)
 
 
