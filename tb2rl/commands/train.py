@@ -83,10 +83,13 @@ def _watchers(options: argparse.Namespace) -> list[BaseCallback]:
     """The viewer of a training, if it is to be watched."""
     if not options.viewer:
         return []
-    from tb2rl.viz.viewer.live import open_page  # imported here, because a training needs no page
+    from tb2rl.viz.viewer.live import announce  # imported here, because a training needs no page
+    from tb2rl.viz.viewer.server import ViewerServer
     from tb2rl.viz.viewer.training import TrainingViewer
 
-    return [TrainingViewer(open_page(options.host, options.port))]
+    server = ViewerServer(options.host, options.port)
+    announce(server)
+    return [TrainingViewer(server)]
 
 
 def requested_config(options: argparse.Namespace) -> Config:

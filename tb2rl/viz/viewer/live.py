@@ -36,22 +36,21 @@ def drive_live(
         InputError: If the policy does not fit the task, or the page cannot be opened.
     """
     with suppress(KeyboardInterrupt), ExitStack() as stack:
-        server = open_page(host, port)
+        server = ViewerServer(host, port)
         stack.callback(server.stop)
         drive = stack.enter_context(closing(Drive(selection, seed)))
         drive.speed = speed
         if is_manual:
             drive.drive_manually(True)
         page = Page(server, drive, follow, tour)
+        announce(server)  # before the first frame, because the browser starts while this process makes the 3D models
         drive.run(page.show, page.report, lambda: True)
 
 
-def open_page(host: str | None, port: int | None) -> ViewerServer:
-    """Open a server, say where its page is, and open it in the browser if there is a display."""
-    server = ViewerServer(host, port)
+def announce(server: ViewerServer) -> None:
+    """Say where the page is, and open it in the browser if there is a display."""
     say(f"open {server.url} in a browser; Ctrl-C ends")
     if server.warning:
         print(f"warning: {server.warning}", file=sys.stderr, flush=True)
     if sys.stdout.isatty() and (not sys.platform.startswith("linux") or os.environ.get("DISPLAY")):
         webbrowser.open(server.url)
-    return server

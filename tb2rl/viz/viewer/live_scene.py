@@ -7,8 +7,6 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-import trimesh
-import yourdfpy
 from PIL import ImageColor
 
 from tb2rl.rendering.above import GOAL_RADIUS
@@ -17,7 +15,6 @@ from tb2rl.robots import Robot
 from tb2rl.worlds import World
 from tb2rl.worlds.world import WALL_HEIGHT
 
-_UNIT_BOX, _UNIT_CYLINDER = trimesh.creation.box((1, 1, 1)), trimesh.creation.cylinder(1.0, 1.0, sections=32)
 _LINE_HEIGHT = 0.02  # [m] of beams and path above the floor, where they do not hide the robot
 _GAP = 1.0  # [m] between worlds side by side
 _GOAL_HEIGHT, _FLOOR_THICKNESS = 0.06, 0.02  # [m]
@@ -50,7 +47,7 @@ class LiveScene:
             f"{self._root}/robots", _model(robot), *_frames(np.zeros((len(worlds), 3)))
         )
         self._label_height = _height(robot) + 0.3  # [m]
-        self.goals = self._add_shapes(f"{self._root}/goals", _UNIT_CYLINDER, len(worlds), GOAL)
+        self.goals = self._add_shapes(f"{self._root}/goals", "cylinder", len(worlds), GOAL)
         self._beams, self._path = (
             self._add_lines(f"{self._root}/beams", BEAM),
             self._add_lines(f"{self._root}/path", PATH),
@@ -125,8 +122,8 @@ class LiveScene:
         rows, robots, offsets = outlines.reshape(-1, 6), len(outlines), self._offsets
         x, y, cos, sin, length, width = rows.T
         if not self._moving:
-            shapes = ((f"{self._root}/moving/round", _UNIT_CYLINDER), (f"{self._root}/moving/boxes", _UNIT_BOX))
-            self._moving = tuple(self._add_shapes(name, mesh, len(rows), DYNAMIC_OBSTACLE) for name, mesh in shapes)
+            shapes = ((f"{self._root}/moving/round", "cylinder"), (f"{self._root}/moving/boxes", "box"))
+            self._moving = tuple(self._add_shapes(name, shape, len(rows), DYNAMIC_OBSTACLE) for name, shape in shapes)
         shown_offsets = np.repeat(offsets, len(rows) // robots, axis=0)
         poses = np.column_stack([x + shown_offsets[:, 0], y + shown_offsets[:, 1], np.arctan2(sin, cos)])
         wxyzs, positions = _frames(poses)
@@ -152,20 +149,20 @@ class LiveScene:
         if len(world.boxes):
             x, y, half_length, half_width, cos, sin = world.boxes.T
             sizes = np.column_stack([2 * half_length, 2 * half_width])
-            self._add_walls(f"{name}/walls", _UNIT_BOX, np.column_stack([x, y, np.arctan2(sin, cos)]), sizes, offset)
+            self._add_walls(f"{name}/walls", "box", np.column_stack([x, y, np.arctan2(sin, cos)]), sizes, offset)
         if len(world.posts):
             x, y, radius = world.posts.T
             poses, sizes = np.column_stack([x, y, np.zeros(len(x))]), np.column_stack([radius, radius])
-            self._add_walls(f"{name}/posts", _UNIT_CYLINDER, poses, sizes, offset)
+            self._add_walls(f"{name}/posts", "cylinder", poses, sizes, offset)
 
-    def _add_walls(self, name: str, mesh: Any, poses: np.ndarray, sizes: np.ndarray, offset: np.ndarray) -> None:
+    def _add_walls(self, name: str, shape: str, poses: np.ndarray, sizes: np.ndarray, offset: np.ndarray) -> None:
         poses[:, :2] += offset
-        handle, (wxyzs, positions) = self._add_shapes(name, mesh, len(poses), WALL), _frames(poses)
+        handle, (wxyzs, positions) = self._add_shapes(name, shape, len(poses), WALL), _frames(poses)
         positions[:, 2] = WALL_HEIGHT / 2
         handle.batched_wxyzs, handle.batched_positions = wxyzs, positions
         handle.batched_scales = np.column_stack([sizes, np.full(len(sizes), WALL_HEIGHT)])
 
-    def _add_shapes(self, name: str, mesh: Any, count: int, colour: str, opacity: float | None = None) -> Any:
+    def _add_shapes(self, name: str, shape: str, count: int, colour: str, opacity: float | None = None) -> Any:
         scales = np.full((count, 3), _HIDDEN)
         options: dict[str, Any] = {
             "batched_colors": _linear(_rgb(colour)),
@@ -173,7 +170,7 @@ class LiveScene:
             "opacity": opacity,
         }
         frames = _frames(np.zeros((count, 3)))
-        add = self._server.scene.add_batched_meshes_simple
+        add, mesh = self._server.scene.add_batched_meshes_simple, _unit_shape(shape)
         return add(name, mesh.vertices, mesh.faces, *frames, flat_shading=True, lod="off", **options)
 
     def _add_lines(self, name: str, colour: str) -> Any:
@@ -221,7 +218,17 @@ def _linear(rgb: tuple[int, ...]) -> tuple[int, ...]:
 
 
 @cache
+def _unit_shape(name: str) -> Any:
+    """A box with sides of 1 m, or a "cylinder" with a radius and a height of 1 m, around the origin."""
+    import trimesh  # imported here, because it takes a second, in which the browser can start
+
+    return trimesh.creation.box((1, 1, 1)) if name == "box" else trimesh.creation.cylinder(1.0, 1.0, sections=32)
+
+
+@cache
 def _description(robot: Robot) -> Any:
+    import yourdfpy  # imported here like trimesh, which it imports
+
     return yourdfpy.URDF.load(str(robot.urdf), load_collision_meshes=False).scene
 
 

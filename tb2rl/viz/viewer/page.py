@@ -43,15 +43,15 @@ class Page:
     """
 
     def __init__(self, server: ViewerServer, drive: Drive, follow: bool = False, tour: Sequence[TourStop] = ()) -> None:
-        self._server, self._live = server, LiveScene(server, drive.scene.robot, [drive.episode_world])
-        self._robot: Robot = drive.scene.robot
+        self._server = server
+        self._live: LiveScene | None = None
+        self._robot: Robot | None = None
         self._next_text = self._next_picture = 0.0
         self._followed = follow
         server.gui.main_panel.dock_right()
         if tour:
             self._add_tour(tour)
         self._controls = Controls(server, drive, follow)
-        self._controls.attach(self._live)
         panel = server.gui.add_panel(order=-1.0)  # the first one on a phone
         panel.dock_left()
         with panel.add_tab("Robot"):
@@ -61,13 +61,13 @@ class Page:
             with server.gui.add_folder("Camera of the robot"):
                 self._picture_shown = server.gui.add_checkbox("Show its picture", drive.scene.has_images)
                 self._picture = server.gui.add_image(np.zeros((*_PICTURE_SIZE[::-1], 3), np.uint8), visible=False)
-        self._live.set_cameras()
 
     def show(self, drive: Drive) -> None:
         """Show the present frame; called 60 times a second."""
+        live = self._scene_of(drive)
         if not has_clients(self._server):
             return
-        frame, scene, now, live = drive.frame, drive.scene, time.monotonic(), self._scene_of(drive)
+        frame, scene, now = drive.frame, drive.scene, time.monotonic()
         outlines = None if frame.dynamic_obstacles is None else frame.dynamic_obstacles[None]
         with self._server.atomic():
             live.show_robots(frame.pose[None], goal_of(scene.task, frame.step.after.initial_state)[None], outlines)
@@ -94,11 +94,12 @@ class Page:
 
     def _scene_of(self, drive: Drive) -> LiveScene:
         """The 3D scene of the episode's world, drawn again if the world or the robot is another one."""
-        world, robot, old_world = drive.episode_world, drive.scene.robot, self._live.worlds[0]
-        if world is not old_world or robot is not self._robot:
+        world, robot = drive.episode_world, drive.scene.robot
+        if self._live is None or world is not self._live.worlds[0] or robot is not self._robot:
+            is_other_place = self._live is None or world.bounds != self._live.worlds[0].bounds
             self._live, self._robot = LiveScene(self._server, robot, [world]), robot
             self._controls.attach(self._live)
-            if world.bounds != old_world.bounds:
+            if is_other_place:
                 self._live.set_cameras()
         return self._live
 
