@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,13 @@ def make_selection(name: str, task: str, settings: Mapping[str, Any], simulation
         return Selection(make_baseline(config), config, simulator, name)
     policy = load(name)
     return Selection(policy, config_of(policy).with_task(settings), simulator, name)
+
+
+def change(selection: Selection, settings: Mapping[str, Any], simulation: Any) -> Selection:
+    """A copy with changed settings of the task, in another simulator."""
+    config = selection.config.with_task(settings)
+    policy = make_baseline(config) if is_baseline(selection.label) else selection.policy
+    return replace(selection, policy=policy, config=config, simulator=find_simulator(simulation))
 
 
 def policy_of_task(task: str) -> str:

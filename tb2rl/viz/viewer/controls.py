@@ -14,21 +14,14 @@ from tb2rl.runs import HUB
 from tb2rl.simulation.variation import PRESETS
 from tb2rl.viz.viewer import choices
 from tb2rl.viz.viewer.choices import AS_TRAINED
-from tb2rl.viz.viewer.drive import Drive
+from tb2rl.viz.viewer.drive import Drive, Selection
 from tb2rl.viz.viewer.live_scene import LiveScene
 from tb2rl.viz.viewer.server import ViewerServer
 from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
 
 _SPEEDS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)  # simulated seconds per second
 _MAX_PEOPLE, _MAX_SEED = 8, 100_000
-_MOVE_GOAL, _MOVE_ROBOT, _ADD_WALL, _ADD_POST, _REMOVE = (
-    "move the goal",
-    "move the robot",
-    "add a wall",
-    "add a post",
-    "remove",
-)
-_CLICKS = (_MOVE_GOAL, _MOVE_ROBOT, _ADD_WALL, _ADD_POST, _REMOVE, "do nothing")
+_MOVE_GOAL = "move the goal"  # the first meaning of a click
 _STEERING = {"faster": "W", "slower": "S", "left": "A", "right": "D", "stop": ""}
 _HOTKEYS = {"W": "arrowup", "S": "arrowdown", "A": "arrowleft", "D": "arrowright", "": "space"}
 
@@ -46,6 +39,9 @@ class Controls:
         self._server, self._drive = server, drive
         self._gui: Any = server.gui
         self._wall_start: Point | None = None
+        first = drive.selection
+        task = first.config.task_name if choices.is_baseline(first.label) else ""
+        self._loaded = {(first.label, task): first}  # by name, and by task if the policy can be given any
         self._add_playback(follow)
         self._add_mouse()
         self._add_steering()
@@ -88,7 +84,7 @@ class Controls:
             names = {speed: f"{speed:g} x" for speed in sorted({*_SPEEDS, drive.speed})}
             speed = self._gui.add_dropdown("Speed", list(names.values()), initial_value=names[drive.speed])
             self._follow = self._gui.add_checkbox("Follow the robot", initial_value=follow)
-        buttons.on_click(lambda _: self.request(changes[buttons.value]))
+        buttons.on_click(lambda _: self.request(changes.get(buttons.value, lambda: None)))
         speeds = {name: number for number, name in names.items()}
         speed.on_update(lambda _: setattr(drive, "speed", speeds.get(speed.value, drive.speed)))
 
@@ -169,9 +165,16 @@ class Controls:
             settings["dynamic_obstacles"] = {"people": max(1, min(int(self._people.value), _MAX_PEOPLE))}
         name = policy or self._policy.value
         with self._loading(name):
-            self._drive.select(choices.make_selection(name, self._task.value, settings, self._simulation.value))
+            self._drive.select(self._make_selection(name, settings))
         self._task.value = self._drive.selection.config.task_name
         self._disable_controls()
+
+    def _make_selection(self, name: str, settings: dict[str, Any]) -> Selection:
+        """A policy with changed settings; its own settings, and those of the command line, are kept."""
+        key, simulator = (name, self._task.value if choices.is_baseline(name) else ""), self._simulation.value
+        if key not in self._loaded:
+            self._loaded[key] = choices.make_selection(name, self._task.value, {}, simulator)
+        return choices.change(self._loaded[key], settings, simulator)
 
     def _select_task(self) -> None:
         """Drive a policy of the chosen task, unless the present one can do it."""
@@ -183,6 +186,8 @@ class Controls:
         if not self._hub.value.startswith(HUB):
             raise InputError("a policy on the hub is hf:USER/REPOSITORY")
         self._select(self._hub.value)
+        self._policy.options = list(dict.fromkeys([*self._policy.options, self._hub.value]))
+        self._policy.value = self._hub.value
 
     def _select_number(self) -> None:
         if choices.is_generated(self._world.value):
@@ -204,33 +209,35 @@ class Controls:
     # ---- mouse and keys
 
     def _add_mouse(self) -> None:
+        drive = self._drive
+        clicks: dict[str, Callable[[Point, Any, Any], object]] = {
+            _MOVE_GOAL: lambda point, *_: drive.move_goal(*point),
+            "move the robot": lambda point, *_: drive.move_robot(*point),
+            "add a wall": self._add_wall,
+            "add a post": lambda point, *_: drive.change_world(add_post(drive.world, point)),
+            "remove": lambda _, *ray: drive.change_world(remove_obstacle(drive.world, *ray)),
+            "do nothing": lambda *_: None,
+        }
         with self._gui.add_folder("Goal, walls and posts"):
-            self._click = self._gui.add_dropdown("A click will", _CLICKS, initial_value=_MOVE_GOAL)
+            self._click = self._gui.add_dropdown("A click will", list(clicks), initial_value=_MOVE_GOAL)
             text = "Drag the green disc to move the goal; drag the robot to lift it. A wall needs two clicks."
             self._gui.add_markdown(text)
-        on_click: Any = self._server.scene.on_click()
-        on_click(lambda event: self.request(self._on_click, event.ray_origin, event.ray_direction))
 
-    def _on_click(self, origin: Any, direction: Any) -> None:
-        point, world, drive = hit_floor(origin, direction), self._drive.world, self._drive
+        def click(*ray: Any) -> None:
+            if (point := hit_floor(*ray)) and self._click.value in clicks:
+                clicks[self._click.value](point, *ray)
+
+        on_click: Any = self._server.scene.on_click()
+        on_click(lambda event: self.request(click, event.ray_origin, event.ray_direction))
+
+    def _add_wall(self, point: Point, *_: Any) -> None:
+        """Start a wall at a point, or end it there."""
         start, self._wall_start = self._wall_start, None
-        if point is None:
-            return
-        match self._click.value:
-            case "move the goal":
-                drive.move_goal(*point)
-            case "move the robot":
-                drive.move_robot(*point)
-            case "add a post":
-                drive.change_world(add_post(world, point))
-            case "remove":
-                drive.change_world(remove_obstacle(world, origin, direction))
-            case "add a wall":
-                if start is None:
-                    self._wall_start = point
-                    self._server.scene.add_icosphere("/wall", 0.08, color=(200, 60, 40), position=(*point, 0.1))
-                else:
-                    drive.change_world(add_wall(world, start, point))
+        if start:
+            self._drive.change_world(add_wall(self._drive.world, start, point))
+        else:
+            self._wall_start = point
+            self._server.scene.add_icosphere("/wall", 0.08, color=(200, 60, 40), position=(*point, 0.1))
 
     def _on_drag(self, move: Callable[[float, float], None], event: Any) -> None:
         camera = np.array(event.client.camera.position)
@@ -243,7 +250,7 @@ class Controls:
         with gui.add_folder("Drive yourself (W A S D, arrows, space stops)"):
             steering = gui.add_button_group("Steer", list(_STEERING))
             back = gui.add_button("Let the policy drive")
-        steering.on_click(lambda _: self.request(drive.press, _STEERING[steering.value]))
+        steering.on_click(lambda _: self.request(drive.press, _STEERING.get(steering.value, "")))
         back.on_click(lambda _: self.request(drive.drive_manually, False))
         for label, key in _STEERING.items():
             for hotkey in filter(None, (key, _HOTKEYS[key])):

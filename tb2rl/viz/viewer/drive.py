@@ -1,7 +1,8 @@
 """Live drives: episodes of a policy that the user changes while they run."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import Any, Self
@@ -85,11 +86,13 @@ class Drive:
     """
 
     step: EpisodeStep
+    world_index: int | None
 
     def __init__(self, selection: Selection, seed: int = 0) -> None:
         self.speed, self.is_paused, self.is_manual, self.seed = 1.0, False, False, seed
         self._requests: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._loop: ControlLoop | None = None
+        self.selection, self.world_index = selection, None
         self.select(selection)
 
     # ---- changes
@@ -106,10 +109,11 @@ class Drive:
         except InputError:
             message = f"{selection.label} was trained with other observations or actions"
             raise InputError(f"{message}; take the robot as trained, or another policy") from None
-        self._open(scene, selection)
-        self.selection = selection
-        self.world_index: int | None = None
-        self.restart()
+        with self._all_or_nothing():
+            self.is_manual &= selection.label == self.selection.label
+            self.selection, self.world_index = selection, None
+            self._open(scene)
+            self._begin(None)
 
     def restart(self, seed: int | None = None) -> None:
         """Start an episode at a pose that the task draws."""
@@ -118,9 +122,10 @@ class Drive:
 
     def drive_manually(self, is_manual: bool) -> None:
         """Let the user drive, or the policy again, from the present pose."""
-        self.is_manual = is_manual
-        self._open(self._scene, self.selection)
-        self._begin(self.pose)
+        pose, self.is_manual = self.pose, is_manual
+        with self._all_or_nothing():
+            self._open(self._scene)
+            self._begin(pose)
 
     def press(self, key: str) -> None:
         """Change the user's command by one of `KEYS`; any other key stops the robot."""
@@ -146,12 +151,13 @@ class Drive:
         Raises:
             InputError: If the task cannot use the world, or the robot touches an obstacle in it.
         """
-        x, y, _ = self.pose.tolist()
-        self._check_room(world, x, y)
+        pose = self.pose
+        self._check_room(world, *pose[:2].tolist())
         fixed_goal = {"goal": None} if hasattr(self.scene.task, "goal") else {}  # or it would replace that of the world
-        self._open(self._scene.in_worlds((world,), **fixed_goal), self.selection)
-        self.world_index = None
-        self._begin(self.pose)
+        with self._all_or_nothing():
+            self.world_index = None
+            self._open(self._scene.in_worlds((world,), **fixed_goal))
+            self._begin(pose)
 
     def choose_world(self, number: int) -> None:
         """Start an episode in one of the worlds, counted from 0 and round again."""
@@ -268,16 +274,28 @@ class Drive:
         self._path.append(step.before.pose[0])
         self.step = step
 
-    def _open(self, scene: Scene, selection: Selection) -> None:
-        """Open a control loop for a scene, then close the old one."""
-        self._driver = FreeCommands(scene.actions)
-        actions: Any = self._driver if self.is_manual else scene.actions
-        driven = replace(scene, actions=actions)
-        loop, old_loop = ControlLoop.open(driven, selection.simulator), self._loop
-        self._scene, self._loop = scene, loop
-        self._policy = _Recorded(self._driver if self.is_manual else selection.policy)
-        if old_loop:
-            old_loop.close()
+    @contextmanager
+    def _all_or_nothing(self) -> Iterator[None]:
+        """Make changes and close the old control loop, or, after an `InputError`, undo them and close the new one."""
+        before, old_loop = dict(vars(self)), self._loop
+        unused_loop = old_loop
+        try:
+            yield
+        except InputError:
+            unused_loop = self._loop
+            vars(self).update(before)
+            raise
+        finally:
+            if unused_loop and unused_loop is not self._loop:
+                unused_loop.close()
+
+    def _open(self, scene: Scene) -> None:
+        """Open a control loop for a scene."""
+        driver = FreeCommands(scene.actions)
+        actions: Any = driver if self.is_manual else scene.actions
+        self._loop = ControlLoop.open(replace(scene, actions=actions), self.selection.simulator)
+        self._scene, self._driver = scene, driver
+        self._policy = _Recorded(driver if self.is_manual else self.selection.policy)
 
     def _begin(self, pose: np.ndarray | None) -> None:
         """Start an episode, at a pose (3,) or where the task draws one."""

@@ -114,6 +114,21 @@ def test_another_policy_that_does_not_fit_leaves_the_drive_as_it_is(drive):
     assert (live.step, live.selection) == (step, selection)
 
 
+@pytest.mark.parametrize("is_manual", [False, True])
+def test_a_post_that_leaves_no_room_for_starts_leaves_the_drive_as_it_is(drive, is_manual):
+    live = drive(world="wall", start="random")
+    live.drive_manually(is_manual)
+    step, world = live.step, live.episode_world
+    x, y, _ = world.start
+    with pytest.raises(InputError, match=r"nearer than 0\.6 m"):
+        live.change_world(edits.add_post(live.world, (x, y + 0.4)))
+    assert (live.step, live.episode_world) == (step, world)
+    live.step_once()
+    live.press("W")
+    live.step_once()
+    assert live.step.command.tolist() == [0.1, 0.0]
+
+
 def test_a_world_of_many_is_chosen_by_number(drive):
     live = drive("random", world={"generator": "rooms", "worlds": 3})
     for number in (4, 2):
