@@ -118,13 +118,19 @@ def beam_ranges(frame: FilmFrame, world: World, scene: Scene) -> np.ndarray:
     """Exact ranges [m], shape (beams,), or the measured ones if no obstacles are known, as for a real robot."""
     if frame.dynamic_obstacles is None and len(world.boxes) + len(world.posts) == 0:
         return frame.step.after.ranges[0]
-    directions = np.cos(scene.laser.angles), np.sin(scene.laser.angles)
-    ranges = np.empty((1, len(directions[0])))  # written by the functions below
-    world_ids = np.zeros(1)  # the spatial index of a world has only this world
-    cast_many(frame.pose[None], world_ids, directions, world.spatial_index, ranges)
-    if frame.dynamic_obstacles is not None:
-        cast_at_outlines(frame.pose[None], directions, frame.dynamic_obstacles[None], ranges)
-    return ranges[0]
+    outlines = np.empty((0, 6)) if frame.dynamic_obstacles is None else frame.dynamic_obstacles
+    return exact_ranges(frame.pose[None], scene.laser.angles, world, outlines[None])[0]
+
+
+def exact_ranges(poses: np.ndarray, angles: np.ndarray, world: World, outlines: np.ndarray) -> np.ndarray:
+    """Ranges without noise [m], shape (n, beams), to walls and outlines (n, obstacles, 6) from poses (n, 3)."""
+    directions = np.cos(angles), np.sin(angles)
+    ranges = np.empty((len(poses), len(angles)))  # written by the functions below
+    world_ids = np.zeros(len(poses))  # the spatial index of a world has only this world
+    cast_many(poses, world_ids, directions, world.spatial_index, ranges)
+    if outlines.size:
+        cast_at_outlines(poses, directions, np.ascontiguousarray(outlines), ranges)
+    return ranges
 
 
 class ChaseCamera:

@@ -11,12 +11,11 @@ from tb2rl.core.errors import InputError
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import EpisodeStep, check_spaces
 from tb2rl.evaluation.evaluate import Evaluator, random_initial_states
-from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y, cast_at_outlines
+from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y
 from tb2rl.simulation.simulator import SimulatorType, batch_simulator, default_simulator
-from tb2rl.viz.cameras import goal_of
+from tb2rl.viz.cameras import exact_ranges, goal_of
 from tb2rl.viz.run_views import RunView
 from tb2rl.worlds import World
-from tb2rl.worlds.geometry import cast_many
 from tb2rl.worlds.world import box_polygons
 
 RUN_EPISODES, RUN_STEPS = 3, 300  # number of replays of a run, and their maximum length [control steps]
@@ -52,7 +51,7 @@ def make_replay(steps: Sequence[EpisodeStep], scene: Scene) -> dict[str, Any]:
         "angles": _thousandths(angles),
         "times": [0.0, *(round(step.number * control_period, 3) for step in kept)],
         "poses": _thousandths(poses),
-        "ranges": _thousandths(np.minimum(_cast(poses, angles, world, outlines), scene.laser.max_range) / 10),
+        "ranges": _thousandths(np.minimum(exact_ranges(poses, angles, world, outlines), scene.laser.max_range) / 10),
         "shapes": _thousandths(outlines[0][:, [LENGTH, WIDTH]]),
         "obstacles": _thousandths(np.dstack([outlines[..., X], outlines[..., Y], yaws])),
         "texts": texts,
@@ -86,15 +85,6 @@ def _repeat(view: RunView, simulator: SimulatorType) -> list[dict[str, Any]]:
         replays = [make_replay(evaluator.replay(view.policy, i), evaluator.scene) for i in range(RUN_EPISODES)]
     is_cut = {"time limit"} if limit > RUN_STEPS else set()
     return [{**replay, "ended": "" if replay["ended"] in is_cut else replay["ended"]} for replay in replays]
-
-
-def _cast(poses: np.ndarray, angles: np.ndarray, world: World, outlines: np.ndarray) -> np.ndarray:
-    """Exact ranges [m], shape (states, beams), to walls and outlines (states, obstacles, 6) from poses (states, 3)."""
-    beams, ranges = (np.cos(angles), np.sin(angles)), np.empty((len(poses), len(angles)))
-    cast_many(poses, np.zeros(len(poses)), beams, world.spatial_index, ranges)
-    if outlines.size:
-        cast_at_outlines(poses, beams, np.ascontiguousarray(outlines), ranges)
-    return ranges
 
 
 def _walls(world: World) -> list[list[list[list[int]]]]:
