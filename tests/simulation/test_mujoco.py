@@ -271,3 +271,18 @@ def test_without_opengl_the_message_is_one_line(make_spec, make, begin, monkeypa
     with pytest.raises(InputError, match=r"camera needs OpenGL, which fails here \(ImportError: no library EGL\)") as e:
         robot_state.render_camera(8, 6)
     assert "\n" not in str(e.value)
+
+
+def test_an_optimiser_can_be_made_after_an_image():
+    """PyTorch then imports triton, if it is installed, whose LLVM clashes with that of OpenGL."""
+    code = """
+import tb2rl, torch
+env = tb2rl.make_env(simulation="mujoco")
+env.reset()
+try:
+    env.robot_state.render_camera(16, 12)
+except tb2rl.InputError:  # no OpenGL
+    pass
+torch.optim.Adam([torch.zeros(1, requires_grad=True)])
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

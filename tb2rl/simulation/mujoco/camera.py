@@ -2,6 +2,8 @@
 
 import os
 import sys
+from contextlib import suppress
+from importlib import import_module
 from typing import Any
 
 import mujoco
@@ -67,6 +69,8 @@ class CameraRenderer:
 
 def _make_context(width: int, height: int) -> Any:
     """OpenGL context: that of the environment variable MUJOCO_GL, or else EGL on Linux, MuJoCo's choice elsewhere."""
+    with suppress(Exception):  # not installed, or broken
+        import_module("triton")  # first, because after OpenGL its import, by PyTorch's optimisers, crashes the process
     if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL"):
         from mujoco.egl import GLContext
     else:
