@@ -3,8 +3,9 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from tb2rl.viz.viewer.page import Page
 from tb2rl.viz.viewer.server import ViewerServer
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
+PATIENCE = 120.0  # [s] for a busy computer
 CANVAS = "canvas[data-engine]"
 FLAGS = """headless=new no-sandbox disable-background-networking disable-component-update disable-sync no-first-run
 use-gl=angle use-angle=swiftshader enable-unsafe-swiftshader window-size=1000,560"""
@@ -42,7 +44,7 @@ def browser(tmp_path_factory) -> Iterator[webdriver.Chrome]:
     driver.quit()
 
 
-def eventually(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+def eventually(condition: Callable[[], Any], seconds: float = PATIENCE) -> Any:
     """Wait until a condition holds, and return its value."""
     end = time.monotonic() + seconds
     while not (value := condition()):
@@ -119,6 +121,25 @@ class Watched:
         path = f"//div[@role='option'][normalize-space()='{option}']"
         eventually(lambda: self.browser.find_elements(By.XPATH, path))
         self.browser.find_element(By.XPATH, path).click()
+
+    def eventually(self, condition: Callable[[], Any]) -> Any:
+        """Wait until a condition holds in the thread of the drive, which alone may read it; return its value."""
+
+        def value() -> Any:
+            answer: SimpleQueue[Any] = SimpleQueue()
+            self.drive.request(lambda: answer.put(condition()))
+            return answer.get(timeout=PATIENCE)
+
+        return eventually(value)
+
+    def until(self, condition: Callable[[], Any], act: Callable[[], None], attempts: int = 8) -> None:
+        """Repeat what a user does until a condition holds, because a busy browser misses movements of the mouse."""
+        for _ in range(attempts):
+            act()
+            with suppress(AssertionError):
+                eventually(condition, seconds=8.0)
+                return
+        pytest.fail("nothing happened")
 
     def close(self) -> None:
         self._ended.set()

@@ -3,6 +3,7 @@
 import io
 import math
 import time
+from functools import partial
 from threading import Thread
 
 import numpy as np
@@ -18,12 +19,12 @@ from tb2rl.training.training import train_config
 from tb2rl.viz.viewer.server import ViewerServer, has_clients
 from tb2rl.viz.viewer.training import TrainingViewer
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.flaky(reruns=2)]  # a busy software renderer misses clicks
 SHORT = {"train.simulation": "kinematic", "train.total_timesteps": 200_000, "train.n_envs": 4, "train.eval_freq": 0}
 POLICY, CANVAS = "zoo:navigate-plan-ppo", "canvas[data-engine]"
 
 
-def eventually(condition, seconds: float = 60.0):
+def eventually(condition, seconds: float = 120.0):
     """Wait until a condition holds, and return its value."""
     end = time.monotonic() + seconds
     while not (value := condition()):
@@ -38,6 +39,10 @@ def picture_of(browser) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(canvas.screenshot_as_png)).convert("RGB")).astype(float)
 
 
+def is_near_goal(drive, point) -> bool:
+    return math.dist(drive.step.after.goal[0], point) < 0.2
+
+
 def distance(drive, point) -> float:
     return math.dist(drive.pose[:2], point)
 
@@ -47,32 +52,31 @@ def test_the_robot_moves_pauses_and_steps(watch):
     first = picture_of(page.browser)
     eventually(lambda: np.abs(picture_of(page.browser) - first).max() > 50)
     page.press("Pause / go on")
-    eventually(lambda: page.drive.is_paused)
+    page.eventually(lambda: page.drive.is_paused)
     number, seed = page.drive.step.number, page.drive.seed
     page.press("One step")
-    eventually(lambda: page.drive.step.number == number + 1)
+    page.eventually(lambda: page.drive.step.number == number + 1)
     page.press("Pause / go on")
-    eventually(lambda: page.drive.step.number > number + 3)
+    page.eventually(lambda: page.drive.step.number > number + 3)
     page.press("New episode")
-    eventually(lambda: page.drive.seed == seed + 1)
+    page.eventually(lambda: page.drive.seed == seed + 1)
 
 
 def test_the_robot_drives_to_a_dragged_goal_and_around_a_new_wall(watch):
     page = watch(POLICY, world="loop")
     page.drive.is_paused = True
     goal = page.drive.world.goal[:2]
-    page.drag(goal, (1.0, -2.0))
-    eventually(lambda: math.dist(page.drive.world.goal[:2], (1.0, -2.0)) < 0.2)
+    is_moved = partial(is_near_goal, page.drive, (1.0, -2.0))
+    page.until(is_moved, lambda: page.drag(goal, (1.0, -2.0)))
     x, y = page.drive.pose[:2]
     boxes = len(page.drive.world.boxes)
     middle = (x + 1.0) / 2, (y - 2.0) / 2
     page.choose("A click will", "add a wall")
     across = np.array([2.0 + y, 1.0 - x]) / math.hypot(2.0 + y, 1.0 - x)  # to the left of the way
-    for side in (-0.6, 0.6):
-        page.click(*(np.array(middle) + side * across))
-    eventually(lambda: len(page.drive.world.boxes) == boxes + 1)
+    ends = [np.array(middle) + side * across for side in (-0.6, 0.6)]
+    page.until(lambda: len(page.drive.world.boxes) > boxes, lambda: [page.click(*end) for end in ends])
     page.drive.speed, page.drive.is_paused = 20.0, False
-    ended = eventually(lambda: page.drive.step.info["ended"])
+    ended = page.eventually(lambda: page.drive.step.info["ended"])
     assert ended == "goal"
     assert page.messages == []
 
@@ -80,43 +84,39 @@ def test_the_robot_drives_to_a_dragged_goal_and_around_a_new_wall(watch):
 def test_clicks_move_the_goal_and_the_robot_and_remove_a_post(watch):
     page = watch(POLICY, world="loop")
     page.drive.is_paused = True
-    page.click(1.0, -2.0)
-    eventually(lambda: math.dist(page.drive.world.goal[:2], (1.0, -2.0)) < 0.2)
+    page.until(partial(is_near_goal, page.drive, (1.0, -2.0)), lambda: page.click(1.0, -2.0))
     page.choose("A click will", "move the robot")
-    page.click(-1.5, 1.5)
-    eventually(lambda: distance(page.drive, (-1.5, 1.5)) < 0.2)
+    page.until(lambda: distance(page.drive, (-1.5, 1.5)) < 0.2, lambda: page.click(-1.5, 1.5))
     page.choose("A click will", "add a post")
-    page.click(0.0, -3.0)
-    eventually(lambda: len(page.drive.world.posts) == 1)
+    page.until(lambda: len(page.drive.world.posts) >= 1, lambda: page.click(0.0, -3.0))
     page.choose("A click will", "remove")
-    page.click(0.0, -3.0)
-    eventually(lambda: len(page.drive.world.posts) == 0)
+    page.until(lambda: len(page.drive.world.posts) == 0, lambda: page.click(0.0, -3.0))
 
 
 def test_policy_world_robot_and_simulator_are_swapped(watch):
     page = watch("zoo:maze-loop-qlearn")
     page.choose("Policy", "zoo:anywhere-ppo")
-    eventually(lambda: page.drive.selection.label == "zoo:anywhere-ppo")
+    page.eventually(lambda: page.drive.selection.label == "zoo:anywhere-ppo")
     page.choose("World", "circuit")
-    eventually(lambda: page.drive.episode_world.name == "circuit")
+    page.eventually(lambda: page.drive.episode_world.name == "circuit")
     page.choose("Robot", "turtlebot3")
     eventually(lambda: "other observations" in "".join(page.messages))
     assert page.drive.scene.robot.name == "turtlebot2", "the policy does not fit the robot"
     eventually(lambda: page.chosen("Robot") == "as trained")
     page.choose("Policy", "wallfollower")
-    eventually(lambda: page.drive.selection.label == "wallfollower")
+    page.eventually(lambda: page.drive.selection.label == "wallfollower")
     page.choose("Robot", "turtlebot3")
-    eventually(lambda: page.drive.scene.robot.name == "turtlebot3")
+    page.eventually(lambda: page.drive.scene.robot.name == "turtlebot3")
     page.choose("Simulator", "mujoco")
-    eventually(lambda: page.drive.selection.simulator.name == "mujoco")
+    page.eventually(lambda: page.drive.selection.simulator.name == "mujoco")
     page.choose("World", "generated: rooms")
-    eventually(lambda: page.drive.episode_world.name.startswith("rooms"))
+    page.eventually(lambda: page.drive.episode_world.name.startswith("rooms"))
     page.choose("Robot", "as trained")
-    eventually(lambda: page.drive.scene.robot.name == "turtlebot2")
+    page.eventually(lambda: page.drive.scene.robot.name == "turtlebot2")
     page.choose("Policy", "zoo:maze-loop-qlearn")
-    eventually(lambda: page.drive.selection.label == "zoo:maze-loop-qlearn")
+    page.eventually(lambda: page.drive.selection.label == "zoo:maze-loop-qlearn")
     page.choose("Task", "drive")
-    eventually(lambda: page.drive.selection.config.task_name == "drive")
+    page.eventually(lambda: page.drive.selection.config.task_name == "drive")
     assert page.drive.selection.label.startswith("zoo:"), "a policy that was trained at this task"
     assert len(page.messages) == 1
 
@@ -126,11 +126,11 @@ def test_the_user_drives_by_keys_and_buttons(watch):
     keys = ActionChains(page.browser)
     page.browser.find_element(By.CSS_SELECTOR, CANVAS).click()
     keys.send_keys("w", Keys.ARROW_UP, "d").perform()
-    eventually(lambda: page.drive.is_manual and page.drive.step.command.tolist() == [0.2, -0.5])
+    page.eventually(lambda: page.drive.is_manual and page.drive.step.command.tolist() == [0.2, -0.5])
     page.press("stop")
-    eventually(lambda: page.drive.step.command.tolist() == [0.0, 0.0])
+    page.eventually(lambda: page.drive.step.command.tolist() == [0.0, 0.0])
     page.press("Let the policy drive")
-    eventually(lambda: not page.drive.is_manual and page.drive.step.command[0] > 0.0)
+    page.eventually(lambda: not page.drive.is_manual and page.drive.step.command[0] > 0.0)
 
 
 def test_several_pages_a_reload_and_no_page(watch):
