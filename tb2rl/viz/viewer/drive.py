@@ -16,15 +16,14 @@ from tb2rl.evaluation.episodes import EpisodeStart, EpisodeStep, check_spaces, r
 from tb2rl.runs import Config
 from tb2rl.simulation.random_streams import GeneratorSource
 from tb2rl.simulation.simulator import SimulatorType
-from tb2rl.tasks import Actions
 from tb2rl.viz.cameras import FilmFrame, goal_of, interpolate_frame, world_of
+from tb2rl.viz.viewer.free_commands import KEYS, FreeCommands
 from tb2rl.worlds import World
 from tb2rl.worlds.goal_paths import OWN_GOAL
 
 FRAME_RATE = 60.0  # frames per second
 _PLAN_STEP, _MAX_PLAN = 0.2, 300  # [m] between points of a plan, and most points
 _REST = 1.0  # [s] for which the end of an episode is shown
-KEYS = {"W": (0.1, 0.0), "S": (-0.1, 0.0), "A": (0.0, 0.5), "D": (0.0, -0.5)}  # changes of v [m/s], w [rad/s]
 
 
 @dataclass(frozen=True)
@@ -35,27 +34,6 @@ class Selection:
     config: Config
     simulator: SimulatorType
     label: str = ""  # name of the policy on the page
-
-
-class FreeCommands:
-    """The user as a policy: the robot obeys `command`, and the task judges the nearest action.
-
-    It takes the place of the task's actions, too, because few tasks have an action for every command.
-    """
-
-    def __init__(self, actions: Actions) -> None:
-        self._actions, self.command = actions, np.zeros(2)
-
-    def __getattr__(self, name: str) -> Any:  # everything but `commands` as in the actions
-        return getattr(self._actions, name)
-
-    def commands(self, actions: np.ndarray) -> np.ndarray:
-        """The user's command, shape (1, 2), in place of that of the action."""
-        return self.command[None]
-
-    def predict(self, observation: Any, deterministic: bool = True) -> tuple[Any, None]:
-        """The action nearest to the command."""
-        return self._actions.nearest(self.command), None
 
 
 class _Recorded:
