@@ -46,9 +46,10 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _options(arguments: argparse.Namespace, robot: RosRobot | None) -> FilmOptions:
     """The options of a film, a bag or a live drive."""
-    is_recorded = arguments.video or arguments.bag
-    refuse(arguments, "needs --video or --bag", *([] if is_recorded else ["episodes"]))
-    refuse(arguments, "cannot be combined with --video or --bag", *(["viewer", "host", "port"] if is_recorded else []))
+    if arguments.video or arguments.bag:
+        refuse(arguments, "cannot be combined with --video or --bag", "viewer", "host", "port")
+    else:
+        refuse(arguments, "needs --video or --bag", "episodes")
     others = {name: getattr(arguments, name) for name in ("seed", "camera", "speed")}
     return FilmOptions(
         episodes=1 if arguments.episodes is None else arguments.episodes,

@@ -33,16 +33,8 @@ from tb2rl.training.training import FinishedTraining, default_folder, describe_e
 from tb2rl.viz.table import print_evaluation
 
 LOG = "log.txt"  # file in the run folder: output of a training with --seeds
-_RESUME_OPTIONS = {
-    "resume",
-    "total_timesteps",
-    "no_evaluation",
-    "no_progress",
-    "verbose",
-    "viewer",
-    "host",
-    "port",
-}  # valid with --resume
+# Options that are valid with --resume:
+_RESUME_OPTIONS = {"resume", "total_timesteps", "no_evaluation", "no_progress", "verbose", "viewer", "host", "port"}
 _MAX_SEEDS = 1000
 
 

@@ -86,7 +86,7 @@ def make_selection(name: str, task: str, settings: Mapping[str, Any], simulation
     return Selection(policy, config_of(policy).with_task(settings), simulator, name)
 
 
-def change(selection: Selection, settings: Mapping[str, Any], simulation: Any) -> Selection:
+def with_settings(selection: Selection, settings: Mapping[str, Any], simulation: Any) -> Selection:
     """A copy with changed settings of the task, in another simulator."""
     config = selection.config.with_task(settings)
     policy = make_baseline(config) if is_baseline(selection.label) else selection.policy

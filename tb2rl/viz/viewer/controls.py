@@ -174,7 +174,7 @@ class Controls:
         key, simulator = (name, self._task.value if choices.is_baseline(name) else ""), self._simulation.value
         if key not in self._loaded:
             self._loaded[key] = choices.make_selection(name, self._task.value, {}, simulator)
-        return choices.change(self._loaded[key], settings, simulator)
+        return choices.with_settings(self._loaded[key], settings, simulator)
 
     def _select_task(self) -> None:
         """Drive a policy of the chosen task, unless the present one can do it."""

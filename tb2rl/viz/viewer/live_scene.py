@@ -10,7 +10,7 @@ import numpy as np
 from PIL import ImageColor
 
 from tb2rl.rendering.above import GOAL_RADIUS
-from tb2rl.rendering.colours import BEAM, DYNAMIC_OBSTACLE, FLOOR, GOAL, PATH, START, WALL
+from tb2rl.rendering.colours import BEAM, DYNAMIC_OBSTACLE, FLOOR, GOAL, PATH, WALL
 from tb2rl.robots import Robot
 from tb2rl.worlds import World
 from tb2rl.worlds.world import WALL_HEIGHT
@@ -18,6 +18,7 @@ from tb2rl.worlds.world import WALL_HEIGHT
 _LINE_HEIGHT = 0.02  # [m] of beams and path above the floor, where they do not hide the robot
 _GAP = 1.0  # [m] between worlds side by side
 _GOAL_HEIGHT, _FLOOR_THICKNESS = 0.06, 0.02  # [m]
+_PLAN_COLOUR = "#2ca02c"
 _START_COLOUR = (90, 95, 105)  # RGB, unlike the goal's
 _NUMBERS = count()  # of scenes
 _HIDDEN = 1e-6  # scale of a shape that is not shown
@@ -48,11 +49,9 @@ class LiveScene:
         )
         self._label_height = _height(robot) + 0.3  # [m]
         self.goals = self._add_shapes(f"{self._root}/goals", "cylinder", len(worlds), GOAL)
-        self._beams, self._path = (
-            self._add_lines(f"{self._root}/beams", BEAM),
-            self._add_lines(f"{self._root}/path", PATH),
-        )
-        self._plan = self._add_lines(f"{self._root}/plan", START)
+        self._beams = self._add_lines(f"{self._root}/beams", BEAM)
+        self._path = self._add_lines(f"{self._root}/path", PATH)
+        self._plan = self._add_lines(f"{self._root}/plan", _PLAN_COLOUR)
         self._label = server.scene.add_label(f"{self._root}/filter", "", anchor="bottom-center", visible=False)
         self._goal_label = server.scene.add_label(f"{self._root}/goal", "goal", anchor="bottom-center", visible=False)
         self._moving: tuple[Any, ...] = ()
@@ -162,12 +161,10 @@ class LiveScene:
         handle.batched_wxyzs, handle.batched_positions = wxyzs, positions
         handle.batched_scales = np.column_stack([sizes, np.full(len(sizes), WALL_HEIGHT)])
 
-    def _add_shapes(self, name: str, shape: str, count: int, colour: str, opacity: float | None = None) -> Any:
-        scales = np.full((count, 3), _HIDDEN)
+    def _add_shapes(self, name: str, shape: str, count: int, colour: str) -> Any:
         options: dict[str, Any] = {
             "batched_colors": _linear(_rgb(colour)),
-            "batched_scales": scales,
-            "opacity": opacity,
+            "batched_scales": np.full((count, 3), _HIDDEN),
         }
         frames = _frames(np.zeros((count, 3)))
         add, mesh = self._server.scene.add_batched_meshes_simple, _unit_shape(shape)
