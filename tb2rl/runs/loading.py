@@ -59,7 +59,8 @@ def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
         if folder and is_shared(folder) and Run.open(folder, trust).config != config:
             raise InputError(f"{folder}: {SHARED_CONFIG} differs from the config that its policy was trained with")
         try:
-            algorithm = make_algorithm(config)
+            with _skip_compiler():
+                algorithm = make_algorithm(config)
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
     load_parameters(algorithm, {**content, "training": None}, file)  # without the state to resume from
@@ -68,6 +69,23 @@ def load(reference: str | Path, trust: bool = False) -> BaseAlgorithm:
         env.training = False
     algorithm.trained_with = config  # type: ignore[attr-defined]
     return algorithm
+
+
+@contextmanager
+def _skip_compiler() -> Iterator[None]:
+    """Make optimisers without the import of PyTorch's compiler, which takes 1.6 s, and which a policy does not need.
+
+    PyTorch imports it to wrap the function below, unless the function has a wrapper already.
+    """
+    function: Any = getattr(th.optim.Optimizer.add_param_group, "__wrapped__", None)
+    if function is None or hasattr(function, "__dynamo_disable"):
+        yield
+        return
+    setattr(function, "__dynamo_disable", function)
+    try:
+        yield
+    finally:
+        delattr(function, "__dynamo_disable")
 
 
 def checkpoint_file(reference: str | Path, trust: bool = False) -> Path:

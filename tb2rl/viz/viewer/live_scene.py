@@ -21,6 +21,7 @@ _GOAL_HEIGHT, _FLOOR_THICKNESS = 0.06, 0.02  # [m]
 _PLAN_COLOUR = "#2ca02c"
 _START_COLOUR = (90, 95, 105)  # RGB, unlike the goal's
 _NUMBERS = count()  # of scenes
+_SKY_LIGHT = 2.5  # intensity of the light from all sides
 _HIDDEN = 1e-6  # scale of a shape that is not shown
 
 
@@ -38,6 +39,10 @@ class LiveScene:
         self._server, self._worlds = server, list(worlds)
         server.scene.reset()
         self._root = f"/{next(_NUMBERS)}"  # new names, because pages keep the size of a grid with an old name
+        # Shadows and reflections would take most of the time until a browser without a GPU shows its first picture.
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.configure_environment_map(hdri=None)
+        server.scene.add_light_hemisphere(f"{self._root}/sky", intensity=_SKY_LIGHT)
         drawn = worlds[:1] if shared else worlds
         offsets = _grid_offsets(drawn)
         self._offsets = np.broadcast_to(offsets, (len(worlds), 2))  # x, y [m]
