@@ -1,5 +1,7 @@
-"""Build, check and share the trained policies of the zoo.
+"""List, show, build, check and share the trained policies of the zoo.
 
+    python -m tb2rl.zoo list --task navigate           # what there is, with results
+    python -m tb2rl.zoo show maze-loop-dqn             # the card of a policy
     python -m tb2rl.zoo build                          # trains missing and outdated policies, writes all pages
     python -m tb2rl.zoo build maze-loop-dqn --again    # trains an existing policy again
     python -m tb2rl.zoo build --barn PATH              # also evaluates in BARN's worlds
@@ -33,8 +35,17 @@ from tb2rl.execution.arguments import add_executor_arguments
 
 @command("zoo")
 def main(parser: ArgumentParser) -> None:
-    """Build, check or push policies; exit with status 1 if a check finds problems."""
-    commands = parser.add_subparsers(dest="action", required=True, metavar="build | check | push")
+    """List, show, build, check or push policies; exit with status 1 if a check finds problems."""
+    commands = parser.add_subparsers(dest="action", required=True, metavar="list | show | build | check | push")
+    listing = commands.add_parser("list", help="list the policies with their results")
+    for option, help_text in (
+        ("task", "only policies for this task"),
+        ("robot", "only policies for this robot"),
+        ("simulation", "only policies with results in this physics simulator"),
+    ):
+        listing.add_argument(f"--{option}", metavar="NAME", help=help_text)
+    show = commands.add_parser("show", help="show the card of a policy")
+    show.add_argument("name", metavar="NAME", help="a policy of the zoo")
     build = commands.add_parser("build", help="train and evaluate what is missing or outdated, and write all pages")
     build.add_argument("--again", action="store_true", help="train and evaluate existing policies again")
     build.add_argument("--barn", type=Path, metavar="PATH", help="also evaluate in the BARN worlds of this path")
@@ -51,7 +62,13 @@ def main(parser: ArgumentParser) -> None:
     push.add_argument("name", metavar="NAME", help="a policy of the zoo, or a run folder")
     push.add_argument("repository", metavar="user/repository", help="created if it does not exist")
     push.add_argument("--private", action="store_true", help="make a new repository private")
-    for sub, run in ((build, "maintenance:build"), (check, "maintenance:check"), (push, "sharing:push")):
+    for sub, run in (
+        (listing, "listing:list_policies"),
+        (show, "listing:show_policy"),
+        (build, "maintenance:build"),
+        (check, "maintenance:check"),
+        (push, "sharing:push"),
+    ):
         sub.set_defaults(run=f"tb2rl.zoo.{run}")
 
 
