@@ -10,7 +10,7 @@ from tb2rl import play
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.simulation.simulator import default_physics
 from tb2rl.viz import film
-from tb2rl.viz.viewer import live
+from tb2rl.viz.viewer import page
 
 pytestmark = pytest.mark.usefixtures("workdir")
 
@@ -19,30 +19,33 @@ pytestmark = pytest.mark.usefixtures("workdir")
 def drive_live(monkeypatch) -> Mock:
     """Stands in for the page, and has the arguments with which it would be opened."""
     called = Mock()
-    monkeypatch.setattr(live, "drive_live", called)
+    monkeypatch.setattr(page, "drive_live", called)
     return called
 
 
 def test_a_page_shows_the_policy_as_the_options_say(drive_live, trained_run, capsys):
-    line = "--viewer --host ::1 --port 9000 --steps 7 --seed 3 --speed 2 --camera chase --simulation kinematic"
+    line = "--viewer --host 127.0.0.1 --port 0 --steps 7 --seed 3 --speed 2 --camera chase --simulation kinematic"
     play.main([str(trained_run), *line.split()])
-    (selection, seed), view = drive_live.call_args
+    (server, selection, seed), view = drive_live.call_args
     assert (selection.label, selection.simulator.name) == (str(trained_run), "kinematic")
     assert (type(selection.policy).__name__, selection.config.task.episode_steps, seed) == ("QLearning", 7, 3)
-    assert view == {"speed": 2.0, "follow": True, "is_manual": False, "host": "::1", "port": 9000}
-    assert capsys.readouterr().out == "driving in the kinematic simulator\n"
+    assert view == {"speed": 2.0, "follow": True, "is_manual": False}
+    assert server.get_host() == "127.0.0.1"
+    opened, driving = capsys.readouterr().out.splitlines()
+    assert opened == f"open {server.url} in a browser; Ctrl-C ends", "before slow imports"
+    assert driving == "driving in the kinematic simulator"
 
 
 def test_the_user_drives_at_a_task_from_the_start(drive_live):
     play.main(shlex.split("--teleop --task navigate --goal 3,0 --set task.world=loop"))
-    (selection, seed), view = drive_live.call_args
+    (_, selection, seed), view = drive_live.call_args
     assert (selection.config.task_name, selection.config.task.goal, selection.config.task.start) == (
         "navigate",
         (3.0, 0.0),
         "fixed",
     )
     assert (seed, selection.simulator) == (0, default_physics())
-    assert view == {"speed": 1.0, "follow": False, "is_manual": True, "host": None, "port": None}
+    assert view == {"speed": 1.0, "follow": False, "is_manual": True}
 
 
 def test_a_film_is_titled_after_the_policy(workdir, trained_run, capsys, monkeypatch):

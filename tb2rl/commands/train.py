@@ -75,12 +75,11 @@ def _watchers(options: argparse.Namespace) -> list[BaseCallback]:
     """The viewer of a training, if it is to be watched."""
     if not options.viewer:
         return []
-    from tb2rl.viz.viewer.live import announce  # imported here, because a training needs no page
-    from tb2rl.viz.viewer.server import ViewerServer
+    from tb2rl.viz.viewer.server import ViewerServer  # imported here, because a training needs no page
     from tb2rl.viz.viewer.training import TrainingViewer
 
     server = ViewerServer(options.host, options.port)
-    announce(server)
+    server.announce()
     return [TrainingViewer(server)]
 
 

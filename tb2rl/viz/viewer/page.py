@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from tb2rl.robots import Robot
 from tb2rl.viz.cameras import beam_ranges, goal_of
 from tb2rl.viz.viewer.choices import AS_TRAINED
 from tb2rl.viz.viewer.controls import Controls
-from tb2rl.viz.viewer.drive import Drive
+from tb2rl.viz.viewer.drive import Drive, Selection
 from tb2rl.viz.viewer.live_scene import LiveScene
 from tb2rl.viz.viewer.server import ViewerServer, has_clients
 from tb2rl.viz.viewer.status import status, values
@@ -126,3 +127,34 @@ class Page:
         text.content = f"**{tour[0].title}.** {tour[0].text}"
         for button, stop in zip(buttons, tour, strict=True):
             button.on_click(lambda _, stop=stop: self._controls.request(visit, stop))  # type: ignore[misc]
+
+
+def drive_live(
+    server: ViewerServer,
+    selection: Selection,
+    seed: int = 0,
+    speed: float = 1.0,
+    follow: bool = False,
+    is_manual: bool = False,
+    tour: Sequence[TourStop] = (),
+) -> None:
+    """Drive on a page, endlessly.
+
+    Args:
+        server: The server of the page.
+        selection: The policy, the task and the simulator.
+        seed: Seed of the first episode; each further episode adds 1.
+        speed: Simulated seconds per second.
+        follow: Whether the camera follows the robot.
+        is_manual: Whether the user drives at the start.
+        tour: Stops of a tour; empty: no tour.
+
+    Raises:
+        InputError: If the policy does not fit the task.
+    """
+    with closing(Drive(selection, seed)) as drive:
+        drive.speed = speed
+        if is_manual:
+            drive.drive_manually(True)
+        page = Page(server, drive, follow, tour)
+        drive.run(page.show, page.report, lambda: True)

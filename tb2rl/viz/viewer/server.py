@@ -1,13 +1,18 @@
 """The server of the viewer's page."""
 
 import io
+import os
 import socket
-from contextlib import redirect_stdout
+import sys
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any
 
 import viser
 
 from tb2rl.core.errors import InputError
+from tb2rl.evaluation.progress import say
 
 LOOPBACK, PORT = "127.0.0.1", 8080
 _PRIVATE = (LOOPBACK, "localhost", "::1")
@@ -37,6 +42,14 @@ class ViewerServer(viser.ViserServer):
     def request_share_url(self, verbose: bool = True) -> None:
         """Refuse the request, because a page can send it, and it would publish the page on the internet."""
 
+    def announce(self) -> None:
+        """Say where the page is, and open it in the browser if there is a display."""
+        say(f"open {self.url} in a browser; Ctrl-C ends")
+        if self.warning:
+            print(f"warning: {self.warning}", file=sys.stderr, flush=True)
+        if sys.stdout.isatty() and (not sys.platform.startswith("linux") or os.environ.get("DISPLAY")):
+            webbrowser.open(self.url)
+
     def stop(self) -> None:
         """Close all pages."""
         with redirect_stdout(io.StringIO()):  # it prints that it has stopped
@@ -53,6 +66,18 @@ class ViewerServer(viser.ViserServer):
         """A warning if other computers can open the page; else empty."""
         is_private = self.get_host() in _PRIVATE
         return "" if is_private else "everybody who can reach this computer can open the page and drive the robot"
+
+
+@contextmanager
+def open_server(host: str | None, port: int | None) -> Iterator[ViewerServer]:
+    """A server for a block that Ctrl-C ends; its page is announced."""
+    server = ViewerServer(host, port)
+    try:
+        with suppress(KeyboardInterrupt):
+            server.announce()
+            yield server
+    finally:
+        server.stop()
 
 
 def has_clients(server: Any) -> bool:
