@@ -36,17 +36,6 @@ class Selection:
     label: str = ""  # name of the policy on the page
 
 
-class _Recorded:
-    """A policy that remembers its latest observation."""
-
-    def __init__(self, policy: Any) -> None:
-        self.policy, self.observation = policy, None
-
-    def predict(self, observation: Any, **arguments: Any) -> tuple[Any, Any]:
-        self.observation = observation
-        return self.policy.predict(observation, **arguments)
-
-
 class Drive:
     """Simulates one robot in real time. `request` may be called from any thread, everything else from that of `run`.
 
@@ -58,6 +47,8 @@ class Drive:
         speed: Simulated seconds per second.
         world_index: The world of all episodes; None: the task draws one for each episode.
         step: The latest control step of the episode.
+        policy: The policy that drives.
+        observation: The latest observation of the policy.
 
     Raises:
         InputError: If the policy does not fit the task, or the simulator cannot run.
@@ -191,21 +182,16 @@ class Drive:
         return np.concatenate(points)
 
     @property
-    def observation(self) -> Any:
-        """The latest observation of the policy."""
-        return self._policy.observation
-
-    @property
-    def policy(self) -> Any:
-        """The policy that drives."""
-        return self._policy.policy
-
-    @property
     def frame(self) -> FilmFrame:
         """The robot at the present time."""
         return interpolate_frame(self.step, self._path, self.scene.task.control_period, self._time)
 
     # ---- the loop
+
+    def predict(self, observation: Any, **arguments: Any) -> tuple[Any, Any]:
+        """The action of the policy that drives."""
+        self.observation = observation
+        return self.policy.predict(observation, **arguments)
 
     def run(self, show: Callable[[Self], None], report: Callable[[str], None], is_open: Callable[[], bool]) -> None:
         """Drive while `is_open`; `show` every frame, and `report` changes that are impossible."""
@@ -273,7 +259,7 @@ class Drive:
         actions: Any = driver if self.is_manual else scene.actions
         self._loop = ControlLoop.open(replace(scene, actions=actions), self.selection.simulator)
         self._scene, self._driver = scene, driver
-        self._policy = _Recorded(driver if self.is_manual else self.selection.policy)
+        self.policy = driver if self.is_manual else self.selection.policy
 
     def _begin(self, pose: np.ndarray | None) -> None:
         """Start an episode, at a pose (3,) or where the task draws one."""
@@ -285,7 +271,7 @@ class Drive:
             if scene.task.goal_task and len(spec.worlds) == 1 and (goal := spec.worlds[0].goal):
                 initial_state.goal[:], initial_state.records["goal_path"] = goal[:2], OWN_GOAL
         assert self._loop is not None, "`_open` opens it"
-        self._steps = run_single(self._loop, self._policy, EpisodeStart(0, self.seed, initial_state, rng))
+        self._steps = run_single(self._loop, self, EpisodeStart(0, self.seed, initial_state, rng))
         self._path: list[np.ndarray] = []
         self._time = 0.0
         self._take_step()

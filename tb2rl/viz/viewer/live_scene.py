@@ -12,6 +12,7 @@ from PIL import ImageColor
 from tb2rl.rendering.above import GOAL_RADIUS
 from tb2rl.rendering.colours import BEAM, DYNAMIC_OBSTACLE, FLOOR, GOAL, PATH, WALL
 from tb2rl.robots import Robot
+from tb2rl.simulation.obstacles.outlines import COS, LENGTH, SIN, WIDTH, X, Y
 from tb2rl.worlds import World
 from tb2rl.worlds.world import WALL_HEIGHT
 
@@ -31,12 +32,12 @@ class LiveScene:
     Args:
         server: A `ViserServer`.
         robot: The robot.
-        worlds: The world of each robot.
+        worlds: The world of each robot; the attribute, too.
         shared: Whether all robots are in the same world, which is drawn once.
     """
 
     def __init__(self, server: Any, robot: Robot, worlds: Sequence[World], shared: bool = True) -> None:
-        self._server, self._worlds = server, list(worlds)
+        self._server, self.worlds = server, list(worlds)
         server.scene.reset()
         self._root = f"/{next(_NUMBERS)}"  # new names, because pages keep the size of a grid with an old name
         # Shadows and reflections would take most of the time until a browser without a GPU shows its first picture.
@@ -49,22 +50,16 @@ class LiveScene:
         for index, (world, offset) in enumerate(zip(drawn, offsets, strict=True)):
             self._add_world(f"{self._root}/worlds/{index}", world, offset)
         self._bounds = _outer_bounds(drawn, offsets)
-        self.robots = server.scene.add_batched_glb(
-            f"{self._root}/robots", _model(robot), *_frames(np.zeros((len(worlds), 3)))
-        )
-        self._label_height = _height(robot) + 0.3  # [m]
+        model, height = _model(robot)
+        self.robots = server.scene.add_batched_glb(f"{self._root}/robots", model, *_frames(np.zeros((len(worlds), 3))))
+        self._label_height = height + 0.3  # [m]
         self.goals = self._add_shapes(f"{self._root}/goals", "cylinder", len(worlds), GOAL)
         self._beams = self._add_lines(f"{self._root}/beams", BEAM)
         self._path = self._add_lines(f"{self._root}/path", PATH)
         self._plan = self._add_lines(f"{self._root}/plan", _PLAN_COLOUR)
         self._label = server.scene.add_label(f"{self._root}/filter", "", anchor="bottom-center", visible=False)
         self._goal_label = server.scene.add_label(f"{self._root}/goal", "goal", anchor="bottom-center", visible=False)
-        self._moving: tuple[Any, ...] = ()
-
-    @property
-    def worlds(self) -> Sequence[World]:
-        """The world of each robot."""
-        return self._worlds
+        self._moving: dict[str, Any] = {}  # by shape
 
     def set_cameras(self) -> None:
         """Let all cameras, also those of pages that will be opened, see all worlds."""
@@ -92,8 +87,13 @@ class LiveScene:
         if not np.array_equal(positions, self.goals.batched_positions):
             self.goals.batched_positions, self.goals.batched_scales = positions, sizes
             self._goal_label.position, self._goal_label.visible = (*positions[0, :2], 0.3), bool(has_goal[0])
-        if outlines is not None:
-            self._show_moving(outlines)
+        if outlines is None:
+            return
+        rows, offsets = outlines.reshape(-1, 6), np.repeat(self._offsets, outlines.shape[1], axis=0)
+        for shape in ("box", "cylinder"):
+            if shape not in self._moving:
+                self._moving[shape] = self._add_shapes(f"{self._root}/{shape}", shape, len(rows), DYNAMIC_OBSTACLE)
+            _place(self._moving[shape], shape, rows, offsets)
 
     def show_beams(self, pose: np.ndarray, angles: np.ndarray, ranges: np.ndarray) -> None:
         """Draw the laser beams of the first robot.
@@ -104,9 +104,8 @@ class LiveScene:
             ranges: Lengths [m], shape (beams,); inf: not drawn.
         """
         start, directions = pose[:2] + self._offsets[0], pose[2] + angles
-        ends = start + np.where(np.isfinite(ranges), ranges, 0.0)[:, None] * np.stack(
-            [np.cos(directions), np.sin(directions)], 1
-        )
+        lengths = np.where(np.isfinite(ranges), ranges, 0.0)
+        ends = start + np.column_stack([lengths * np.cos(directions), lengths * np.sin(directions)])
         self._beams.points = _segments(np.broadcast_to(start, ends.shape), ends, _LINE_HEIGHT)
 
     def show_path(self, positions: np.ndarray, plan: np.ndarray) -> None:
@@ -122,62 +121,32 @@ class LiveScene:
         if text:
             self._label.position = (*(pose[:2] + self._offsets[0]), self._label_height)
 
-    def _show_moving(self, outlines: np.ndarray) -> None:
-        rows, robots, offsets = outlines.reshape(-1, 6), len(outlines), self._offsets
-        x, y, cos, sin, length, width = rows.T
-        if not self._moving:
-            shapes = ((f"{self._root}/moving/round", "cylinder"), (f"{self._root}/moving/boxes", "box"))
-            self._moving = tuple(self._add_shapes(name, shape, len(rows), DYNAMIC_OBSTACLE) for name, shape in shapes)
-        shown_offsets = np.repeat(offsets, len(rows) // robots, axis=0)
-        poses = np.column_stack([x + shown_offsets[:, 0], y + shown_offsets[:, 1], np.arctan2(sin, cos)])
-        wxyzs, positions = _frames(poses)
-        positions[:, 2] = WALL_HEIGHT / 2
-        is_round, is_box = (length > 0) & (width == 0), width > 0
-        for handle, mask, sizes in zip(
-            self._moving, (is_round, is_box), ((length, length), (2 * length, 2 * width)), strict=True
-        ):
-            scales = np.column_stack([*sizes, np.full(len(rows), WALL_HEIGHT)])
-            handle.batched_wxyzs, handle.batched_positions = wxyzs, positions
-            handle.batched_scales = np.where(mask[:, None], scales, _HIDDEN)
-
     def _add_world(self, name: str, world: World, offset: np.ndarray) -> None:
         x0, y0, x1, y1 = np.array(world.bounds) + np.tile(offset, 2)
         centre, add = ((x0 + x1) / 2, (y0 + y1) / 2), self._server.scene
-        size = (x1 - x0, y1 - y0, _FLOOR_THICKNESS)
-        add.add_box(f"{name}/floor", _rgb(FLOOR), size, position=(*centre, -_FLOOR_THICKNESS), cast_shadow=False)
+        colour, size, below = ImageColor.getrgb(FLOOR), (x1 - x0, y1 - y0, _FLOOR_THICKNESS), -_FLOOR_THICKNESS
+        add.add_box(f"{name}/floor", colour, size, position=(*centre, below), cast_shadow=False)
         grid = {"cell_size": 1.0, "section_size": 1.0, "section_color": (205, 198, 186), "section_thickness": 1.0}
         add.add_grid(f"{name}/grid", x1 - x0, y1 - y0, position=(*centre, 0.0), **grid)
         start = world.start[0] + offset[0], world.start[1] + offset[1], 0.0
         add.add_label(f"{name}/start", "start", position=start, anchor="bottom-center", font_screen_scale=0.8)
         add.add_cylinder(f"{name}/start/disc", 0.1, 0.01, color=_START_COLOUR)
-        if len(world.boxes):
-            x, y, half_length, half_width, cos, sin = world.boxes.T
-            sizes = np.column_stack([2 * half_length, 2 * half_width])
-            self._add_walls(f"{name}/walls", "box", np.column_stack([x, y, np.arctan2(sin, cos)]), sizes, offset)
-        if len(world.posts):
-            x, y, radius = world.posts.T
-            poses, sizes = np.column_stack([x, y, np.zeros(len(x))]), np.column_stack([radius, radius])
-            self._add_walls(f"{name}/posts", "cylinder", poses, sizes, offset)
-
-    def _add_walls(self, name: str, shape: str, poses: np.ndarray, sizes: np.ndarray, offset: np.ndarray) -> None:
-        poses[:, :2] += offset
-        handle, (wxyzs, positions) = self._add_shapes(name, shape, len(poses), WALL), _frames(poses)
-        positions[:, 2] = WALL_HEIGHT / 2
-        handle.batched_wxyzs, handle.batched_positions = wxyzs, positions
-        handle.batched_scales = np.column_stack([sizes, np.full(len(sizes), WALL_HEIGHT)])
+        x, y, half_length, half_width, cos, sin = world.boxes.T
+        boxes, posts = np.column_stack([x, y, cos, sin, half_length, half_width]), np.zeros((len(world.posts), 6))
+        posts[:, [X, Y, LENGTH]], posts[:, COS] = world.posts, 1.0
+        for shape, outlines in (("box", boxes), ("cylinder", posts)):
+            if len(outlines):
+                _place(self._add_shapes(f"{name}/{shape}", shape, len(outlines), WALL), shape, outlines, offset)
 
     def _add_shapes(self, name: str, shape: str, count: int, colour: str) -> Any:
-        options: dict[str, Any] = {
-            "batched_colors": _linear(_rgb(colour)),
-            "batched_scales": np.full((count, 3), _HIDDEN),
-        }
-        frames = _frames(np.zeros((count, 3)))
-        add, mesh = self._server.scene.add_batched_meshes_simple, _unit_shape(shape)
+        mesh, frames = _unit_shape(shape), _frames(np.zeros((count, 3)))
+        options = {"batched_colors": _linear(colour), "batched_scales": np.full((count, 3), _HIDDEN)}
+        add = self._server.scene.add_batched_meshes_simple
         return add(name, mesh.vertices, mesh.faces, *frames, flat_shading=True, lod="off", **options)
 
     def _add_lines(self, name: str, colour: str) -> Any:
-        points = np.zeros((1, 2, 3), dtype=np.float32)
-        return self._server.scene.add_line_segments(name, points, _rgb(colour), thickness=1.5, thickness_units="screen")
+        points, options = np.zeros((1, 2, 3), dtype=np.float32), {"thickness": 1.5, "thickness_units": "screen"}
+        return self._server.scene.add_line_segments(name, points, ImageColor.getrgb(colour), **options)
 
 
 def _grid_offsets(worlds: Sequence[World]) -> np.ndarray:
@@ -210,13 +179,28 @@ def _segments(starts: np.ndarray, ends: np.ndarray, height: float) -> np.ndarray
     return segments
 
 
-def _rgb(colour: str) -> tuple[int, ...]:
-    return ImageColor.getrgb(colour)
+def _place(handle: Any, shape: str, outlines: np.ndarray, offsets: np.ndarray) -> None:
+    """Place shapes that are as high as walls.
+
+    Args:
+        handle: The shapes.
+        shape: "box" or "cylinder"; outlines of other shapes are hidden.
+        outlines: As `RobotState.dynamic_obstacles`, shape (n, 6).
+        offsets: Of the worlds: x, y [m], shape (2,) or (n, 2).
+    """
+    length, width = outlines[:, LENGTH], outlines[:, WIDTH]
+    yaws, heights = np.arctan2(outlines[:, SIN], outlines[:, COS]), np.full(len(outlines), WALL_HEIGHT)
+    handle.batched_wxyzs, positions = _frames(np.column_stack([outlines[:, [X, Y]] + offsets, yaws]))
+    positions[:, 2] = WALL_HEIGHT / 2
+    is_box, sides = width > 0, (2 * length, 2 * width) if shape == "box" else (length, length)
+    is_shown = is_box if shape == "box" else (length > 0) & ~is_box
+    scales = np.where(is_shown[:, None], np.column_stack([*sides, heights]), _HIDDEN)
+    handle.batched_positions, handle.batched_scales = positions, scales
 
 
-def _linear(rgb: tuple[int, ...]) -> tuple[int, ...]:
+def _linear(colour: str) -> tuple[int, ...]:
     """A colour without the gamma of sRGB (IEC 61966-2-1), which the page adds to batched shapes once more."""
-    return tuple(round(255 * (((value / 255) + 0.055) / 1.055) ** 2.4) for value in rgb)
+    return tuple(round(255 * (((value / 255) + 0.055) / 1.055) ** 2.4) for value in ImageColor.getrgb(colour))
 
 
 @cache
@@ -228,18 +212,9 @@ def _unit_shape(name: str) -> Any:
 
 
 @cache
-def _description(robot: Robot) -> Any:
+def _model(robot: Robot) -> tuple[bytes, float]:
+    """The visual shapes of a robot's URDF file as a binary glTF file, and their height [m]."""
     import yourdfpy  # imported here like trimesh, which it imports
 
-    return yourdfpy.URDF.load(str(robot.urdf), load_collision_meshes=False).scene
-
-
-@cache
-def _model(robot: Robot) -> bytes:
-    """The visual shapes of a robot's URDF file as a binary glTF file."""
-    return _description(robot).to_mesh().export(file_type="glb")
-
-
-def _height(robot: Robot) -> float:
-    """Height of the robot [m]."""
-    return float(_description(robot).bounds[1, 2])
+    scene = yourdfpy.URDF.load(str(robot.urdf), load_collision_meshes=False).scene
+    return scene.to_mesh().export(file_type="glb"), float(scene.bounds[1, 2])

@@ -62,8 +62,7 @@ def values(drive: Drive) -> str:
     """The numbers from which the policy chooses, as bars in HTML."""
     if drive.is_manual:
         return "<p>You drive, so no policy computes anything.</p>"
-    observation = drive.observation
-    found = None if observation is None else policy_values(drive.policy, observation, drive.scene.actions)
+    found = policy_values(drive.policy, drive.observation, drive.scene.actions)
     if found is None:
         return "<p>This policy computes no values for its actions.</p>"
     rows = "".join(
@@ -71,8 +70,8 @@ def values(drive: Drive) -> str:
         for name, score in found.scores.items()
     )
     value = f"<p>Expected return: <b>{found.value:.3g}</b></p>"
-    text = html.escape(found.meaning[0].upper() + found.meaning[1:])
-    return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {_describe(observation)}</p></div>"
+    text, observation = html.escape(found.meaning[0].upper() + found.meaning[1:]), _describe(drive.observation)
+    return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {observation}</p></div>"
 
 
 def _extent(found: PolicyValues, name: str) -> tuple[float, float]:

@@ -8,7 +8,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from viser import uplot
 
 from tb2rl.envs.control_loop import ControlLoop
-from tb2rl.envs.vec_env import TurtleBot2VecEnv
 from tb2rl.rendering.colours import GOAL, PATH
 from tb2rl.viz.viewer.live_scene import LiveScene
 from tb2rl.viz.viewer.server import ViewerServer, has_clients
@@ -42,7 +41,8 @@ class TrainingViewer(BaseCallback):
         return True
 
     def _show(self, now: float) -> None:
-        loop = _loop_of(self.training_env)
+        env: Any = self.training_env.unwrapped
+        loop: ControlLoop = env.loop
         self._live.show(loop)
         if self._slow.value:
             time.sleep(loop.task.control_period)
@@ -94,12 +94,6 @@ class LoopView:
             self._live.show_robots(self._poses, self._goals, outlines)
             if count == 1:
                 self._live.show_beams(state.pose[0], loop.scene.laser.angles, state.ranges[0])
-
-
-def _loop_of(env: Any) -> ControlLoop:
-    while not isinstance(env, TurtleBot2VecEnv):  # wrappers, such as `VecNormalize`
-        env = env.venv
-    return env.loop
 
 
 def _add_curve(server: ViewerServer, title: str, colour: str) -> Any:
