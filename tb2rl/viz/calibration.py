@@ -1,7 +1,5 @@
 """The page of a calibration: what was predicted and measured, before and after it."""
 
-from dataclasses import dataclass
-
 import matplotlib
 import numpy as np
 from markupsafe import Markup
@@ -20,45 +18,30 @@ _LINE_WIDTHS = 4.0, 2.4, 1.0  # descending, because lines may be the same and th
 COLOURS = {"measured": PATH, "nominal robot": BEAM, "calibrated robot": FAILED}
 
 
-@dataclass(frozen=True)
-class CalibrationSection:
-    """The charts of a drive."""
-
-    name: str
-    path: Markup
-    speed: Markup
-    turn_rate: Markup
-    scans: tuple[Markup, Markup] | None  # before and after the calibration
-
-
 def calibration_page(calibration: Calibration) -> str:
     """The page as HTML."""
-    sections = [_section(calibration, index) for index in range(len(calibration.drives))]
+    sections = [(drive.name, _draw_drive(calibration, index)) for index, drive in enumerate(calibration.drives)]
     title, table = "Calibration", list(rows(calibration))
     return template("calibration.html").render(title=title, rows=table, sections=sections, colours=COLOURS)
 
 
-def _section(calibration: Calibration, index: int) -> CalibrationSection:
+def _draw_drive(calibration: Calibration, index: int) -> dict[str, Markup]:
+    """The charts of a drive, by title."""
     drive, fit, parameters = calibration.drives[index], calibration.responses[index], calibration.alignments[index]
     true_scales = np.array([parameters[alignment.DISTANCE], parameters[alignment.TURN]])
     fitted, measured = fit.fitted / true_scales, fit.measured / true_scales
-    paths = [integrate(fit.times, each) for each in (measured, fit.nominal, fitted)]
-    speeds = [[each[:, k] for each in (measured, fit.nominal, fitted)] for k in (0, 1)]
+    speeds = (measured, fit.nominal, fitted)
+    paths = _draw_lines("x [m]", "y [m]", [integrate(fit.times, each)[:, :2] for each in speeds], equal=True)
+    charts = {"Path, predicted by the commands alone": paths}
     shown = fit.times < fit.times[0] + _SECONDS
-    scans = None
+    for column, (title, label) in enumerate((("Speed", "speed [m/s]"), ("Turn rate", "turn rate [rad/s]"))):
+        lines = [np.column_stack([fit.times, each[:, column]])[shown] for each in speeds]
+        charts[title] = _draw_lines("time [s]", label, lines)
     if drive.scans is not None:
-        start = Alignment(drive, drive.scans, 0.01)
-        scans = (
-            _draw_scans(start, len(drive.scans.times), START),
-            _draw_scans(start, len(drive.scans.times), parameters),
-        )
-    return CalibrationSection(
-        drive.name,
-        _draw_lines("x [m]", "y [m]", [path[:, 0] for path in paths], [path[:, 1] for path in paths], equal=True),
-        _draw_lines("time [s]", "speed [m/s]", [fit.times[shown]] * 3, [each[shown] for each in speeds[0]]),
-        _draw_lines("time [s]", "turn rate [rad/s]", [fit.times[shown]] * 3, [each[shown] for each in speeds[1]]),
-        scans,
-    )
+        aligned = Alignment(drive, drive.scans, 0.01)
+        for title, values in (("before", START), ("after", parameters)):
+            charts[f"Scans {title} the calibration"] = _draw_scans(aligned, len(drive.scans.times), values)
+    return charts
 
 
 def integrate(times: np.ndarray, speeds: np.ndarray) -> np.ndarray:
@@ -71,11 +54,12 @@ def integrate(times: np.ndarray, speeds: np.ndarray) -> np.ndarray:
 
 
 @matplotlib.rc_context(STYLE)
-def _draw_lines(label_x: str, label_y: str, x: list[np.ndarray], y: list[np.ndarray], equal: bool = False) -> Markup:
+def _draw_lines(label_x: str, label_y: str, lines: list[np.ndarray], equal: bool = False) -> Markup:
+    """Lines through points, each of shape (points, 2)."""
     figure, axes = chart(label_x, label_y)
-    for (name, colour), each_x, each_y, width in zip(COLOURS.items(), x, y, _LINE_WIDTHS, strict=True):
-        step = max(1, len(each_x) // 1500)
-        axes.plot(each_x[::step], each_y[::step], color=colour, linewidth=width, gid=f"line-{name.replace(' ', '-')}")
+    for (name, colour), points, width in zip(COLOURS.items(), lines, _LINE_WIDTHS, strict=True):
+        step, gid = max(1, len(points) // 1500), f"line-{name.replace(' ', '-')}"
+        axes.plot(*points[::step].T, color=colour, linewidth=width, gid=gid)
     if equal:
         axes.set_aspect("equal", adjustable="datalim")
     return svg(figure)

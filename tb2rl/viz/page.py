@@ -35,6 +35,7 @@ def page(
     rows = [_row(group, view) for group, view in progress_bar(runs, "drawing", "run", shown=progress)]
     views = [view for _, view in runs]
     tasks = [view.config.task for view in views]
+    metrics = shown_metrics(any(task.goal_task for task in tasks), any(task.filters for task in tasks))
     titles = [_title(views)] if views else [*(s.result.title for s in suites), *(d.drive.name for d in drives)]
     max_actions = max((len(view.action_shares) for view in views), default=0)
     return template("page.html").render(
@@ -53,7 +54,7 @@ def page(
         headings=HEADINGS,
         max_worlds=charts.MAX_WORLDS,
         standard_episodes=EPISODES,
-        metrics=shown_metrics(any(task.goal_task for task in tasks), any(task.filters for task in tasks)),
+        metrics={f"{metric.label} [{metric.unit}]" if metric.unit else metric.label: metric for metric in metrics},
     )
 
 
