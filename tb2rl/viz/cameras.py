@@ -159,7 +159,8 @@ class ChaseCamera:
         self._view.close()
 
 
-CAMERAS: dict[str, type[AboveCamera] | type[ChaseCamera]] = {"above": AboveCamera, "chase": ChaseCamera}
+FilmCamera = AboveCamera | ChaseCamera
+CAMERAS: dict[str, type[FilmCamera]] = {"above": AboveCamera, "chase": ChaseCamera}
 
 
 def world_of(frame: FilmFrame, scene: Scene) -> World:

@@ -24,7 +24,7 @@ from tb2rl.rendering.above import add_header
 from tb2rl.rendering.colours import FILM_PALETTE
 from tb2rl.runs import Config, config_of, load
 from tb2rl.simulation.simulator import SimulatorType, default_simulator, find_simulator
-from tb2rl.viz.cameras import CAMERAS, AboveCamera, ChaseCamera, FilmFrame, add_caption, film_frames, world_of
+from tb2rl.viz.cameras import CAMERAS, FilmCamera, FilmFrame, add_caption, film_frames, world_of
 from tb2rl.viz.pictures import extend_bounds
 
 FILM_STEPS = 300  # default time limit of a filmed episode [control steps]
@@ -114,12 +114,12 @@ def film(
     subject = f"{name}, task {config.task_name}, "
     with open_episodes(policy, config, settings, options, "filming") as (scene, episodes):
         if not options.simulator.is_external:
-            write_film(path, episodes, scene, options.camera, options.speed, subject)
+            write_film(path, episodes, scene, options, subject)
             return path
         recorded_episodes = [list(steps) for steps in episodes]  # drawn later, because a real robot does not wait
     points = np.array([step.after.pose[0, :2] for steps in recorded_episodes for step in steps])
     world = extend_bounds(scene.world, points)  # because the bounds of a real robot's surroundings are unknown
-    write_film(path, recorded_episodes, scene.in_worlds((world,)), options.camera, options.speed, subject)
+    write_film(path, recorded_episodes, scene.in_worlds((world,)), options, subject)
     return path
 
 
@@ -194,12 +194,7 @@ def _steps_of(loop: ControlLoop, policy: Policy, options: FilmOptions, index: in
 
 
 def write_film(
-    path: Path,
-    episodes: Iterable[Iterable[EpisodeStep]],
-    scene: Scene,
-    camera: str = "above",
-    speed: float = 1.0,
-    subject: str = "",
+    path: Path, episodes: Iterable[Iterable[EpisodeStep]], scene: Scene, options: FilmOptions, subject: str
 ) -> None:
     """Write a film of several episodes; their title is `subject`, the world and the robot.
 
@@ -207,10 +202,10 @@ def write_film(
         InputError: If the file cannot be written.
     """
     write, max_rate = WRITERS[path.suffix.lower()]
-    with closing(CAMERAS[camera](scene)) as view:
+    with closing(CAMERAS[options.camera](scene)) as view:
         rate, period = min(max_rate, view.max_rate), scene.task.control_period
-        frames = (frame for steps in episodes for frame in film_frames(steps, period, rate, speed))
-        pictures = (_film_picture(view, frame, scene, subject, speed) for frame in frames)
+        frames = (frame for steps in episodes for frame in film_frames(steps, period, rate, options.speed))
+        pictures = (_film_picture(view, frame, scene, subject, options.speed) for frame in frames)
         try:
             with atomic_write(path) as temporary:
                 write(temporary, pictures, rate)
@@ -220,9 +215,7 @@ def write_film(
             raise InputError(one_line(f"cannot write {path}: {error.strerror or error}")) from None
 
 
-def _film_picture(
-    view: AboveCamera | ChaseCamera, frame: FilmFrame, scene: Scene, subject: str, speed: float
-) -> np.ndarray:
+def _film_picture(view: FilmCamera, frame: FilmFrame, scene: Scene, subject: str, speed: float) -> np.ndarray:
     title = f"{subject}world {world_of(frame, scene).name}, {scene.robot.name}"
     title += "" if speed == 1.0 else f", speed x{speed:.3g}"
     return add_header(add_caption(view.picture(frame), frame, scene), title, view.legend(frame, scene))

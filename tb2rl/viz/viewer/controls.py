@@ -81,11 +81,10 @@ class Controls:
         }
         with self._gui.add_folder("Time"):
             buttons = self._gui.add_button_group("Playback", list(changes))
-            names = {speed: f"{speed:g} x" for speed in sorted({*_SPEEDS, drive.speed})}
-            speed = self._gui.add_dropdown("Speed", list(names.values()), initial_value=names[drive.speed])
+            speeds = {f"{speed:g} x": speed for speed in sorted({*_SPEEDS, drive.speed})}
+            speed = self._gui.add_dropdown("Speed", list(speeds), initial_value=f"{drive.speed:g} x")
             self._follow = self._gui.add_checkbox("Follow the robot", initial_value=follow)
         buttons.on_click(lambda _: self.request(changes.get(buttons.value, lambda: None)))
-        speeds = {name: number for number, name in names.items()}
         speed.on_update(lambda _: setattr(drive, "speed", speeds.get(speed.value, drive.speed)))
 
     # ---- policy, task and world

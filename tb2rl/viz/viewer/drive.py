@@ -82,12 +82,7 @@ class Drive:
             self.is_manual &= selection.label == self.selection.label
             self.selection, self.world_index = selection, None
             self._open(scene)
-            self._begin(None)
-
-    def restart(self, seed: int | None = None) -> None:
-        """Start an episode at a pose that the task draws."""
-        self.seed = self.seed if seed is None else seed
-        self._begin(None)
+            self._begin()
 
     def drive_manually(self, is_manual: bool) -> None:
         """Let the user drive, or the policy again, from the present pose."""
@@ -131,11 +126,12 @@ class Drive:
     def choose_world(self, number: int) -> None:
         """Start an episode in one of the worlds, counted from 0 and round again."""
         self.world_index = number % len(self.scene.spec.worlds)
-        self.restart()
+        self._begin()
 
     def next_episode(self) -> None:
         """Start an episode with the next seed."""
-        self.restart(self.seed + 1)
+        self.seed += 1
+        self._begin()
 
     def toggle_pause(self) -> None:
         """Pause, or go on."""
@@ -261,7 +257,7 @@ class Drive:
         self._scene, self._driver = scene, driver
         self.policy = driver if self.is_manual else self.selection.policy
 
-    def _begin(self, pose: np.ndarray | None) -> None:
+    def _begin(self, pose: np.ndarray | None = None) -> None:
         """Start an episode, at a pose (3,) or where the task draws one."""
         scene, rng = self.scene, np.random.default_rng(self.seed)
         spec = scene.spec if self.world_index is None else scene.spec.for_world(self.world_index)

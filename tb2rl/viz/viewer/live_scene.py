@@ -49,7 +49,8 @@ class LiveScene:
         self._offsets = np.broadcast_to(offsets, (len(worlds), 2))  # x, y [m]
         for index, (world, offset) in enumerate(zip(drawn, offsets, strict=True)):
             self._add_world(f"{self._root}/worlds/{index}", world, offset)
-        self._bounds = _outer_bounds(drawn, offsets)
+        low, high = np.hsplit(np.array([world.bounds for world in drawn]) + np.tile(offsets, 2), 2)
+        self._bounds = *low.min(axis=0).tolist(), *high.max(axis=0).tolist()  # min x, min y, max x, max y [m]
         model, height = _model(robot)
         self.robots = server.scene.add_batched_glb(f"{self._root}/robots", model, *_frames(np.zeros((len(worlds), 3))))
         self._label_height = height + 0.3  # [m]
@@ -151,18 +152,10 @@ class LiveScene:
 
 def _grid_offsets(worlds: Sequence[World]) -> np.ndarray:
     """Offsets x, y [m] that place worlds side by side in a square grid, shape (worlds, 2)."""
-    sizes = [(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (world.bounds for world in worlds)]
-    columns, (width, height) = math.ceil(math.sqrt(len(worlds))), np.max(sizes, axis=0) + _GAP
-    cells = np.array([divmod(index, columns) for index in range(len(worlds))])
-    corners = np.array([world.bounds[:2] for world in worlds])
-    places = cells[:, ::-1] * np.array([width, -height])
-    return places - (corners - corners[0])
-
-
-def _outer_bounds(worlds: Sequence[World], offsets: np.ndarray) -> np.ndarray:
-    """Rectangle around all worlds: min x, min y, max x, max y [m], shape (4,)."""
-    bounds = np.array([world.bounds for world in worlds]) + np.tile(offsets, 2)
-    return np.concatenate([bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)])
+    low, high = np.hsplit(np.array([world.bounds for world in worlds]), 2)
+    width, height = (high - low).max(axis=0) + _GAP
+    rows, columns = np.divmod(np.arange(len(worlds)), math.ceil(math.sqrt(len(worlds))))
+    return np.column_stack([columns * width, -rows * height]) - (low - low[0])
 
 
 def _frames(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
