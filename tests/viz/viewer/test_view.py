@@ -27,7 +27,8 @@ def test_a_policy_drives_on_a_page_in_the_cell(is_loaded, shown):
     page = shown(load(name) if is_loaded else name, world="circuit", height=400)
     assert f"<iframe src='{page.url}'" in page._repr_html_()
     assert "height:400px" in page._repr_html_()
-    assert urllib.request.urlopen(page.url).status == 200
+    with urllib.request.urlopen(page.url) as response:
+        assert response.status == 200
 
 
 def test_settings_that_do_not_fit_are_named(shown):
