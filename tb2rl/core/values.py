@@ -1,6 +1,7 @@
 """Validates values of YAML files and keyword arguments, and makes frozen dataclasses from them.
 
-pydantic validates the values; this module converts its errors to messages of one line that include the key.
+pydantic validates the values; this module converts its errors to messages of one line that include the key. A string
+in `Annotated` describes the type in `python -m tb2rl.settings`.
 """
 
 import dataclasses
@@ -51,36 +52,44 @@ def _has_source(world: str | dict[str, Any]) -> bool:
     return isinstance(world, str) or isinstance(world.get("file", world.get("generator")), str)
 
 
-Pose = Annotated[tuple[float, float, float], _with_message("must be [x, y, yaw], in m and rad")]
+Pose = Annotated[tuple[float, float, float], "[x, y, yaw]", _with_message("must be [x, y, yaw], in m and rad")]
 _NAME_MESSAGE = 'must be a name, or "module:NAME" for an object in your own file'
 Name = Annotated[str, _with_message(_NAME_MESSAGE)]
-RobotSetting = Annotated[str | dict[str, Any], _with_message(f"{_NAME_MESSAGE}, or a robot file")]
+RobotSetting = Annotated[
+    str | dict[str, Any], "name, file or mapping", _with_message(f"{_NAME_MESSAGE}, or a robot file")
+]
 PAIR = BeforeValidator(lambda value: (value, value) if isinstance(value, int | float) else value)  # number to pair
 ASCENDING = _require(lambda pair: pair[0] <= pair[1], "must be a number, or the lowest and the highest")
 Names = Annotated[
     tuple[str, ...],
+    "name or list of names",
     Len(0, 100),
     BeforeValidator(lambda value: (value,) if isinstance(value, str) else value),
     _require(lambda names: len(set(names)) == len(names), "must be different names"),
 ]
 Bins = Annotated[  # borders between the classes of a discretized value
     tuple[float, ...],
+    "increasing list of float",
     Len(1, 1000),
     _require(lambda values: all(a < b for a, b in pairwise(values)), "must strictly increase"),
 ]
 Arguments = dict[str, Any]
 PluginNames = Annotated[
     tuple[str | Annotated[dict[str, Arguments | None], Len(1, 1)], ...],
+    "list of names",
     Len(0, 100),
     _with_message("must be a list of names, with or without arguments, such as [laser, {camera: {width: 64}}]"),
 ]
 SensorNames = Annotated[PluginNames, Len(1)]
 DynamicObstaclesSetting = Annotated[  # read by `tb2rl.worlds.dynamic_obstacles`
-    Any, BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+    Any,
+    "mapping or list of mappings",
+    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
 ]
 _World = Annotated[str | dict[str, Any], _require(_has_source, "must have a file or a generator")]
 Worlds = Annotated[  # read by `tb2rl.envs.worlds`
     _World | Annotated[tuple[_World, ...], Len(1, MAX_WORLDS)],
+    "name, file, mapping or list of these",
     _with_message(
         f"{_NAME_MESSAGE}, or a generator such as {{generator: clutter, difficulty: 0.5}}, or {{file: my_map.yaml}}, "
         f"or a list of 1 to {MAX_WORLDS} of these"

@@ -34,12 +34,12 @@ class Laser:
     circle the beams have equal gaps and one looks ahead; if their number is even, the first looks back.
     """
 
-    beams: Annotated[StrictInt, Ge(1)] = 720
+    beams: Annotated[StrictInt, Ge(1)] = 720  # number of beams
     indices: tuple[int, ...] | None = None  # indices of the selected beams, from right to left; None: all
     noise: Annotated[StrictFloat, Ge(0)] = 0.0  # [m] standard deviation of the Gaussian noise on finite ranges
-    field_of_view: Annotated[Positive, Le(math.tau)] = math.pi  # [rad]
-    min_range: Annotated[StrictFloat, Ge(0)] = 0.1  # [m]
-    max_range: Positive = 30.0  # [m]; without a hit the range is inf (REP 117)
+    field_of_view: Annotated[Positive, Le(math.tau)] = math.pi  # [rad] angle from the first beam to the last
+    min_range: Annotated[StrictFloat, Ge(0)] = 0.1  # [m] shortest measured range
+    max_range: Positive = 30.0  # [m] longest measured range; without a hit the range is inf (REP 117)
 
     @cached_property
     def angles(self) -> np.ndarray:
@@ -71,11 +71,11 @@ class Robot:
     urdf: Path  # file whose base link has the robot's frame
     wheel_joints: tuple[str, str]  # names of the left and the right joint in the URDF file
     radius: Positive  # [m] of the round base, which touches obstacles
-    wheel_radius: Positive  # [m]
+    wheel_radius: Positive  # [m] radius of the wheels
     wheel_separation: Positive  # [m] distance between the wheels
     wheel_torque: Positive  # [N m] largest torque of a wheel's motor
-    max_speed: Positive  # [m/s]
-    max_turn_rate: Positive  # [rad/s]
+    max_speed: Positive  # [m/s] largest speed
+    max_turn_rate: Positive  # [rad/s] largest turn rate
     # Measured in PyBullet, or MuJoCo, by `tb2rl.simulation.motors.measure_motors`:
     wheel_acceleration: Positive  # [m/s^2] acceleration of a wheel's rim by its own motor
     wheel_coupling: StrictFloat  # [m/s^2] added if the other motor pushes the same way, subtracted if the opposite way

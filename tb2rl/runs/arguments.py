@@ -25,10 +25,10 @@ LIBRARY_ERRORS = (  # errors of torch, numpy and Stable-Baselines3 for invalid v
     ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, RuntimeError, TypeError,
     ValueError,
 )  # fmt: skip
-_AGENT_RESERVED = {  # arguments of algorithms and baselines that users cannot set: tb2rl sets them or keeps defaults
+AGENT_RESERVED = {  # arguments of algorithms and baselines that users cannot set: tb2rl sets them or keeps defaults
     "policy", "env", "tensorboard_log", "verbose", "seed", "device", "_init_setup_model",
     "observation_space", "action_space", "vehicle", "replay_buffer_class", "replay_buffer_kwargs",
-    "rollout_buffer_class", "rollout_buffer_kwargs",
+    "rollout_buffer_class", "rollout_buffer_kwargs", "squash_output",
 }  # fmt: skip
 _MIN_IMAGE_SIDE = 36  # [pixels] least width and height for the convolutions of Stable-Baselines3
 _POLICY_RESERVED = {  # arguments of policies, features extractors and optimisers that users cannot set
@@ -56,7 +56,7 @@ def checked_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, A
     Plain values are converted to the annotated types. Schedules, noise and classes keep their YAML form.
     """
     algorithm = agent.load()
-    result = _checked_kwargs(algorithm, arguments, "agent", _AGENT_RESERVED)
+    result = _checked_kwargs(algorithm, arguments, "agent", AGENT_RESERVED)
     if agent.algorithm and result.get("policy_kwargs") is not None:
         policy = algorithm.policy_aliases.get(agent.policy) or import_object(agent.policy)
         setting = "agent.policy_kwargs"
@@ -66,7 +66,7 @@ def checked_arguments(agent: Agent, arguments: Mapping[str, Any]) -> dict[str, A
         for component in ("features_extractor", "optimizer"):
             class_key, key = f"{component}_class", f"{component}_kwargs"
             if key in policy_kwargs:
-                cls = policy_kwargs.get(class_key) or _constructor_parameters(policy)[class_key].default
+                cls = policy_kwargs.get(class_key) or constructor_parameters(policy)[class_key].default
                 cls = _import_torch_class(cls, f"{setting}.{class_key}") if isinstance(cls, str) else cls
                 policy_kwargs[key] = _checked_kwargs(cls, policy_kwargs[key], f"{setting}.{key}", _POLICY_RESERVED)
         result["policy_kwargs"] = policy_kwargs
@@ -114,7 +114,7 @@ class _GaussianNoise:
 
 def _checked_kwargs(cls: Any, arguments: Mapping[str, Any], where: str, reserved: set[str]) -> dict[str, Any]:
     """Check arguments of a class's constructor, and convert plain values; users cannot set the `reserved` names."""
-    known, annotations = _constructor_parameters(cls).keys() - reserved, _annotations(cls.__init__)
+    known, annotations = constructor_parameters(cls).keys() - reserved, type_hints(cls.__init__)
     result = dict(arguments)
     for key, value in arguments.items():
         if key not in known:
@@ -131,7 +131,7 @@ def _checked_kwargs(cls: Any, arguments: Mapping[str, Any], where: str, reserved
     return result
 
 
-def _constructor_parameters(cls: Any) -> dict[str, inspect.Parameter]:
+def constructor_parameters(cls: Any) -> dict[str, inspect.Parameter]:
     """The parameters of a constructor, without *args and **kwargs."""
     parameters = inspect.signature(cls).parameters
     variadic = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -148,8 +148,8 @@ def _import_torch_class(reference: str, where: str) -> type:
     return cls
 
 
-def _annotations(function: Any) -> dict[str, Any]:
+def type_hints(function_or_class: Any) -> dict[str, Any]:
     try:
-        return get_type_hints(function, localns={"VecEnv": VecEnv}, include_extras=True)  # for SB3's GymEnv
+        return get_type_hints(function_or_class, localns={"VecEnv": VecEnv}, include_extras=True)  # for SB3's GymEnv
     except NameError:  # an annotation uses a name that is imported only for type checkers
         return {}

@@ -43,32 +43,34 @@ def _checked_simulator_name(name: str) -> str:
     return simulator.name
 
 
-SimulatorName = Annotated[str, AfterValidator(_checked_simulator_name)]
+SimulatorName = Annotated[str, "name of a simulator", AfterValidator(_checked_simulator_name)]
+Episodes = Annotated[int, Ge(1), Le(100_000)]
+Device = Annotated[str, "cpu, cuda, cuda:N, mps or auto", Field(pattern=r"^(auto|cpu|mps|cuda(:\d{1,2})?)$")]
 
 
 @dataclass(frozen=True)
 class TrainSettings:
     """Length, environments, evaluations and checkpoints of a training."""
 
-    total_timesteps: Count = 500_000  # control steps in all environments
+    total_timesteps: Count = 500_000  # [control steps] length of the training, in all environments
     episodes: Count | None = None  # maximum number of episodes in all environments; None: no limit
     episode_steps: Count | None = None  # [control steps] time limit of training episodes; None: the task's time limit
-    seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
+    seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0  # seed of the networks, the environments and the exploration
     simulation: SimulatorName = field(default_factory=lambda: default_physics().name)  # simulator to train in
     n_envs: Annotated[int, Ge(1), Le(100_000)] = 16  # number of environments; PyBullet divides them among processes
-    device: Annotated[str, Field(pattern=r"^(auto|cpu|mps|cuda(:\d{1,2})?)$")] = "cpu"
-    torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # ppo in the kinematic simulator is 15 % faster with 2 threads
+    device: Device = "cpu"  # device of the networks
+    torch_threads: Annotated[int, Ge(1), Le(256)] = 1  # threads of torch; 2 speed up ppo in kinematic by 15 %
     reward_scale: Annotated[float, Gt(0), Le(1e6)] = 1.0  # factor for rewards in training; logs are unscaled
     norm_obs: bool = False  # normalise observations by running mean and standard deviation (SB3's VecNormalize)
     norm_reward: bool = False  # normalise rewards by the standard deviation of returns, which cancels reward_scale
-    eval_freq: CountOrZero = 50_000  # control steps between evaluations; 0: no evaluations
+    eval_freq: CountOrZero = 50_000  # [control steps] between evaluations; 0: no evaluations
     eval_simulation: SimulatorName = field(default_factory=lambda: batch_simulator().name)  # simulator of evaluations
-    eval_episodes: Annotated[int, Ge(1), Le(100_000)] | None = None  # None: 1000, or 20 in physics or with images
+    eval_episodes: Episodes | None = None  # episodes of an evaluation; None: 1000, or 20 in physics or with images
     eval_steps: Count = 1000  # [control steps] time limit of evaluation episodes
     best_by: Literal["success", "return"] = "success"  # metric of the best policy: success rate or mean return
     stop_score: Fraction | None = None  # rate of good episodes in evaluations at which to stop; None: never
     stop_evaluations: Count = 2  # number of consecutive evaluations that must reach stop_score
-    save_freq: CountOrZero = 50_000  # control steps between checkpoints; 0: only the last
+    save_freq: CountOrZero = 50_000  # [control steps] between checkpoints; 0: only the last
     keep: Count = 2  # number of latest checkpoints to keep
     track: Names = ()  # trackers beside TensorBoard: mlflow, wandb or module:Class
 
@@ -81,7 +83,7 @@ class Config:
     agent_arguments: Mapping[str, Any]  # arguments of the agent's algorithm, or of its policy if it does not learn
     task_name: str  # name or reference, see `tb2rl.tasks.task.find_task`
     task: Task
-    observation: str  # observation mode, "discrete" or "raw"
+    observation: str  # observation mode, "discrete" or "raw"; default: that of the agent
     train: TrainSettings
     agent: Agent = field(compare=False, repr=False)  # with the policy for the observation space, see `with_policy`
     scene: Scene = field(compare=False, repr=False)  # the environment that the task's settings describe
@@ -174,7 +176,7 @@ def resolve(
     kinematic_layers = [f"kinematic/{agent_name}"] if chosen["train"].get("simulation") == "kinematic" else []
     layers = [f"tasks/{task_name}", f"agents/{agent_name}", *kinematic_layers, f"tasks/{task_name}-{agent_name}"]
     robot_layer = {"task": with_robot_settings({"robot": robot}, task_class)} if robot else {}
-    return config_from(_merge(*map(_read_layer, layers), robot_layer, chosen))
+    return config_from(merge_layers(*map(read_layer, layers), robot_layer, chosen))
 
 
 def as_preset(
@@ -186,7 +188,7 @@ def as_preset(
     """Combine the arguments of `resolve` into one preset that resolves to the same config."""
     file = find_file(preset, top_folder("configs"), "preset") if preset else None
     preset_layer = checked_sections(read_yaml(file), f"preset {preset}") if file else {}
-    tree = _merge(preset_layer, _nest(settings or {}))
+    tree = merge_layers(preset_layer, _nest(settings or {}))
     for section, name_or_class in (("agent", agent), ("task", task)):
         name = reference_to(name_or_class) if isinstance(name_or_class, type) else name_or_class
         tree[section]["name"] = str(name or tree[section].get("name") or DEFAULTS[section])
@@ -223,17 +225,18 @@ def _nest(settings: Mapping[str, Any]) -> Layer:
     return checked_sections(tree, "the settings")
 
 
-def _read_layer(name: str) -> Layer:
+def read_layer(name: str) -> Layer:
+    """Read a file of `configs`, such as "agents/ppo"; no values if there is none."""
     file = top_folder("configs") / f"{name}.yaml"
     return checked_sections(read_yaml(file), f"configs/{name}.yaml") if file.is_file() else {}
 
 
-def _merge(*layers: Layer) -> dict[str, Any]:
+def merge_layers(*layers: Layer) -> dict[str, Any]:
     """Merge layers key by key; schedules, and mappings that describe a world, are replaced, not merged."""
     tree: dict[str, Any] = {}
     for layer in layers:
         for key, value in layer.items():
             old_value = tree.get(key)
             is_leaf = not isinstance(value, Mapping) or is_schedule(value) or "file" in value or "generator" in value
-            tree[key] = _merge(old_value, value) if isinstance(old_value, Mapping) and not is_leaf else value
+            tree[key] = merge_layers(old_value, value) if isinstance(old_value, Mapping) and not is_leaf else value
     return tree

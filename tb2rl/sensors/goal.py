@@ -21,7 +21,7 @@ Lookahead = Annotated[Positive, Le(100)]  # [m] limited because the computing ti
 
 
 class GoalDistance(Sensor):
-    """Distance to the goal [m]; `bins` are in metres."""
+    """Distance to the goal [m], with `bins` [m]."""
 
     name, unit, low, high = "goal distance", "m", 0.0, 100.0
 
@@ -33,7 +33,7 @@ class GoalDistance(Sensor):
 
 
 class GoalBearing(Sensor):
-    """Bearing of the goal: the angle from straight ahead, positive to the left [rad]; `bins` are in radians."""
+    """Bearing of the goal: the angle from straight ahead, positive to the left [rad], with `bins` [rad]."""
 
     name, unit, low, high = "goal bearing", "rad", -math.pi, math.pi
 
@@ -66,7 +66,7 @@ class Waypoint(Sensor):
 
     Args:
         lookahead: Distance from the robot along the path [m]; the point is the goal if the path is shorter.
-        bins: Borders between bins of both coordinates [m].
+        bins: Borders between bins [m].
     """
 
     name, unit, shape = "waypoint", "m", (2,)
@@ -81,7 +81,7 @@ class Waypoint(Sensor):
 
 
 class WaypointBearing(Waypoint):
-    """Bearing of the lookahead point: the angle from straight ahead, positive to the left [rad]; `bins` in radians."""
+    """Bearing of the lookahead point: the angle from straight ahead, positive to the left [rad], with `bins` [rad]."""
 
     name, unit, shape = "waypoint bearing", "rad", (1,)
 

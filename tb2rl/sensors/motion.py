@@ -16,14 +16,14 @@ from tb2rl.simulation import RobotState
 
 
 class _Motion(Sensor):
-    """A number from -limit to limit; `bins` are shares of the limit."""
+    """A number from -limit to limit; `bins` [1] are shares of the limit."""
 
     def __init__(self, limit: float, bins: Bins) -> None:
         self.low, self.high, self.bins = -limit, limit, tuple(share * limit for share in bins)
 
 
 class ForwardSpeed(_Motion):
-    """Forward speed by odometry [m/s]; `bins` are shares of the robot's largest speed."""
+    """Forward speed by odometry [m/s]; `bins` [1] are shares of the robot's largest speed."""
 
     name, unit = "forward speed", "m/s"
 
@@ -35,7 +35,7 @@ class ForwardSpeed(_Motion):
 
 
 class TurnRate(_Motion):
-    """Turn rate by odometry, positive to the left [rad/s]; `bins` are shares of the robot's largest turn rate."""
+    """Turn rate by odometry, positive to the left [rad/s]; `bins` [1] are shares of the robot's largest turn rate."""
 
     name, unit = "turn rate", "rad/s"
 
@@ -58,7 +58,7 @@ class YawRate(TurnRate):
 class ForwardAcceleration(_Motion):
     """Mean forward acceleration since the last state, as an accelerometer measures it [m/s^2].
 
-    Values are clipped to the limit of the motors, because impacts exceed it. `bins` are shares of this limit.
+    Values are clipped to the limit of the motors, because impacts exceed it. `bins` [1] are shares of this limit.
     """
 
     name, unit = "forward acceleration", "m/s^2"

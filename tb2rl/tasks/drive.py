@@ -26,9 +26,9 @@ class Drive(CollisionTask):
     slight turns, so that the robot explores more of the world.
     """
 
-    max_speed: Positive = 0.65  # [m/s]; the lowest speed is 0
+    max_speed: Positive = 0.65  # [m/s] largest forward speed; the lowest is 0
     turn_rate: Positive = 2.0  # [rad/s] largest turn rate to both sides
-    collision_reward: float = -2.0  # minus the reward of 2 m straight ahead
+    collision_reward: float = -2.0  # replaces the step's reward; minus the reward of 2 m straight ahead
     turn_cost: NonNegative = 0.0  # share of v dt lost in the sharpest turns; at 0.3 rad/s half of this share
 
     @cached_property

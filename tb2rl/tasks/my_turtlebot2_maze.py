@@ -21,8 +21,8 @@ from tb2rl.tasks.wander import Wander
 class MyTurtleBot2Maze(Wander):
     """Wander, with a reverse gear whose use is penalised."""
 
-    backward_speed: float = -0.05  # [m/s]
-    backward_reward: float = -5.0
+    backward_speed: float = -0.05  # [m/s] speed of the action `backward`
+    backward_reward: float = -5.0  # reward of a step backward
 
     @cached_property
     def actions(self) -> Commands:

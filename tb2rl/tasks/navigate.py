@@ -45,22 +45,22 @@ class Navigate(Task):
 
     world: Worlds = "mixed"
     goal: Point | None = None  # x, y [m]; None: the world's goal, or a random goal
-    guide: Literal["goal", "plan"] = "goal"
-    map: Literal["known", "online"] = "known"
-    lookahead: Lookahead = LOOKAHEAD  # [m] from the robot to the lookahead point, along the path
+    guide: Literal["goal", "plan"] = "goal"  # what leads the robot: the goal, or a planned path
+    map: Literal["known", "online"] = "known"  # map of the planner: of the world, or built from laser scans
+    lookahead: Lookahead = LOOKAHEAD  # [m] distance from the robot to the lookahead point, along the path
     start_clearance: Clearance = 0.25  # [m]
     control_period: Period = 0.1  # [s]
     episode_steps: Count = 600
     beams: Beams | None = 60
-    max_speed: Positive = 0.65  # [m/s]; the lowest speed is 0
+    max_speed: Positive = 0.65  # [m/s] largest forward speed; the lowest is 0
     turn_rate: Positive = 2.0  # [rad/s] largest turn rate to both sides
     named_actions: bool = False  # whether actions are five named commands, not continuous velocities
     goal_radius: Positive = 0.3  # [m] distance to the goal at which it is reached
     goal_reward: float = 10.0  # replaces the reward of the step
     collision_reward: float = -10.0  # replaces the reward of the step
-    progress_reward: float = 2.5  # per metre of path
-    step_reward: float = -0.05
-    turn_reward: float = -0.02  # at `turn_rate`; in proportion at lower turn rates
+    progress_reward: float = 2.5  # [1/m] reward per metre of path
+    step_reward: float = -0.05  # reward of each step
+    turn_reward: float = -0.02  # added at `turn_rate`; in proportion at lower turn rates
     margin: NonNegative = 0.1  # [m] gaps between robot and obstacle below this are penalised
     margin_reward: float = -0.1  # added at a gap of 0; at gaps below `margin`, scaled by 1 - gap / margin
 

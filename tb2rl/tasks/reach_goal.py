@@ -29,8 +29,8 @@ class ReachGoal(Wander):
     progress_reward: float = 5.0  # added to the reward of a step towards the goal
     goal_reward: float = 200.0  # replaces the reward of the step
     bounds: Bounds | None = None  # min x, min y, max x, max y [m]; outside is a failure; None: the world's bounds
-    distance_bins: Bins = DISTANCE_BINS  # [m]
-    bearing_bins: Bins = BEARING_BINS  # [rad]
+    distance_bins: Bins = DISTANCE_BINS  # [m] borders between bins of the goal's distance
+    bearing_bins: Bins = BEARING_BINS  # [rad] borders between bins of the goal's bearing
 
     def sensors(self, spec: SimulationSpec) -> tuple[Sensor, ...]:
         return (*super().sensors(spec), GoalDistance(self.distance_bins), GoalBearing(self.bearing_bins))

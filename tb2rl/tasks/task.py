@@ -34,6 +34,7 @@ from tb2rl.worlds import World
 Beams = Annotated[int, Ge(1), Le(100_000)]
 Clearance = Annotated[float, Gt(0), Le(100)]  # [m]
 Period = Annotated[float, Gt(0), Le(60)]  # [s]
+VariationSetting = Annotated[Any, "name, mapping or file"]  # read by `Task.resolved_variation`
 # Names of endings:
 TIME_LIMIT = "time limit"  # the episode reached `episode_steps`
 COLLISION, DYNAMIC_COLLISION = "collision", "collision with a dynamic obstacle"
@@ -107,16 +108,16 @@ class Task(ABC):
 
     robot: RobotSetting = "turtlebot2"  # a name, "module:ROBOT", or a robot file: see tb2rl/robots/README.md
     world: Worlds = "loop"  # a name, a list, or settings of a generator: see tb2rl/worlds/README.md
-    start: Literal["fixed", "random"] = "random"
+    start: Literal["fixed", "random"] = "random"  # start of episodes: that of the world, or anywhere
     start_clearance: Clearance = 0.6  # [m] least distance of a random start from walls and bounds
-    control_period: Period = 0.2  # [s]
-    episode_steps: Count = 1500  # [control steps] the time limit
+    control_period: Period = 0.2  # [s] duration of a control step
+    episode_steps: Count = 1500  # [control steps] time limit of an episode
     beams: Beams | None = None  # number of laser beams; None: the default of the observation mode
-    field_of_view: Annotated[float, Gt(0), Le(math.tau)] | None = None  # [rad] that beams cover; None: the laser's
+    field_of_view: Annotated[float, Gt(0), Le(math.tau)] | None = None  # [rad] angle of all beams; None: the laser's
     beam_indices: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 1000)] | None = None  # beams to read; None: all
     laser_noise: NonNegative = 0.0  # [m] standard deviation of the ranges; 0.01 is realistic
-    variation: Any = "none"  # a preset, ranges by name, or a robot file: see tb2rl/robots/README.md
-    dynamic_obstacles: DynamicObstaclesSetting = None  # such as {people: 4}: see tb2rl/worlds/README.md
+    variation: VariationSetting = "none"  # a preset, ranges by name, or a robot file: see tb2rl/robots/README.md
+    dynamic_obstacles: DynamicObstaclesSetting = None  # groups, such as {people: 4}: see tb2rl/worlds/README.md
     frame_stack: Annotated[int, Ge(1), Le(100)] = 1  # number of stacked observations, the oldest first
     range_bins: Bins = (0.7, 1.0, 1.7)  # [m] borders between bins of laser ranges
     observe: SensorNames | None = None  # sensors by name: see tb2rl/sensors/README.md; None: the task's `sensors`
@@ -183,7 +184,7 @@ class CollisionTask(Task):
     """A task whose episodes end at a collision, which is a contact, or a range below `collision_range`."""
 
     collision_reward: float = -200.0  # replaces the step's reward
-    collision_range: NonNegative = 0.5  # [m]
+    collision_range: NonNegative = 0.5  # [m] a range below this is a collision
     margin: NonNegative = 0.0  # [m] gaps between robot and obstacle below this are penalised
     margin_reward: float = 0.0  # added at a gap of 0 (negative); at gaps below `margin`, scaled by (1 - gap / margin)^2
 

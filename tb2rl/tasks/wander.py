@@ -18,11 +18,11 @@ class Wander(CollisionTask):
     tutorial's 0.3 rad/s a robot that detects a wall at 1 m hardly avoids it.
     """
 
-    forward_speed: float = 0.5  # [m/s]
+    forward_speed: float = 0.5  # [m/s] speed of the action `forward`
     turn_speed: float = 0.05  # [m/s] forward speed while turning
-    turn_rate: float = 1.0  # [rad/s]
-    forward_reward: float = 5.0
-    turn_reward: float = 1.0
+    turn_rate: float = 1.0  # [rad/s] turn rate of the actions `left` and `right`
+    forward_reward: float = 5.0  # reward of a step forward
+    turn_reward: float = 1.0  # reward of a step with a turn
 
     @cached_property
     def actions(self) -> Commands:

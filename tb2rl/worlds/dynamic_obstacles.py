@@ -15,6 +15,7 @@ _Count = Annotated[int, Ge(0), Le(MAX_OBSTACLES)]
 _Speed = Annotated[float, Ge(0.001), Le(5)]
 _Length = Annotated[float, Ge(0.001), Le(10)]
 _Coordinate = Annotated[float, Ge(-1e6), Le(1e6)]
+_Path = Annotated[tuple[tuple[_Coordinate, _Coordinate], ...], "list of [x, y]", Len(2, 1000)]
 
 
 @dataclass(frozen=True)
@@ -25,15 +26,14 @@ class DynamicObstacles:
     to random points or along a path; a box faces its direction of motion.
     """
 
-    people: _Count = 0
-    posts: _Count = 0
-    boxes: _Count = 0
+    people: _Count = 0  # number of people
+    posts: _Count = 0  # number of posts
+    boxes: _Count = 0  # number of boxes
     radius: _Length = 0.25  # [m] radius of people and posts
     size: tuple[_Length, _Length] = (0.5, 0.4)  # [m] length and width of boxes
-    # [m/s] range of random speeds. People walk at 1.34 m/s on a free pavement (Weidmann 1993), and slower in a room.
-    speed: Annotated[tuple[_Speed, _Speed], PAIR, ASCENDING] = (0.5, 1.0)
-    # [m] x, y of the waypoints of posts and boxes; None: random waypoints.
-    path: Annotated[tuple[tuple[_Coordinate, _Coordinate], ...], Len(2, 1000)] | None = None
+    # People walk at 1.34 m/s on a free pavement (Weidmann 1993), and slower in a room.
+    speed: Annotated[tuple[_Speed, _Speed], PAIR, ASCENDING] = (0.5, 1.0)  # [m/s] range of random speeds
+    path: _Path | None = None  # [m] x, y of the waypoints of posts and boxes; None: random waypoints
     closed: bool = False  # whether the path is a loop; otherwise obstacles move back and forth
     avoid_robot: bool = False  # whether people avoid the robot, too
     presence: Fraction = 1.0  # probability that the group is present in an episode

@@ -39,8 +39,8 @@ class GeneratorSettings:
     generator: str  # name of a generator, or "module:function"
     worlds: Annotated[int, Ge(1), Le(MAX_WORLDS)] = 512  # number of worlds for each purpose
     difficulty: Annotated[tuple[Fraction, Fraction], PAIR, ASCENDING] = (0.0, 1.0)  # range of random difficulties
-    seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0
-    size: tuple[Side, Side] = (8.0, 8.0)  # [m] size of the floor
+    seed: Annotated[int, Ge(0), Le(2**32 - 1)] = 0  # seed of the worlds
+    size: tuple[Side, Side] = (8.0, 8.0)  # [m] size of the floor in x and y
 
 
 def generate(settings: GeneratorSettings, makers: Sequence[WorldMaker], purpose: Purpose) -> tuple[World, ...]:
