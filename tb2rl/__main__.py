@@ -18,6 +18,7 @@ _PLAIN_MODULES = [
     "play",
     "report",
     "ros",
+    "settings",
     "train",
     "tune",
     "warm",

@@ -88,7 +88,7 @@ def test_every_command_is_listed_in_a_line(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     main([])
     lines = capsys.readouterr().out.splitlines()
-    names = "benchmark calibrate convert demo evaluate export play report ros train tune warm worlds zoo"
+    names = "benchmark calibrate convert demo evaluate export play report ros settings train tune warm worlds zoo"
     assert " ".join(COMMANDS) == names
     for name, module in COMMANDS.items():
         (line,) = [line for line in lines if line.split()[:1] == [name]]

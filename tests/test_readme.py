@@ -154,7 +154,7 @@ def anchors(page: Path) -> list[str]:
     return [re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings]
 
 
-@pytest.mark.parametrize("page", [*PAGES, "CHANGELOG.md", "configs/SEEDS.md"])
+@pytest.mark.parametrize("page", [*PAGES, "CHANGELOG.md", "configs/SEEDS.md", "docs/reference/settings.md"])
 def test_every_link_of_a_page_leads_somewhere(page):
     for link in re.findall(r"\]\((?!http)([^)]+)\)", read(page)):
         path, _, anchor = link.partition("#")

@@ -83,7 +83,7 @@ class Config:
     agent_arguments: Mapping[str, Any]  # arguments of the agent's algorithm, or of its policy if it does not learn
     task_name: str  # name or reference, see `tb2rl.tasks.task.find_task`
     task: Task
-    observation: str  # observation mode, "discrete" or "raw"; default: that of the agent
+    observation: Annotated[str, "one of discrete, raw"]  # observation mode; default: that of the agent
     train: TrainSettings
     agent: Agent = field(compare=False, repr=False)  # with the policy for the observation space, see `with_policy`
     scene: Scene = field(compare=False, repr=False)  # the environment that the task's settings describe
