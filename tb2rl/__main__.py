@@ -41,9 +41,13 @@ def main(arguments: list[str] | None = None) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"tb2rl {tb2rl.__version__}")
+    parser.add_argument("--markdown", action="store_true", help="print the options of all commands in Markdown")
     parser.add_argument("command", nargs="?", help=argparse.SUPPRESS)
-    name = parser.parse_args(arguments[:1]).command  # the command parses the other arguments
-    if name is None:
+    options = parser.parse_args(arguments[:1])  # the command parses the other arguments
+    name = options.command
+    if options.markdown:
+        print(import_module("tb2rl.commands.reference").commands_page(COMMANDS), end="")
+    elif name is None:
         parser.print_help()
     elif name not in COMMANDS:
         raise unknown("command", name, COMMANDS)

@@ -1,4 +1,4 @@
-"""The page of settings is current and complete, and what it tells users to type works."""
+"""The pages of settings and commands are current and complete, and what they tell users to type works."""
 
 import dataclasses
 import inspect
@@ -25,7 +25,7 @@ from tb2rl.worlds.dynamic_obstacles import DynamicObstacles
 from tb2rl.worlds.generators import GENERATORS, GeneratorSettings
 
 CHECKOUT = Path(__file__).parent.parent
-PAGES = {"settings": "settings --markdown"}
+PAGES = {"settings": "settings --markdown", "commands": "--markdown"}
 DATACLASSES = {
     "train (group)": TrainSettings,
     "variation (group)": Variation,

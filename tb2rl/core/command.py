@@ -36,13 +36,17 @@ class Command:
     add_arguments: Callable[[ArgumentParser], None]
     uses_workers: bool = False  # whether it has `--simulation` and `--workers`, and the default simulator needs workers
 
-    def parse(self, arguments: list[str] | None = None) -> argparse.Namespace:
-        """Parse a command line, by default that of the program."""
+    def parser(self) -> ArgumentParser:
+        """A parser of command lines."""
         docstring = str(self.add_arguments.__globals__["__doc__"])
         parser = ArgumentParser(prog=f"python -m tb2rl.{self.name}", description=docstring.splitlines()[0])
         parser.set_defaults(run=f"tb2rl.commands.{self.name}:run")
         self.add_arguments(parser)
-        return parser.parse_args(arguments)
+        return parser
+
+    def parse(self, arguments: list[str] | None = None) -> argparse.Namespace:
+        """Parse a command line, by default that of the program."""
+        return self.parser().parse_args(arguments)
 
     def __call__(self, arguments: list[str] | None = None) -> None:
         with report_errors():
