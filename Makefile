@@ -14,7 +14,7 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 # Folder of packages in an environment, such as lib/python3.11/site-packages.
 SITE = $(shell $(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib', vars={'base': '.'}))")
 
-.PHONY: train test newest install-newest check slow ros lowest clean
+.PHONY: train test newest install-newest check slow docs ros lowest clean
 
 train: $(VENV)/installed  ## set up, train the default agent, evaluate it
 	$(BIN)/python -m tb2rl.train --agent qlearn
@@ -44,6 +44,10 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	touch $@
+
+docs: $(VENV)/installed  ## build the site, with its notebooks, into build/docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -b html -c docs -d build/doctrees . build/docs
+	@echo "open build/docs/index.html"
 
 ros: $(ROS2)/installed  ## ROS 2 for its tests, in its own environment because its wheels start every Python twice
 

@@ -1,4 +1,4 @@
-"""Reinforcement learning for a TurtleBot2.
+"""Reinforcement learning for a TurtleBot2. Example::
 
     import tb2rl
     policy = tb2rl.load("runs/maze/dqn/NAME")

@@ -1,9 +1,11 @@
-"""The report in a Chromium without a network: it fits the window, nothing overlaps, and its controls work."""
+"""The report in a Chromium without a network: it fits the window, nothing overlaps, its controls work. The site."""
 
 import io
 import json
 import re
 import subprocess
+import sys
+import zlib
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +26,7 @@ from tb2rl import evaluate, report, train
 from tb2rl.rendering.colours import WALL
 from tb2rl.runs.folder import Run
 
+CHECKOUT = Path(__file__).parent.parent
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")  # Debian's
 FIREFOX = Path("/usr/bin/firefox-esr")
 IS_THERE = CHROMIUM.exists() and DRIVER.exists()
@@ -246,3 +249,35 @@ def test_a_drive_is_drawn(open_page, page, workdir):
         assert browser.title == "drive.bag"
         assert len(browser.find_elements(By.TAG_NAME, "figure")) == 4
         assert_figures_are_drawn(browser)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The site as of `make docs`, without executing its notebooks."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", "-b", "html"]
+    settings = ["-c", "docs", "-D", "nb_execution_mode=off", "-d", str(folder / "doctrees")]
+    subprocess.run([*command, *settings, ".", str(folder / "html")], cwd=CHECKOUT, check=True)
+    return folder / "html"
+
+
+def test_every_public_name_is_on_the_site_and_no_other(site):
+    public_modules = re.findall(r"automodule:: (\S+)", (CHECKOUT / "docs/reference/api.md").read_text())
+    public = {f"{module}.{name}" for module in public_modules for name in import_module(module).__all__}
+    inventory = zlib.decompress((site / "objects.inv").read_bytes().split(b"\n", 4)[4]).decode()
+    documented = set(re.findall(r"^(\S+) py:(?!module)", inventory, flags=re.MULTILINE))
+    assert {name for name in documented if name.rpartition(".")[0] in public_modules} == public
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_site_is_searched_and_read_from_disk(width, site, browser):
+    metrics = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.get(f"{site.as_uri()}/search.html?q=domain+randomisation")
+    wait = WebDriverWait(browser, 20)
+    wait.until(
+        lambda _: "Robots" in [link.text for link in browser.find_elements(By.CSS_SELECTOR, "#search-results a")]
+    )
+    browser.get(f"{site.as_uri()}/index.html")
+    wait.until(lambda _: browser.current_url.endswith("README.html"))
+    assert browser.execute_script("return document.documentElement.scrollWidth") == width

@@ -18,6 +18,7 @@ CHECKOUT = Path(__file__).parent.parent
 OF_ROOMS = [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "tb2rl").rglob("README.md"))]
 PAGES = ["README.md", "FROM_ROS.md", "CONTRIBUTING.md", *OF_ROOMS]
 PAGES += ["agents/README.md", "configs/README.md", "zoo/README.md"]
+PAGES += [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "docs").rglob("*.md"))]
 SHORTER = {  # arguments appended to a command to shorten it
     "train": "--simulation kinematic --n-envs 32 --total-timesteps 256 --eval-freq 0 --no-evaluation --no-progress",
     "evaluate": "--episodes 1 --steps 3 --workers 1",
@@ -154,7 +155,7 @@ def anchors(page: Path) -> list[str]:
     return [re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings]
 
 
-@pytest.mark.parametrize("page", [*PAGES, "CHANGELOG.md", "configs/SEEDS.md", "docs/reference/settings.md"])
+@pytest.mark.parametrize("page", [*PAGES, "CHANGELOG.md", "configs/SEEDS.md"])
 def test_every_link_of_a_page_leads_somewhere(page):
     for link in re.findall(r"\]\((?!http)([^)]+)\)", read(page)):
         path, _, anchor = link.partition("#")
@@ -177,10 +178,10 @@ def test_the_training_loop_of_the_page_for_ros_learns(module_folder, capsys):
     assert re.fullmatch(r"drove \d+ m, ended by [a-z ]+", lines[-1])
 
 
-def test_the_task_of_the_readme_does_what_the_built_in_one_does(module_folder):
+def test_the_task_of_the_page_does_what_the_built_in_one_does(module_folder):
     import tb2rl
 
-    save_files("README.md", module_folder)
+    save_files("docs/how-to/extend.md", module_folder)
     shown = tb2rl.make_env("my_task:MyTurtleBot2Maze", simulation="kinematic")
     built_in = tb2rl.make_env("my-maze", simulation="kinematic")
     assert shown.reset(seed=1)[0].tolist() == built_in.reset(seed=1)[0].tolist()
@@ -188,6 +189,17 @@ def test_the_task_of_the_readme_does_what_the_built_in_one_does(module_folder):
         assert shown.step(action)[1] == built_in.step(action)[1]
 
 
-def test_the_results_of_the_readme_are_those_of_the_zoo():
+def test_the_results_of_the_page_are_those_of_the_zoo():
     built = import_module("tb2rl.zoo.entry").entries()
-    assert import_module("tb2rl.zoo.cards").overview(built) in read("README.md")
+    assert import_module("tb2rl.zoo.cards").overview(built) in read("docs/explanation/evaluation.md")
+
+
+def test_the_readme_is_short():
+    assert len(read("README.md").split()) <= 900
+
+
+def test_the_page_of_the_api_has_every_module_with_public_names():
+    packages = [CHECKOUT / "tb2rl/__init__.py", *(CHECKOUT / "tb2rl").glob("*/__init__.py")]
+    public = [file.parent for file in packages if "\n__all__ = " in file.read_text(encoding="utf-8")]
+    modules = [".".join(folder.relative_to(CHECKOUT).parts) for folder in public]
+    assert sorted(re.findall(r"automodule:: (\S+)", read("docs/reference/api.md"))) == sorted(modules)

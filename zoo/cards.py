@@ -33,7 +33,7 @@ def table(built_entries: Sequence[Entry]) -> str:
 
 
 def overview(built_entries: Sequence[Entry]) -> str:
-    """Table of the project's README: a row for each combination of task, world and conditions, a column per agent."""
+    """Table of the page on evaluation: a row for each combination of task, world and conditions, a column per agent."""
     rows = defaultdict[str, dict[str, Entry]](dict)
     for entry in built_entries:
         title = filter(None, (entry.config.task_name, entry.config.scene.worlds_title, entry.conditions))

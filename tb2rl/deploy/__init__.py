@@ -9,3 +9,18 @@ from tb2rl.deploy.portable.policy_contract import Needs, Policy, SensorData
 from tb2rl.deploy.portable.scan_reader import Mounting, Scan, ScanReader
 from tb2rl.deploy.trained import TrainedPolicy
 from tb2rl.envs.filters import Filter, SpeedLimits
+
+__all__ = [
+    "Command",
+    "Driver",
+    "Filter",
+    "Finding",
+    "Mounting",
+    "Needs",
+    "Policy",
+    "Scan",
+    "ScanReader",
+    "SensorData",
+    "SpeedLimits",
+    "TrainedPolicy",
+]

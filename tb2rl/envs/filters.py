@@ -78,8 +78,8 @@ class SpeedLimits(Filter):
     """Scales commands down to speed limits; the robot stays on the same arc.
 
     Args:
-        speed: Largest |v| [m/s], above 0; the default is no limit.
-        turn_rate: Largest |w| [rad/s], above 0; the default is no limit.
+        speed: Largest absolute v [m/s], above 0; the default is no limit.
+        turn_rate: Largest absolute w [rad/s], above 0; the default is no limit.
 
     Raises:
         ValueError: If a limit is not above 0.

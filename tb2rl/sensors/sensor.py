@@ -8,7 +8,7 @@ from tb2rl.simulation import RobotState, SimulatorType
 
 
 class Sensor(ABC):
-    """A source of numbers, or of one image, in the observation. Example:
+    """A source of numbers, or of one image, in the observation. Example::
 
         class Compass(Sensor):
             name, unit = "compass", "rad"
@@ -36,4 +36,4 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, robot_state: RobotState) -> np.ndarray:
-        """Values, shape (num_envs, *shape)."""
+        """Values, shape (num_envs,) + `shape`."""

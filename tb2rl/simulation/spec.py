@@ -172,7 +172,7 @@ class InitialState:
 
     @cached_property
     def records(self) -> np.ndarray:
-        """The table as records, shape (num_envs,): `initial_state.records["mass"][:] = 1.2`."""
+        """The table as records, shape (num_envs,), such as `initial_state.records["mass"] = 1.2`."""
         return self.table.view(RECORD)[:, 0]
 
     def __getstate__(self) -> dict[str, Any]:  # without the cached view, which a copy would separate from the table

@@ -32,7 +32,7 @@ class Actions(ABC):
 
     @property
     def max_speed(self) -> float:
-        """Largest |v| of the commands [m/s]."""
+        """Largest absolute v of the commands [m/s]."""
         return float(np.abs(self.table[:, 0]).max())
 
     def clipped_to(self, robot: Robot) -> Self:

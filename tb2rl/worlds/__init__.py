@@ -16,6 +16,10 @@ __all__ = ["DynamicObstacles", "ImportOptions", "World"]
 _MODULES = {"DynamicObstacles": "dynamic_obstacles", "ImportOptions": "formats.imports", "World": "world"}
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'tb2rl.worlds' has no attribute {name!r}")

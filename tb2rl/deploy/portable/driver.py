@@ -60,7 +60,7 @@ class Command:
 
 
 class Driver:
-    """Drives one robot with a policy.
+    """Drives one robot with a policy. Example::
 
         driver = Driver(policy)
         driver.see_scan(Scan(ranges, angle_min, angle_increment, range_min, range_max), stamp)

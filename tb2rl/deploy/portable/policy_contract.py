@@ -31,8 +31,8 @@ class Needs:
         min_range: Shortest range [m]; nearer obstacles have this range.
         max_range: Longest range [m]; the range of farther obstacles is inf.
         period: Duration of a control step [s].
-        max_speed: Largest |v| of the policy's commands [m/s].
-        max_turn_rate: Largest |w| of the policy's commands [rad/s].
+        max_speed: Largest absolute v of the policy's commands [m/s].
+        max_turn_rate: Largest absolute w of the policy's commands [rad/s].
         robot: Name of the robot in the training.
         uses_odometry: Whether the policy uses `SensorData.pose` or `SensorData.twist`.
         goal: "goal" if the policy needs a goal, "plan" if it also needs a waypoint on a planned path, else None.

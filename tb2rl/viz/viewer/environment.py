@@ -84,7 +84,7 @@ class View:
 
 
 def view(policy_or_env: Any, height: int = 600, **settings: Any) -> View:
-    """Show a driving policy, or an environment while other code steps it, in a page of this computer's browser.
+    """Show a driving policy, or an environment while other code steps it, in a page of the browser. Example::
 
         tb2rl.view("zoo:navigate-plan-ppo", world="rooms")
 
