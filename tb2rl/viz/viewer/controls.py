@@ -21,7 +21,15 @@ from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
 
 _SPEEDS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)  # simulated seconds per second
 _MAX_PEOPLE, _MAX_SEED = 8, 100_000
-_MOVE_GOAL = "move the goal"  # the first meaning of a click
+_MOVE_GOAL, _MOVE_ROBOT = "move the goal", "move the robot"  # meanings of a click
+_ADD_WALL, _ADD_POST, _REMOVE = "add a wall", "add a post", "remove"
+_HINTS = {
+    _MOVE_GOAL: "Click on the floor, or drag the green disc. Only the tasks *navigate* and *wall* have a goal.",
+    _MOVE_ROBOT: "Click on the floor, or drag the robot.",
+    _ADD_WALL: "Click where the wall begins, then where it ends, both away from the robot.",
+    _ADD_POST: "Click on the floor, away from the robot.",
+    _REMOVE: "Click on a wall or a post.",
+}
 _STEERING = {"faster": "W", "slower": "S", "left": "A", "right": "D", "stop": ""}
 _HOTKEYS = {"W": "arrowup", "S": "arrowdown", "A": "arrowleft", "D": "arrowright", "": "space"}
 
@@ -133,13 +141,15 @@ class Controls:
         """Select when a page, not this program, has changed a control; the controls follow what is possible."""
 
         def change() -> None:
+            chosen = self._values()  # now, because the user can change others while this selection is loaded
             try:
                 select()
             except InputError:
                 for each, value in self._selected:
                     each.value = value
                 raise
-            self._selected = self._values()
+            adapted = (self._policy, self._task)  # to each other, by the selection
+            self._selected = [(each, each.value if each in adapted else value) for each, value in chosen]
 
         handle.on_update(lambda event: self.request(change) if event.client is not None else None)
 
@@ -211,16 +221,16 @@ class Controls:
         drive = self._drive
         clicks: dict[str, Callable[[Point, Any, Any], object]] = {
             _MOVE_GOAL: lambda point, *_: drive.move_goal(*point),
-            "move the robot": lambda point, *_: drive.move_robot(*point),
-            "add a wall": self._add_wall,
-            "add a post": lambda point, *_: drive.change_world(add_post(drive.world, point)),
-            "remove": lambda _, *ray: drive.change_world(remove_obstacle(drive.world, *ray)),
+            _MOVE_ROBOT: lambda point, *_: drive.move_robot(*point),
+            _ADD_WALL: self._add_wall,
+            _ADD_POST: lambda point, *_: drive.change_world(add_post(drive.world, point)),
+            _REMOVE: lambda _, *ray: drive.change_world(remove_obstacle(drive.world, *ray)),
             "do nothing": lambda *_: None,
         }
         with self._gui.add_folder("Goal, walls and posts"):
             self._click = self._gui.add_dropdown("A click will", list(clicks), initial_value=_MOVE_GOAL)
-            text = "Drag the green disc to move the goal; drag the robot to lift it. A wall needs two clicks."
-            self._gui.add_markdown(text)
+            hint = self._gui.add_markdown(_HINTS[_MOVE_GOAL])
+        self._click.on_update(lambda _: setattr(hint, "content", _HINTS.get(self._click.value, "")))
 
         def click(*ray: Any) -> None:
             if (point := hit_floor(*ray)) and self._click.value in clicks:

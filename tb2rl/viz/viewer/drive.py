@@ -1,6 +1,7 @@
 """Live drives: episodes of a policy that the user changes while they run."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -47,6 +48,7 @@ class Drive:
         speed: Simulated seconds per second.
         world_index: The world of all episodes; None: the task draws one for each episode.
         step: The latest control step of the episode.
+        endings: Numbers of episodes that ended, by reason, since the latest selection.
         policy: The policy that drives.
         observation: The latest observation of the policy.
 
@@ -80,7 +82,7 @@ class Drive:
             raise InputError(f"{message}; take the robot as trained, or another policy") from None
         with self._all_or_nothing():
             self.is_manual &= selection.label == self.selection.label
-            self.selection, self.world_index = selection, None
+            self.selection, self.world_index, self.endings = selection, None, Counter[str]()
             self._open(scene)
             self._begin()
 
@@ -202,7 +204,7 @@ class Drive:
                 self._advance(self.speed / FRAME_RATE)
             show(self)
             next_time = max(next_time + 1 / FRAME_RATE, time.monotonic())
-            time.sleep(next_time - time.monotonic() if next_time > time.monotonic() else 0.0)
+            time.sleep(max(0.0, next_time - time.monotonic()))
 
     def close(self) -> None:
         """Close the simulator."""
@@ -233,6 +235,8 @@ class Drive:
             return
         self._path.append(step.before.pose[0])
         self.step = step
+        if step.info["ended"]:
+            self.endings[step.info["ended"]] += 1
 
     @contextmanager
     def _all_or_nothing(self) -> Iterator[None]:

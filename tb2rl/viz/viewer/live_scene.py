@@ -60,6 +60,10 @@ class LiveScene:
         self._plan = self._add_lines(f"{self._root}/plan", _PLAN_COLOUR)
         self._label = server.scene.add_label(f"{self._root}/filter", "", anchor="bottom-center", visible=False)
         self._goal_label = server.scene.add_label(f"{self._root}/goal", "goal", anchor="bottom-center", visible=False)
+        self._start = server.scene.add_label(
+            f"{self._root}/start", "start", anchor="bottom-center", font_screen_scale=0.8, visible=False
+        )
+        server.scene.add_cylinder(f"{self._root}/start/disc", 0.1, 0.01, color=_START_COLOUR)
         self._moving: dict[str, Any] = {}  # by shape
 
     def set_cameras(self) -> None:
@@ -110,7 +114,8 @@ class LiveScene:
         self._beams.points = _segments(np.broadcast_to(start, ends.shape), ends, _LINE_HEIGHT)
 
     def show_path(self, positions: np.ndarray, plan: np.ndarray) -> None:
-        """Draw the path of the first robot, and its plan, through positions x, y [m], each of shape (n, 2)."""
+        """Draw path, start and plan of the first robot, through positions x, y [m], each of shape (n, 2)."""
+        self._start.position, self._start.visible = (*(positions[0] + self._offsets[0]), 0.0), True
         for lines, points in ((self._path, positions), (self._plan, plan)):
             shown = points + self._offsets[0]
             lines.points = _segments(shown[:-1], shown[1:], 2 * _LINE_HEIGHT)  # above the beams
@@ -129,9 +134,6 @@ class LiveScene:
         add.add_box(f"{name}/floor", colour, size, position=(*centre, below), cast_shadow=False)
         grid = {"cell_size": 1.0, "section_size": 1.0, "section_color": (205, 198, 186), "section_thickness": 1.0}
         add.add_grid(f"{name}/grid", x1 - x0, y1 - y0, position=(*centre, 0.0), **grid)
-        start = world.start[0] + offset[0], world.start[1] + offset[1], 0.0
-        add.add_label(f"{name}/start", "start", position=start, anchor="bottom-center", font_screen_scale=0.8)
-        add.add_cylinder(f"{name}/start/disc", 0.1, 0.01, color=_START_COLOUR)
         x, y, half_length, half_width, cos, sin = world.boxes.T
         boxes, posts = np.column_stack([x, y, cos, sin, half_length, half_width]), np.zeros((len(world.posts), 6))
         posts[:, [X, Y, LENGTH]], posts[:, COS] = world.posts, 1.0

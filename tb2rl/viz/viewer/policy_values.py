@@ -76,7 +76,7 @@ def _actor_critic_values(policy: ActorCriticPolicy, tensor: th.Tensor, actions: 
 
 
 def _command_values(action: th.Tensor, value: float, actions: Actions) -> PolicyValues:
-    names, largest = ("v [m/s]", "w [rad/s]"), np.abs(actions.table).max(axis=0).tolist()
+    names, largest = ("forward speed [m/s]", "turn rate [rad/s]"), np.abs(actions.table).max(axis=0).tolist()
     command = actions.commands(action.cpu().numpy()[None])[0].tolist()
     limits = {name: (-high, high) for name, high in zip(names, largest, strict=True)}
     return PolicyValues(dict(zip(names, command, strict=True)), COMMAND, limits, value)

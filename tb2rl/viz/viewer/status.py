@@ -14,25 +14,35 @@ from tb2rl.viz.viewer.drive import Drive
 from tb2rl.viz.viewer.policy_values import PolicyValues, policy_values
 
 _MAX_NUMBERS = 12  # numbers of an observation that are shown
+_STILL = 0.03  # [m/s] or [rad/s] below which the robot does not move
 
 
 def status(drive: Drive) -> str:
     """What the robot does, where it is to go, and what it sees, as Markdown."""
     step, scene = drive.step, drive.scene
     v, w = step.after.twist[0].tolist()
-    kind = scene.actions.names[int(scene.actions.kinds(np.asarray([step.action]))[0])]
     paused = " (paused)" if drive.is_paused else ""
     who = "You drive" if drive.is_manual else f"{drive.selection.label} drives"
-    doing = f"{step.info['ended']}: a new episode begins" if step.info["ended"] else kind
+    doing = f"the episode ended: {step.info['ended']}" if step.info["ended"] else _motion(v, w)
+    endings = ", ".join(f"{reason} {count}" for reason, count in drive.endings.most_common()) or "none has ended"
     lines = [
         f"**{who}** {scene.robot.name}, task {drive.selection.config.task_name}, in {drive.episode_world.name}, "
         f"{drive.selection.simulator.title}",
-        f"**Doing:** {doing}{paused}, at {v:z.2f} m/s, turning {w:+z.2f} rad/s",
+        f"**Doing:** {doing}{paused}; {v:z.2f} m/s, {w:+z.2f} rad/s",
         f"**Goal:** {_goal_text(step.after, scene)}",
         f"**Sees:** {_nearest_text(step.after, scene)} (orange beams)",
         f"**Reward** {step.reward:+.3g}, **return** {step.episode_return:.4g}, **time** {drive.frame.time:.1f} s",
+        f"**Episodes so far:** {endings}",
     ]
     return "\n\n".join(lines)
+
+
+def _motion(v: float, w: float) -> str:
+    """A forward speed [m/s] and a turn rate [rad/s] in words."""
+    side = "" if abs(w) < _STILL else " to the left" if w > 0 else " to the right"
+    if abs(v) < _STILL:
+        return f"turning on the spot{side}" if side else "standing still"
+    return ("driving forward" if v > 0 else "driving backward") + (side and f", turning{side}")
 
 
 def _goal_text(state: RobotState, scene: Scene) -> str:
@@ -61,15 +71,15 @@ def _side(angle: float) -> str:
 def values(drive: Drive) -> str:
     """The numbers from which the policy chooses, as bars in HTML."""
     if drive.is_manual:
-        return "<p>You drive, so no policy computes anything.</p>"
+        return "<p style='padding:0 1em'>You drive, so no policy computes anything.</p>"
     found = policy_values(drive.policy, drive.observation, drive.scene.actions)
     if found is None:
-        return "<p>This policy computes no values for its actions.</p>"
+        return "<p style='padding:0 1em'>This policy computes no values for its actions.</p>"
     rows = "".join(
         _bar(name, score, *_extent(found, name), GOAL if found.is_chosen(name) else PATH)
         for name, score in found.scores.items()
     )
-    value = f"<p>Expected return: <b>{found.value:.3g}</b></p>"
+    value = f"<p>Expected return, the discounted sum of the rewards to come: <b>{found.value:.3g}</b></p>"
     text, observation = html.escape(found.meaning[0].upper() + found.meaning[1:]), _describe(drive.observation)
     return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {observation}</p></div>"
 
@@ -82,7 +92,7 @@ def _extent(found: PolicyValues, name: str) -> tuple[float, float]:
 
 
 def _bar(name: str, score: float, start: float, end: float, colour: str) -> str:
-    label = f"<span>{html.escape(name)}</span><span>{score:.3g}</span>"
+    label = f"<span>{html.escape(name)}</span><span>{score:.4g}</span>"
     style = f"margin-left:{100 * start:.0f}%;width:{100 * (end - start):.0f}%;height:0.6em;background:{colour}"
     return f"<div style='display:flex;justify-content:space-between'>{label}</div><div style='{style}'></div>"
 
@@ -91,5 +101,5 @@ def _describe(observation: Any) -> str:
     if isinstance(observation, dict):
         return ", ".join(f"{html.escape(key)} {np.shape(value)}" for key, value in observation.items())
     numbers = np.ravel(observation)
-    shown = " ".join(f"{number:.3g}" for number in numbers[:_MAX_NUMBERS])
+    shown = " ".join(f"{number:.2f}".removesuffix(".00") for number in numbers[:_MAX_NUMBERS])
     return f"{shown}{' ...' if numbers.size > _MAX_NUMBERS else ''} ({numbers.size} numbers)"

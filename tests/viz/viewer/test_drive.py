@@ -1,12 +1,17 @@
 """Live drives: what the user changes while the robot drives."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from tb2rl import InputError
 from tb2rl.viz.film import FilmOptions, open_episodes
-from tb2rl.viz.viewer.choices import make_selection
+from tb2rl.viz.viewer.choices import AS_TRAINED, make_selection
+from tb2rl.viz.viewer.controls import Controls
 from tb2rl.viz.viewer.drive import Drive
+from tb2rl.viz.viewer.server import ViewerServer
+from tb2rl.viz.viewer.status import status
 from tb2rl.worlds import edits
 
 
@@ -140,3 +145,41 @@ def test_the_observation_is_that_of_the_policys_latest_decision(drive):
     live = drive()
     assert live.observation in live.scene.observation_space
     assert live.policy.predict(live.observation)[0] == live.step.action
+
+
+def test_the_page_tells_what_the_robot_does_and_how_its_episodes_ended(drive):
+    live = drive("random", episode_steps=3)
+    for _ in range(4):
+        live.step_once()
+    assert live.endings == {"time limit": 1}
+    assert "**Episodes so far:** time limit 1" in status(live)
+    live = drive()
+    live.drive_manually(True)
+    live.step_once()
+    assert "**Doing:** standing still (paused); 0.00 m/s, +0.00 rad/s" in status(live)
+    for key, motion in (("A", "turning on the spot to the left"), ("W", "driving forward, turning to the left")):
+        live.press(key)
+        live.step_once()
+        assert f"**Doing:** {motion} (paused); " in status(live)
+
+
+def test_a_choice_while_another_one_is_loaded_is_undone_alone(drive):
+    live, server, messages = drive(simulation="kinematic"), ViewerServer(port=0), []
+    controls, event = Controls(server, live, follow=False), SimpleNamespace(client=object())
+
+    def change(handle, value) -> None:
+        handle._impl.value = value  # as a page does
+        for callback in handle._impl.update_cb:
+            callback(event)
+
+    def choose_robot_while_loading(selection) -> None:
+        if controls._robot.value == AS_TRAINED:
+            change(controls._robot, "unknown")
+        select(selection)
+
+    select, live.select = live.select, choose_robot_while_loading
+    change(controls._variation, "mild")
+    frames = iter(range(600))
+    live.run(lambda _: next(frames), messages.append, lambda: not messages)
+    server.stop()
+    assert (controls._variation.value, controls._robot.value) == ("mild", AS_TRAINED)
