@@ -13,10 +13,12 @@ from pathlib import Path
 import pytest
 
 from tb2rl.__main__ import COMMANDS
+from tb2rl.training.statistics import ADVICE
 
 CHECKOUT = Path(__file__).parent.parent
 OF_ROOMS = [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "tb2rl").rglob("README.md"))]
-PAGES = ["README.md", "FROM_ROS.md", "CONTRIBUTING.md", *OF_ROOMS]
+DOCS = [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "docs").rglob("*.md"))]
+PAGES = ["README.md", "FROM_ROS.md", "CONTRIBUTING.md", *DOCS, *OF_ROOMS]
 PAGES += ["agents/README.md", "configs/README.md", "zoo/README.md"]
 PAGES += [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "docs").rglob("*.md"))]
 SHORTER = {  # arguments appended to a command to shorten it
@@ -162,6 +164,12 @@ def test_every_link_of_a_page_leads_somewhere(page):
         target = (CHECKOUT / page).parent / path if path else CHECKOUT / page
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
+
+
+@pytest.mark.parametrize("problem", ADVICE)
+def test_the_advice_of_a_training_names_an_entry_of_the_page_of_symptoms(problem):
+    page, _, anchor = ADVICE[problem].rpartition("(")[2].removesuffix(")").partition("#")
+    assert anchor in anchors(CHECKOUT / page)
 
 
 @pytest.mark.slow

@@ -28,11 +28,15 @@ _SPINNING_SPEED = 0.08  # [m/s] mean speed below which a robot spins; the tutori
 _SPINNING_FRACTION = 0.4  # fraction of the largest speed command that replaces _SPINNING_SPEED for slow robots
 _DIVERGENCE_FACTOR = 10.0  # predicted values diverge above this multiple of the largest possible return
 
-ADVICE = {
-    "values": "the values are not finite or larger than the rewards allow; try a smaller agent.learning_rate or gamma",
-    "failing": "most episodes fail at once; try more exploration, task.start_clearance=0.8, or a longer training",
-    "spinning": "the robot spins; try a larger task.forward_reward, a smaller task.turn_reward, or gamma nearer 1",
-    "flat": "the return has not risen for a third of the budget; try another agent.learning_rate, or more exploration",
+ADVICE = {  # each ends with its entry in the page of symptoms
+    "values": "the values are not finite or larger than the rewards allow; try a smaller agent.learning_rate or gamma"
+    " (docs/troubleshooting.md#values-diverge)",
+    "failing": "most episodes fail at once; try more exploration, task.start_clearance=0.8, or a longer training"
+    " (docs/troubleshooting.md#it-fails-at-once)",
+    "spinning": "the robot spins; try a larger task.forward_reward, a smaller task.turn_reward, or gamma nearer 1"
+    " (docs/troubleshooting.md#it-spins)",
+    "flat": "the return has not risen for a third of the budget; try another agent.learning_rate, or more exploration"
+    " (docs/troubleshooting.md#the-return-does-not-rise)",
 }
 
 
