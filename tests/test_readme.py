@@ -20,7 +20,6 @@ OF_ROOMS = [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "tb2r
 DOCS = [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "docs").rglob("*.md"))]
 PAGES = ["README.md", "FROM_ROS.md", "CONTRIBUTING.md", *DOCS, *OF_ROOMS]
 PAGES += ["agents/README.md", "configs/README.md", "zoo/README.md"]
-PAGES += [str(page.relative_to(CHECKOUT)) for page in sorted((CHECKOUT / "docs").rglob("*.md"))]
 SHORTER = {  # arguments appended to a command to shorten it
     "train": "--simulation kinematic --n-envs 32 --total-timesteps 256 --eval-freq 0 --no-evaluation --no-progress",
     "evaluate": "--episodes 1 --steps 3 --workers 1",

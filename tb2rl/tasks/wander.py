@@ -15,7 +15,7 @@ class Wander(CollisionTask):
     """Move forward, left or right; going straight earns more than turning, and a collision is penalised.
 
     Actions and rewards are those of the ROS tutorial that this project follows, except for the turn rate. At the
-    tutorial's 0.3 rad/s a robot that detects a wall at 1 m hardly avoids it.
+    tutorial's 0.3 rad/s a turn of 90 degrees takes 26 control steps.
     """
 
     forward_speed: float = 0.5  # [m/s] speed of the action `forward`
