@@ -130,7 +130,7 @@ def test_every_command_of_a_page_runs(page, module_folder):
             run(command, number)
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [page for page in PAGES if "course" not in page])  # tests/test_course.py runs those
 def test_every_python_example_of_a_page_runs(page, module_folder):
     save_files(page, module_folder)
     for block in blocks(page):
