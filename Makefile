@@ -39,7 +39,7 @@ check: $(VENV)/installed  ## format, lint, import contract, types, fast tests
 	$(BIN)/python -m pytest -n 2
 
 $(VENV)/installed: pyproject.toml constraints.txt
-	@test -x $(BIN)/pip || $(PYTHON) $(IS_SUPPORTED) 2>/dev/null || { echo "error: make needs Python 3.11 to 3.14, as in 'make PYTHON=/path/to/python train'; see 'Other systems and newer Pythons' in README.md" >&2; exit 2; }
+	@test -x $(BIN)/pip || $(PYTHON) $(IS_SUPPORTED) 2>/dev/null || { echo "error: make needs Python 3.11 to 3.14, as in 'make PYTHON=/path/to/python train'; see 'Other systems and newer Pythons' in docs/how-to/install.md" >&2; exit 2; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
