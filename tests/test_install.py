@@ -88,7 +88,7 @@ def test_make_without_a_fitting_python_names_the_section_for_other_systems(pytho
     command = ["make", "--silent", "--always-make", f"PYTHON={python}", f"VENV={tmp_path / 'venv'}", "test"]
     done = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    section = re.search(r"see '(.+?)' in (\S+)$", done.stderr)
+    section = re.search(r"see '(.+?)' in (\S+)", done.stderr)
     assert section, done.stderr
     assert f"\n## {section[1]}\n" in (CHECKOUT / section[2]).read_text(encoding="utf-8")
 
