@@ -1,6 +1,7 @@
 """Implementation of `python -m tb2rl.demo`: a tour of the zoo in the viewer."""
 
 import argparse
+from contextlib import suppress
 
 from tb2rl.core.compiled import announce_compiling
 from tb2rl.viz.viewer.server import open_server
@@ -38,7 +39,7 @@ TOUR = (  # arguments of each `TourStop`
 def run(arguments: argparse.Namespace) -> None:
     """Open the page of the tour, until Ctrl-C."""
     announce_compiling()
-    with open_server(arguments.host, arguments.port) as server:
+    with suppress(KeyboardInterrupt), open_server(arguments.host, arguments.port) as server:
         # Imported after the page is announced, because the browser starts meanwhile.
         from tb2rl.simulation.simulator import default_simulator
         from tb2rl.viz.viewer.choices import make_selection

@@ -1,6 +1,7 @@
 """Implementation of `python -m tb2rl.play`: a live drive, or what `commands/film.py` writes."""
 
 import argparse
+from contextlib import suppress
 
 from tb2rl.commands.arguments import refuse
 from tb2rl.core import exit_by_signal, handle_termination_signals
@@ -28,7 +29,7 @@ def _drive(arguments: argparse.Namespace) -> None:
     """Open a page, and drive until the user ends the program."""
     from tb2rl.viz.viewer.server import open_server  # imported here, because films and bags need no page
 
-    with open_server(arguments.host, arguments.port) as server:
+    with suppress(KeyboardInterrupt), open_server(arguments.host, arguments.port) as server:
         # Imported after the page is announced, because the browser starts meanwhile.
         from tb2rl.commands.film import chosen_drive, chosen_options
         from tb2rl.viz.viewer.drive import Selection

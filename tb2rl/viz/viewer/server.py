@@ -6,7 +6,7 @@ import socket
 import sys
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 import viser
@@ -70,12 +70,11 @@ class ViewerServer(viser.ViserServer):
 
 @contextmanager
 def open_server(host: str | None, port: int | None) -> Iterator[ViewerServer]:
-    """A server for a block that Ctrl-C ends; its page is announced."""
+    """A server for a block; its page is announced at the start and closed at the end."""
     server = ViewerServer(host, port)
     try:
-        with suppress(KeyboardInterrupt):
-            server.announce()
-            yield server
+        server.announce()
+        yield server
     finally:
         server.stop()
 
