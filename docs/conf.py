@@ -11,7 +11,7 @@ root_doc = "docs/index"
 # The files of the folders are their pages.
 include_patterns = ["*.md", "docs/**", "tb2rl/**/*.md", "agents/*.md", "configs/*.md", "zoo/*.ipynb"]
 include_patterns += ["zoo/README.md", "zoo/*/README.md"]
-exclude_patterns = ["docs/_build", "tb2rl/deploy/folder.md", ".*", "runs", "tests", "build"]
+exclude_patterns = ["tb2rl/deploy/folder.md", ".*", "runs", "tests", "build"]
 
 html_theme = "furo"
 html_title = "tb2rl"

@@ -23,6 +23,7 @@ from tb2rl.runs.loading import cached_reference, checkpoint_file, config_of, loa
 from tb2rl.simulation import find_simulator
 from tb2rl.viz.charts import GROUP_COLOURS, Curve, distinct_colours
 
+_IDENTITY = ("agent_name", "task_name", "task", "observation")  # fields of the config by which a policy fits it
 _EPISODES = 20  # number of episodes of an evaluation for the report
 TRAINING_CURVES = {  # by TensorBoard tag: title, label of the y axis, whether the values are rates
     "rollout/ep_rew_mean": ("Return in training (exploring policy)", "return of an episode", False),
@@ -167,9 +168,8 @@ def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool =
     """
     run = Run.open(folder, trust)
     curves, policy = read_curves(folder, run.config.task.goal_task), load(folder, trust)
-    # Without `train`, because a resume may have raised the total in the config since the best policy was saved.
-    policy_config, run_config = ({**config.to_dict(), "train": None} for config in (config_of(policy), run.config))
-    if policy_config != run_config:
+    # Not `train`, because a resume may have raised the total in the config since the best policy was saved.
+    if any(getattr(config_of(policy), name) != getattr(run.config, name) for name in _IDENTITY):
         raise InputError(f"{folder}: {config_file(folder).name} differs from the config in the policy's checkpoint")
     is_stored = run.has_evaluation_episodes
     evaluation = load_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress=progress)
