@@ -117,6 +117,14 @@ def test_an_agent_shows_the_values_of_its_presets():
     assert [row["tb2rl"], row["kinematic"]] == [str(value["agent"]["n_steps"]) for value in values]
 
 
+@pytest.mark.parametrize(("title", "setting"), [("qlearn (agent)", "agent.gamma"), ("wall (task)", "task.beams")])
+def test_an_agent_and_a_task_show_the_values_of_each_other(title, setting):
+    (row,) = [row for row in TABLES[title] if row["setting"] == setting]
+    section, key = setting.split(".")
+    preset = yaml.safe_load((CHECKOUT / "configs/tasks/wall-qlearn.yaml").read_text())
+    assert preset[section][key] in yaml.safe_load(row["task with agent"]).values()
+
+
 def test_an_unknown_name_is_refused(refused):
     refused(main, "settings ppoo", ["unknown settings 'ppoo'; did you mean 'ppo'?"])
     refused(main, "settings missing:Task", ["missing"])

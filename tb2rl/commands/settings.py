@@ -5,8 +5,9 @@ import inspect
 import math
 import re
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
+from functools import partial
 from itertools import accumulate, chain, pairwise
 from types import FunctionType
 from typing import Any
@@ -26,7 +27,7 @@ from tb2rl.envs.filters import Filter
 from tb2rl.envs.parts import SENSORS
 from tb2rl.robots.robot import find_robot
 from tb2rl.runs.arguments import AGENT_RESERVED, constructor_parameters, type_hints
-from tb2rl.runs.config import Config, TrainSettings, merge_layers, read_layer
+from tb2rl.runs.config import Config, Layer, TrainSettings, merge_layers, read_layer
 from tb2rl.sensors import Sensor
 from tb2rl.simulation.variation import Variation
 from tb2rl.tasks import Task
@@ -37,7 +38,8 @@ from tb2rl.worlds.generators import GENERATORS, GeneratorSettings
 
 Row = dict[str, str]  # texts by column
 _WITHOUT_EXAMPLE = None, inspect.Parameter.empty, math.inf  # values in whose place command lines have "VALUE"
-_VALUES = "default", "tb2rl", "kinematic"  # columns of values: in the code, in `configs`, for the kinematic simulator
+_PAIR = "task with agent"
+_VALUES = "default", "tb2rl", "kinematic", _PAIR  # columns of values: in the code, and in the layers of `configs`
 _RESERVED = AGENT_RESERVED | {"robot", "laser", "camera", "worlds"}  # arguments of constructors that users cannot set
 _GROUPS: dict[str, tuple[Any, ...]] = {  # arguments of `_rows`
     "train": (TrainSettings, "train"),
@@ -95,14 +97,17 @@ def _print_table(title: str, table_rows: Iterable[Row]) -> None:
 def rows(kind: str, name: str) -> Iterator[Row]:
     """Rows of the settings of a name or a reference; of an agent or a task, also of those that its presets change."""
     layers = {"task": [f"tasks/{name}"], "agent": [f"agents/{name}", f"kinematic/{name}"]}.get(kind, [])
-    others = [*_rows(TrainSettings, "train", layers), *(_rows(Task, "task", layers) if kind == "agent" else [])]
+    agents = {agent: read_layer(f"tasks/{name}-{agent}") for agent in core.agent_names() if kind == "task"}
+    pairs = agents | {task: read_layer(f"tasks/{task}-{name}") for task in core.task_names() if kind == "agent"}
+    configured = partial(_rows, layers=layers, pairs=pairs)
+    others = [*configured(TrainSettings, "train"), *(configured(Task, "task") if kind == "agent" else [])]
     if kind == "group":
         yield from _rows(*_GROUPS[name])
     elif kind == "task":
-        yield from _rows(find_task(name), "task", layers)
+        yield from configured(find_task(name), "task")
         yield from (row for row in _rows(Config, "task") if row["setting"] == "task.observation")
     elif kind == "agent":
-        yield from _rows(core.find_agent(name).load(), "agent", layers)
+        yield from configured(core.find_agent(name).load(), "agent")
     elif kind == "world generator":
         yield from _rows(GeneratorSettings, "task.world", also={"task.world.generator": name})
     elif kind == "robot":
@@ -115,15 +120,22 @@ def rows(kind: str, name: str) -> Iterator[Row]:
         for cls in classes:
             entry = name if len(classes) == 1 else core.reference_to(cls)
             yield from _rows(cls, "task.observe" if kind == "sensor" else "task.filters", entry=entry)
-    yield from (row for row in others if row["tb2rl"] or row["kinematic"])
+    yield from (row for row in others if any(row[column] for column in _VALUES[1:]))
 
 
 def _rows(
-    cls: Any, prefix: str, layers: Iterable[str] = (), also: dict | None = None, values: Any = None, entry: str = ""
+    cls: Any,
+    prefix: str,
+    layers: Iterable[str] = (),
+    also: dict | None = None,
+    values: Any = None,
+    entry: str = "",
+    pairs: Mapping[str, Layer] | None = None,
 ) -> Iterator[Row]:
     """Rows of a dataclass's fields, with the defaults of the object `values`, or of a constructor's arguments.
 
-    `entry` is the sensor or filter in the list `prefix` that has them; the command line also needs `also`.
+    `pairs` are the layers of a task with each agent, or of an agent at each task. `entry` is the sensor or filter in
+    the list `prefix` that has the fields; the command line also needs `also`.
     """
     is_plain, trees = is_dataclass(cls), [*accumulate(map(read_layer, layers), merge_layers)]
     described, hints = describe_fields(cls), type_hints(cls if is_plain else cls.__init__)
@@ -132,6 +144,9 @@ def _rows(
             default = getattr(values or cls, name, parameter.empty) if is_plain else parameter.default
             configured = [default, *(tree.get(prefix, {}).get(name, default) for tree in trees)]
             changed = ["" if new == old else _text(new) for old, new in pairwise(configured)]
+            paired = {
+                other: tree[prefix][name] for other, tree in (pairs or {}).items() if name in tree.get(prefix, {})
+            }
             key, value = f"{prefix}.{name}", "VALUE" if configured[-1] in _WITHOUT_EXAMPLE else configured[-1]
             assigned = {prefix: [{entry: {name: value}}]} if entry else {key: value} | (also or {})
             unit, meaning = described.get(name, ("", ""))
@@ -140,6 +155,7 @@ def _rows(
                 "type": describe_type(hints.get(name, Any)),
                 "default": "" if default is parameter.empty else _text(default),
                 **dict(zip(_VALUES[1:], [*changed, "", ""], strict=False)),
+                _PAIR: _text(paired) if paired else "",
                 "unit": unit,
                 "meaning": meaning,
                 "command line": " ".join(["--set", *(shlex.quote(f"{k}={_text(v)}") for k, v in assigned.items())]),
