@@ -6,6 +6,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import tomllib
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -212,3 +213,12 @@ def test_the_page_of_the_api_has_every_module_with_public_names():
     public = [file.parent for file in packages if "\n__all__ = " in file.read_text(encoding="utf-8")]
     modules = [".".join(folder.relative_to(CHECKOUT).parts) for folder in public]
     assert sorted(re.findall(r"automodule:: (\S+)", read("docs/reference/api.md"))) == sorted(modules)
+
+
+def test_the_page_of_the_installation_has_every_extra_and_the_versions():
+    project, text = tomllib.loads(read("pyproject.toml"))["project"], read("docs/how-to/install.md")
+    extras = text.partition("## Extras")[2].partition("\n## ")[0]
+    assert {*re.findall(r"(?<=[|,] )`(\w+)`", extras)} == {*project["optional-dependencies"]}
+    for package, lowest, tested in re.findall(r"^\| `(.+)` \| ([\d.]+) \| ([\d.]+) \|$", text, flags=re.MULTILINE):
+        assert any(re.split("[; ,]", wanted)[0] == f"{package}>={lowest}" for wanted in project["dependencies"])
+        assert f"\n{package}=={tested}\n" in read("constraints.txt").replace("_", "-")
