@@ -82,7 +82,7 @@ def test_wrong_input_is_refused_in_one_line(line, named, workdir, refused):
 def test_without_onnx_the_message_names_the_package(monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "onnx", None)
     monkeypatch.delitem(sys.modules, "tb2rl.deploy.graph", raising=False)
-    refused(export.main, "zoo:maze-loop-dqn policy.onnx", ["pip install onnx"])
+    refused(export.main, "zoo:maze-loop-dqn policy.onnx", ["needs onnx: pip install", ".[export]"])
 
 
 def test_images_and_sensors_of_ones_own_go_into_a_file_but_not_into_a_folder(untrained, workdir, refused):

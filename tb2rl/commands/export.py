@@ -9,6 +9,7 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from tb2rl.core import InputError, check_output
+from tb2rl.core.errors import install_extra
 from tb2rl.core.files import atomic_write
 from tb2rl.deploy.description import describe, find_portable_needs
 from tb2rl.deploy.folder import write_folder
@@ -32,7 +33,7 @@ def export_onnx(reference: str | Path, file: Path, trust: bool = False) -> None:
 
         from tb2rl.deploy.graph import build_graph
     except ImportError:
-        raise InputError("writing an .onnx file needs onnx, which is not installed: pip install onnx") from None
+        raise InputError(f"writing an .onnx file needs onnx: {install_extra('export')}") from None
     policy = load(reference, trust)
     config, input_spaces = config_of(policy), observation_spaces(policy.observation_space)
     metadata = {**describe(config, str(reference)), "config": config.to_dict()}
