@@ -16,7 +16,7 @@ from tb2rl.runs import config_of, load
 from tb2rl.simulation.simulator import default_simulator
 from tb2rl.viz.viewer.drive import Drive, Selection
 from tb2rl.viz.viewer.page import Page
-from tb2rl.viz.viewer.server import ViewerServer, has_clients
+from tb2rl.viz.viewer.server import ViewerServer
 from tb2rl.viz.viewer.training import LoopView
 
 
@@ -36,7 +36,7 @@ class EnvViewer:
 
     def show(self, env: TurtleBot2Env) -> None:
         """Draw the present state of the environment."""
-        if has_clients(self.server):
+        if self.server.has_clients:
             self._view.show(env.loop)
             (v, w), steps = env.loop.commands[0].tolist(), int(env.loop.lengths[0])
             self._text.content = f"**Step {steps}**: command v {v:.2f} m/s, w {w:+.2f} rad/s"

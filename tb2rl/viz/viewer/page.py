@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from tb2rl.viz.viewer.choices import AS_TRAINED
 from tb2rl.viz.viewer.controls import Controls
 from tb2rl.viz.viewer.drive import Drive, Selection
 from tb2rl.viz.viewer.live_scene import LiveScene
-from tb2rl.viz.viewer.server import ViewerServer, has_clients
+from tb2rl.viz.viewer.server import ViewerServer
 from tb2rl.viz.viewer.status import status, values
 
 _TEXT_PERIOD, _PICTURE_PERIOD = 0.2, 0.5  # [s] between updates of texts, and of the camera's picture
@@ -66,7 +66,7 @@ class Page:
     def show(self, drive: Drive) -> None:
         """Show the present frame; called 60 times a second."""
         live = self._scene_of(drive)
-        if not has_clients(self._server):
+        if not self._server.has_clients:
             return
         frame, scene, now = drive.frame, drive.scene, time.monotonic()
         outlines = None if frame.dynamic_obstacles is None else frame.dynamic_obstacles[None]
@@ -130,31 +130,36 @@ class Page:
 
 
 def drive_live(
-    server: ViewerServer,
     selection: Selection,
     seed: int = 0,
     speed: float = 1.0,
     follow: bool = False,
     is_manual: bool = False,
+    host: str | None = None,
+    port: int | None = None,
     tour: Sequence[TourStop] = (),
 ) -> None:
-    """Drive on a page, endlessly.
+    """Open a page, and drive until Ctrl-C.
 
     Args:
-        server: The server of the page.
         selection: The policy, the task and the simulator.
         seed: Seed of the first episode; each further episode adds 1.
         speed: Simulated seconds per second.
         follow: Whether the camera follows the robot.
         is_manual: Whether the user drives at the start.
+        host, port: See `ViewerServer`.
         tour: Stops of a tour; empty: no tour.
 
     Raises:
-        InputError: If the policy does not fit the task.
+        InputError: If the policy does not fit the task, or the page cannot be opened.
     """
-    with closing(Drive(selection, seed)) as drive:
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        drive = stack.enter_context(closing(Drive(selection, seed)))
         drive.speed = speed
         if is_manual:
             drive.drive_manually(True)
+        server = ViewerServer(host, port)
+        stack.callback(server.stop)
         page = Page(server, drive, follow, tour)
+        server.announce()  # before the first frame, because the browser starts while this process makes the 3D models
         drive.run(page.show, page.report, lambda: True)

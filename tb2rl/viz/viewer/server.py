@@ -5,9 +5,7 @@ import os
 import socket
 import sys
 import webbrowser
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
-from typing import Any
+from contextlib import redirect_stdout
 
 import viser
 
@@ -56,6 +54,11 @@ class ViewerServer(viser.ViserServer):
             super().stop()
 
     @property
+    def has_clients(self) -> bool:
+        """Whether anybody has opened the page; faster than `get_clients`, which copies."""
+        return bool(self._connected_clients)
+
+    @property
     def url(self) -> str:
         """Address of the page on this computer."""
         host = self.get_host()
@@ -66,22 +69,6 @@ class ViewerServer(viser.ViserServer):
         """A warning if other computers can open the page; else empty."""
         is_private = self.get_host() in _PRIVATE
         return "" if is_private else "everybody who can reach this computer can open the page and drive the robot"
-
-
-@contextmanager
-def open_server(host: str | None, port: int | None) -> Iterator[ViewerServer]:
-    """A server for a block; its page is announced at the start and closed at the end."""
-    server = ViewerServer(host, port)
-    try:
-        server.announce()
-        yield server
-    finally:
-        server.stop()
-
-
-def has_clients(server: Any) -> bool:
-    """Whether anybody has opened the page; faster than `get_clients`, which copies."""
-    return bool(server._connected_clients)
 
 
 def _check_address(host: str, port: int) -> None:

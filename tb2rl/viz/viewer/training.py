@@ -10,7 +10,7 @@ from viser import uplot
 from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.rendering.colours import GOAL, PATH
 from tb2rl.viz.viewer.live_scene import LiveScene
-from tb2rl.viz.viewer.server import ViewerServer, has_clients
+from tb2rl.viz.viewer.server import ViewerServer
 
 _FRAME_PERIOD, _CURVE_PERIOD, _WORLD_PERIOD = 0.05, 1.0, 3.0  # [s] between updates
 _MAX_ROBOTS, _MAX_WORLDS = 64, 9  # most robots in one world, and most worlds side by side
@@ -35,7 +35,7 @@ class TrainingViewer(BaseCallback):
         self._success = _add_curve(server, "Success of the latest episodes [%]", GOAL)
 
     def _on_step(self) -> bool:
-        if has_clients(self._server) and (now := time.monotonic()) >= self._next_frame:
+        if self._server.has_clients and (now := time.monotonic()) >= self._next_frame:
             self._next_frame = now + _FRAME_PERIOD
             self._show(now)
         return True

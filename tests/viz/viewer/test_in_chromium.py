@@ -16,7 +16,7 @@ from selenium.webdriver.common.keys import Keys
 from tb2rl import make_env, view
 from tb2rl.runs import Run, resolve
 from tb2rl.training.training import train_config
-from tb2rl.viz.viewer.server import ViewerServer, has_clients
+from tb2rl.viz.viewer.server import ViewerServer
 from tb2rl.viz.viewer.training import TrainingViewer
 
 pytestmark = [pytest.mark.slow, pytest.mark.flaky(reruns=2)]  # a busy software renderer misses clicks
@@ -163,7 +163,7 @@ def test_environments_that_train_and_their_curves(browser, tmp_path):
     viewer = TrainingViewer(server)
     config = resolve("qlearn", "maze", settings=SHORT)
     browser.get(server.url)
-    eventually(lambda: has_clients(server))
+    eventually(lambda: server.has_clients)
     training = Thread(target=train_config, args=(config, tmp_path / "run"), kwargs={"watchers": [viewer]})
     training.start()
     try:
@@ -182,7 +182,7 @@ def test_an_environment_that_other_code_steps(browser):
     env = make_env("maze", simulation="kinematic")
     page = view(env)
     browser.get(page.url)
-    eventually(lambda: has_clients(page.server))
+    eventually(lambda: page.server.has_clients)
     env.reset(seed=0)
     env.step(0)
     eventually(lambda: "Step 1" in browser.find_element(By.TAG_NAME, "body").text)
