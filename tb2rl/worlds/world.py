@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -23,6 +24,7 @@ from tb2rl.worlds.spatial_index import SpatialIndex, build_index
 
 WALL_HEIGHT = 0.5  # [m] higher than the laser, but low enough for views from above
 _BOX_NAMES, _POST_NAMES, _POSE_NAMES = ("x", "y", "length", "width", "yaw"), ("x", "y", "radius"), ("x", "y", "yaw")
+_SIZES = ("length", "width", "radius")  # names of numbers that must be above 0
 
 BoxShape = tuple[float, float, float, float, float]  # x, y, length, width [m], yaw [rad]
 PostShape = tuple[float, float, float]  # x, y, radius [m]
@@ -206,7 +208,12 @@ def post_polygons(rows: np.ndarray, segments: int = 32) -> np.ndarray:
 
 def _shape_table(shapes: Iterable[Iterable[float]], shape_name: str, owner: str) -> np.ndarray:
     """Table of boxes or posts, with a row for each shape."""
-    columns = _BOX_NAMES if shape_name == "box" else _POST_NAMES
+    columns, shapes = _BOX_NAMES if shape_name == "box" else _POST_NAMES, list(shapes)
+    with suppress(TypeError, ValueError):  # all at once, because generated worlds have thousands of shapes
+        table = np.array(shapes, dtype=float)
+        sizes = [name in _SIZES for name in columns]
+        if table.shape == (len(shapes), len(columns)) and np.isfinite(table).all() and (table[:, sizes] > 0).all():
+            return table
     label = f"{owner}: {shape_name}"
     rows = [_parse_numbers(shape, columns, f"{label} {i} (the first is 0)") for i, shape in enumerate(shapes)]
     return np.array(rows).reshape(-1, len(columns))
@@ -221,7 +228,7 @@ def _parse_numbers(values: Any, names: Sequence[str], label: str) -> list[float]
     if numbers.shape != (len(names),) or not np.isfinite(numbers).all():
         raise InputError(one_line(f"{label} must be {len(names)} numbers, {', '.join(names)}; got {values!r}"))
     for name, number in zip(names, numbers, strict=True):
-        if name in ("length", "width", "radius") and number <= 0:
+        if name in _SIZES and number <= 0:
             raise InputError(f"{label} must have a {name} above 0, got {number:g}")
     return numbers.tolist()
 
