@@ -18,6 +18,7 @@ from tb2rl.worlds.registry import world_extensions, world_names
 
 AS_TRAINED = "as trained"
 _GENERATED = "generated: "  # prefix of generators, because a world has the name of one
+MIXED = f"{_GENERATED}mixed"  # worlds of all kinds
 
 
 def policy_names() -> list[str]:
@@ -33,6 +34,14 @@ def is_baseline(name: str) -> bool:
         return name in agent_names() and find_agent(name).algorithm is None
     except InputError:  # a plugin that cannot be imported
         return False
+
+
+def describe(selection: Selection) -> str:
+    """What the policy of a selection is."""
+    if is_baseline(selection.label):
+        return "A rule, which has learned nothing."
+    config = config_of(selection.policy)
+    return f"Learned by {config.agent_name} at task {config.task_name}, in {config.scene.worlds_title}."
 
 
 def worlds() -> list[str]:

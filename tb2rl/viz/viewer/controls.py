@@ -24,13 +24,14 @@ _MAX_PEOPLE, _MAX_SEED = 8, 100_000
 _MOVE_GOAL, _MOVE_ROBOT = "move the goal", "move the robot"  # meanings of a click
 _ADD_WALL, _ADD_POST, _REMOVE = "add a wall", "add a post", "remove"
 _HINTS = {
-    _MOVE_GOAL: "Click on the floor, or drag the green disc. Only the tasks *navigate* and *wall* have a goal.",
+    _MOVE_GOAL: "Click on the floor, or drag the green disc.",
     _MOVE_ROBOT: "Click on the floor, or drag the robot.",
     _ADD_WALL: "Click where the wall begins, then where it ends, both away from the robot.",
     _ADD_POST: "Click on the floor, away from the robot.",
     _REMOVE: "Click on a wall or a post.",
 }
-_STEERING = {"faster": "W", "slower": "S", "left": "A", "right": "D", "stop": ""}
+_STEERING = {"accelerate": "W", "brake": "S", "turn left": "A", "turn right": "D", "stop": ""}
+_KEYS_HINT = "W A S D or arrows, space stops. If keys do nothing, click on the background first."
 _HOTKEYS = {"W": "arrowup", "S": "arrowdown", "A": "arrowleft", "D": "arrowright", "": "space"}
 
 
@@ -51,10 +52,13 @@ class Controls:
         task = first.config.task_name if choices.is_baseline(first.label) else ""
         self._loaded = {(first.label, task): first}  # by name, and by task if the policy can be given any
         self._add_playback(follow)
-        self._add_mouse()
-        self._add_steering()
-        self._add_policy()
         self._add_world()
+        self._add_mouse()
+        self._add_policy()
+        self._add_steering()
+        self._selected = self._values()
+        self._defaults: list[tuple[Any, Any]] = [pair for pair in self._selected if pair[0] is not self._simulation]
+        self._adapt_controls()
 
     @property
     def follows(self) -> bool:
@@ -101,6 +105,7 @@ class Controls:
         selection = self._drive.selection
         with self._gui.add_folder("Policy and task"):
             self._policy = self._add_choice("Policy", choices.policy_names(), selection.label)
+            self._description = self._gui.add_markdown("")
             self._hub = self._gui.add_text("hf:USER/REPOSITORY", initial_value="")
             load = self._gui.add_button("Load this policy from Hugging Face")
             self._task = self._add_choice("Task", task_names(), selection.config.task_name)
@@ -120,18 +125,20 @@ class Controls:
             self._people = gui.add_slider("People who walk", min=0, max=_MAX_PEOPLE, step=1, initial_value=0)
             self._variation = self._add_choice("Variation (noise, wear)", [*PRESETS])
             undo = gui.add_button("Undo walls, posts and goal")
-        for handle in (self._world, self._difficulty, self._people, self._variation):
+        for handle in (self._world, self._people, self._variation):
             self._on_update(handle, self._select)
+        self._on_update(self._difficulty, self._select_difficulty)
         self._on_update(self._number, self._select_number)
-        self._selected = self._values()
-        self._defaults: list[tuple[Any, Any]] = [pair for pair in self._selected if pair[0] is not self._simulation]
         undo.on_click(lambda _: self.request(lambda: self._drive.select(self._drive.selection)))
-        self._disable_controls()
 
-    def _disable_controls(self) -> None:
-        """Disable the controls that the world does not have."""
-        self._difficulty.disabled = not choices.is_generated(self._world.value)
-        self._number.disabled = self._difficulty.disabled and len(self._drive.scene.spec.worlds) == 1
+    def _adapt_controls(self) -> None:
+        """Adapt texts and controls to the policy, the task and the world."""
+        has_numbers = choices.is_generated(self._world.value) or len(self._drive.scene.spec.worlds) > 1
+        self._number.disabled = not has_numbers
+        self._description.content = choices.describe(self._drive.selection)
+        clicks = tuple(self._clicks)[0 if self._drive.scene.task.goal_task else 1 :]
+        if clicks != self._click.options:
+            self._click.options = clicks
 
     def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
         options = list(dict.fromkeys([value, *names]))
@@ -148,7 +155,7 @@ class Controls:
                 for each, value in self._selected:
                     each.value = value
                 raise
-            adapted = (self._policy, self._task)  # to each other, by the selection
+            adapted = (self._policy, self._task, self._world)  # to another control, by the selection
             self._selected = [(each, each.value if each in adapted else value) for each, value in chosen]
 
         handle.on_update(lambda event: self.request(change) if event.client is not None else None)
@@ -176,7 +183,7 @@ class Controls:
         with self._loading(name):
             self._drive.select(self._make_selection(name, settings))
         self._task.value = self._drive.selection.config.task_name
-        self._disable_controls()
+        self._adapt_controls()
 
     def _make_selection(self, name: str, settings: dict[str, Any]) -> Selection:
         """A policy with changed settings; its own settings, and those of the command line, are kept."""
@@ -197,6 +204,12 @@ class Controls:
         self._select(self._hub.value)
         self._policy.options = list(dict.fromkeys([*self._policy.options, self._hub.value]))
         self._policy.value = self._hub.value
+
+    def _select_difficulty(self) -> None:
+        """Drive in a generated world, because others have no difficulty."""
+        if not choices.is_generated(self._world.value):
+            self._world.value = choices.MIXED
+        self._select()
 
     def _select_number(self) -> None:
         if choices.is_generated(self._world.value):
@@ -219,7 +232,7 @@ class Controls:
 
     def _add_mouse(self) -> None:
         drive = self._drive
-        clicks: dict[str, Callable[[Point, Any, Any], object]] = {
+        self._clicks: dict[str, Callable[[Point, Any, Any], object]] = {
             _MOVE_GOAL: lambda point, *_: drive.move_goal(*point),
             _MOVE_ROBOT: lambda point, *_: drive.move_robot(*point),
             _ADD_WALL: self._add_wall,
@@ -227,14 +240,14 @@ class Controls:
             _REMOVE: lambda _, *ray: drive.change_world(remove_obstacle(drive.world, *ray)),
             "do nothing": lambda *_: None,
         }
-        with self._gui.add_folder("Goal, walls and posts"):
-            self._click = self._gui.add_dropdown("A click will", list(clicks), initial_value=_MOVE_GOAL)
+        with self._gui.add_folder("Goal, walls and posts: what a click does"):
+            self._click = self._gui.add_dropdown("A click will", list(self._clicks), initial_value=_MOVE_GOAL)
             hint = self._gui.add_markdown(_HINTS[_MOVE_GOAL])
         self._click.on_update(lambda _: setattr(hint, "content", _HINTS.get(self._click.value, "")))
 
         def click(*ray: Any) -> None:
-            if (point := hit_floor(*ray)) and self._click.value in clicks:
-                clicks[self._click.value](point, *ray)
+            if (point := hit_floor(*ray)) and self._click.value in self._clicks:
+                self._clicks[self._click.value](point, *ray)
 
         on_click: Any = self._server.scene.on_click()
         on_click(lambda event: self.request(click, event.ray_origin, event.ray_direction))
@@ -256,7 +269,8 @@ class Controls:
 
     def _add_steering(self) -> None:
         gui, drive = self._gui, self._drive
-        with gui.add_folder("Drive yourself (W A S D, arrows, space stops)"):
+        with gui.add_folder("Drive yourself"):
+            gui.add_markdown(_KEYS_HINT)
             steering = gui.add_button_group("Steer", list(_STEERING))
             back = gui.add_button("Let the policy drive")
         steering.on_click(lambda _: self.request(drive.press, _STEERING.get(steering.value, "")))

@@ -278,4 +278,4 @@ class Drive:
 
     def _check_room(self, world: World, x: float, y: float) -> None:
         if not world.contains((x, y)) or world.clearance(x, y) < self.scene.robot.radius:
-            raise InputError("there is no room for the robot")
+            raise InputError("there would be no room for the robot; choose another place")

@@ -163,14 +163,23 @@ def test_the_page_tells_what_the_robot_does_and_how_its_episodes_ended(drive):
         assert f"**Doing:** {motion} (paused); " in status(live)
 
 
-def test_a_choice_while_another_one_is_loaded_is_undone_alone(drive):
-    live, server, messages = drive(simulation="kinematic"), ViewerServer(port=0), []
-    controls, event = Controls(server, live, follow=False), SimpleNamespace(client=object())
+def change(handle, value) -> None:
+    """Change a control as a page does."""
+    handle._impl.value = value
+    for callback in handle._impl.update_cb:
+        callback(SimpleNamespace(client=object()))
 
-    def change(handle, value) -> None:
-        handle._impl.value = value  # as a page does
-        for callback in handle._impl.update_cb:
-            callback(event)
+
+@pytest.fixture
+def server():
+    server = ViewerServer(port=0)
+    yield server
+    server.stop()
+
+
+def test_a_choice_while_another_one_is_loaded_is_undone_alone(drive, server):
+    live, messages = drive(simulation="kinematic"), []
+    controls = Controls(server, live, follow=False)
 
     def choose_robot_while_loading(selection) -> None:
         if controls._robot.value == AS_TRAINED:
@@ -181,5 +190,20 @@ def test_a_choice_while_another_one_is_loaded_is_undone_alone(drive):
     change(controls._variation, "mild")
     frames = iter(range(600))
     live.run(lambda _: next(frames), messages.append, lambda: not messages)
-    server.stop()
     assert (controls._variation.value, controls._robot.value) == ("mild", AS_TRAINED)
+
+
+def test_a_difficulty_leads_to_a_generated_world_and_clicks_are_those_of_the_task(drive, server):
+    live = drive("random", simulation="kinematic")
+    controls = Controls(server, live, follow=False)
+    assert "move the goal" not in controls._click.options, "the task has no goal"
+    assert controls._description.content == "A rule, which has learned nothing."
+    change(controls._difficulty, 0.8)
+    change(controls._task, "navigate")
+    run_until(live, lambda: live.selection.config.task_name == "navigate")
+    assert controls._world.value == "generated: mixed"
+    assert live.selection.config.task.world["difficulty"] == (0.8, 0.8)
+    assert controls._click.options[0] == "move the goal"
+    change(controls._policy, "zoo:maze-loop-qlearn")
+    run_until(live, lambda: live.selection.label == "zoo:maze-loop-qlearn")
+    assert controls._description.content == "Learned by qlearn at task maze, in loop."

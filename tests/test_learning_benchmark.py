@@ -1,0 +1,76 @@
+"""The benchmark of learning, `docs/benchmark`."""
+
+import importlib
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import torch
+
+import tb2rl
+from tb2rl.core import agent_names
+from tb2rl.runs import read_lines
+
+FOLDER = Path(__file__).parent.parent / "docs" / "benchmark"
+
+
+@pytest.fixture
+def module(monkeypatch):
+    """A function that imports a module of the benchmark's folder."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    before = set(sys.modules)
+    yield importlib.import_module
+    for name in sys.modules.keys() - before & {file.stem for file in FOLDER.glob("*.py")}:
+        del sys.modules[name]
+
+
+def test_the_page_shows_the_stored_runs(module, tmp_path):
+    page = module("page").write_page(tmp_path, read_lines(FOLDER / "runs.jsonl"))
+    assert page.read_text() == (FOLDER / "README.md").read_text()
+    assert {file.name for file in tmp_path.glob("*.svg")} == {file.name for file in FOLDER.glob("*.svg")}
+
+
+def test_every_valid_pair_has_its_runs(module):
+    pairs, run = module("pairs"), module("run")
+    rows = [row for row in read_lines(FOLDER / "runs.jsonl") if row["seed"] != pairs.PILOT]
+    counts = Counter((row["name"], row["task"]) for row in rows)
+    in_physics = Counter((row["name"], row["task"]) for row in rows if "bullet" in row["results"])
+    for name, task in pairs.find_pairs():
+        is_rule, is_ours = pairs.is_rule(name), name in agent_names()
+        assert counts[name, task] == (1 if is_rule else run.SEEDS if is_ours else run.OTHER_SEEDS), (name, task)
+        assert in_physics[name, task] == (1 if is_rule else run.PHYSICS_SEEDS), (name, task)
+
+
+@pytest.mark.bullet
+@pytest.mark.slow
+def test_the_command_runs_only_what_is_missing(module, tmp_path, capsys):
+    line = ["--seconds", "0.1", "--seeds", "1", "--folder", str(tmp_path), "--only", "tutorial"]
+    run = module("run")
+    run.main(line)
+    file = tmp_path / "runs.jsonl"
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    assert sorted((row["task"], row["seed"]) for row in rows) == [("maze", -1), ("maze", 0), ("wall", -1), ("wall", 0)]
+    assert all(0 <= result["good"] <= run.EPISODES for row in rows for result in row.get("results", {}).values())
+    assert all(len(row["curve"]) == run.CURVE_POINTS for row in rows if row["seed"] == 0)
+    file.write_text("".join(json.dumps(row) + "\n" for row in rows[:-1]))
+    capsys.readouterr()
+    run.main(line)
+    assert capsys.readouterr().out.startswith(f"1 of 1: {rows[-1]['name']} at {rows[-1]['task']}")
+    again = [json.loads(line) for line in file.read_text().splitlines()]
+    assert again == rows  # a training can be repeated exactly
+
+
+@pytest.mark.parametrize(("name", "task"), [("dqn", "maze"), ("ppo", "wall"), ("ppo", "drive")])
+def test_other_programs_train_and_drive(module, name, task):
+    train = getattr(module("peers"), f"train_{name}")
+    seen = []
+    trained = train(task, 0, 100, lambda timesteps: seen.append(timesteps) or True)
+    assert trained.timesteps >= 100
+    assert seen[0] == 0
+    evaluation = tb2rl.evaluate(trained.policy, task=task, observation="raw", simulation="kinematic", episodes=2)
+    assert len(evaluation.episodes) == 2
+    again = train(task, 0, 100, lambda _: True).policy.state_dict()
+    assert all(torch.equal(value, again[key]) for key, value in trained.policy.state_dict().items())
+    assert train(task, 0, 100, lambda _: False).timesteps == 0
