@@ -11,7 +11,7 @@ _ROOMS = "generated: rooms"
 TOUR = (
     TourStop(
         "A table",
-        "Q-learning learned this table in seconds. The robot sees nine distances, each in one of four classes, and "
+        "Q-learning learned this table in seconds. The robot sees nine distances, each in one of three classes, and "
         "chooses the action with the largest value in the row of what it sees: watch the bars of the values.",
         "zoo:maze-loop-qlearn",
     ),
