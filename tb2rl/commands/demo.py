@@ -29,7 +29,7 @@ TOUR = (
     ),
     TourStop(
         "To a goal",
-        "Drag the green disc, or click on the floor, and the robot drives there along the green line. Let a click "
+        "Drag the green disc, or click on the floor, and the robot drives there along the green line. Choose "
         "*add a wall*, and put one in its way with two clicks: it takes another way.",
         "zoo:navigate-plan-ppo",
         _ROOMS,

@@ -18,6 +18,7 @@ from tb2rl.worlds.registry import world_extensions, world_names
 
 AS_TRAINED = "as trained"
 _GENERATED = "generated: "  # prefix of generators, because a world has the name of one
+_RULE = " (a rule)"  # suffix of agents that do not learn
 MIXED = f"{_GENERATED}mixed"  # worlds of all kinds
 
 
@@ -34,6 +35,16 @@ def is_baseline(name: str) -> bool:
         return name in agent_names() and find_agent(name).algorithm is None
     except InputError:  # a plugin that cannot be imported
         return False
+
+
+def option_of(policy: str) -> str:
+    """The option of the page for the name of a policy."""
+    return f"{policy}{_RULE}" if is_baseline(policy) else policy
+
+
+def policy_of(option: str) -> str:
+    """The name of the policy of an option."""
+    return option.removesuffix(_RULE)
 
 
 def describe(selection: Selection) -> str:

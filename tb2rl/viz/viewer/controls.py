@@ -48,6 +48,8 @@ class Controls:
         self._server, self._drive = server, drive
         self._gui: Any = server.gui
         self._wall_start: Point | None = None
+        self._click = ""  # meaning of a click
+        self._has_goal: bool | None = None  # whether the task had a goal when the meaning was set
         first = drive.selection
         task = first.config.task_name if choices.is_baseline(first.label) else ""
         self._loaded = {(first.label, task): first}  # by name, and by task if the policy can be given any
@@ -74,7 +76,7 @@ class Controls:
         """Select a policy and a world, and everything else as at the start."""
         for handle, value in self._defaults:
             handle.value = value
-        self._policy.value, self._world.value, self._click.value = policy, world, _MOVE_GOAL
+        self._policy.value, self._world.value = choices.option_of(policy), world
         self._select()
         self._selected = self._values()
 
@@ -94,7 +96,7 @@ class Controls:
         with self._gui.add_folder("Time"):
             buttons = self._gui.add_button_group("Playback", list(changes))
             speeds = {f"{speed:g} x": speed for speed in sorted({*_SPEEDS, drive.speed})}
-            speed = self._gui.add_dropdown("Speed", list(speeds), initial_value=f"{drive.speed:g} x")
+            speed = self._gui.add_dropdown("Playback speed", list(speeds), initial_value=f"{drive.speed:g} x")
             self._follow = self._gui.add_checkbox("Follow the robot", initial_value=follow)
         buttons.on_click(lambda _: self.request(changes.get(buttons.value, lambda: None)))
         speed.on_update(lambda _: setattr(drive, "speed", speeds.get(speed.value, drive.speed)))
@@ -104,7 +106,8 @@ class Controls:
     def _add_policy(self) -> None:
         selection = self._drive.selection
         with self._gui.add_folder("Policy and task"):
-            self._policy = self._add_choice("Policy", choices.policy_names(), selection.label)
+            options = list(map(choices.option_of, choices.policy_names()))
+            self._policy = self._add_choice("Policy", options, choices.option_of(selection.label))
             self._description = self._gui.add_markdown("")
             self._hub = self._gui.add_text("hf:USER/REPOSITORY", initial_value="")
             load = self._gui.add_button("Load this policy from Hugging Face")
@@ -136,9 +139,9 @@ class Controls:
         has_numbers = choices.is_generated(self._world.value) or len(self._drive.scene.spec.worlds) > 1
         self._number.disabled = not has_numbers
         self._description.content = choices.describe(self._drive.selection)
-        clicks = tuple(self._clicks)[0 if self._drive.scene.task.goal_task else 1 :]
-        if clicks != self._click.options:
-            self._click.options = clicks
+        if self._drive.scene.task.goal_task != self._has_goal:
+            self._has_goal = self._drive.scene.task.goal_task
+            self._set_click(_MOVE_GOAL if self._has_goal else _MOVE_ROBOT)
 
     def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
         options = list(dict.fromkeys([value, *names]))
@@ -179,7 +182,7 @@ class Controls:
             settings["world"] = choices.world_setting(self._world.value, difficulty, max(0, min(seed, _MAX_SEED)))
         if self._people.value:
             settings["dynamic_obstacles"] = {"people": max(1, min(int(self._people.value), _MAX_PEOPLE))}
-        name = policy or self._policy.value
+        name = policy or choices.policy_of(self._policy.value)
         with self._loading(name):
             self._drive.select(self._make_selection(name, settings))
         self._task.value = self._drive.selection.config.task_name
@@ -194,8 +197,10 @@ class Controls:
 
     def _select_task(self) -> None:
         """Drive a policy of the chosen task, unless the present one can do it."""
-        if self._task.value != self._drive.selection.config.task_name and not choices.is_baseline(self._policy.value):
-            self._policy.value = choices.policy_of_task(self._task.value)
+        if self._task.value != self._drive.selection.config.task_name and not choices.is_baseline(
+            self._drive.selection.label
+        ):
+            self._policy.value = choices.option_of(choices.policy_of_task(self._task.value))
         self._select()
 
     def _select_from_hub(self) -> None:
@@ -240,17 +245,20 @@ class Controls:
             _REMOVE: lambda _, *ray: drive.change_world(remove_obstacle(drive.world, *ray)),
             "do nothing": lambda *_: None,
         }
-        with self._gui.add_folder("Goal, walls and posts: what a click does"):
-            self._click = self._gui.add_dropdown("A click will", list(self._clicks), initial_value=_MOVE_GOAL)
-            hint = self._gui.add_markdown(_HINTS[_MOVE_GOAL])
-        self._click.on_update(lambda _: setattr(hint, "content", _HINTS.get(self._click.value, "")))
+        with self._gui.add_folder("Goal, walls and posts"):
+            buttons = self._gui.add_button_group("Let a click", list(self._clicks))
+            self._hint = self._gui.add_markdown("")
+        buttons.on_click(lambda _: self.request(self._set_click, buttons.value))
 
         def click(*ray: Any) -> None:
-            if (point := hit_floor(*ray)) and self._click.value in self._clicks:
-                self._clicks[self._click.value](point, *ray)
+            if (point := hit_floor(*ray)) and self._click in self._clicks:
+                self._clicks[self._click](point, *ray)
 
         on_click: Any = self._server.scene.on_click()
         on_click(lambda event: self.request(click, event.ray_origin, event.ray_direction))
+
+    def _set_click(self, meaning: str) -> None:
+        self._click, self._hint.content = meaning, f"**A click will {meaning}.** {_HINTS.get(meaning, '')}"
 
     def _add_wall(self, point: Point, *_: Any) -> None:
         """Start a wall at a point, or end it there."""

@@ -116,17 +116,16 @@ class Page:
         self._picture.image = near.astype(np.uint8)[..., None].repeat(3, -1) if colours is None else colours[0]
 
     def _add_tour(self, tour: Sequence[TourStop]) -> None:
+        stops = {f"{number}. {stop.title}": stop for number, stop in enumerate(tour, 1)}
         with self._server.gui.add_folder("Tour"):
-            text = self._server.gui.add_markdown("")
-            buttons = [self._server.gui.add_button(f"{number}. {stop.title}") for number, stop in enumerate(tour, 1)]
+            text = self._server.gui.add_markdown(f"**{tour[0].title}.** {tour[0].text}")
+            buttons = self._server.gui.add_button_group("Go to", list(stops))
 
         def visit(stop: TourStop) -> None:
             text.content = f"**{stop.title}.** {stop.text}"
             self._controls.visit(stop.policy, stop.world)
 
-        text.content = f"**{tour[0].title}.** {tour[0].text}"
-        for button, stop in zip(buttons, tour, strict=True):
-            button.on_click(lambda _, stop=stop: self._controls.request(visit, stop))  # type: ignore[misc]
+        buttons.on_click(lambda _: self._controls.request(visit, stops.get(buttons.value, tour[0])))
 
 
 def drive_live(

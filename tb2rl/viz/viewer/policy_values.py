@@ -64,7 +64,7 @@ def _action_values(row: Sequence[float], actions: Actions) -> PolicyValues:
     scores = dict(zip(actions.names, map(float, row), strict=True))
     low, high = min(scores.values()), max(scores.values())
     limits = dict.fromkeys(scores, (low - 0.2 * (high - low) - 1e-9, high))  # because differences matter
-    return PolicyValues(scores, "expected return of each action", limits, high)
+    return PolicyValues(scores, "expected return of each action; bars from the least to the largest", limits, high)
 
 
 def _actor_critic_values(policy: ActorCriticPolicy, tensor: th.Tensor, actions: Actions) -> PolicyValues:

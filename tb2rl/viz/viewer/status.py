@@ -26,13 +26,13 @@ def status(drive: Drive) -> str:
     doing = f"the episode ended: {step.info['ended']}" if step.info["ended"] else _motion(v, w)
     endings = ", ".join(f"{reason} {count}" for reason, count in drive.endings.most_common()) or "none has ended"
     lines = [
-        f"**{who}** {scene.robot.name}, task {drive.selection.config.task_name}, in {drive.episode_world.name}, "
-        f"{drive.selection.simulator.title}",
         f"**Doing:** {doing}{paused}; {v:z.2f} m/s, {w:+z.2f} rad/s",
         f"**Goal:** {_goal_text(step.after, scene)}",
         f"**Sees:** {_nearest_text(step.after, scene)} (orange beams)",
         f"**Reward** {step.reward:+.3g}, **return** {step.episode_return:.4g}, **time** {drive.frame.time:.1f} s",
         f"**Episodes so far:** {endings}",
+        f"**{who}** {scene.robot.name}, task {drive.selection.config.task_name}, in {drive.episode_world.name}, "
+        f"{drive.selection.simulator.title}",
     ]
     return "\n\n".join(lines)
 
@@ -76,7 +76,9 @@ def values(drive: Drive) -> str:
     if found is None:
         return "<p style='padding:0 1em'>This policy computes no values for its actions.</p>"
     rows = "".join(
-        _bar(name, score, *_extent(found, name), GOAL if found.is_chosen(name) else PATH)
+        _bar(f"{name}, chosen", score, *_extent(found, name), GOAL)
+        if found.is_chosen(name)
+        else _bar(name, score, *_extent(found, name), PATH)
         for name, score in found.scores.items()
     )
     value = f"<p>Expected return, the discounted sum of the rewards to come: <b>{found.value:.3g}</b></p>"

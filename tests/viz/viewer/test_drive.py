@@ -196,14 +196,14 @@ def test_a_choice_while_another_one_is_loaded_is_undone_alone(drive, server):
 def test_a_difficulty_leads_to_a_generated_world_and_clicks_are_those_of_the_task(drive, server):
     live = drive("random", simulation="kinematic")
     controls = Controls(server, live, follow=False)
-    assert "move the goal" not in controls._click.options, "the task has no goal"
+    assert controls._hint.content.startswith("**A click will move the robot.**"), "the task has no goal"
     assert controls._description.content == "A rule, which has learned nothing."
     change(controls._difficulty, 0.8)
     change(controls._task, "navigate")
     run_until(live, lambda: live.selection.config.task_name == "navigate")
     assert controls._world.value == "generated: mixed"
     assert live.selection.config.task.world["difficulty"] == (0.8, 0.8)
-    assert controls._click.options[0] == "move the goal"
+    assert controls._hint.content.startswith("**A click will move the goal.**")
     change(controls._policy, "zoo:maze-loop-qlearn")
     run_until(live, lambda: live.selection.label == "zoo:maze-loop-qlearn")
     assert controls._description.content == "Learned by qlearn at task maze, in loop."

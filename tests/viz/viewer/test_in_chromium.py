@@ -72,7 +72,7 @@ def test_the_robot_drives_to_a_dragged_goal_and_around_a_new_wall(watch):
     x, y = page.drive.pose[:2]
     boxes = len(page.drive.world.boxes)
     middle = (x + 1.0) / 2, (y - 2.0) / 2
-    page.choose("A click will", "add a wall")
+    page.press("add a wall")
     across = np.array([2.0 + y, 1.0 - x]) / math.hypot(2.0 + y, 1.0 - x)  # to the left of the way
     ends = [np.array(middle) + side * across for side in (-0.6, 0.6)]
     page.until(lambda: len(page.drive.world.boxes) > boxes, lambda: [page.click(*end) for end in ends])
@@ -86,11 +86,11 @@ def test_clicks_move_the_goal_and_the_robot_and_remove_a_post(watch):
     page = watch(POLICY, world="loop")
     page.drive.is_paused = True
     page.until(partial(is_near_goal, page.drive, (1.0, -2.0)), lambda: page.click(1.0, -2.0))
-    page.choose("A click will", "move the robot")
+    page.press("move the robot")
     page.until(lambda: distance(page.drive, (-1.5, 1.5)) < 0.2, lambda: page.click(-1.5, 1.5))
-    page.choose("A click will", "add a post")
+    page.press("add a post")
     page.until(lambda: len(page.drive.world.posts) >= 1, lambda: page.click(0.0, -3.0))
-    page.choose("A click will", "remove")
+    page.press("remove")
     page.until(lambda: len(page.drive.world.posts) == 0, lambda: page.click(0.0, -3.0))
 
 
@@ -104,7 +104,7 @@ def test_policy_world_robot_and_simulator_are_swapped(watch):
     eventually(lambda: "other observations" in "".join(page.messages))
     assert page.drive.scene.robot.name == "turtlebot2", "the policy does not fit the robot"
     eventually(lambda: page.chosen("Robot") == "as trained")
-    page.choose("Policy", "wallfollower")
+    page.choose("Policy", "wallfollower (a rule)")
     page.eventually(lambda: page.drive.selection.label == "wallfollower")
     page.choose("Robot", "turtlebot3")
     page.eventually(lambda: page.drive.scene.robot.name == "turtlebot3")
