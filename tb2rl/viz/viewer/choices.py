@@ -23,10 +23,10 @@ MIXED = f"{_GENERATED}mixed"  # worlds of all kinds
 
 
 def policy_names() -> list[str]:
-    """Policies of the zoo, runs in the working directory, and agents that do not learn."""
+    """Agents that do not learn, policies of the zoo, and runs in the working directory."""
     zoo = sorted(f"zoo:{folder.name}" for folder in top_folder("zoo").iterdir() if (folder / CONFIG).is_file())
     runs = sorted(file.parent.as_posix() for file in Path("runs").glob(f"**/{CONFIG}"))
-    return [*zoo, *runs, *(name for name in agent_names() if is_baseline(name))]
+    return [*filter(is_baseline, agent_names()), *zoo, *runs]
 
 
 def is_baseline(name: str) -> bool:

@@ -57,7 +57,6 @@ class Controls:
         self._add_world()
         self._add_mouse()
         self._add_policy()
-        self._add_steering()
         self._selected = self._values()
         self._defaults: list[tuple[Any, Any]] = [pair for pair in self._selected if pair[0] is not self._simulation]
         self._adapt_controls()
@@ -243,7 +242,6 @@ class Controls:
             _ADD_WALL: self._add_wall,
             _ADD_POST: lambda point, *_: drive.change_world(add_post(drive.world, point)),
             _REMOVE: lambda _, *ray: drive.change_world(remove_obstacle(drive.world, *ray)),
-            "do nothing": lambda *_: None,
         }
         with self._gui.add_folder("Goal, walls and posts"):
             buttons = self._gui.add_button_group("Let a click", list(self._clicks))
@@ -275,7 +273,8 @@ class Controls:
         if event.phase == "end" and point and math.isfinite(sum(point)):
             self.request(move, *point)
 
-    def _add_steering(self) -> None:
+    def add_steering(self) -> None:
+        """Add the keys and buttons by which the user drives."""
         gui, drive = self._gui, self._drive
         with gui.add_folder("Drive yourself"):
             gui.add_markdown(_KEYS_HINT)

@@ -59,6 +59,7 @@ class Page:
             self._status = server.gui.add_markdown("")
             with server.gui.add_folder("What the policy computes"):
                 self._values = server.gui.add_html("")
+            self._controls.add_steering()
             with server.gui.add_folder("Camera of the robot"):
                 self._picture_shown = server.gui.add_checkbox("Show its picture", drive.scene.has_images)
                 self._picture = server.gui.add_image(np.zeros((*_PICTURE_SIZE[::-1], 3), np.uint8), visible=False)
