@@ -123,8 +123,9 @@ class Watched:
         """Choose an option of the list with a label."""
         self._input(label).click()
         path = f"//div[@role='option'][normalize-space()='{option}']"
-        eventually(lambda: self.browser.find_elements(By.XPATH, path))
-        self.browser.find_element(By.XPATH, path).click()
+        # Lists that were open before are still there, but hidden.
+        options = eventually(lambda: [*filter(WebElement.is_displayed, self.browser.find_elements(By.XPATH, path))])
+        options[0].click()
 
     def eventually(self, condition: Callable[[], Any]) -> Any:
         """Wait until a condition holds in the thread of the drive, which alone may read it; return its value."""

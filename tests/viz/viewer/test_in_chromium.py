@@ -114,7 +114,7 @@ def test_policy_world_robot_and_simulator_are_swapped(watch):
     page.eventually(lambda: page.drive.episode_world.name.startswith("rooms"))
     page.choose("Robot", "as trained")
     page.eventually(lambda: page.drive.scene.robot.name == "turtlebot2")
-    assert "A rule, which has learned nothing." in page.text
+    assert "A rule, which has learned nothing." in page.browser.find_element(By.TAG_NAME, "body").text
     page.choose("Policy", "zoo:maze-loop-qlearn")
     page.eventually(lambda: page.drive.selection.label == "zoo:maze-loop-qlearn")
     page.choose("Task", "drive")
