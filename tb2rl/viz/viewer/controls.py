@@ -140,7 +140,7 @@ class Controls:
         self._description.content = choices.describe(self._drive.selection)
         if self._drive.scene.task.goal_task != self._has_goal:
             self._has_goal = self._drive.scene.task.goal_task
-            self._set_click(_MOVE_GOAL if self._has_goal else _MOVE_ROBOT)
+            self._set_click(_MOVE_GOAL if self._has_goal else _ADD_WALL)
 
     def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
         options = list(dict.fromkeys([value, *names]))

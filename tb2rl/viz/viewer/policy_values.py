@@ -12,6 +12,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, ContinuousCriti
 from tb2rl.tasks import Actions
 
 COMMAND = "command"  # meaning of scores that are a speed and a turn rate
+ACTION_VALUES = "the discounted sum of the rewards to come after each action; bars from the least to the largest"
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def _action_values(row: Sequence[float], actions: Actions) -> PolicyValues:
     scores = dict(zip(actions.names, map(float, row), strict=True))
     low, high = min(scores.values()), max(scores.values())
     limits = dict.fromkeys(scores, (low - 0.2 * (high - low) - 1e-9, high))  # because differences matter
-    return PolicyValues(scores, "expected return of each action; bars from the least to the largest", limits, high)
+    return PolicyValues(scores, ACTION_VALUES, limits, high)
 
 
 def _actor_critic_values(policy: ActorCriticPolicy, tensor: th.Tensor, actions: Actions) -> PolicyValues:

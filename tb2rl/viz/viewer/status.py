@@ -11,7 +11,7 @@ from tb2rl.rendering.colours import GOAL, PATH
 from tb2rl.simulation import RobotState
 from tb2rl.viz.cameras import goal_of
 from tb2rl.viz.viewer.drive import Drive
-from tb2rl.viz.viewer.policy_values import PolicyValues, policy_values
+from tb2rl.viz.viewer.policy_values import ACTION_VALUES, PolicyValues, policy_values
 
 _MAX_NUMBERS = 12  # numbers of an observation that are shown
 _STILL = 0.03  # [m/s] or [rad/s] below which the robot does not move
@@ -81,7 +81,8 @@ def values(drive: Drive) -> str:
         else _bar(name, score, *_extent(found, name), PATH)
         for name, score in found.scores.items()
     )
-    value = f"<p>Expected return, the discounted sum of the rewards to come: <b>{found.value:.3g}</b></p>"
+    value = f"<p>The discounted sum of the rewards to come: <b>{found.value:.3g}</b></p>"
+    value = "" if found.meaning == ACTION_VALUES else value
     text, observation = html.escape(found.meaning[0].upper() + found.meaning[1:]), _describe(drive.observation)
     return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {observation}</p></div>"
 
