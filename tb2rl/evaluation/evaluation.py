@@ -17,6 +17,8 @@ from tb2rl.simulation import find_simulator
 from tb2rl.tasks import Task
 
 _ARRAYS = ("path", "actions")  # fields of `Episode` that a run folder stores as arrays
+# At most so many squares of 1 m are visited by a robot that spins, and it could have driven so far [m].
+_SPINNING_SQUARES, _SPINNING_REACH = 4, 15.0
 _PLAIN_FIELDS = tuple(field.name for field in fields(Episode) if field.name not in _ARRAYS)
 
 
@@ -91,6 +93,14 @@ class Evaluation:
     def good_rate(self) -> float:
         """The rate of good episodes."""
         return float(np.mean(self.good))
+
+    @property
+    def spins(self) -> bool:
+        """Whether the robot survives by staying where it is, at a task without a goal, though it had time to leave."""
+        summary = self.summary()
+        reach = summary["mean_length"] * self.task.control_period * self.scene.actions.max_speed  # [m]
+        is_local = summary["median_squares"] <= _SPINNING_SQUARES and reach > _SPINNING_REACH
+        return not self.task.goal_task and summary["failure_free_rate"] > 0.5 and is_local
 
     def serialize(self, config: Config, policy: str) -> tuple[dict[str, Any], dict[str, list[np.ndarray]]]:
         """The content of the files that `Run.write_evaluation` writes and `load_evaluation` reads.

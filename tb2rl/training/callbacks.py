@@ -25,6 +25,7 @@ class EvaluationCallback(StatefulCallback):
     Args:
         run: Run folder for the best policy and the results.
         evaluator: Evaluator of policies, from `make_evaluator`.
+        diagnostics: Warns if the evaluated robot spins; such a score does not stop the training.
         on_evaluation: Callback that gets each evaluation; its exceptions end the training.
 
     Attributes:
@@ -33,9 +34,16 @@ class EvaluationCallback(StatefulCallback):
 
     saved_attributes = ("_next", "_reached", "stopped_training", "_best", "_elapsed")
 
-    def __init__(self, run: Run, evaluator: Any, on_evaluation: Callable[[Evaluation], object] | None = None) -> None:
+    def __init__(
+        self,
+        run: Run,
+        evaluator: Any,
+        diagnostics: TrainingDiagnostics,
+        on_evaluation: Callable[[Evaluation], object] | None = None,
+    ) -> None:
         super().__init__()
         self.run, self.evaluator, self._on_evaluation = run, evaluator, on_evaluation
+        self._diagnostics = diagnostics
         self.settings = run.config.train
         self.clear_early_stop()
         self._next = self.settings.eval_freq  # timesteps of the next evaluation
@@ -60,8 +68,9 @@ class EvaluationCallback(StatefulCallback):
         if self._next <= self.num_timesteps < self.locals["total_timesteps"]:
             freq, stop_score = self.settings.eval_freq, self.settings.stop_score
             self._next = (self.num_timesteps // freq + 1) * freq
-            rate = self.evaluate().good_rate
-            self._reached = self._reached + 1 if stop_score is not None and rate >= stop_score else 0
+            evaluation = self.evaluate()
+            is_reached = stop_score is not None and evaluation.good_rate >= stop_score and not evaluation.spins
+            self._reached = self._reached + 1 if is_reached else 0
             self.stopped_training = self._reached >= self.settings.stop_evaluations
         return not self.stopped_training
 
@@ -85,9 +94,12 @@ class EvaluationCallback(StatefulCallback):
         for metric in shown_metrics(goal_task=True, has_filters=True):  # all of them
             self.logger.record(f"eval/{metric.key}", summary[metric.key])
         self.logger.record("eval/score", success_rate)
+        self.logger.record("eval/spins", float(evaluation.spins))
         picture = draw_paths(evaluation.scene, evaluation.episodes[:_NUM_DRAWN_PATHS])
         self.logger.record("eval/paths", Image(picture, "HWC"))
         self.logger.dump(self.num_timesteps)
+        if evaluation.spins and self.num_timesteps >= self.settings.total_timesteps / 2:
+            self._diagnostics.warn("spinning")
         if self._on_evaluation:
             self._on_evaluation(evaluation)
         return evaluation
@@ -147,7 +159,8 @@ class TrainingCallbacks(CallbackList):
     ) -> None:
         self.statistics = EpisodeStatistics(run.config.train.episodes, verbose)
         self.checkpoint = CheckpointCallback(run)
-        self.evaluation = EvaluationCallback(run, evaluator, on_evaluation) if evaluator else None
-        callbacks = [self.statistics, self.checkpoint, TrainingDiagnostics(run.config, self.statistics)]
+        diagnostics = TrainingDiagnostics(run.config, self.statistics)
+        self.evaluation = EvaluationCallback(run, evaluator, diagnostics, on_evaluation) if evaluator else None
+        callbacks = [self.statistics, self.checkpoint, diagnostics]
         super().__init__([*callbacks, self.evaluation] if self.evaluation else [*callbacks])
         self.checkpoint.callbacks = self

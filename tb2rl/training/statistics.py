@@ -152,9 +152,14 @@ class TrainingDiagnostics(StatefulCallback):
             problems["flat"] = failure_rate > 0.5 and self._return_is_flat(float(np.std(returns)))
         for problem, is_present in problems.items():
             self.logger.record(f"diagnostics/{problem}", float(is_present))
-            if is_present and not self._warned[problem]:
-                self._warned[problem] = True
-                print(f"warning: after {self.num_timesteps} steps {ADVICE[problem]}", file=sys.stderr, flush=True)
+            if is_present:
+                self.warn(problem)
+
+    def warn(self, problem: str) -> None:
+        """Print the advice for a problem, once."""
+        if not self._warned[problem]:
+            print(f"warning: after {self.num_timesteps} steps {ADVICE[problem]}", file=sys.stderr, flush=True)
+        self._warned[problem] = True
 
     def _return_is_flat(self, std: float) -> bool:
         """Whether the mean return rose by less than 0.1 `std` in the latest window, a third of the training long."""

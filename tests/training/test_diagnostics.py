@@ -31,6 +31,17 @@ def test_a_problem_is_named_once_with_advice(problem, small, scalars, tmp_path, 
     assert ADVICE[problem] not in capsys.readouterr().err, "once is enough, resumed or not"
 
 
+def test_a_score_by_spinning_warns_and_does_not_stop_the_training(small, scalars, tmp_path, capsys):
+    """With its random actions the exploring robot moves too much to be said to spin."""
+    settings = {"task.forward_reward": 0.0, "task.turn_reward": 5.0, "train.stop_score": 0.5, "train.eval_steps": 200}
+    evaluations = {"eval_freq": 5_000, "eval_episodes": 10, "total_timesteps": 40_000, "n_envs": 64}
+    training = train_config(small(settings=settings, **evaluations), tmp_path / "run")
+    assert training.early_stop_timesteps is None
+    assert scalars(training.run, "eval/spins")[-1][1] == 1.0
+    assert scalars(training.run, "eval/score")[-1][1] > 0.5
+    assert capsys.readouterr().err.count(ADVICE["spinning"]) == 1
+
+
 LARGE_STEPS = {
     "dqn": {"agent.learning_rate": 10.0, "agent.learning_starts": 100, "agent.batch_size": 32},
     "sb3_contrib:RecurrentPPO": {
