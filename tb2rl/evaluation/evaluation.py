@@ -11,7 +11,7 @@ from tb2rl.core.errors import InputError, one_line
 from tb2rl.core.values import Count, checked, type_with_checks
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import Episode
-from tb2rl.evaluation.metrics import criterion, figures, shown_metrics
+from tb2rl.evaluation.metrics import criterion, figures, shown_metrics, spinning_speed
 from tb2rl.runs import EVALUATION, Config, Run, config_from, versions
 from tb2rl.simulation import find_simulator
 from tb2rl.tasks import Task
@@ -97,9 +97,10 @@ class Evaluation:
     @property
     def spins(self) -> bool:
         """Whether the robot survives by staying where it is, at a task without a goal, though it had time to leave."""
-        summary = self.summary()
-        reach = summary["mean_length"] * self.task.control_period * self.scene.actions.max_speed  # [m]
-        is_local = summary["median_squares"] <= _SPINNING_SQUARES and reach > _SPINNING_REACH
+        summary, max_speed = self.summary(), self.scene.actions.max_speed
+        reach = summary["mean_length"] * self.task.control_period * max_speed  # [m]
+        is_slow = summary["mean_speed"] < spinning_speed(max_speed)
+        is_local = reach > _SPINNING_REACH and (is_slow or summary["median_squares"] <= _SPINNING_SQUARES)
         return not self.task.goal_task and summary["failure_free_rate"] > 0.5 and is_local
 
     def serialize(self, config: Config, policy: str) -> tuple[dict[str, Any], dict[str, list[np.ndarray]]]:

@@ -94,6 +94,14 @@ METRICS = (
 )
 
 
+def spinning_speed(max_speed: float) -> float:
+    """The mean speed [m/s] below which a robot spins; `max_speed` [m/s] is that of its commands.
+
+    In turns the tutorial's robot drives at 0.05 m/s. Some robots are so slow that 0.08 m/s is much for them.
+    """
+    return min(0.08, 0.4 * max_speed)
+
+
 def criterion(goal_task: bool) -> Metric:
     """The rate by which an episode is good: success for tasks with a goal, else no failure."""
     return next(metric for metric in METRICS if metric.name == ("success" if goal_task else "failure_free"))

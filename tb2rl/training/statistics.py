@@ -15,6 +15,7 @@ from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
 from tb2rl.core.errors import InputError
+from tb2rl.evaluation.metrics import spinning_speed
 from tb2rl.runs.config import Config
 from tb2rl.training.error_translation import has_finite_weights
 from tb2rl.training.state import StatefulCallback
@@ -24,8 +25,6 @@ _MIN_EPISODES = 20  # number of episodes that the checks of episodes need
 _WARM_UP_STEPS = 10_000  # [control steps] after which checks of episodes start, because no agent learns earlier
 _NUM_CHECKS = 100  # checks per training
 _SHORT_EPISODE = 15  # [control steps] shorter episodes are too short to learn from
-_SPINNING_SPEED = 0.08  # [m/s] mean speed below which a robot spins; the tutorial's robot drives at 0.05 m/s in turns
-_SPINNING_FRACTION = 0.4  # fraction of the largest speed command that replaces _SPINNING_SPEED for slow robots
 _DIVERGENCE_FACTOR = 10.0  # predicted values diverge above this multiple of the largest possible return
 
 ADVICE = {  # each ends with its entry in the page of symptoms
@@ -125,7 +124,7 @@ class TrainingDiagnostics(StatefulCallback):
         super().__init__()
         self._statistics, self._total_timesteps = statistics, config.train.total_timesteps
         self._control_period = config.task.control_period
-        self._spinning_speed = min(_SPINNING_SPEED, _SPINNING_FRACTION * config.scene.actions.max_speed)
+        self._spinning_speed = spinning_speed(config.scene.actions.max_speed)
         self._next = 0  # timesteps of the next check
         self._history: deque[tuple[int, float]] = deque()  # timesteps, mean return
         self._largest_reward = 0.0
