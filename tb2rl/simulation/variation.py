@@ -123,8 +123,19 @@ def describe_variation(setting: Any) -> str:
             return "" if preset == NONE else f"{name} variation"
     preset_name = setting.get("preset", "none")
     preset_ranges = asdict(PRESETS[preset_name])
-    names = ", ".join(name for name, value in asdict(variation).items() if value != preset_ranges[name])
-    return f"variation of {names}" if preset_name == "none" else f"{preset_name} variation with other {names}"
+    changes = {name: limits for name, limits in asdict(variation).items() if limits != preset_ranges[name]}
+    if preset_name == "none":
+        return f"variation of {', '.join(changes)}"
+    ranges = (f"{name.replace('_', ' ')} {_describe_range(limits)}" for name, limits in changes.items())
+    return f"{preset_name} variation, but {', '.join(ranges)}"
+
+
+def _describe_range(limits: tuple[float, float] | None) -> str:
+    """Describe a range as "0 to 1", or as one number if its ends are equal."""
+    if limits is None:
+        return "of the task"
+    low, high = limits
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _interpolate(limits: tuple[float, float], numbers: np.ndarray) -> np.ndarray:

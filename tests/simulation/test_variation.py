@@ -12,7 +12,7 @@ from tb2rl.simulation import InitialState
 from tb2rl.simulation.kinematic.simulator import KinematicSimulator
 from tb2rl.simulation.random_streams import GeneratorSource, StreamSource
 from tb2rl.simulation.spec import PARAMETERS
-from tb2rl.simulation.variation import NONE, PRESETS, Variation, find_variation
+from tb2rl.simulation.variation import NONE, PRESETS, Variation, describe_variation, find_variation
 from tb2rl.worlds import World
 
 PERIOD = 0.2  # [s]
@@ -212,6 +212,20 @@ def test_settings_change_a_preset():
     changed = find_variation({"preset": "mild", "latency": [0, 2], "bias": 0.05})
     assert changed == replace(PRESETS["mild"], latency=(0, 2), bias=(0.05, 0.05))
     assert find_variation({"observation_latency": 2}) == Variation(observation_latency=(2, 2))
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("none", ""),
+        ("strong", "strong variation"),
+        ({"bias": 0.1, "dropped": 0.1}, "variation of bias, dropped"),
+        ({"preset": "mild", "observation_latency": [0, 1]}, "mild variation, but observation latency 0 to 1"),
+        ({"preset": "mild", "latency": 2, "laser_noise": None}, "mild variation, but laser noise of the task, latency 2"),
+    ],
+)
+def test_a_description_says_what_differs_from_a_preset(setting, words):
+    assert describe_variation(setting) == words
 
 
 @pytest.mark.parametrize(
