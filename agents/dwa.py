@@ -55,7 +55,10 @@ class DWA(LocalPlanner):
         acceleration: Largest change of v, also when braking [m/s^2].
         turn_acceleration: Largest change of w [rad/s^2].
         horizon: Driving time after which progress is measured [s].
-        heading, clearance, speed, progress: Weights of the terms.
+        heading: Weight of the direction to the target.
+        clearance: Weight of the distance to obstacles.
+        speed: Weight of the forward speed.
+        progress: Weight of the progress towards the target.
     """
 
     def __init__(

@@ -36,7 +36,8 @@ class QLearning(BaseAlgorithm):
         exploration: "epsilon_greedy" takes a random action with probability epsilon. "noisy_values" (of
             the ROS tutorial, see FROM_ROS.md) adds uniform noise to the values of the state with probability epsilon;
             the width of the noise is the largest |value|.
-        exploration_initial_eps, exploration_final_eps: Epsilon at the start and at the end.
+        exploration_initial_eps: Epsilon at the start of the training.
+        exploration_final_eps: Epsilon after the decrease.
         exploration_fraction: Fraction of the training over which epsilon decreases linearly.
         exploration_decay: Factor that multiplies epsilon at the start of each episode until `exploration_final_eps` is
             reached. None: linear decrease.

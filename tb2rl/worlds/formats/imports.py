@@ -49,7 +49,7 @@ class ImportOptions:
     goal: Goal = None
     bounds: Bounds | None = None
     unknown: Literal["obstacle", "free"] = "obstacle"
-    laser_height: Positive = 0.25  # half the height of tb2rl walls
+    laser_height: Positive = 0.25  # [m] height at which Gazebo shapes are cut; the default is half the height of walls
     model_path: tuple[str, ...] = ()
 
 
