@@ -221,7 +221,7 @@ def test_settings_change_a_preset():
         ("strong", "strong variation"),
         ({"bias": 0.1, "dropped": 0.1}, "variation of bias, dropped"),
         ({"preset": "mild", "observation_latency": [0, 1]}, "mild variation, but observation latency 0 to 1"),
-        ({"preset": "mild", "latency": 2, "laser_noise": None}, "mild variation, but laser noise of the task, latency 2"),
+        ({"preset": "mild", "bias": 0, "laser_noise": None}, "mild variation, but laser noise of the task, bias 0"),
     ],
 )
 def test_a_description_says_what_differs_from_a_preset(setting, words):
