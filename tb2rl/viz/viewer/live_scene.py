@@ -7,6 +7,8 @@ from itertools import count
 from typing import Any
 
 import numpy as np
+import trimesh  # before the page is announced, because its import swallows Ctrl-C
+import yourdfpy
 from PIL import ImageColor
 
 from tb2rl.rendering.above import GOAL_RADIUS
@@ -201,15 +203,11 @@ def _linear(colour: str) -> tuple[int, ...]:
 @cache
 def _unit_shape(name: str) -> Any:
     """A box with sides of 1 m, or a "cylinder" with a radius and a height of 1 m, around the origin."""
-    import trimesh  # imported here, because it takes a second, in which the browser can start
-
     return trimesh.creation.box((1, 1, 1)) if name == "box" else trimesh.creation.cylinder(1.0, 1.0, sections=32)
 
 
 @cache
 def _model(robot: Robot) -> tuple[bytes, float]:
     """The visual shapes of a robot's URDF file as a binary glTF file, and their height [m]."""
-    import yourdfpy  # imported here like trimesh, which it imports
-
     scene = yourdfpy.URDF.load(str(robot.urdf), load_collision_meshes=False).scene
     return scene.to_mesh().export(file_type="glb"), float(scene.bounds[1, 2])
