@@ -160,6 +160,6 @@ def drive_live(
             drive.drive_manually(True)
         server = ViewerServer(host, port)
         stack.callback(server.stop)
+        server.announce()  # now, because the browser starts while this process makes the controls and the 3D models
         page = Page(server, drive, follow, tour)
-        server.announce()  # before the first frame, because the browser starts while this process makes the 3D models
         drive.run(page.show, page.report, lambda: True)
