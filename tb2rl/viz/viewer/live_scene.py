@@ -7,8 +7,6 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-import trimesh  # before the page is announced, because its import swallows Ctrl-C
-import yourdfpy
 from PIL import ImageColor
 
 from tb2rl.rendering.above import GOAL_RADIUS
@@ -62,9 +60,7 @@ class LiveScene:
         self._plan = self._add_lines(f"{self._root}/plan", _PLAN_COLOUR)
         self._label = server.scene.add_label(f"{self._root}/filter", "", anchor="bottom-center", visible=False)
         self._goal_label = server.scene.add_label(f"{self._root}/goal", "goal", anchor="bottom-center", visible=False)
-        self._start = server.scene.add_label(
-            f"{self._root}/start", "start", anchor="bottom-center", font_screen_scale=0.8, visible=False
-        )
+        self._start = server.scene.add_label(f"{self._root}/start", "start", anchor="bottom-center", visible=False)
         server.scene.add_cylinder(f"{self._root}/start/disc", 0.1, 0.01, color=_START_COLOUR)
         self._moving: dict[str, Any] = {}  # by shape
 
@@ -203,11 +199,15 @@ def _linear(colour: str) -> tuple[int, ...]:
 @cache
 def _unit_shape(name: str) -> Any:
     """A box with sides of 1 m, or a "cylinder" with a radius and a height of 1 m, around the origin."""
+    import trimesh  # imported here, because it takes a second, in which the browser can start
+
     return trimesh.creation.box((1, 1, 1)) if name == "box" else trimesh.creation.cylinder(1.0, 1.0, sections=32)
 
 
 @cache
 def _model(robot: Robot) -> tuple[bytes, float]:
     """The visual shapes of a robot's URDF file as a binary glTF file, and their height [m]."""
+    import yourdfpy  # imported here like trimesh, which it imports
+
     scene = yourdfpy.URDF.load(str(robot.urdf), load_collision_meshes=False).scene
     return scene.to_mesh().export(file_type="glb"), float(scene.bounds[1, 2])

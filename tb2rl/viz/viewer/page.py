@@ -1,13 +1,15 @@
 """The viewer's page of a live drive: the 3D scene, the state of the robot, and the controls."""
 
 import math
+import threading
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 import numpy as np
 
+from tb2rl.core import handle_termination_signals
 from tb2rl.robots import Robot
 from tb2rl.viz.cameras import beam_ranges, goal_of
 from tb2rl.viz.viewer.choices import AS_TRAINED
@@ -153,13 +155,16 @@ def drive_live(
     Raises:
         InputError: If the policy does not fit the task, or the page cannot be opened.
     """
-    with suppress(KeyboardInterrupt), ExitStack() as stack:
+    is_stopped = threading.Event()
+    with ExitStack() as stack:
         drive = stack.enter_context(closing(Drive(selection, seed)))
         drive.speed = speed
         if is_manual:
             drive.drive_manually(True)
         server = ViewerServer(host, port)
         stack.callback(server.stop)
+        # No `KeyboardInterrupt` from here on: an exception within the libraries of 3D models can be lost or change.
+        stack.enter_context(handle_termination_signals(lambda _: is_stopped.set()))
         server.announce()  # now, because the browser starts while this process makes the controls and the 3D models
         page = Page(server, drive, follow, tour)
-        drive.run(page.show, page.report, lambda: True)
+        drive.run(page.show, page.report, lambda: not is_stopped.is_set())
