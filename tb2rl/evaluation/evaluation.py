@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ class Evaluation:
         """The rate of good episodes."""
         return float(np.mean(self.good))
 
-    @property
+    @cached_property
     def spins(self) -> bool:
         """Whether the robot survives by staying where it is, at a task without a goal, though it had time to leave."""
         summary, max_speed = self.summary(), self.scene.actions.max_speed

@@ -49,9 +49,9 @@ def policy_of(option: str) -> str:
 
 def describe(selection: Selection) -> str:
     """What the policy of a selection is."""
-    if is_baseline(selection.label):
+    config = getattr(selection.policy, "trained_with", None)
+    if config is None:
         return "A rule, which has learned nothing."
-    config = config_of(selection.policy)
     return f"Learned by {config.agent_name} at task {config.task_name}, in {config.scene.worlds_title}."
 
 
