@@ -84,7 +84,7 @@ def write_page(folder: Path, rows: Sequence[Row]) -> Path:
 def _num_seeds(runs: Mapping[Pair, Sequence[Row]]) -> list[str]:
     """The number of seeds of agents and of other programs, as text."""
     counts = [[len(rows) for (name, _), rows in runs.items() if _group(name)[0] == group] for group in (0, 2)]
-    return [" to ".join(map(str, sorted({min(found), max(found)}))) for found in counts]
+    return [" to ".join(map(str, sorted({min(found, default=0), max(found, default=0)}))) for found in counts]
 
 
 def _pair(row: Row) -> Pair:
