@@ -111,6 +111,7 @@ def _has_plan(name: str, task: str) -> bool:
 
 
 def _group(name: str) -> tuple[int, str]:
+    """Order of the rows: agents (0), rules (1), other programs (2)."""
     is_agent = name in agent_names()
     return (1 if is_rule(name) else 0) if is_agent else 2, name
 
@@ -122,14 +123,12 @@ def _rates(results: Sequence[Row]) -> np.ndarray:
 def _mean(results: Sequence[Row]) -> str:
     rates = _rates(results)
     low, high = bootstrap_interval(rates)
-    interval = f" ({low:.1f} to {high:.1f})" if len(rates) > 1 else ""
-    return f"{rates.mean():.1f}{interval}"
+    return f"{rates.mean():.1f}" + (f" ({low:.1f} to {high:.1f})" if len(rates) > 1 else "")
 
 
 def _range(results: Sequence[Row]) -> str:
     rates = _rates(results)
-    interval = f" ({rates.min():.0f} to {rates.max():.0f})" if len(rates) > 1 else ""
-    return f"{rates.mean():.1f}{interval}"
+    return f"{rates.mean():.1f}" + (f" ({rates.min():.0f} to {rates.max():.0f})" if len(rates) > 1 else "")
 
 
 def _squares(results: Sequence[Row]) -> str:

@@ -19,7 +19,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from page import write_page
+from page import EPISODES, SECONDS, write_page
 from pairs import PILOT, Pair, find_config, find_pairs, is_rule
 from peers import Trained, entrants
 from stable_baselines3.common.callbacks import BaseCallback
@@ -37,7 +37,7 @@ from tb2rl.training.training import train_config
 
 FOLDER = Path(__file__).parent
 SEEDS, OTHER_SEEDS, PHYSICS_SEEDS = 10, 5, 3  # of agents, at most of other programs, and judged in physics
-EPISODES, CURVE_POINTS = 100, 10
+CURVE_POINTS = 10
 # Limits of a pilot training; other programs explore for a share of the total.
 MANY_STEPS, PEER_STEPS = 10**9, 250_000
 Row = dict[str, Any]  # a line of the file: name, task, seed, and what was measured
@@ -47,7 +47,9 @@ def main(arguments: list[str] | None = None) -> None:
     """Run what the command line selects."""
     parser = ArgumentParser(prog="python docs/benchmark/run.py", description=str(__doc__).splitlines()[0])
     parser.add_argument("--seeds", type=between(1, 1000), default=SEEDS, help=f"trainings of each pair ({SEEDS})")
-    parser.add_argument("--seconds", type=between(1e-3, 1e6, float), default=30.0, help="CPU time of a training (30)")
+    parser.add_argument(
+        "--seconds", type=between(1e-3, 1e6, float), default=SECONDS, help=f"CPU time of a training ({SECONDS})"
+    )
     parser.add_argument("--only", nargs="+", metavar="NAME", help="agents, tasks or programs (default: all)")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="folder of runs.jsonl and the page")
     add_executor_arguments(parser)
@@ -92,17 +94,15 @@ def trainings(pairs: list[Pair], rows: list[Row], options: argparse.Namespace) -
 
 def measure(name: str, task: str, seed: int, steps: int | None, seconds: float | None) -> Row:
     """Train for `steps` and evaluate, or count the steps that `seconds` allow."""
-    others = entrants()
+    others, limit = entrants(), Limit(seconds)
     with tempfile.TemporaryDirectory() as folder:
         if is_rule(name):
             config = find_config(name, task)
             trained, arguments = Trained(make_baseline(config), 0), {"config": config}
         elif (name, task) in others:
-            limit = Limit(seconds)
             trained = others[name, task](task, max(seed, 0), steps or PEER_STEPS, limit.goes_on)
             arguments = {"task": task, "observation": "raw"}
         else:
-            limit = Limit(seconds)
             trained, arguments = train_agent(name, task, seed, steps, limit, Path(folder)), {}
         row = {"name": name, "task": task, "seed": seed, "timesteps": trained.timesteps}
         if seed == PILOT:

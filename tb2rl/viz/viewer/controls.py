@@ -196,9 +196,8 @@ class Controls:
 
     def _select_task(self) -> None:
         """Drive a policy of the chosen task, unless the present one can do it."""
-        if self._task.value != self._drive.selection.config.task_name and not choices.is_baseline(
-            self._drive.selection.label
-        ):
+        selection = self._drive.selection
+        if self._task.value != selection.config.task_name and not choices.is_baseline(selection.label):
             self._policy.value = choices.option_of(choices.policy_of_task(self._task.value))
         self._select()
 

@@ -82,7 +82,8 @@ def values(drive: Drive) -> str:
         for name, score in found.scores.items()
     )
     value = f"<p>The discounted sum of the rewards to come: <b>{found.value:.3g}</b></p>"
-    value = "" if found.meaning == ACTION_VALUES else value
+    if found.meaning == ACTION_VALUES:  # the largest of them is this value
+        value = ""
     text, observation = html.escape(found.meaning[0].upper() + found.meaning[1:]), _describe(drive.observation)
     return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {observation}</p></div>"
 
