@@ -125,7 +125,7 @@ def _changes(entry: Entry, num_episodes: int, simulator: SimulatorType) -> list[
 
     Without an evaluation in this simulator, the results are compared with the standard evaluation.
     """
-    summary = evaluate(entry.folder, episodes=num_episodes, simulation=simulator, progress=True).summary()
+    summary = evaluate(entry.folder, episodes=num_episodes, simulation=simulator, progress_bar=True).summary()
     rate, speed, place = summary[f"{entry.criterion}_rate"], summary["mean_speed"], describe_place(simulator.name)
     say(f"{entry.name}: {percent(rate)} good episodes, {speed:.3f} m/s {place}")
     if simulator.name != entry.summary["simulation"] and entry.has_record(simulator.name):

@@ -59,7 +59,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     conditions = {name: getattr(options, name) for name in names} | {"steps": chosen_time_limit(options, STEPS)}
     policy, config = chosen_policy(options)
     simulations = [robot] if robot else _chosen_simulations(options)
-    evaluations = [evaluate(policy, config, progress=True, simulation=each, **conditions) for each in simulations]
+    evaluations = [evaluate(policy, config, progress_bar=True, simulation=each, **conditions) for each in simulations]
     evaluation, name = evaluations[0], options.agent or options.policy
     title = f"{name} in {'a world with ROS' if robot else evaluation.scene.worlds_title}"
     standard = EPISODES, STEPS, SEED, default_simulator().name

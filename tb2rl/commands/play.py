@@ -55,7 +55,7 @@ def _chosen_options(arguments: argparse.Namespace) -> FilmOptions:
         steps=chosen_time_limit(arguments, FILM_STEPS),
         simulation=robot or arguments.simulation,
         on_episode_end=say,
-        progress=True,
+        progress_bar=True,
         **others,
     )
 

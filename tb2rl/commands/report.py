@@ -10,7 +10,7 @@ from tb2rl.core import InputError, check_output, write_text
 from tb2rl.core.files import parse_yaml
 from tb2rl.deploy.bags.reading import is_bag, parse_topics, read_drive
 from tb2rl.envs.scene import Scene
-from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.progress import progress
 from tb2rl.evaluation.suite_comparison import read_results
 from tb2rl.robots.robot_file import is_robot_file
 from tb2rl.runs import config_of, load, resolve
@@ -36,10 +36,10 @@ def run(arguments: argparse.Namespace) -> None:
     drives = _drive_sections(arguments, bags)
     results = [(file, read_results(file)) for file in result_files(files, folders)]
     named_folders = list(zip(folders, display_names(folders), strict=True))
-    bar = progress_bar(named_folders, "reading", "run")
-    groups = group_runs([read_run_view(folder, name, progress=True, trust=arguments.trust) for folder, name in bar])
-    suites = [section for file, each in results for section in suite_sections(file, each, progress=True)]
-    text = page(groups, suites, drives, progress=True)
+    bar = progress(named_folders, "reading", "run")
+    groups = group_runs([read_run_view(folder, name, progress_bar=True, trust=arguments.trust) for folder, name in bar])
+    suites = [section for file, each in results for section in suite_sections(file, each, progress_bar=True)]
+    text = page(groups, suites, drives, progress_bar=True)
     write_text(out, text)
     counts = {"run": len(folders), "suite": len(results), "bag": len(drives)}
     content = ", ".join(f"{count} {name}{'s' * (count > 1)}" for name, count in counts.items() if count)
@@ -72,7 +72,7 @@ def _drive_sections(arguments: argparse.Namespace, bags: list[Path]) -> list[Dri
         world = only_world(parse_yaml(arguments.world, "--world"), "--world")
     scene = _scene_against(arguments) if arguments.against else None
     sections = []
-    for bag in progress_bar(bags, "reading", "bag"):
+    for bag in progress(bags, "reading", "bag"):
         drive, replays = read_drive(bag, topics, scans=scene is not None), dict[str, Replay]()
         if scene is not None:
             replays[arguments.against] = replay(drive, scene, default_simulator(), world)

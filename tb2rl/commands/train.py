@@ -136,7 +136,7 @@ def _finish(training: FinishedTraining, no_evaluation: bool) -> None:
     if no_evaluation or training.signal_number:
         return
     say(f"standard evaluation of the best policy: {EPISODES} episodes, about half a minute")
-    _evaluate(training.run, str(training.run.folder), progress=True)
+    _evaluate(training.run, str(training.run.folder), progress_bar=True)
 
 
 def train_seeds(config: Config, seeds: Sequence[int], folder: Path, executor: Executor, verbose: int = 0) -> None:
@@ -195,9 +195,9 @@ def train_and_evaluate(worlds: Mapping[str, Any], config: Config, final_path: st
     return {**summary, "timesteps": training.timesteps, "seconds": training.seconds}
 
 
-def _evaluate(run: Run, name: str, progress: bool = False) -> dict[str, Any]:
+def _evaluate(run: Run, name: str, progress_bar: bool = False) -> dict[str, Any]:
     """Make, print and write the standard evaluation of a run, and return its summary; the title contains `name`."""
-    evaluation = evaluate(load(run.folder), progress=progress)
+    evaluation = evaluate(load(run.folder), progress_bar=progress_bar)
     summary = print_evaluation(evaluation, f"{name} in {run.config.scene.worlds_title}")
     run.write_evaluation(*evaluation.serialize(run.config, name))
     return summary

@@ -25,7 +25,7 @@ ENTRY_POINT, VECTOR_ENTRY_POINT = f"{__name__}:make_for_gymnasium", f"{__name__}
 
 
 def make_env(
-    what: Any = "maze",
+    task: Any = "maze",
     observation: str | None = None,
     render_mode: str | None = None,
     simulation: Any = None,
@@ -34,7 +34,7 @@ def make_env(
     """Make the environment of a task, or the one in which a policy was trained.
 
     Args:
-        what: A task's name, "module:Class", a `Task` or its class, or a policy from `load` or `train`.
+        task: A task's name, "module:Class", a `Task` or its class, or a policy from `load` or `train`.
         observation: "discrete" or "raw". None: that of the policy, or "discrete" for a task.
         render_mode: None, "rgb_array" or "human", see `TurtleBot2Env`.
         simulation: A simulator's name, "module:Class", or an object such as a `tb2rl.deploy.ros.robot.RosRobot` for
@@ -46,33 +46,33 @@ def make_env(
         InputError: If a name is unknown, or a value is invalid.
         UnknownArgumentError: If a setting is unknown. The error is also a `TypeError`.
     """
-    scene = _scene(what, observation, settings)
+    scene = _scene(task, observation, settings)
     env = TurtleBot2Env(scene, render_mode, simulation)
     env.spec = _make_env_spec(scene, render_mode, simulation)  # the setter adds the time limit
     return env
 
 
-def _scene(what: Any, observation: str | None, settings: Mapping[str, Any]) -> Scene:
-    config = getattr(what, "trained_with", None)
+def _scene(task: Any, observation: str | None, settings: Mapping[str, Any]) -> Scene:
+    config = getattr(task, "trained_with", None)
     if config is not None:
-        what, observation = config.task, observation or config.observation
-    task_class = type(what) if isinstance(what, Task) else find_task(what)
+        task, observation = config.task, observation or config.observation
+    task_class = type(task) if isinstance(task, Task) else find_task(task)
     setting_names = [field.name for field in fields(task_class)]
     for name in settings:
         if name not in setting_names and not is_untyped(task_class, name):  # `build` reports untyped settings
             raise UnknownArgumentError("make_env", name, ["observation", "render_mode", "simulation", *setting_names])
-    return make_scene(make_task(what, settings), observation or "discrete")
+    return make_scene(make_task(task, settings), observation or "discrete")
 
 
-def make_task(what: Any, settings: Mapping[str, Any]) -> Task:
+def make_task(task: Any, settings: Mapping[str, Any]) -> Task:
     """Make a task from a name, "module:Class", a class or another task; `settings` overrides its fields.
 
     Raises:
         InputError: If a name or a setting is unknown, or a value is invalid.
     """
-    task, task_class = (what, type(what)) if isinstance(what, Task) else (None, find_task(what))
-    current = {field.name: getattr(task, field.name) for field in fields(task_class)} if task else {}
-    return build(task_class, {**current, **with_robot_settings(settings, task_class, task)}, "task")
+    before, task_class = (task, type(task)) if isinstance(task, Task) else (None, find_task(task))
+    current = {field.name: getattr(before, field.name) for field in fields(task_class)} if before else {}
+    return build(task_class, {**current, **with_robot_settings(settings, task_class, before)}, "task")
 
 
 def _make_env_spec(scene: Scene, render_mode: str | None, simulation: Any) -> EnvSpec:

@@ -23,7 +23,7 @@ from tb2rl.envs.make import make_task
 from tb2rl.envs.scene import Scene, make_scene
 from tb2rl.evaluation.episodes import Episode, EpisodeStart, EpisodeStep, Policy, check_spaces, run_episodes, run_single
 from tb2rl.evaluation.evaluation import Evaluation
-from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.progress import progress
 from tb2rl.execution.executor import Executor
 from tb2rl.execution.local import LocalExecutor
 from tb2rl.runs import Config, config_of, load
@@ -49,7 +49,7 @@ def evaluate(
     task: str | Task | type[Task] | None = None,
     observation: str | None = None,
     simulation: Any = None,
-    progress: bool = False,
+    progress_bar: bool = False,
     **options: Any,
 ) -> Evaluation:
     """Evaluate a policy; the default is the standard evaluation at the task of its training.
@@ -64,7 +64,7 @@ def evaluate(
         task: A task in place of `config`: a name, "module:Class", a `Task` or its class.
         observation: Mode of `task`; None: "raw" if the policy's observation space is a Box or a Dict, else "discrete".
         simulation: An argument of `find_simulator`, such as a name or a `RosRobot`; None: `default_simulator`.
-        progress: Whether to show a progress bar if there is a terminal.
+        progress_bar: Whether to show a progress bar if there is a terminal.
         options: `steps` is the time limit of an episode [control steps]; its default is `episode_steps` in `settings`,
             or else 1500. `episodes` is the number of episodes; its default is 100, or 1 with an external simulator or
             a real robot. See `Evaluator` for `seed` and `workers`.
@@ -86,7 +86,7 @@ def evaluate(
         scene = scene.for_purpose("test")
         states = random_initial_states(scene, options.pop("episodes", EPISODES), seed)
     with Evaluator(scene, states, steps, seed, simulation=simulator, **options) as evaluator:
-        return evaluator.run(policy, progress)
+        return evaluator.run(policy, progress_bar)
 
 
 def _find_scene(
@@ -161,10 +161,10 @@ class Evaluator(AbstractContextManager["Evaluator"]):
         """State for a worker process, which opens its own control loops."""
         return {**vars(self), "_loops": {}, "_executor": None}
 
-    def run(self, policy: Policy, progress: bool = False) -> Evaluation:
-        """Run all episodes; `progress` shows a progress bar if there is a terminal."""
+    def run(self, policy: Policy, progress_bar: bool = False) -> Evaluation:
+        """Run all episodes; `progress_bar` shows a progress bar if there is a terminal."""
         count = len(self.initial_states.table)
-        episodes = progress_bar(self.run_from(policy), "evaluating", "episode", total=count, shown=progress)
+        episodes = progress(self.run_from(policy), "evaluating", "episode", total=count, shown=progress_bar)
         return Evaluation(list(episodes), self.scene, self.seed, self.simulator.name)
 
     def run_from(self, policy: Policy, first: int = 0, executor: Executor | None = None) -> Iterator[Episode]:

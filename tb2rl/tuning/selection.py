@@ -65,7 +65,7 @@ def evaluate_trial(folder: StudyFolder, trial: FrozenTrial) -> TrialEvaluation:
         seed = _SEED + i * num_episodes
         states = random_initial_states(scene, num_episodes, seed)
         with Evaluator(scene, states, config.train.eval_steps, seed) as evaluator:
-            evaluations.append(evaluator.run(load(trial_folder / f"seed-{training_seed}").policy, progress=True))
+            evaluations.append(evaluator.run(load(trial_folder / f"seed-{training_seed}").policy, progress_bar=True))
     good = sum(round(num_episodes * evaluation.good_rate) for evaluation in evaluations)
     mean_return = sum(evaluation.score[1] for evaluation in evaluations) / len(evaluations)
     total = num_episodes * len(evaluations)
@@ -127,6 +127,6 @@ def _evaluated_run(config: Config, folder: Path) -> Run:
     training = train_config(config, folder)
     if training.signal_number:
         raise KeyboardInterrupt
-    evaluation = evaluate(load(folder), progress=True)
+    evaluation = evaluate(load(folder), progress_bar=True)
     training.run.write_evaluation(*evaluation.serialize(config, str(folder)))
     return training.run

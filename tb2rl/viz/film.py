@@ -19,7 +19,7 @@ from tb2rl.envs.control_loop import ControlLoop
 from tb2rl.envs.scene import Scene
 from tb2rl.evaluation.episodes import LARGEST_SEED, EpisodeStep, Policy, check_spaces, roll_out
 from tb2rl.evaluation.evaluate import time_limit
-from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.progress import progress
 from tb2rl.rendering.above import add_header
 from tb2rl.rendering.colours import FILM_PALETTE
 from tb2rl.runs import Config, config_of, load
@@ -45,7 +45,7 @@ class FilmOptions:
         simulation: An argument of `find_simulator`; None: `default_simulator`. "ros" or a `RosRobot` films a real robot
             by its odometry and its laser.
         on_episode_end: Function that is called with a line of text about each finished episode.
-        progress: Whether to show a progress bar if there is a terminal.
+        progress_bar: Whether to show a progress bar if there is a terminal.
         name: Name of the policy in the title of a film; None: only its agent is named.
 
     Raises:
@@ -59,7 +59,7 @@ class FilmOptions:
     speed: float = 1.0
     simulation: Any = None
     on_episode_end: Callable[[str], None] | None = None
-    progress: bool = False
+    progress_bar: bool = False
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -179,7 +179,7 @@ def open_episodes(
     scene = (config or config_of(policy)).with_task({**settings, "episode_steps": steps}).scene.for_purpose("test")
     check_spaces(policy, scene)
     loop, max_steps = ControlLoop.open(scene, options.simulator), options.episodes * scene.task.episode_steps
-    with closing(loop), progress_bar(None, title, "step", total=max_steps, shown=options.progress) as bar:
+    with closing(loop), progress(None, title, "step", total=max_steps, shown=options.progress_bar) as bar:
         yield loop.scene, (_steps_of(loop, policy, options, index, bar) for index in range(options.episodes))
 
 

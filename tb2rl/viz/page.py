@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from tb2rl.evaluation.evaluate import EPISODES
 from tb2rl.evaluation.metrics import shown_metrics
-from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.progress import progress
 from tb2rl.evaluation.sim_to_sim import describe_place
 from tb2rl.rendering import colours
 from tb2rl.viz import charts
@@ -28,11 +28,11 @@ def page(
     groups: Sequence[RunGroup],
     suites: Sequence[SuiteSection] = (),
     drives: Sequence[DriveSection] = (),
-    progress: bool = False,
+    progress_bar: bool = False,
 ) -> str:
-    """The report as HTML; `progress` shows a progress bar if there is a terminal."""
+    """The report as HTML; `progress_bar` shows a progress bar if there is a terminal."""
     runs = [(group, view) for group in groups for view in group.views]
-    rows = [_row(group, view) for group, view in progress_bar(runs, "drawing", "run", shown=progress)]
+    rows = [_row(group, view) for group, view in progress(runs, "drawing", "run", shown=progress_bar)]
     views = [view for _, view in runs]
     tasks = [view.config.task for view in views]
     metrics = shown_metrics(any(task.goal_task for task in tasks), any(task.filters for task in tasks))

@@ -154,13 +154,13 @@ def _common_path(paths: Sequence[str]) -> str:
         return ""
 
 
-def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool = False) -> RunView:
+def read_run_view(folder: Path, name: str, progress_bar: bool = False, trust: bool = False) -> RunView:
     """Read a run folder, and evaluate the run if there is no stored standard evaluation.
 
     Args:
         folder: The run folder.
         name: The name in the report.
-        progress: Whether to show a progress bar if there is a terminal.
+        progress_bar: Whether to show a progress bar if there is a terminal.
         trust: See `Run.open`.
 
     Raises:
@@ -172,7 +172,7 @@ def read_run_view(folder: Path, name: str, progress: bool = False, trust: bool =
     if any(getattr(config_of(policy), name) != getattr(run.config, name) for name in _IDENTITY):
         raise InputError(f"{folder}: {config_file(folder).name} differs from the config in the policy's checkpoint")
     is_stored = run.has_evaluation_episodes
-    evaluation = load_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress=progress)
+    evaluation = load_evaluation(run) if is_stored else evaluate(policy, episodes=_EPISODES, progress_bar=progress_bar)
     versions = {str(key): str(value) for key, value in (read_config(folder).get("versions") or {}).items()}
     comparison = load_sim_to_sim(run)
     return RunView(name, run.config, versions, policy, curves, evaluation, is_stored, comparison)

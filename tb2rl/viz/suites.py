@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tb2rl.core.errors import InputError
-from tb2rl.evaluation.progress import progress as progress_bar
+from tb2rl.evaluation.progress import progress
 from tb2rl.evaluation.suite_comparison import suite_sentences
 from tb2rl.evaluation.suites import SuiteEpisode, SuiteResult, restore_evaluation
 from tb2rl.runs.folder import suite_files
@@ -32,7 +32,7 @@ def result_files(files: Iterable[Path], folders: Iterable[Path]) -> list[Path]:
     return list(dict.fromkeys(file.resolve() for file in [*files, *run_files]))
 
 
-def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> SuiteSection:
+def suite_section(file: Path, result: SuiteResult, progress_bar: bool = False) -> SuiteSection:
     """Make the section of a result, which was read from `file`, by repeating some episodes."""
     selected = select_episodes(result)
     if not selected:  # a summary has no episodes
@@ -40,7 +40,7 @@ def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> Su
     try:
         evaluator, policy = restore_evaluation(result, file.parent)
         with evaluator:
-            bar = progress_bar(selected, "replaying", "world", shown=progress)
+            bar = progress(selected, "replaying", "world", shown=progress_bar)
             # The number of an episode is the index of its world.
             steps = ((episode, evaluator.replay(policy, episode.world)) for episode in bar)
             replays = [(episode, make_replay(each, evaluator.scene)) for episode, each in steps]
@@ -49,9 +49,9 @@ def suite_section(file: Path, result: SuiteResult, progress: bool = False) -> Su
     return SuiteSection(result, replays)
 
 
-def suite_sections(file: Path, results: Sequence[SuiteResult], progress: bool = False) -> list[SuiteSection]:
+def suite_sections(file: Path, results: Sequence[SuiteResult], progress_bar: bool = False) -> list[SuiteSection]:
     """Make a section of each result of a file; the last one has the comparison."""
-    *others, last = (suite_section(file, result, progress) for result in results)
+    *others, last = (suite_section(file, result, progress_bar) for result in results)
     return [*others, replace(last, comparison=suite_sentences(results))]
 
 

@@ -39,7 +39,7 @@ def test_the_remaining_time_leaves_out_the_wait_for_the_first_item(terminal, mon
 def test_an_evaluation_draws_a_bar_only_on_request(terminal, forward):
     stderr = terminal()
     for shown in (False, True):
-        evaluate(forward, resolve(), episodes=2, steps=3, simulation="kinematic", progress=shown)
+        evaluate(forward, resolve(), episodes=2, steps=3, simulation="kinematic", progress_bar=shown)
         assert ("evaluating:" in stderr.getvalue()) == shown
 
 
