@@ -14,7 +14,7 @@ from tb2rl.runs import HUB
 from tb2rl.simulation.variation import PRESETS
 from tb2rl.viz.viewer import choices
 from tb2rl.viz.viewer.choices import AS_TRAINED
-from tb2rl.viz.viewer.drive import Drive, Selection
+from tb2rl.viz.viewer.drive import NO_GOAL, Drive, Selection
 from tb2rl.viz.viewer.live_scene import LiveScene
 from tb2rl.viz.viewer.server import ViewerServer
 from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
@@ -22,16 +22,17 @@ from tb2rl.worlds.edits import add_post, add_wall, hit_floor, remove_obstacle
 _SPEEDS = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)  # simulated seconds per second
 _MAX_PEOPLE, _MAX_SEED = 8, 100_000
 _MOVE_GOAL, _MOVE_ROBOT = "move the goal", "move the robot"  # meanings of a click
-_ADD_WALL, _ADD_POST, _REMOVE = "add a wall", "add a post", "remove"
+_ADD_WALL, _ADD_POST, _REMOVE = "add a wall", "add a post", "remove a wall or post"
 _HINTS = {
     _MOVE_GOAL: "Click on the floor, or drag the green disc.",
     _MOVE_ROBOT: "Click on the floor, or drag the robot.",
     _ADD_WALL: "Click where the wall begins, then where it ends, both away from the robot.",
     _ADD_POST: "Click on the floor, away from the robot.",
-    _REMOVE: "Click on a wall or a post.",
+    _REMOVE: "Click on it.",
 }
+_NO_CLICK_HINT = "**A click does nothing yet.** Choose what it does."
 _STEERING = {"accelerate": "W", "brake": "S", "turn left": "A", "turn right": "D", "stop": ""}
-_KEYS_HINT = "W A S D or arrows, space stops. If keys do nothing, click on the background first."
+_KEYS_HINT = "W A S D or arrows, space stops. If keys do nothing, click on this text first."
 _HOTKEYS = {"W": "arrowup", "S": "arrowdown", "A": "arrowleft", "D": "arrowright", "": "space"}
 
 
@@ -95,7 +96,7 @@ class Controls:
         with self._gui.add_folder("Time"):
             buttons = self._gui.add_button_group("Playback", list(changes))
             speeds = {f"{speed:g} x": speed for speed in sorted({*_SPEEDS, drive.speed})}
-            speed = self._gui.add_dropdown("Playback speed", list(speeds), initial_value=f"{drive.speed:g} x")
+            speed = self._gui.add_dropdown("Speed, 0.25 to 20 x", list(speeds), initial_value=f"{drive.speed:g} x")
             self._follow = self._gui.add_checkbox("Follow the robot", initial_value=follow)
         buttons.on_click(lambda _: self.request(changes.get(buttons.value, lambda: None)))
         speed.on_update(lambda _: setattr(drive, "speed", speeds.get(speed.value, drive.speed)))
@@ -108,11 +109,12 @@ class Controls:
             options = list(map(choices.option_of, choices.policy_names()))
             self._policy = self._add_choice("Policy", options, choices.option_of(selection.label))
             self._description = self._gui.add_markdown("")
-            self._hub = self._gui.add_text("hf:USER/REPOSITORY", initial_value="")
-            load = self._gui.add_button("Load this policy from Hugging Face")
             self._task = self._add_choice("Task", task_names(), selection.config.task_name)
             self._robot = self._add_choice("Robot", robot_names())
             self._simulation = self._add_choice("Simulator", choices.simulators(), selection.simulator.name)
+            with self._gui.add_folder("Policy of Hugging Face", expand_by_default=False):
+                self._hub = self._gui.add_text("hf:USER/REPOSITORY", initial_value="")
+                load = self._gui.add_button("Load this policy")
         for handle in (self._policy, self._robot, self._simulation):
             self._on_update(handle, self._select)
         load.on_click(lambda _: self.request(self._select_from_hub))
@@ -121,17 +123,16 @@ class Controls:
     def _add_world(self) -> None:
         gui = self._gui
         with gui.add_folder("World: make it harder or easier"):
+            gui.add_markdown("A change begins a new episode. Difficulty and number take a generated world.")
             self._world = self._add_choice("World", choices.worlds())
             self._difficulty = gui.add_slider("Difficulty", min=0.0, max=1.0, step=0.05, initial_value=0.5)
             self._number = gui.add_number("World number (seed)", initial_value=0, min=0, max=_MAX_SEED, step=1)
             self._people = gui.add_slider("People who walk", min=0, max=_MAX_PEOPLE, step=1, initial_value=0)
             self._variation = self._add_choice("Variation (noise, wear)", [*PRESETS])
-            undo = gui.add_button("Undo walls, posts and goal")
         for handle in (self._world, self._people, self._variation):
             self._on_update(handle, self._select)
         self._on_update(self._difficulty, self._select_difficulty)
         self._on_update(self._number, self._select_number)
-        undo.on_click(lambda _: self.request(lambda: self._drive.select(self._drive.selection)))
 
     def _adapt_controls(self) -> None:
         """Adapt texts and controls to the policy, the task and the world."""
@@ -140,7 +141,7 @@ class Controls:
         self._description.content = choices.describe(self._drive.selection)
         if self._drive.scene.task.goal_task != self._has_goal:
             self._has_goal = self._drive.scene.task.goal_task
-            self._set_click(_MOVE_GOAL if self._has_goal else _ADD_WALL)
+            self._set_click(_MOVE_GOAL if self._has_goal else "")
 
     def _add_choice(self, label: str, names: list[str], value: str = AS_TRAINED) -> Any:
         options = list(dict.fromkeys([value, *names]))
@@ -245,6 +246,8 @@ class Controls:
         with self._gui.add_folder("Goal, walls and posts"):
             buttons = self._gui.add_button_group("Let a click", list(self._clicks))
             self._hint = self._gui.add_markdown("")
+            undo = self._gui.add_button("Undo walls, posts and goal")
+        undo.on_click(lambda _: self.request(lambda: drive.select(drive.selection)))
         buttons.on_click(lambda _: self.request(self._set_click, buttons.value))
 
         def click(*ray: Any) -> None:
@@ -255,7 +258,10 @@ class Controls:
         on_click(lambda event: self.request(click, event.ray_origin, event.ray_direction))
 
     def _set_click(self, meaning: str) -> None:
-        self._click, self._hint.content = meaning, f"**A click will {meaning}.** {_HINTS.get(meaning, '')}"
+        if meaning == _MOVE_GOAL and not self._has_goal:
+            raise InputError(NO_GOAL)
+        hint = f"**A click will {meaning}.** {_HINTS[meaning]}" if meaning in _HINTS else _NO_CLICK_HINT
+        self._click, self._hint.content = meaning, hint
 
     def _add_wall(self, point: Point, *_: Any) -> None:
         """Start a wall at a point, or end it there."""

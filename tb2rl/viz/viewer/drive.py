@@ -24,6 +24,7 @@ from tb2rl.worlds.goal_paths import OWN_GOAL
 
 FRAME_RATE = 60.0  # frames per second
 _PLAN_STEP, _MAX_PLAN = 0.2, 300  # [m] between points of a plan, and most points
+NO_GOAL = "this task has no goal; choose the task navigate"
 _REST = 1.0  # [s] for which the end of an episode is shown
 
 
@@ -103,7 +104,7 @@ class Drive:
     def move_goal(self, x: float, y: float) -> None:
         """Continue with another goal [m]; raises an `InputError` if it is in an obstacle, or the task has no goal."""
         if not self.scene.task.goal_task:
-            raise InputError("this task has no goal; choose the task navigate")
+            raise InputError(NO_GOAL)
         self.change_world(self.world.with_changes(None, (x, y, 0.0)))
 
     def move_robot(self, x: float, y: float) -> None:

@@ -12,7 +12,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, ContinuousCriti
 from tb2rl.tasks import Actions
 
 COMMAND = "command"  # meaning of scores that are a speed and a turn rate
-ACTION_VALUES = "the discounted sum of the rewards to come after each action; bars from the least to the largest"
+ACTION_VALUES = "expected sum of the rewards to come after each action, later ones discounted; bars show differences"
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import html
 import math
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from tb2rl.viz.viewer.drive import Drive
 from tb2rl.viz.viewer.policy_values import ACTION_VALUES, PolicyValues, policy_values
 
 _MAX_NUMBERS = 12  # numbers of an observation that are shown
+_EXPECTED = "Expected sum of the rewards to come, later ones discounted"
 _STILL = 0.03  # [m/s] or [rad/s] below which the robot does not move
 
 
@@ -22,16 +22,17 @@ def status(drive: Drive) -> str:
     step, scene = drive.step, drive.scene
     v, w = step.after.twist[0].tolist()
     paused = " (paused)" if drive.is_paused else ""
-    who = "You drive" if drive.is_manual else f"{drive.selection.label} drives"
+    driver = "you" if drive.is_manual else drive.selection.label
     doing = f"the episode ended: {step.info['ended']}" if step.info["ended"] else _motion(v, w)
     endings = ", ".join(f"{reason} {count}" for reason, count in drive.endings.most_common()) or "none has ended"
     lines = [
+        f"**Driver:** {driver}",
         f"**Doing:** {doing}{paused}; {v:z.2f} m/s, {w:+z.2f} rad/s",
         f"**Goal:** {_goal_text(step.after, scene)}",
         f"**Sees:** {_nearest_text(step.after, scene)} (orange beams)",
-        f"**Reward** {step.reward:+.3g}, **return** {step.episode_return:.4g}, **time** {drive.frame.time:.1f} s",
-        f"**Episodes so far:** {endings}",
-        f"**{who}** {scene.robot.name}, task {drive.selection.config.task_name}, in {drive.episode_world.name}, "
+        f"**Reward** {step.reward:+.3g}, **return so far** {step.episode_return:.4g}",
+        f"**Time** {drive.frame.time:.1f} s; **episodes so far:** {endings}",
+        f"**World:** {drive.episode_world.name}; task {drive.selection.config.task_name}, robot {scene.robot.name}, "
         f"{drive.selection.simulator.title}",
     ]
     return "\n\n".join(lines)
@@ -48,7 +49,7 @@ def _motion(v: float, w: float) -> str:
 def _goal_text(state: RobotState, scene: Scene) -> str:
     goal, (x, y, yaw) = goal_of(scene.task, state.initial_state), state.pose[0].tolist()
     if not np.isfinite(goal).all():
-        return "none; this task is to drive on without a collision"
+        return "none; this task is to drive on without a collision (tasks with a goal: navigate)"
     angle = math.remainder(math.atan2(goal[1] - y, goal[0] - x) - yaw, math.tau)
     return f"{math.hypot(goal[0] - x, goal[1] - y):.1f} m away, {_side(angle)} (green disc)"
 
@@ -81,11 +82,11 @@ def values(drive: Drive) -> str:
         else _bar(name, score, *_extent(found, name), PATH)
         for name, score in found.scores.items()
     )
-    value = f"<p>The discounted sum of the rewards to come: <b>{found.value:.3g}</b></p>"
+    value = f"<p>{_EXPECTED}: <b>{found.value:.3g}</b></p>"
     if found.meaning == ACTION_VALUES:  # the largest of them is this value
         value = ""
-    text, observation = html.escape(found.meaning[0].upper() + found.meaning[1:]), _describe(drive.observation)
-    return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>Observation: {observation}</p></div>"
+    text, observation = html.escape(found.meaning[0].upper() + found.meaning[1:]), _describe(drive)
+    return f"<div style='padding:0 1em'><p>{text}</p>{rows}{value}<p>{observation}</p></div>"
 
 
 def _extent(found: PolicyValues, name: str) -> tuple[float, float]:
@@ -101,9 +102,14 @@ def _bar(name: str, score: float, start: float, end: float, colour: str) -> str:
     return f"<div style='display:flex;justify-content:space-between'>{label}</div><div style='{style}'></div>"
 
 
-def _describe(observation: Any) -> str:
+def _describe(drive: Drive) -> str:
+    observation, scene = drive.observation, drive.scene
     if isinstance(observation, dict):
-        return ", ".join(f"{html.escape(key)} {np.shape(value)}" for key, value in observation.items())
+        shown = ", ".join(f"{html.escape(key)} {np.shape(value)}" for key, value in observation.items())
+        return f"Observation: {shown}"
+    kind = "classes, 0 the nearest" if scene.observation == "discrete" else "numbers"
+    names = ", ".join(f"{sensor.name} {sensor.shape[0]}" for sensor in scene.sensors)
     numbers = np.ravel(observation)
     shown = " ".join(f"{number:.2f}".removesuffix(".00") for number in numbers[:_MAX_NUMBERS])
-    return f"{shown}{' ...' if numbers.size > _MAX_NUMBERS else ''} ({numbers.size} numbers)"
+    more = " ..." if numbers.size > _MAX_NUMBERS else ""
+    return f"Observation ({kind}; {html.escape(names)}; beams from right to left): {shown}{more}"

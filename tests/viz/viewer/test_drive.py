@@ -196,7 +196,7 @@ def test_a_choice_while_another_one_is_loaded_is_undone_alone(drive, server):
 def test_a_difficulty_leads_to_a_generated_world_and_clicks_are_those_of_the_task(drive, server):
     live = drive("random", simulation="kinematic")
     controls = Controls(server, live, follow=False)
-    assert controls._hint.content.startswith("**A click will add a wall.**"), "the task has no goal"
+    assert controls._hint.content.startswith("**A click does nothing yet.**"), "the task has no goal"
     assert controls._description.content == "A rule, which has learned nothing."
     change(controls._difficulty, 0.8)
     change(controls._task, "navigate")

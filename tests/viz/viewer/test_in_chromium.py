@@ -90,7 +90,7 @@ def test_clicks_move_the_goal_and_the_robot_and_remove_a_post(watch):
     page.until(lambda: distance(page.drive, (-1.5, 1.5)) < 0.2, lambda: page.click(-1.5, 1.5))
     page.press("add a post")
     page.until(lambda: len(page.drive.world.posts) >= 1, lambda: page.click(0.0, -3.0))
-    page.press("remove")
+    page.press("remove a wall or post")
     page.until(lambda: len(page.drive.world.posts) == 0, lambda: page.click(0.0, -3.0))
 
 
