@@ -152,7 +152,7 @@ def test_the_page_tells_what_the_robot_does_and_how_its_episodes_ended(drive):
     for _ in range(4):
         live.step_once()
     assert live.endings == {"time limit": 1}
-    assert "**Episodes so far:** time limit 1" in status(live)
+    assert "**episodes so far:** time limit 1" in status(live)
     live = drive()
     live.drive_manually(True)
     live.step_once()
