@@ -30,7 +30,7 @@ _HINTS = {
     _ADD_POST: "Click on the floor, away from the robot.",
     _REMOVE: "Click on it.",
 }
-_NO_CLICK_HINT = "**A click does nothing yet.** Choose what it does."
+_NO_CLICK_HINT = "**A click does nothing yet.** Choose what it does. For a goal, choose the task navigate."
 _STEERING = {"accelerate": "W", "brake": "S", "turn left": "A", "turn right": "D", "stop": ""}
 _KEYS_HINT = "W A S D or arrows, space stops. If keys do nothing, click on this text first."
 _HOTKEYS = {"W": "arrowup", "S": "arrowdown", "A": "arrowleft", "D": "arrowright", "": "space"}
@@ -123,7 +123,7 @@ class Controls:
     def _add_world(self) -> None:
         gui = self._gui
         with gui.add_folder("World: make it harder or easier"):
-            gui.add_markdown("A change begins a new episode. Difficulty and number take a generated world.")
+            gui.add_markdown("A change begins a new episode. Difficulty chooses a generated world.")
             self._world = self._add_choice("World", choices.worlds())
             self._difficulty = gui.add_slider("Difficulty", min=0.0, max=1.0, step=0.05, initial_value=0.5)
             self._number = gui.add_number("World number (seed)", initial_value=0, min=0, max=_MAX_SEED, step=1)
